@@ -22,6 +22,7 @@ from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from math import gcd, lcm, ulp
+from numbers import Rational
 from typing import Any, Self
 
 import numpy as np
@@ -376,11 +377,11 @@ def exact(number: object) -> Fraction:
         return Fraction(*number.as_integer_ratio())  # wider than Python's floats
     if isinstance(number, np.generic):
         number = number.item()
-    if isinstance(number, bool) or not isinstance(number, int | float | str):
+    if isinstance(number, bool) or not isinstance(number, Rational | float | str | Decimal):
         raise ModelError(f"{number!r} is not a number", fix='write a number, or "p/q"')
     try:
-        if isinstance(number, str):
-            _check_length(number)
+        if isinstance(number, str | Decimal):
+            _check_length(str(number))
         return Fraction(number)
     except ModelError:
         raise

@@ -9,10 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.chain import termination
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of, unposed
@@ -41,7 +42,7 @@ def unit_of(parameter: Parameter) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """From where to where a parameter is varied.
+    """From where to where a parameter is varied: two numbers or "p/q", kept exact.
 
     Examples
     --------
@@ -56,7 +57,14 @@ class Range:
     low: Fraction
     high: Fraction
 
+    if TYPE_CHECKING:  # what is taken: any two numbers
+
+        def __init__(self, *, low: object, high: object) -> None: ...
+
     def __post_init__(self) -> None:
+        with located("range"):
+            object.__setattr__(self, "low", exact(self.low))
+            object.__setattr__(self, "high", exact(self.high))
         if self.low > self.high:
             raise ModelError(
                 f"the range from {beside(self.low, self.high)} to {shown(self.high)} is empty",

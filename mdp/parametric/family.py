@@ -21,12 +21,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import partial
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, check_names, suggest
-from exact_mdp.mdp.forms.names import ByNumber
+from exact_mdp.mdp.errors import ModelError, check_names, located, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import Given, Numbers, OutcomeTable, beside, exact, shown
@@ -82,6 +81,7 @@ class Family:
     Attributes
     ----------
     parameters : tuple of Parameter
+        Or {name: value}, numbers that may be any.
     build : function
         From {parameter name: Fraction}, all of them, to the model.
     degrees : {name: degree}
@@ -121,6 +121,23 @@ class Family:
     def __post_init__(self) -> None:
         check_names((self.name,), "model")
         check_names(self.rows, "row", where="rows")
+        fill = partial(object.__setattr__, self)
+        fill("parameters", _parameters(self.parameters))
+        for what in ("degrees", "breaks", "room"):
+            for name in getattr(self, what):
+                with located(what):
+                    parameter_of(self, name)
+        for name, degree in self.degrees.items():
+            if type(degree) is not int or degree < 0:
+                raise ModelError(
+                    f"the degree in {name} is {degree!r}",
+                    where="degrees",
+                    fix="give a whole number, 0 or more",
+                )
+        fill(
+            "breaks", {name: _exact(cuts, f"breaks, {name}") for name, cuts in self.breaks.items()}
+        )
+        fill("room", {name: _exact(ends, f"room, {name}") for name, ends in self.room.items()})
 
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
@@ -137,6 +154,31 @@ class Family:
     def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
         """See `Parametric.neighbours`."""
         return self.settings
+
+
+def _parameters(given: Any) -> tuple[Parameter, ...]:
+    """Return parameters that are given as such, or as {name: value}."""
+    if isinstance(given, Mapping):
+        return tuple(Parameter(name=name, value=value) for name, value in given.items())
+    if not isinstance(given, list | tuple) or not all(isinstance(p, Parameter) for p in given):
+        raise ModelError(
+            f"parameters are {given!r}",
+            where="parameters",
+            fix='give {name: value}, or a tuple of Parameter(name="p", value="1/2", low=0, high=1)',
+        )
+    for name, count in Counter(parameter.name for parameter in given).items():
+        if count > 1:
+            raise ModelError(
+                f"two parameters are called {name}", where="parameters", fix="rename one"
+            )
+    return tuple(given)
+
+
+def _exact(numbers: object, where: str) -> tuple[Any, ...]:
+    with located(where):
+        if not isinstance(numbers, list | tuple):
+            raise ModelError(f"{numbers!r} is not a list of numbers", fix="put it in brackets")
+        return tuple(None if number is None else exact(number) for number in numbers)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -225,7 +267,7 @@ def _rewards(table: OutcomeTable) -> dict[str, Fraction]:
 
 def moving(
     model: MDP,
-    entries: Mapping[str, Sequence[tuple[int, int]]],
+    entries: Mapping[str, Sequence[tuple[object, object]]],
     rewards: Mapping[str, object] | None = None,
 ) -> Family:
     """Return a model with probabilities of its rows and rewards as parameters, and its discount.
@@ -234,7 +276,8 @@ def moving(
     ----------
     model : MDP
     entries : {parameter name: [(pair, next state), …]}
-        The entries that a parameter sets, all of the same probability now.
+        The entries that a parameter sets, all of the same probability now. A pair is its number, or
+        (state, action); `mdp.forms.names` says how states and actions are given.
     rewards : {parameter name: number or "p/q"}, optional
         The reward that a parameter sets wherever it is earned.
 
@@ -259,7 +302,8 @@ def moving(
     """
     named: dict[int, dict[int, str]] = {}
     found = []
-    for name, places in entries.items():
+    for name, listed in entries.items():
+        places = _places(model, listed, f"parameter {name}")
         values = {_entry(model, pair, state) for pair, state in places}
         if len(values) != 1:
             raise ModelError(
@@ -319,7 +363,7 @@ def _moved(
     return MDP.from_outcomes(
         rows,
         values[DISCOUNT],
-        start=ByNumber(model.start),
+        start=model.start,
         space=model.space,
         actions=model.actions,
         action_objects=model.action_objects,
@@ -329,6 +373,23 @@ def _moved(
         goal=model.goal,
         unreached=model.unreached,
     )
+def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
+    """Return the numbers of entries that are given as pairs and next states."""
+    places = []
+    with located(where):
+        for place in listed:
+            if not isinstance(place, Sequence) or isinstance(place, str) or len(place) != 2:
+                raise ModelError(f"an entry is {place!r}", fix="give (pair, next state)")
+            pair, following = place
+            if isinstance(pair, tuple | list) and len(pair) == 2:
+                pair = model.pair(*pair)
+            if not isinstance(pair, int | np.integer) or not 0 <= pair < model.n_pairs:
+                raise ModelError(
+                    f"there is no pair {pair!r}",
+                    fix=f"give (state, action), or a number from 0 to {model.n_pairs - 1}",
+                )
+            places.append((int(pair), model.space.number(following)))
+    return places
 
 
 def _earned(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
@@ -384,7 +445,7 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
         fix = f"choose one of {', '.join(names[:LISTED])}{' …' * (len(names) > LISTED)}"
     if isinstance(unposed(model), Family):
         fix += (
-            '; name others yourself: moving(model, {"NAME": [(pair, next state)]}, '
+            '; name others yourself: moving(model, {"NAME": [((state, action), next state)]}, '
             '{"NAME": reward}), and give that as the model'
         )
     raise ModelError(f"unknown parameter {name!r}", where=place_of(model), fix=fix)

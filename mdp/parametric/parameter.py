@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
-from exact_mdp.mdp.errors import ModelError, check_names
-from exact_mdp.mdp.table import beside, shown
+from exact_mdp.mdp.errors import ModelError, check_names, located
+from exact_mdp.mdp.table import beside, exact, shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,12 +19,15 @@ class Parameter:
     name : str
         Such as `base.anger` or `reward.task-complete`.
     value : Fraction
+        Given as a number or "p/q", and kept as the exact number that this is.
     low, high : Fraction or None
         The range that the number may take; None where it is open.
 
     Examples
     --------
-    >>> Parameter(name="base.anger", value=Fraction(3, 2), low=Fraction(0), high=Fraction(1))
+    >>> Parameter(name="base.anger", value="3/20").value
+    Fraction(3, 20)
+    >>> Parameter(name="base.anger", value=1.5, low=0, high=1)
     Traceback (most recent call last):
     ...
     exact_mdp.mdp.errors.ModelError: base.anger is 1.5, outside [0, 1]
@@ -36,8 +40,19 @@ class Parameter:
     low: Fraction | None = None
     high: Fraction | None = None
 
+    if TYPE_CHECKING:  # what is taken: any number
+
+        def __init__(
+            self, *, name: str, value: object, low: object = None, high: object = None
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         check_names((self.name,), "parameter", where="parameters")
+        for part in ("value", "low", "high"):
+            number = getattr(self, part)
+            if part == "value" or number is not None:
+                with located(f"parameter {self.name}, {part}"):
+                    object.__setattr__(self, part, exact(number))
         self.check(self.value)
 
     def check(self, value: Fraction) -> None:

@@ -1,8 +1,11 @@
 """Derivatives and thresholds of families: certified where the degree is proven, and only there."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from decimal import Decimal
 from fractions import Fraction as F
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from exact_mdp.analysis.sensitivity import (
     two_way,
 )
 from exact_mdp.analysis.sensitivity.derivatives import Checked
+from exact_mdp.analysis.sensitivity.ranges import Range
 from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.parametric import Family, moving, parametric, room_of
 from exact_mdp.mdp.parametric.row_change import pieces, row_change
@@ -95,13 +99,13 @@ def test_what_is_checked_at_points_alone_is_not_certified() -> None:
     found = gradient(family)
     value = found["p"].value
     assert isinstance(value, Checked)
-    assert (value.value, value.claim) == (4, Claim.ESTIMATED)
+    assert (value.value, value.claim) == (4, Claim.CHECKED)
     assert value.points >= 3  # at least degree + 2
     assert "not proven" in str(value)
-    assert found.frame()["claim"].tolist() == ["estimated"]
+    assert found.frame()["claim"].tolist() == ["checked"]
     told = thresholds(family, "p", (F(1, 4), F(3, 4)))
-    assert told.claim == Claim.ESTIMATED
-    assert gradient(family, exact=False)["p"].claim == Claim.ESTIMATED
+    assert told.claim == Claim.CHECKED
+    assert gradient(family, exact=False)["p"].claim == Claim.CHECKED
 
 
 @pytest.mark.parametrize(
@@ -128,7 +132,7 @@ def test_a_builder_with_another_way_beyond_the_points_is_not_certified() -> None
         return earning(gain)
 
     family = Family(parameters=(unit("p", F(1, 4)),), build=build)
-    assert gradient(family)["p"].claim == Claim.ESTIMATED
+    assert gradient(family)["p"].claim == Claim.CHECKED
     broken = replace(family, breaks={"p": [F(9001, 10**4), F(9002, 10**4)]})
     assert gradient(broken)["p"].claim == Claim.CERTIFIED
 
@@ -353,7 +357,9 @@ def test_scenario_degrees_hold_at_further_points() -> None:
 
 # ---- default ranges ------------------------------------------------------------------------------
 
-CONTINUING = MDP.from_arrays([[["1/2", "1/2"], ["1/5", "4/5"]], [[1, 0], [0, 1]]], [1, 2], F(9, 10))
+CONTINUING = MDP.from_arrays(
+    [[["1/2", "1/2"], ["1/5", "4/5"]], [[1, 0], [0, 1]]], [1, 2], F(9, 10), layout="ass"
+)
 
 
 def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on() -> None:
@@ -409,3 +415,133 @@ def test_an_elasticity_beyond_floats_is_infinite_not_an_error() -> None:
         build=lambda at: earning(at["p"] - 1 + tiny),
     )
     assert gradient(family)["p"].elasticity == np.inf
+
+
+# ---- numbers and names as they are given ---------------------------------------------------------
+
+
+NUMBERS = [0.25, "1/4", F(1, 4), Decimal("0.25"), np.float32(0.25), np.float64(0.25), "0.25"]
+
+
+@pytest.mark.parametrize("number", NUMBERS, ids=repr)
+def test_numbers_of_parameters_become_exact_at_the_door(number: Any) -> None:
+    """A float stayed one, so that rows were no polynomials; "1/4" ended in a TypeError."""
+    p = Parameter(name="p", value=number, low=0, high=Decimal(1))
+    assert (p.value, p.low, p.high) == (F(1, 4), 0, 1)
+    assert {type(part) for part in (p.value, p.low, p.high)} == {F}
+    for parameters in ((p,), [p], {"p": number}):
+        family = Family(parameters=parameters, build=staying, breaks={"p": [number]})
+        assert family.breakpoints("p") == (F(1, 4),)
+        found = gradient(family)["p"]
+        assert (str(found.value), found.claim) == ("16/9 (certified)", Claim.CERTIFIED)
+    assert Range(low=number, high=1) == Range(low=F(1, 4), high=F(1))
+
+
+@pytest.mark.parametrize(
+    ("make", "where", "what"),
+    [
+        (lambda: Parameter(name="p", value="x"), "parameter p, value", "not a finite rational"),
+        (lambda: Parameter(name="p", value=None), "parameter p, value", "not a number"),
+        (lambda: Parameter(name="p", value=1, low=True), "parameter p, low", "not a number"),
+        (lambda: Parameter(name="p", value=1, high=np.nan), "parameter p, high", "not a finite"),
+        (lambda: Parameter(name="p", value=Decimal("1e99999")), "parameter p, value", "beyond"),
+        (lambda: Range(low="x", high=1), "range", "not a finite rational"),
+        (lambda: Family(parameters="p", build=staying), "parameters", "parameters are 'p'"),
+        (lambda: Family(parameters=[unit("p", F(1))] * 2, build=staying), "parameters", "two "),
+        (lambda: stayer(degrees={"q": 1}), "degrees, model", "unknown parameter 'q'"),
+        (lambda: stayer(degrees={"p": 1.5}), "degrees", "the degree in p is 1.5"),
+        (lambda: stayer(breaks={"p": 0.5}), "breaks, p", "not a list of numbers"),
+        (lambda: stayer(room={"p": (0, "x")}), "room, p", "not a finite rational"),
+    ],
+)
+def test_what_is_no_parameter_is_refused_at_once(
+    make: Callable[[], Any], where: str, what: str
+) -> None:
+    with pytest.raises(ModelError, match=what) as caught:
+        make()
+    assert caught.value.where == where
+    assert caught.value.fix
+
+
+def stayer(**parts: Any) -> Family:
+    return Family(parameters={"p": 0.5}, build=staying, **parts)
+
+
+WORDS = MDP.from_arrays(
+    {"sick": {"wait": {"sick": "1/2", "well": "1/4", "dead": "1/4"}}, "well": {}, "dead": {}},
+    {"sick": -1, "well": 0, "dead": 0},
+)
+
+
+def test_entries_are_named_as_states_and_actions_are_everywhere() -> None:
+    """It was "probability 0", or an IndexError."""
+    wanted = moving(WORDS, {"recovery": [(0, 1)]}).at({"recovery": "2/5"}).table.row(0)
+    for entry in ((("sick", "wait"), "well"), (("state sick", 0), 1), (np.int64(0), "well")):
+        found = moving(WORDS, {"recovery": [entry]}).at({"recovery": "2/5"}).table.row(0)
+        assert found == wanted
+    for entry, what in (
+        ((("sick", "wait"), "wel"), "unknown state 'wel'"),
+        ((("sick", "wail"), "well"), "unknown action 'wail'"),
+        ((99, "well"), "there is no pair 99"),
+        (("sick", "well"), "there is no pair 'sick'"),
+        (("sick", "wait", "well"), "an entry is"),
+    ):
+        with pytest.raises(ModelError, match=what) as caught:
+            moving(WORDS, {"recovery": [entry]})
+        assert caught.value.where.startswith("parameter recovery")
+        assert caught.value.fix
+
+
+def test_pairs_are_named_as_states_and_actions_are_everywhere() -> None:
+    for state, action in (("sick", "wait"), (0, 0), ("state sick", "action wait")):
+        assert WORDS.pair(state, action) == 0
+    for state, action, what in (
+        ("sik", "wait", "unknown state"), (9, 0, "outside 0 … 2"), (0, "wai", "unknown action"),
+        (0, 7, "outside 0"),
+    ):  # fmt: skip
+        with pytest.raises(ModelError, match=what):
+            WORDS.pair(state, action)
+    numbered = MDP.from_arrays([np.eye(2)] * 3, [0, 0], states=["1", "0"], actions=["2", "0", "1"])
+    assert numbered.pair("1", "0") == 1
+    with pytest.raises(ModelError, match="by its name, or"):
+        numbered.pair(1, "0")
+    with pytest.raises(ModelError, match="by its name, or"):
+        numbered.P(1)
+
+
+# ---- components ----------------------------------------------------------------------------------
+
+
+def told_apart(power: int, how: str) -> Callable[[Any], MDP]:
+    """Stay with probability p, which is also what one component of the reward is, to a power."""
+
+    def build(at: Any) -> MDP:
+        p, part = at["p"], at["p"] ** power
+        rows, named = [[p, 1 - p], [0, 1]], {"components": {"part": [part, 0]}}
+        if how == "arrays":
+            return MDP.from_arrays([rows], [1, 0], **named)
+        if how == "pairs":
+            return MDP.from_pairs([0, 1], [0, 0], rows, [1, 0], **named)
+        if how == "outcomes":
+            return MDP.from_outcomes(
+                [(0, 0, [(p, 0, 1), (1 - p, 1, 1)]), (1, 0, [(1, 1, 0)])], **named
+            )
+        gain = {"part": part, "rest": 1 - part}
+        return MDP.from_function(
+            0, lambda s: ["go"] * (s == 0), lambda s, a: [(p, 0, gain), (1 - p, 1, gain)]
+        )
+
+    return build
+
+
+@pytest.mark.parametrize("how", ["arrays", "pairs", "outcomes", "function"])
+def test_components_leave_the_claim_as_it_is(how: str) -> None:
+    """Where they follow the polynomials that are stated; otherwise the number is checked."""
+    degree = 2 if how == "function" else 1  # there p^power is multiplied by p
+    for power, claim in ((1, Claim.CERTIFIED), (3, Claim.CHECKED)):
+        family = Family(
+            parameters=[unit("p", F(1, 2))], build=told_apart(power, how), degrees={"p": degree}
+        )
+        found = gradient(family)["p"]
+        assert found.value is not None
+        assert (found.value.value, found.claim) == (4, claim)
