@@ -577,6 +577,13 @@ def _is_sparse_list(values: Any) -> bool:
 
 def _array_or_matrices(values: Any, where: str) -> tuple[Any, tuple[int, ...]]:
     """Return an array, or a list of sparse matrices of one shape, and the shape of all."""
+    what = "transitions" if where == "P" else "rewards"
+    if sp.issparse(values) and values.ndim > 2:
+        raise ShapeError(
+            f"sparse {what} have shape {values.shape}",
+            where=where,
+            fix="give a list of A sparse (S, S) matrices, or np.array",
+        )
     if not _is_sparse_list(values):
         array = array_of(values, where)
         return array, array.shape
@@ -587,7 +594,7 @@ def _array_or_matrices(values: Any, where: str) -> tuple[Any, tuple[int, ...]]:
     shapes = {matrix.shape for matrix in values}
     if len(shapes) > 1 or len(values[0].shape) != 2:
         raise ShapeError(
-            f"matrices have shapes {sorted(shapes)}",
+            f"matrices of {what} have shapes {sorted(shapes)}",
             where=where,
             fix="give A square matrices of the same size",
         )

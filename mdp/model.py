@@ -510,7 +510,8 @@ class MDP(ByFields, Parts):
             if not parts.keys() & {"components", "component_table"}:
                 parts |= questions.ONE_COMPONENT
         if "components" in parts:
-            parts.setdefault("component_names", self.component_names)
+            if self.component_table is not None:
+                parts.setdefault("component_names", self.component_names)
             parts |= named_components(parts, parts.get("table", self.table))
         return replace(self, **parts)
 

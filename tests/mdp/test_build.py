@@ -130,17 +130,24 @@ def arrays(draw: st.DrawFn) -> tuple[Any, Any]:
 @given(arrays())
 def test_dense_sparse_and_exact_arrays_agree(given: tuple[Any, Any]) -> None:
     transition, reward = given
-    dense = MDP.from_arrays(transition, reward, "1/2")
+    dense = MDP.from_arrays(transition, reward, "1/2", layout="ass")
     forms = [
-        MDP.from_arrays([sp.csr_array(matrix) for matrix in transition], reward, HALF),
-        MDP.from_arrays([sp.coo_array(matrix) for matrix in transition], reward, 0.5),
-        MDP.from_arrays([sp.csc_matrix(matrix) for matrix in transition], reward, 0.5),
-        MDP.from_arrays(transition.tolist(), reward.tolist(), 0.5),
-        MDP.from_arrays(transition.astype(np.float32), reward.astype(np.float32), 0.5),
+        MDP.from_arrays(
+            [sp.csr_array(matrix) for matrix in transition], reward, HALF, layout="ass"
+        ),
+        MDP.from_arrays([sp.coo_array(matrix) for matrix in transition], reward, 0.5, layout="ass"),
+        MDP.from_arrays(
+            [sp.csc_matrix(matrix) for matrix in transition], reward, 0.5, layout="ass"
+        ),
+        MDP.from_arrays(transition.tolist(), reward.tolist(), 0.5, layout="ass"),
+        MDP.from_arrays(
+            transition.astype(np.float32), reward.astype(np.float32), 0.5, layout="ass"
+        ),
         MDP.from_arrays(
             [[[Fraction(p) for p in row] for row in matrix] for matrix in transition],
             [[[str(Fraction(r)) for r in row] for row in matrix] for matrix in reward],
             0.5,
+            layout="ass",
         ),
     ]
     for other in forms:

@@ -29,7 +29,9 @@ def test_every_constructor_takes_components_by_name() -> None:
     """The same model four ways: arrays, pairs out of order, outcomes and an environment's table."""
     effort, rest = [F(1, 3), F(2), F(0), F(0)], [F(2, 3), F(-1), F(0), F(0)]
     reward = [1, 1, 0, 0]
-    arrays = MDP.from_arrays(P, [[1, 1], [0, 0]], components={"effort": [["1/3", 2], [0, 0]]})
+    arrays = MDP.from_arrays(
+        P, [[1, 1], [0, 0]], components={"effort": [["1/3", 2], [0, 0]]}, layout="ass"
+    )
     order = [2, 0, 3, 1]
     state, action = np.array([0, 0, 1, 1])[order], np.array([0, 1, 0, 1])[order]
     rows = np.array([P[0][0], P[1][0], [0, 1], [0, 1]], dtype=object)[order]
@@ -54,7 +56,7 @@ def test_every_constructor_takes_components_by_name() -> None:
 
 def test_amounts_of_transitions_are_averaged_exactly() -> None:
     by_move = np.array([[[3, "3/2"], [0, 0]]] * 2, dtype=object)
-    mdp = MDP.from_arrays(P, by_move, components={"move": by_move})
+    mdp = MDP.from_arrays(P, by_move, components={"move": by_move}, layout="ass")
     assert mdp.component_names == ("move",)
     assert amounts(mdp, "move") == [2, F(9, 4), 0, 0]
 

@@ -16,7 +16,7 @@ from threading import current_thread, main_thread
 from exact_mdp import MDP, check, evaluate, solve
 from exact_mdp.solvers import ValueIteration
 chances = [[["1/2", "1/2"], ["1/3", "2/3"]], [[0, 1], [1, 0]]]
-mdp = MDP.from_arrays(chances, [[1, 2], [0, "1/2"]], "9/10")
+mdp = MDP.from_arrays(chances, [[1, 2], [0, "1/2"]], "9/10", layout="ass")
 found = []
 for call in ({calls}):
     call()

@@ -179,7 +179,7 @@ def test_a_float_in_a_list_of_words_is_not_read_as_a_word() -> None:
     mdp = MDP.from_arrays([EYE], [2**63, -1], 0)
     assert list(certify(mdp).value) == [2**63, -1]
     parts = [np.array([2**60 + 1, 1]), np.array([0.5, 0.25])]  # columns of S and A
-    assert certify(MDP.from_arrays([EYE, EYE], parts, 0)).value[0] == 2**60 + 1
+    assert certify(MDP.from_arrays([EYE, EYE], parts, 0, layout="ass")).value[0] == 2**60 + 1
 
 
 def test_numbers_wider_than_doubles_keep_their_value() -> None:
@@ -414,7 +414,7 @@ def test_true_is_no_number_of_iterations() -> None:
 
 def test_float_action_numbers_are_called_what_they_are() -> None:
     """[0.0, 1.0] for a policy: action numbers are whole."""
-    mdp = MDP.from_arrays([np.eye(2)] * 2, np.eye(2), 0.9)
+    mdp = MDP.from_arrays([np.eye(2)] * 2, np.eye(2), 0.9, layout="ass")
     with pytest.raises(ModelError) as caught:
         evaluate(mdp, np.array([0.0, 1.0]))
     assert "action numbers are whole numbers" in caught.value.what

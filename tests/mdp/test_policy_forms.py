@@ -202,7 +202,9 @@ def test_integers_are_names_in_records() -> None:
 
 
 def test_ones_of_costs_are_ambiguous() -> None:
-    costs = MDP.from_arrays([[[1, 0], [0, 1]]] * 2, [[1, 2], [1, 2]], discount="1/2", sense="min")
+    costs = MDP.from_arrays(
+        [[[1, 0], [0, 1]]] * 2, [[1, 2], [1, 2]], discount="1/2", sense="min", layout="ass"
+    )
     rows = [[1, 0], [1, 0]]
     for form in (rows, dict(enumerate(rows)), rows.__getitem__, pd.DataFrame(rows)):
         with pytest.raises(ModelError, match="differ"):
@@ -212,7 +214,7 @@ def test_ones_of_costs_are_ambiguous() -> None:
 
 
 def test_labels_of_tables_count() -> None:
-    mdp = MDP.from_arrays([[[1, 0], [0, 1]]] * 2, [[2, 1], [2, 1]], discount="1/2")
+    mdp = MDP.from_arrays([[[1, 0], [0, 1]]] * 2, [[2, 1], [2, 1]], discount="1/2", layout="ass")
     table = pd.DataFrame([[2, 1.5], [2, 1.5]], columns=["1", "0"])
     assert not check(mdp, table).passed
     for wrong in (table.set_axis(["x", "y"], axis=1), table.set_axis(["x", "y"], axis=0)):
@@ -300,11 +302,11 @@ def test_numbers_of_actions_are_names_or_numbers_alone() -> None:
 
 def test_a_certificate_of_another_model_goes_by_names() -> None:
     P, R = [[[1, 0], [0, 1]]] * 2, [[1, 0], [0, 1]]
-    one = MDP.from_arrays(P, R, "1/2", actions=["l", "r"], states=["x", "y"])
+    one = MDP.from_arrays(P, R, "1/2", actions=["l", "r"], states=["x", "y"], layout="ass")
     turned = MDP.from_arrays(P[::-1], np.array(R)[:, ::-1], "1/2", actions=["r", "l"],
-                             states=["x", "y"])  # fmt: skip
+                             states=["x", "y"], layout="ass")  # fmt: skip
     renamed = one.with_(actions=("r", "l"))
-    other = MDP.from_arrays(P, R, "1/2", actions=["l", "r"], states=["y", "x"])
+    other = MDP.from_arrays(P, R, "1/2", actions=["l", "r"], states=["y", "x"], layout="ass")
     for found in (solve(one), certify(one)):
         assert check(turned, found).passed
         assert not check(renamed, found).passed
