@@ -373,6 +373,8 @@ def _moved(
         goal=model.goal,
         unreached=model.unreached,
     )
+
+
 def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
     """Return the numbers of entries that are given as pairs and next states."""
     places = []
