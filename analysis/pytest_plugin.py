@@ -76,7 +76,6 @@ class PolicyGate(Protocol):
 def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
     """Assert that a policy loses no more than it may against the exact optimum of a model."""
 
-    @import_module("exact_mdp.analysis.exit_status").answering()
     def gate(
         model: MDP | str | Path,
         policy: Any,
@@ -116,7 +115,8 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
             pytest.fail(found.message(), pytrace=False)
         return found
 
-    return gate
+    judged: PolicyGate = import_module("exact_mdp.analysis.exit_status").answering()(gate)
+    return judged
 
 
 def _beside(test: Path, name: Any) -> Any:

@@ -3,14 +3,14 @@
 A float stands for whatever it was rounded from, half a unit in its last place to either side. What
 is rounded in the row of pair l moves the difference of two values, to first order, by at most
 
-    f(l) = |u*(l) - u(l)| Σ_i (p_i ρ_i + ω_i |r_i|)
-           + γ ((Σ_i ω_i) (max x_i - min x_i) + m max |x_i|)
-    x_i = u*(l) V*(s_i) - u(l) V^π(s_i),      m = |Σ_i p_i - 1|
+    f(l) = |u*(l) - u(l)| (Σ_i p_i ρ_i + M(r)) + γ M(x)
+    M(x) = (Σ_i ω_i) (max x_i - min x_i) + |Σ_i p_i - 1| max |x_i|
+    x_i  = u*(l) V*(s_i) - u(l) V^π(s_i)
 
 with ρ_i and ω_i the rounding of its rewards and probabilities, and u, u* the uses of the pair from
-the start by the policy and by an optimal one: what both do alike moves both alike. The numbers that
-were rounded summed to 1, so that m is rounding for certain. (ω_i |r_i| is there where rewards are
-those of outcomes.) A policy whose
+the start by the policy and by an optimal one: what both do alike moves both alike. The
+probabilities that were rounded summed to 1: what is missing there is rounding for certain. M(r) counts where
+rewards are those of outcomes. A policy whose
 regret is at most Σ_l f(l) cannot be told from the optimum by those who know no more than the
 floats. Nothing outside what is reached from the start has any say in it, and it is 0 where all
 numbers are exact. It is computed from below and above, and as a rational where these two do not
@@ -20,7 +20,7 @@ A pair ties with the best action where its gap is at most what rounding can move
 and then acting optimally, and by acting optimally,
 
     gap(s, a) ≤ e(s, a) + γ Σ_s' P(s, a, s') F*(s') + F*(s)
-    e(l) = Σ_i (p_i ρ_i + ω_i |r_i|) + γ ((Σ_i ω_i) (max V*(s_i) - min V*(s_i)) + m max |V*(s_i)|)
+    e(l) = Σ_i p_i ρ_i + M(r) + γ M(V*(s_i))
     F*(s) = e_*(s) + γ Σ_s' P_*(s, s') F*(s')
 """
 
@@ -72,16 +72,18 @@ def of_floats(mdp: MDP) -> bool:
 def _roundings(mdp: MDP) -> tuple[Floats, Floats, Floats]:
     """Return what is rounded in each pair (L,): its expected reward, its row and the row's sum."""
     table, first = mdp.table, mdp.table.offsets[:-1]
-    rounded, moved = table.gain_rounding(), table.weight_rounding()
-    if len(rounded) != table.pairs:
-        each = table.probabilities() * rounded + moved * np.abs(table.gains())
-        rounded = np.add.reduceat(each, first)
-    moved, missing = np.add.reduceat(moved, first), np.zeros(table.pairs)
+    rounded, missing = table.gain_rounding(), np.zeros(table.pairs)
+    moved = np.add.reduceat(table.weight_rounding(), first)
     if not table.sums_to_one and table.weight.dtype == np.float64:
         chances, ends = table.weight.tolist(), pairwise(table.offsets.tolist())
         missing[:] = [abs(fsum([-1.0, *chances[begin:end]])) for begin, end in ends]
     elif not table.sums_to_one:
         missing[:] = np.abs(divide(table.row_sums() - table.denominator, table.denominator))
+    if len(rounded) != table.pairs:
+        gain, each = table.gains(), table.probabilities() * rounded
+        span = np.maximum.reduceat(gain, first) - np.minimum.reduceat(gain, first)
+        size = np.maximum.reduceat(np.abs(gain), first)
+        rounded = np.add.reduceat(each, first) + moved * span + missing * size
     return rounded, moved, missing
 
 
@@ -115,7 +117,9 @@ def _outcomes(mdp: MDP, pairs: Integers) -> tuple[Integers, Integers]:
 def exactly_per_use(mdp: MDP, value: Sequence[Fraction], pair: int) -> Fraction:
     """Return e(l) of one pair as a rational, for exact values of all states."""
     rewards, moves = _exact_roundings(mdp, pair)
-    return rewards + moves([value[following] for _, following, _ in mdp.table.row(pair)])
+    return rewards + mdp.discount_exact * moves(
+        [value[following] for _, following, _ in mdp.table.row(pair)]
+    )
 
 
 def _exact_roundings(
@@ -126,19 +130,16 @@ def _exact_roundings(
     begin, end = int(table.offsets[pair]), int(table.offsets[pair + 1])
     rounding, moved = table.gain_rounding(), table.weight_rounding()[begin:end]
     row, zero = table.row(pair), Fraction(0)
-    if len(rounding) == table.pairs:
-        rewards = Fraction(float(rounding[pair]))
-    else:
-        off = zip(row, rounding[begin:end].tolist(), moved.tolist(), strict=True)
-        rewards = sum((p * Fraction(a) + Fraction(b) * abs(r) for (p, _, r), a, b in off), zero)
     rounded = sum(map(Fraction, moved.tolist()), zero)
-    missing = abs(sum(p for p, _, _ in row) - 1) if rounded else zero
+    missing = abs(sum((p for p, _, _ in row), zero) - 1) if rounded else zero
 
     def moves(x: Sequence[Fraction]) -> Fraction:
-        most = rounded * (max(x) - min(x)) + missing * max(map(abs, x))
-        return mdp.discount_exact * most
+        return rounded * (max(x) - min(x)) + missing * max(abs(number) for number in x)
 
-    return rewards, moves
+    if len(rounding) == table.pairs:
+        return Fraction(float(rounding[pair])), moves
+    each = zip(row, map(Fraction, rounding[begin:end].tolist()), strict=True)
+    return sum((p * off for (p, _, _), off in each), zero) + moves([r for _, _, r in row]), moves
 
 
 def in_all(chain: PolicyChain, known: FixedPoint) -> Range:
@@ -285,7 +286,7 @@ def _exactly_at_start(
         u, v = mine.get(pair, Fraction(0)), ideal.get(pair, Fraction(0))
         rewards, moves = _exact_roundings(mdp, pair)
         x = [v * b[t] - u * a[t] for _, t, _ in mdp.table.row(pair)]
-        total += abs(v - u) * rewards + moves(x)
+        total += abs(v - u) * rewards + mdp.discount_exact * moves(x)
     return total
 
 

@@ -139,7 +139,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
     def _checked_table(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
         """Return the rule of a table, action numbers where they say it all, and its shares."""
         table = float_array(given).copy()
-        silent = np.isnan(table).all(axis=1)
+        silent = np.asarray(np.isnan(table).all(axis=1))
         wrong = ~silent & ~are_distributions(given, ~silent)
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])

@@ -215,15 +215,16 @@ def movable(mdp: MDP, pair: int, worth: list[F]) -> F:
     begin = int(table.offsets[pair])
     gains, weights = table.gain_rounding(), table.weight_rounding()
     single = len(gains) == table.pairs
-    own = sum(
-        (p * F(float(gains[pair if single else begin + i])) for i, (p, _, _) in enumerate(row)),
-        F(0),
-    )
-    if single:
-        own = F(float(gains[pair]))
-    span = max(worth[t] for _, t, _ in row) - min(worth[t] for _, t, _ in row)
     moved = sum((F(float(weights[begin + i])) for i in range(len(row))), F(0))
-    return own + mdp.discount_exact * moved * span
+    missing = abs(sum(p for p, _, _ in row) - 1)
+
+    def by_row(x: list[F]) -> F:
+        return moved * (max(x) - min(x)) + missing * max(map(abs, x))
+
+    own = F(float(gains[pair])) if single else by_row([r for _, _, r in row])
+    if not single:
+        own += sum((p * F(float(gains[begin + i])) for i, (p, _, _) in enumerate(row)), F(0))
+    return own + mdp.discount_exact * by_row([worth[t] for _, t, _ in row])
 
 
 def apart(mdp: MDP, own: tuple[list[int], list[F]], ideal: tuple[list[int], list[F]]) -> F:
