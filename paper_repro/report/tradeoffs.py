@@ -29,13 +29,13 @@ def tradeoffs_part(reading: Reading) -> Part:
     """Return what less anger costs."""
     free = held_to(reading, "-1000")
     kept = {limit: held_to(reading, limit) for limit in LIMITS}
-    best, half = float(free.start_value), kept[HALF]
+    best, half = return_of(free), kept[HALF]
     return Part(
         title="What is traded for what?",
         sentences=(
             f"The best policy has {number(-float(free.totals[ANGER]))} points of anger in an "
             f"episode; holding anger to half a point costs "
-            f"{number(best - float(half.start_value))} of its return of {number(best)}, and an "
+            f"{number(best - return_of(half))} of its return of {number(best)}, and an "
             f"expected {number(float(half.totals['skip'] - free.totals['skip']))} more subtasks "
             "are skipped.",
         ),
@@ -51,6 +51,13 @@ def held_to(reading: Reading, limit: str) -> ConstrainedSolution:
     if faults := found.violations():
         raise RuntimeError(f"the proof of an optimum under limits does not hold: {faults[0]}")
     return found
+
+
+def return_of(found: ConstrainedSolution) -> float:
+    """Return the optimum under limits that can be kept."""
+    if found.start_value is None:
+        raise RuntimeError(f"no policy keeps the limits: {found}")
+    return float(found.start_value)
 
 
 @PICTURES.add("anger_front")
@@ -87,7 +94,7 @@ def _limits(free: ConstrainedSolution, kept: dict[str, ConstrainedSolution]) -> 
         rows=tuple(
             (
                 limit.replace("-", "−"),
-                number(float(held.start_value)),
+                number(return_of(held)),
                 *(number(float(held.totals[name])) for name in names),
                 number(float(held.prices[ANGER])),
                 str(len(held.randomises)),

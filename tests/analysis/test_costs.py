@@ -97,13 +97,19 @@ def audited(found: Any) -> Told:
 
 
 def solved(found: Any) -> Told:
-    return [found.start_value, *found.value], [*found.policy, found.error_bound]
+    gaps = found.gap_table[found.mdp.pair_state, found.mdp.pair_action]
+    return [found.start_value, *found.value], [*found.policy, *gaps, found.error_bound]
 
 
 def with_interval(sign: int, by: Any) -> Told:
     found = check(recorded(sign), POLICY, confidence=0.9, by=by)
     signed, same = audited(found)
     return signed, [*same, found.interval.low, found.interval.high]
+
+
+def span(sign: int, low: int, high: int) -> tuple[int, int]:
+    """Return a range of rewards, or that of the costs."""
+    return (low, high) if sign > 0 else (-high, -low)
 
 
 def limited(sign: int) -> Told:
@@ -143,12 +149,13 @@ def line(sign: int) -> Told:
 
 def plane(sign: int) -> Told:
     found = two_way(family(sign), "p", "q", policy=POLICY, points=4)
-    return [], [*found.choices.ravel(), *found.policy.ravel(), *found.regret.ravel()]
+    signed = [*found.value.ravel(), *found.fixed_value.ravel()]
+    return signed, [*found.choices.ravel(), *found.policy.ravel()]
 
 
 def slopes(sign: int) -> Told:
     found = gradient(family(sign), policy=POLICY)
-    own = [each.value for each in found.derivatives.values()]
+    own = [each.value.value for each in found.derivatives.values()]
     return [found.start.value, *own], [each.elasticity for each in found.derivatives.values()]
 
 
@@ -313,10 +320,10 @@ TABLE: dict[str, Callable[[int], Told]] = {
     "check, horizon": lambda s: audited(check(model(s), POLICY, horizon=3)),
     "check under limits": lambda s: audited(check(model(s), POLICY, subject_to=limits(s))),
     "check, average": average_check,
-    "check, robust": lambda s: with_interval(s, Robust(rewards=(-9, 9))),
+    "check, robust": lambda s: with_interval(s, Robust(rewards=span(s, -3, 8))),
     "check, posterior": lambda s: with_interval(s, Posterior(n=100)),
     "check, off-policy": lambda s: with_interval(
-        s, OffPolicy(records=records(s), behaviour="random", rewards=(-9, 9), n=100)
+        s, OffPolicy(records=records(s), behaviour="random", rewards=span(s, -3, 8), n=100)
     ),
     "compare": compared,
     "best policy of columns": by_columns,
