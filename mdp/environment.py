@@ -63,7 +63,8 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
     another one raises ModelError. `info` also holds `state` (its label), `timesteps`, `events`
     (names of the model's events that happened) and `components`: the expected reward by component
     of the states and actions passed through. An episode ends where all is over (`mdp.over`): not in
-    a state that earns nothing, but has components that are counted. Costs are paid as rewards, which they are times -1.
+    a state that earns nothing, but has components that are counted. Costs are paid as rewards,
+    which they are times -1.
 
     Examples
     --------

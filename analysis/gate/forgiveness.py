@@ -9,10 +9,9 @@ is rounded in the row of pair l moves the difference of two values, to first ord
 
 with ρ_i and ω_i the rounding of its rewards and probabilities, and u, u* the uses of the pair from
 the start by the policy and by an optimal one: what both do alike moves both alike. The
-probabilities that were rounded summed to 1: what is missing there is rounding for certain. M(r) counts where
-rewards are those of outcomes. A policy whose
-regret is at most Σ_l f(l) cannot be told from the optimum by those who know no more than the
-floats. Nothing outside what is reached from the start has any say in it, and it is 0 where all
+probabilities that were rounded summed to 1: what is missing there is rounding for certain. M(r)
+counts where rewards are those of outcomes. A policy whose regret is at most Σ_l f(l) cannot be told
+from the optimum by those who know no more than the floats. Nothing outside what is reached from the start has any say in it, and it is 0 where all
 numbers are exact. It is computed from below and above, and as a rational where these two do not
 decide.
 
