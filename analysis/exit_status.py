@@ -55,10 +55,12 @@ def answering() -> Iterator[None]:
 
     Examples
     --------
-    >>> with answering():
-    ...     sys.exit(0)
-    Traceback (most recent call last):
-    exact_mdp.analysis.exit_status.NoAnswer: sys.exit(0) was called before there was an answer
+    >>> try:
+    ...     with answering():
+    ...         sys.exit(0)
+    ... except NoAnswer as error:
+    ...     print(error)
+    sys.exit(0) was called before there was an answer
     """
     before = _exit_by(sys.exit)
     try:

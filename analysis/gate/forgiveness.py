@@ -9,11 +9,11 @@ is rounded in the row of pair l moves the difference of two values, to first ord
 
 with ρ_i and ω_i the rounding of its rewards and probabilities, and u, u* the uses of the pair from
 the start by the policy and by an optimal one: what both do alike moves both alike. The
-probabilities that were rounded summed to 1: what is missing there is rounding for certain. M(r)
+probabilities that were rounded summed to 1, so that what a sum misses is rounding for certain. M(r)
 counts where rewards are those of outcomes. A policy whose regret is at most Σ_l f(l) cannot be told
-from the optimum by those who know no more than the floats. Nothing outside what is reached from the start has any say in it, and it is 0 where all
-numbers are exact. It is computed from below and above, and as a rational where these two do not
-decide.
+from the optimum by those who know no more than the floats. Nothing outside what is reached from the
+start has any say in it, and it is 0 where all numbers are exact. It is computed from below and
+above, and as a rational where these two do not decide.
 
 A pair ties with the best action where its gap is at most what rounding can move: by using the pair
 and then acting optimally, and by acting optimally,
@@ -28,7 +28,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
 from itertools import pairwise
 from math import fsum, inf, isfinite
 
@@ -406,12 +405,11 @@ def exact_forgiveness(
             Side(chain=of, found=FixedPoint(value=worth, error=UNIT * np.abs(worth) + TINY))
         )
 
-    exactly = [
-        (of, np.array([x if isinstance(x, Fraction) else Fraction(0) for x in each.value], object))
-        for of, each in ((chain, own), (ideal, best))
-    ]
-    return Forgiveness(
-        most=inf,
-        narrow=partial(moved_at_start, mdp, *sides),
-        make=partial(_exactly_at_start, mdp, *exactly),
-    )
+    def make() -> Fraction:
+        mine, most = (
+            np.array([x if isinstance(x, Fraction) else Fraction(0) for x in each.value], object)
+            for each in (own, best)
+        )
+        return _exactly_at_start(mdp, (chain, mine), (ideal, most))
+
+    return Forgiveness(most=inf, narrow=lambda: moved_at_start(mdp, *sides), make=make)
