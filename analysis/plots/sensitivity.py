@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
@@ -36,7 +35,6 @@ from exact_mdp.mdp.errors import ModelError
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
-    from exact_mdp.analysis.sensitivity.curves.exact_map import ExactMap
     from exact_mdp.analysis.sensitivity.draws.global_ import Morris, Sobol
     from exact_mdp.analysis.sensitivity.gradient import Gradient
     from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Tornado
@@ -50,7 +48,6 @@ OUTPUT = {
     "fixed": "start value, policy held fixed",
     "regret": "regret of the policy held fixed",
 }
-EDGE = Fraction(1, 10**9)  # of a slab's width
 RADIUS = {
     "interval": "radius: each transition probability p (1 ± x)",
     "absolute": "radius: each transition probability p ± x",
@@ -208,11 +205,8 @@ def plot_thresholds(
 def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw which policy is optimal over two parameters, or which action in the state given.
 
-    Colours of policies have no order; a number stands in each region's first point. Where a proven
-    map was asked for and found, regions and lines are its own; else they are sampled on the grid.
+    Colours of policies have no order; a number stands in each region's first point.
     """
-    if found.map is not None:
-        return _draw_map(found, found.map, state, axes_or_new(ax))
     ax, styles = axes_or_new(ax), action_styles(found.mdp.actions)
     x, y = found.x_values, found.y_values
     shown = found.policy if state is None else found.actions_at(state)
@@ -231,46 +225,6 @@ def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = N
         ink = "black" if np.mean(to_rgb(colours[number])) > 0.5 else "white"
         ax.text(x[column], y[row], names[number], ha="center", va="center", color=ink, fontsize=7)
     ax.plot(float(found.x.value), float(found.y.value), "D", color=BLACK, markersize=5)
-    ax.set_xlabel(f"{found.x.name} ({unit_of(found.x)})")
-    ax.set_ylabel(f"{found.y.name} ({unit_of(found.y)})")
-    return ax
-
-
-def _draw_map(found: TwoWay, cells: ExactMap, state: int | None, ax: Axes) -> Axes:
-    """Draw the cells of a proven map, and the lines between those that look different."""
-    styles, mdp = action_styles(found.mdp.actions), found.mdp
-    if state is None:
-        kinds = [*range(len(cells.optimal))]
-        shades = np.linspace(1.0, 0.35, len(kinds))[np.argsort(np.array(kinds) % 2, kind="stable")]
-        colours, names = [str(shade) for shade in shades], [str(kind) for kind in kinds]
-        ax.set_title(f"policies that are optimal, by number ({cells.claim}); diamond: today")
-    else:
-        pairs = mdp.pairs_of(state)
-        first = [next(pair for pair in pairs if optimal[pair]) for optimal in cells.optimal]
-        kinds = [int(mdp.pair_action[pair]) for pair in first]
-        colours, names = [style.fill for style in styles], [style.short for style in styles]
-        action_legend(ax, styles, sorted({*kinds}))
-    named = set[int]()
-    for slab in cells.slabs:
-        low, high = slab.low[1], slab.high[0]
-        # Just inside: at an end of the slab, a line may leave the rectangle or meet another.
-        parts = [Fraction(k, 8) for k in range(1, 8)]
-        at = [low + (high - low) * part for part in (EDGE, *parts, 1 - EDGE)]
-        x, lines = [*map(float, at)], np.array([cells.heights(slab, each) for each in at], float).T
-        own = [kinds[policy] for policy in slab.policies]
-        for below, above, kind in zip(lines[:-1], lines[1:], own, strict=True):
-            ax.fill_between(x, below, above, color=colours[kind], linewidth=0.4)
-            if kind not in named:
-                named.add(kind)
-                ink = "black" if np.mean(to_rgb(colours[kind])) > 0.5 else "white"
-                middle = (below[4] + above[4]) / 2
-                ax.text(x[4], middle, names[kind], ha="center", va="center", color=ink, fontsize=7)
-        for line, (one, other) in zip(lines[1:-1], pairwise(own), strict=True):
-            if one != other:
-                ax.plot(x, line, color=BLACK, linewidth=0.8)
-    ax.plot(float(found.x.value), float(found.y.value), "D", color=BLACK, markersize=5)
-    (left, right), (bottom, top) = ((float(s.low), float(s.high)) for s in cells.box)
-    ax.set(xlim=(left, right), ylim=(bottom, top))
     ax.set_xlabel(f"{found.x.name} ({unit_of(found.x)})")
     ax.set_ylabel(f"{found.y.name} ({unit_of(found.y)})")
     return ax

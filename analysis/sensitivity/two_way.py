@@ -1,9 +1,7 @@
 """Two parameters at once: which policy is optimal where, and its value.
 
 The model is solved at every point of a grid, the policy re-optimised; a policy that is held fixed
-is evaluated beside it. Lines between points of that grid are not proven. Asked for, the whole
-rectangle is mapped with proof (`.exact_map`); where that is not possible, the result says why it is
-sampled.
+is evaluated beside it. Nothing is known between the points of the grid.
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
-from exact_mdp.analysis.sensitivity.curves.exact_map import ExactMap, exact_map
 from exact_mdp.analysis.sensitivity.one_way import grid
 from exact_mdp.analysis.sensitivity.ranges import ranges_of
 from exact_mdp.mdp.care.scenario import Scenario
@@ -53,10 +50,6 @@ class TwoWay(Pictured):
         Optimal action numbers; the lowest where floats cannot tell two apart.
     policy : (Y, X) int64
         Number of the policy on the states that it reaches, in order of appearance.
-    map : ExactMap or None
-        Cells in each of which one policy is proven to be optimal, where these were asked for.
-    sampled : str
-        Why there is no such map: nothing is known between the points of the grid.
     """
 
     picture = "exact_mdp.analysis.plots.sensitivity:plot_two_way"
@@ -71,8 +64,6 @@ class TwoWay(Pictured):
     error: Floats
     choices: Integers
     policy: Integers
-    map: ExactMap | None = None
-    sampled: str = "no map was asked for"
 
     def frame(self) -> DataFrame:
         """Return one row for each point of the grid."""
@@ -106,7 +97,6 @@ def two_way(
     ranges: Mapping[str, object] | None = None,
     relative: object | None = None,
     points: int = 11,
-    exact: bool = False,
 ) -> TwoWay:
     """Return the map of the optimal policy over two parameters.
 
@@ -123,9 +113,6 @@ def two_way(
         Another share than 20 %.
     points : int
         Along each side, evenly spaced, the ends included.
-    exact : bool
-        Map the whole rectangle, too, with proof: for models without cycles, and polynomials of low
-        degree.
 
     Returns
     -------
@@ -173,12 +160,6 @@ def two_way(
         seen = reachable(mdp, pairs=solution.pairs) & ~mdp.forced
         key = np.where(seen, solution.policy, -1).tobytes()
         number[place] = known.setdefault(key, len(known))
-    found, why = None, TwoWay.sampled
-    if exact:
-        try:
-            found, why = exact_map(family, x, y, (spans[x], spans[y])), ""
-        except ModelError as refused:
-            why = refused.what
     return TwoWay(
         mdp=base.mdp,
         x=parameter_of(family, x),
@@ -190,6 +171,4 @@ def two_way(
         error=error,
         choices=choices,
         policy=number,
-        map=found,
-        sampled=why,
     )

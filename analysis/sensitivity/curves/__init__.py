@@ -1,1 +1,1 @@
-"""Values as exact functions of one parameter or two, with proofs: curves, maps, Blackwell."""
+"""Values as exact functions of one parameter, with proofs."""
