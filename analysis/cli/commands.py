@@ -575,11 +575,6 @@ def train() -> None:
 )
 @click.option("--radius", metavar="X", help="robust: how far it may move; at most 2 for l1.")
 @click.option(
-    "--combined",
-    is_flag=True,
-    help="structural: every combination of the readings, not one change at a time.",
-)
-@click.option(
     "--perception",
     metavar="FILE",
     help=f"{PERCEPTION_HELP} This holds for the policy held fixed; the optimum that it is compared "
@@ -595,7 +590,7 @@ def sensitivity() -> None:
     curve: the optimal value as an exact function of a parameter, and where a policy keeps a limit.
     psa: value, regret and optimal actions over random draws around the tables. sobol, morris:
     which parameters matter, alone and together. robust: the worst case within sets around the
-    tables. structural: the same outputs under each reading of the text.
+    tables.
 
     An option that a kind does not use is refused.
     """

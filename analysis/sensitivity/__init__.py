@@ -25,7 +25,6 @@ from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.ranges import Range, load_ranges
 from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum
 from exact_mdp.analysis.sensitivity.robust.robust import robust_curve
-from exact_mdp.analysis.sensitivity.structural import combinations, one_at_a_time, structural
 from exact_mdp.analysis.sensitivity.thresholds import thresholds
 from exact_mdp.analysis.sensitivity.two_way import two_way
 
@@ -35,7 +34,6 @@ __all__ = [
     "Uncertainty",
     "box_extreme",
     "box_optimum",
-    "combinations",
     "expected_loss",
     "gradient",
     "joint_radius",
@@ -43,13 +41,11 @@ __all__ = [
     "load_uncertainty",
     "morris",
     "multi_model",
-    "one_at_a_time",
     "one_way",
     "psa",
     "robust_curve",
     "sampled",
     "sobol",
-    "structural",
     "thresholds",
     "tornado",
     "two_way",

@@ -43,7 +43,6 @@ from exact_mdp.analysis.sensitivity import (
     joint_radius,
     multi_model,
     one_way,
-    structural,
     thresholds,
     tornado,
     two_way,
@@ -163,7 +162,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Simulation": lambda: simulate(care(), "random", 20, 0),
     "Sobol": lambda: sobol(SMALL, names=NAMES, n=8, rng=0),
     "Solution": lambda: solve(care()),
-    "Structural": lambda: structural(SMALL, {"own": {"skip_timestep": "own"}}),
     "Thresholds": lambda: thresholds(SMALL, "base.anger"),
     "TrainerAudit": lambda: check_trainer(
         care(), lambda seed: "optimal", runs=9, share="1/2", alpha=0.05, rng=0

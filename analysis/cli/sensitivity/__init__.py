@@ -53,8 +53,7 @@ class Kind:
 NAMES = frozenset({"parameters"})
 RANGES = NAMES | {"ranges", "range_file", "relative", "whole"}
 HELD = frozenset({"policy", "perception"})
-WORKED = frozenset({"n_jobs", "scheduler", "out"})
-DRAWN = WORKED | {"samples", "seed"}
+DRAWN = frozenset({"n_jobs", "scheduler", "out", "samples", "seed"})
 
 KINDS = MappingProxyType(
     {
@@ -86,11 +85,6 @@ KINDS = MappingProxyType(
         "robust": Kind(
             does="robust:robust_report",
             uses=RANGES | HELD | {"set_kind", "radius"},
-        ),
-        "structural": Kind(
-            does="structural:structural_report",
-            uses=HELD | WORKED | {"combined"},
-            about="it changes readings, which have no ranges",
         ),
     }
 )

@@ -109,22 +109,6 @@ def test_morris_tells_of_value_and_regret(tmp_path: Path) -> None:
     assert "elementary effects on the regret" in text.out
 
 
-def test_structural_sets_readings_side_by_side() -> None:
-    found = ask("structural", *HELD, "--set", "readings.skip_onset=base", "--n-jobs", 1)
-    labels = [each["reading"] for each in found["readings"]]
-    assert labels[0] == "as it is"
-    assert {"skip_onset = none", "max_trial_rule = after", "tasks = [3, 1]"} <= set(labels)
-    for each in found["readings"]:
-        held = each["policies"]["always:directive"]
-        assert each["start_value"] - held["value"] == pytest.approx(held["regret"], abs=1e-9)
-        lost = each["policies"]["optimum as it is"]["regret"]
-        assert each["optimum_changes"] == (lost > 0) >= bool(each["changed_at_subtask_0_trial_0"])
-        assert len(each["actions"]) == 16
-        assert each["top_parameter"]
-    again = run("solve", "yuan2025", *SET, "--set", "readings.skip_onset=base", "--json").result
-    assert found["start_value"] == pytest.approx(again["start_value"])
-
-
 def test_the_regret_of_a_policy_has_a_tornado() -> None:
     names = ("--parameter", "base.anger", "--parameter", "discount")
     words = ("sensitivity", "yuan2025", "tornado", *SET, *HELD, *names)
@@ -145,9 +129,6 @@ def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
     words = ("--samples", 32, "--n-jobs", 1, "--relative", "0.05", "--parameter", "discount")
     found = run("sensitivity", file, "sobol", *words, "--json").result
     assert found["total"]["discount"] == pytest.approx(1, abs=0.2)
-    refused = run("sensitivity", file, "structural")
-    assert refused.status == 2
-    assert "readings belong to care scenarios" in refused.err
 
 
 def test_a_cluster_changes_nothing() -> None:
@@ -398,9 +379,6 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
         (("morris", "--samples", "0"), "'0' is not a whole number from 2"),
         (("morris", "--range", "base.anger=0.2:0.1"), "empty"),
         (("morris", "--range", "base.anger=0.2:0.2"), "empty"),
-        (("structural", "--relative", "0.1"), "it changes readings, which have no ranges"),
-        (("structural", "--parameter", "base.anger"), "it changes readings, which have no ranges"),
-        (("structural", "--policy", "missing.json"), "missing.json"),
         (("psa", "--samples", "0"), "--samples"),
         (("psa", "--samples", "-3"), "--samples"),
         (("psa", "--effective-sample-size", "0"), "effective sample size 0"),

@@ -11,7 +11,7 @@ from cli_runner import run
 
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.care.perception import independent, perceived
 from exact_mdp.mdp.parametric import parametric
 from exact_mdp.solvers import evaluate, solve
@@ -168,31 +168,6 @@ def test_the_worst_case_in_a_box(mdp: MDP, seen: Path) -> None:
     assert found["worst_case"]["nominal_policy"]["point"] == {"base.anger": 0.06}
     assert found["worst_case"]["nominal_policy"]["low"] == pytest.approx(worst, rel=1e-9)
     assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
-
-
-def test_every_reading_perceives(seen: Path, plan: Path, tmp_path: Path) -> None:
-    from exact_mdp.analysis.sensitivity.structural import CARRIED, structural
-
-    readings = {"own": {"skip_timestep": "own"}, "flag": {"task_bonus": "no-subtask-skipped"}}
-    how: dict[str, Any] = {"elasticities": False, "stability": False, "folder": tmp_path / "kept"}
-    found = structural(SMALL, readings, policies={"plan": PLAN}, perception=ROUGH, **how)
-    variants = [SMALL, *(SMALL.with_(readings=each) for each in readings.values())]
-    for reading, scenario in zip(found.readings, variants, strict=True):
-        there = scenario.compile()
-        wanted = evaluate(there, perceived(there, PLAN, ROUGH)).mean
-        assert reading.policies["plan"].value == pytest.approx(wanted, rel=1e-12)
-        assert reading.optimal.value == pytest.approx(solve(there).start_value, rel=1e-12)
-        assert reading.regret(CARRIED).value > 0.1
-    with pytest.raises(ModelError, match="differs in"):  # kept work is of this perception
-        structural(SMALL, readings, policies={"plan": PLAN}, perception=np.eye(16), **how)
-
-
-def test_the_command_for_readings(seen: Path, plan: Path) -> None:
-    found = ask("structural", seen, "--policy", plan, "--n-jobs", 1, "--set", "max_trial=1")
-    mdp = SMALL.with_(max_trial=1).compile()
-    held = found["readings"][0]["policies"][str(plan)]
-    wanted = evaluate(mdp, perceived(mdp, Policy.of(mdp, PLAN), ROUGH)).mean
-    assert held["value"] == pytest.approx(wanted, rel=1e-12)
 
 
 def test_thresholds_say_why_not(seen: Path) -> None:

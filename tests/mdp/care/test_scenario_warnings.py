@@ -17,7 +17,6 @@ from exact_mdp.analysis.sensitivity import (
     one_way,
     psa,
     sobol,
-    structural,
     thresholds,
     tornado,
 )
@@ -126,7 +125,6 @@ def test_a_batch_says_in_how_many_draws() -> None:
             own.with_(parameters={"base.anger": "7/10"}), 50, rng=0, effective_sample_size=5
         ),
         lambda own: gradient(own.with_(parameters={"base.anger": "9/10"}), names=["base.anger"]),
-        lambda own: structural(own, {"additive": ADDITIVE, "both": ADDITIVE}, policies={}),
     ],
 )
 def test_an_analysis_says_it_once(analysis) -> None:
