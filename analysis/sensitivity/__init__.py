@@ -11,7 +11,6 @@ from exact_mdp.analysis.sensitivity.curves.curve import value_function
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.gradient import gradient
-from exact_mdp.analysis.sensitivity.joint_radius import joint_radius
 from exact_mdp.analysis.sensitivity.multi_model import multi_model
 from exact_mdp.analysis.sensitivity.one_way import one_way, tornado
 from exact_mdp.analysis.sensitivity.psa.distributions import (
@@ -36,7 +35,6 @@ __all__ = [
     "box_optimum",
     "expected_loss",
     "gradient",
-    "joint_radius",
     "load_ranges",
     "load_uncertainty",
     "morris",

@@ -40,7 +40,6 @@ from exact_mdp.analysis.perception.errors import error_costs
 from exact_mdp.analysis.perception.needed import accuracy_needed
 from exact_mdp.analysis.sensitivity import (
     gradient,
-    joint_radius,
     multi_model,
     one_way,
     thresholds,
@@ -138,7 +137,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Front": lambda: tradeoff(care(), ["anger", "subtask-complete"]),
     "Gradient": lambda: gradient(SMALL),
     "Hedging": lambda: hedging(care(), levels=[1.0, 0.9]),
-    "JointRadius": lambda: joint_radius(SMALL, {"base.anger": (0, 1)}),
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
     "LossCurve": lambda: expected_loss(SMALL, {"a": "optimal"}, [10, 100], rng=0, n=20),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),

@@ -7,7 +7,6 @@ from typing import Any
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed
 from exact_mdp.analysis.cli.sensitivity.options import ROUNDED, Asked
 from exact_mdp.analysis.sensitivity.gradient import Derivative, gradient
-from exact_mdp.analysis.sensitivity.joint_radius import joint_radius
 from exact_mdp.analysis.sensitivity.one_way import Bar, tornado
 from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.analysis.sensitivity.thresholds import Threshold, Thresholds, thresholds
@@ -167,16 +166,6 @@ def threshold_report(asked: Asked) -> Report:
         "stable": {name: _stable(each) for name, each in found.items()},
         "without_range": without,
     }
-    facts: dict[str, Any] = {"start value": start}
-    if asked.loaded.scenario is not None and ranges:
-        joint = joint_radius(asked.loaded.scenario, ranges)
-        widths = {name: float(width) for name, width in joint.widths.items()}
-        share = float(joint.share)
-        result["joint"] = {"share": share, "widths": widths, "state": joint.state}
-        facts["all at once"] = (
-            f"the policy stays where each moves by less than {share:.3g} of the farther end's "
-            "distance (proven, not tight)"
-        )
     tables = [
         Table(
             title="the optimal policy stays as it is, other parameters held",
@@ -206,7 +195,7 @@ def threshold_report(asked: Asked) -> Report:
             },
         ),
     ]
-    return Report(result=result, facts=facts, tables=tables)
+    return Report(result=result, facts={"start value": start}, tables=tables)
 
 
 def _switches(name: str, threshold: Threshold) -> list[dict[str, Any]]:

@@ -3,7 +3,6 @@
 from fractions import Fraction
 from itertools import pairwise
 
-import numpy as np
 import pytest
 from cases.puterman import two_state
 from flint import fmpq_poly
@@ -12,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import END, Oracle, oracle_of
 
-from exact_mdp.analysis.sensitivity import joint_radius, thresholds
+from exact_mdp.analysis.sensitivity import thresholds
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple, variations
-from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
+from exact_mdp.mdp import MDP, Parameter, Scenario
 from exact_mdp.mdp.parametric import Family
 from exact_mdp.solvers import certify
 
@@ -210,31 +209,3 @@ def test_frames_and_radius() -> None:
     for each in found.values():
         assert {"threshold", "before", "after", "reached"} <= set(each.frame().columns)
     assert all(each.radius >= 0 for each in found.values())
-
-
-@pytest.mark.parametrize(
-    "readings", [{}, {"skip_onset": "base", "influence_on_present": "additive"}]
-)
-def test_nothing_changes_within_the_joint_radius(readings) -> None:
-    own = Scenario.load("yuan2025").with_(readings=readings, discount=F(9, 10), **SMALL)
-    found = joint_radius(own)
-    assert 0 < found.share < 1
-    today = certify(own.compile()).policy
-    rng = np.random.default_rng(4)
-    everything = {**own.values(), "discount": own.discount}
-    for _ in range(6):
-        moved = {}
-        for name, width in found.widths.items():
-            step = found.share * width * F(int(rng.choice([-1, 1])) * 999, 1000)
-            value = everything[name] + step
-            moved[name] = value if name.startswith("reward.") else min(F(1), max(F(0), value))
-        assert (certify(own.with_(parameters=moved).compile()).policy == today).all()
-
-
-def test_the_joint_radius_is_inside_that_of_a_single_parameter() -> None:
-    own, name = Scenario.load("yuan2025").with_(**SMALL), "reward.assist.non-directive"
-    joint = joint_radius(own, {name: (-10, 0)})
-    single = thresholds(own, name, (-10, 0)).radius
-    assert joint.share * joint.widths[name] <= single
-    with pytest.raises(ModelError, match="unknown parameter"):
-        joint_radius(own, {"base.angre": (0, 1)})
