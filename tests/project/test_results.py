@@ -46,7 +46,6 @@ from exact_mdp.analysis.sensitivity import (
     tornado,
     two_way,
 )
-from exact_mdp.analysis.sensitivity.curves.blackwell import blackwell
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
@@ -122,7 +121,6 @@ MADE: dict[str, Callable[[], object]] = {
     "BoxOptimum": lambda: box_optimum(SMALL, {"base.anger": ("1/25", "3/50")}),
     "CVaROptimum": lambda: best_cvar(care(), "1/10"),
     "Certificate": lambda: certify(care()),
-    "Blackwell": lambda: blackwell(SMALL),
     "CoachSolution": lambda: solve(Coach()),
     "ConstrainedSolution": lambda: solve(care(), subject_to={"anger": ">= -50"}),
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),

@@ -10,7 +10,6 @@ import numpy as np
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, stated_ranges
 from exact_mdp.analysis.cli.solve import whole_policy
-from exact_mdp.analysis.sensitivity.curves.blackwell import blackwell
 from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece, RationalFunction
 from exact_mdp.analysis.sensitivity.curves.curve import value_function
 from exact_mdp.analysis.sensitivity.curves.regret_limits import Interval
@@ -19,7 +18,7 @@ from exact_mdp.mdp.model import MDP
 
 
 def curve_report(asked: Asked) -> Report:
-    """Return the pieces of the function, and the Blackwell optimal policy for the discount."""
+    """Return the pieces of the function, and where a policy held fixed keeps a limit."""
     names: tuple[str, ...] = asked["parameters"] or ()
     if len(names) != 1:
         raise ModelError(
@@ -40,15 +39,6 @@ def curve_report(asked: Asked) -> Report:
         "pieces": len(pieces),
         "claim": found.claim,
     }
-    if name == "discount":
-        last = blackwell(asked.model)
-        start = _point((last.low, last.high))
-        result["blackwell"] = {
-            "from": start,
-            "bracket": [last.low, last.high],
-            **_policy(mdp, last.optimal),
-        }
-        facts["Blackwell optimal policy"] = f"optimal for all discounts from {float(start):.10g} on"
     within = list[Interval]()
     if any(limits.values()):
         within += found.within(**limits)

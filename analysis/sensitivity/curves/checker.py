@@ -38,7 +38,6 @@ from exact_mdp.analysis.sensitivity.curves.signs import (
     positive,
     positive_inside,
     roots_on,
-    simple_part,
     vanishes,
 )
 from exact_mdp.mdp.lazy import later
@@ -223,56 +222,6 @@ def piece_violations(
 def _met(last: CurvePiece, piece: CurvePiece) -> bool:
     """Whether pieces of two sections meet in a point, or claim nothing of the bracket between."""
     return not last.proof is piece.proof is None or len({*last.high, *piece.low}) == 1
-
-
-def blackwell_violations(
-    family: Parametric,
-    section: Section,
-    values: Values,
-    optimal: NDArray[np.bool_],
-    bracket: Bracket,
-) -> list[str]:
-    """Return what does not hold of pairs that are optimal for all discounts from a bracket to 1.
-
-    For discounts below 1 the Bellman equations have one solution, so that D > 0 and D h ≥ 0 there
-    suffice. Below the bracket some D h is negative: what is optimal is so from nowhere earlier.
-    """
-    wrong, equations = list[str](), _Equations(family, "discount", section)
-    low, high = (end - section.origin for end in bracket)
-    end = 1 - section.origin
-    if section.low != 0 or section.high != 1 or not 0 <= bracket[0] <= bracket[1] < 1:
-        return ["the discounts are not those from 0 to 1"]
-    slack = _different(equations.slack.values())
-    if not all(_positive_before(each, high, end) for each in [*slack, values[1]]):
-        wrong.append("nothing proves that values exist up to discount 1")
-    gaps = {pair: equations.gap(values, pair) for pair in equations.slack}
-    for state, pairs in equations.pairs.items():
-        marked = [bool(optimal[pair]) for pair in pairs]
-        if not any(marked) or marked != [gaps[pair].degree() < 0 for pair in pairs]:
-            wrong.append(f"the pairs of state {state} are not those that are optimal")
-        if not all(nonnegative(gaps[pair], high, end) for pair in pairs):
-            wrong.append(f"a pair of state {state} is better for a discount near 1")
-    if bracket[0] > 0:
-        before = (
-            _sign_before(gap, low) if low == high else gap(rational(low)) for gap in gaps.values()
-        )
-        if not any(here < 0 for here in before) or not values[1](rational(low)) > 0:
-            wrong.append("the pairs may be optimal for lower discounts, too")
-    return wrong
-
-
-def _positive_before(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
-    """Whether a polynomial is positive from one point up to, not at, another."""
-    if poly.degree() < 0 or poly(rational(low)) <= 0:
-        return False
-    simple = simple_part(poly)
-    return roots_on(simple, low, high) == (simple(rational(high)) == 0)
-
-
-def _sign_before(poly: fmpq_poly, at: Fraction) -> int:
-    """Return the sign of a polynomial just below a point: that of Taylor's first term there."""
-    moved = poly(flint.fmpq_poly([rational(at), -1]))
-    return next((1 if c > 0 else -1 for c in moved.coeffs() if c), 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,8 +1,7 @@
-"""Optimal for all discounts near 1, and the curve as a command."""
+"""The curve of a discount, whose last piece is optimal close to 1, and the curve as a command."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 
@@ -17,7 +16,6 @@ from strategies import Rows, models
 
 from exact_mdp import evaluate, solve
 from exact_mdp.analysis.sensitivity import value_function
-from exact_mdp.analysis.sensitivity.curves.blackwell import blackwell
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots
 from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.parametric.symbolic import rational
@@ -26,41 +24,6 @@ from exact_mdp.solvers import certify
 F = Fraction
 # Puterman (1994), section 3.1; QuantEcon.py, quantecon/markov/tests/test_ddp.py
 ROWS = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
-
-
-@settings(max_examples=25, deadline=None)
-@given(rows=models(discounts=(F(1, 2),)))
-def test_it_is_optimal_from_there_on_and_not_before(rows: Rows) -> None:
-    """Certificates above the threshold, far above and just below it."""
-    mdp = rows.model()
-    found = blackwell(mdp)
-    pairs = [mdp.pair(s, int(a)) for s, a in enumerate(found.policy)]
-    room = 1 - found.high
-    for above in (found.high + room / 10**6, found.high + room / 3, 1 - room / 10**9):
-        optimal = certify(mdp.with_(discount=above)).optimal_pairs
-        assert optimal[pairs].all()
-        assert optimal[found.optimal].all()
-    if found.low > 0:
-        below = certify(mdp.with_(discount=found.low - F(1, 10**9))).optimal_pairs
-        assert not below[pairs].all()
-    assert found.violations() == []
-    for change in (
-        {"optimal": ~found.optimal},
-        {"low": F(0), "high": F(0)},
-        {"low": found.high + room / 2, "high": found.high + room / 2},
-    ):
-        told = {key: change.get(key) for key in ("low", "high") if key in change}
-        if told != {"low": found.low, "high": found.high}:
-            assert replace(found, **change).violations()
-    costs = mdp.negated()
-    assert blackwell(costs).violations() == []
-    assert blackwell(costs).policy.tolist() == found.policy.tolist()
-
-
-def test_the_threshold_of_puterman_is_found_exactly() -> None:
-    found = blackwell(MDP.from_outcomes(ROWS, "1/2"))
-    assert found.low == found.high == F(10, 11)
-    assert found.frame()["action"].tolist() == ["0", "0"]
 
 
 def test_the_curve_of_a_discount_goes_up_to_1() -> None:
@@ -92,10 +55,10 @@ def test_the_command(tmp_path: object) -> None:
     assert top / below == value_function(scenario, "base.anxiety").at(at)
     mdp = scenario.with_(parameters={"base.anxiety": at}).compile()
     assert evaluate(mdp, first["policy"]).mean == pytest.approx(float(top / below))
-    far = run(*words, "--parameter", "discount", "--json").result
-    assert F(far["blackwell"]["from"]) < 1
+    far = run(*words, "--parameter", "discount", "--json").result["pieces"][-1]
+    assert F(far["from"]) < 1
     last = scenario.compile().with_(discount="999999/1000000")
-    assert evaluate(last, far["blackwell"]["policy"]).mean == pytest.approx(solve(last).start.value)
+    assert evaluate(last, far["policy"]).mean == pytest.approx(solve(last).start.value)
     assert "pieces of the optimal value" in run(*words, "--parameter", "discount").out
 
 
@@ -108,16 +71,17 @@ def test_one_parameter_is_named(more: tuple[str, ...]) -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(rows=models(discounts=(F(1, 2),)))
-def test_it_has_the_best_gain_and_of_these_the_best_bias(rows: Rows) -> None:
+def test_the_last_piece_has_the_best_gain_and_of_these_the_best_bias(rows: Rows) -> None:
     """V = g / (1 - γ) + h + …: its first two terms (Puterman 1994, theorem 10.1.5)."""
     mdp = rows.model()
-    found = blackwell(mdp)
-    chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(found.policy)]
+    optimal = value_function(mdp, "discount").pieces[-1].optimal
+    pairs = [next(p for p in mdp.pairs_of(s) if optimal[p]) for s in range(mdp.n_states)]
+    actions = mdp.pair_action[pairs].tolist()
+    chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(actions)]
     gain, bias = gain_and_bias(chosen)
     assert (gain, bias) == best(rows.n_states, rows.pairs)
     average = certify(mdp, criterion="average")
     assert tuple(average.gain) == gain
-    pairs = [mdp.pair(s, int(a)) for s, a in enumerate(found.policy)]
     assert average.optimal_pairs[pairs].all()
 
 
@@ -125,8 +89,7 @@ def test_howards_taxicab_at_every_discount() -> None:
     """Howard (1960), chapter 4: the stand in every town, at discount 1 and at those near to it."""
     case = BY_NAME["howard-taxicab"]
     mdp = Rows(n_states=3, pairs=case.pairs, discount=case.discount).model()
-    found, curve = blackwell(mdp), value_function(mdp, "discount")
-    assert found.policy.tolist() == [1, 1, 1]
+    curve = value_function(mdp, "discount")
     assert curve.violations() == []
     assert curve.pieces[-1].optimal[[mdp.pair(s, 1) for s in range(3)]].all()
     last = curve.pieces[-1].value
@@ -140,7 +103,6 @@ def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
     assert (found.at("9/10"), found.at("24/25")) == (F("26.244"), F("74.6496"))
     assert found.violations() == []
     last, before = found.pieces[-1], found.pieces[-2]
-    assert blackwell(forest("1/2")).policy.tolist() == [0, 0, 0]
     # Waiting in the middle is worth it from γ on where 9/10 (1 + 9/10 γ …) pays for the cut's 1:
     # 1 + γ V_0 = γ (V_0 / 10 + 9/10 V_2), with V_2 = 4 + γ (V_0 / 10 + 9/10 V_2).
     low, high = before.high
@@ -150,21 +112,6 @@ def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
         gain = 1 + at * value[0] - at * (value[0] / 10 + F(9, 10) * value[2])
         assert gain * sign >= 0
     assert last.optimal[[mdp.pair(s, 0) for s in range(3)]].all()
-
-
-@pytest.mark.slow
-def test_two_hundred_states() -> None:
-    """A ring with shortcuts: each policy's values are ratios of degree 200."""
-    rows = [
-        (s, a, [("1/2", (s + 1) % 200, (7 * s) % 5), ("1/2", (a * 37 + s * s) % 200, a)])
-        for s in range(200)
-        for a in range(2)
-    ]
-    mdp = MDP.from_outcomes(rows, "1/2")
-    found = blackwell(mdp)
-    for at in (found.high + (1 - found.high) / 10**6, 1 - (1 - found.high) / 10**6):
-        assert certify(mdp.with_(discount=at)).optimal_pairs[found.optimal].all()
-    assert certify(mdp, criterion="average").optimal_pairs[found.optimal].all()
 
 
 def test_roots_closer_than_a_bracket_are_told_apart() -> None:
