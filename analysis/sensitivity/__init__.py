@@ -11,7 +11,6 @@ from exact_mdp.analysis.sensitivity.curves.curve import value_function
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.gradient import gradient
-from exact_mdp.analysis.sensitivity.multi_model import multi_model
 from exact_mdp.analysis.sensitivity.one_way import one_way, tornado
 from exact_mdp.analysis.sensitivity.psa.distributions import (
     Uncertain,
@@ -38,7 +37,6 @@ __all__ = [
     "load_ranges",
     "load_uncertainty",
     "morris",
-    "multi_model",
     "one_way",
     "psa",
     "robust_curve",

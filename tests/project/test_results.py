@@ -40,7 +40,6 @@ from exact_mdp.analysis.perception.errors import error_costs
 from exact_mdp.analysis.perception.needed import accuracy_needed
 from exact_mdp.analysis.sensitivity import (
     gradient,
-    multi_model,
     one_way,
     thresholds,
     tornado,
@@ -139,7 +138,6 @@ MADE: dict[str, Callable[[], object]] = {
     "LossCurve": lambda: expected_loss(SMALL, {"a": "optimal"}, [10, 100], rng=0, n=20),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
     "Morris": lambda: morris(SMALL, names=NAMES, n=4, rng=0),
-    "MultiModel": lambda: multi_model([care(), SMALL.with_(max_trial=2).compile()]),
     "Needed": lambda: recorded().needed("1/100", "9/10"),
     "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),
     "PSA": lambda: psa(SMALL, 50, rng=0),

@@ -21,7 +21,6 @@ from exact_mdp.analysis.sensitivity import (
     two_way,
 )
 from exact_mdp.analysis.sensitivity.draws.solver import ModelSolver
-from exact_mdp.analysis.sensitivity.multi_model import multi_model
 from exact_mdp.analysis.sensitivity.robust.box import box_optimum
 from exact_mdp.analysis.sensitivity.robust.robust import robust
 from exact_mdp.mdp import MDP, ModelError
@@ -93,10 +92,8 @@ def test_infinite_values_are_refused(name: str, mdp: MDP, policy: str, what: str
 
 
 def test_other_analyses_refuse_them() -> None:
-    """The worst case, a shared box and several models refuse them, too."""
+    """The worst case and a shared box refuse them, too."""
     for ask in (
-        lambda: multi_model([GAINS, GAINS]),
-        lambda: multi_model([BOTH]),
         lambda: box_optimum(chances(GAINS), {"p": ("1/4", "1/2")}),
         lambda: robust(GAINS, policy="always:1"),
     ):
