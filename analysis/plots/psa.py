@@ -11,18 +11,14 @@ from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.plots.style import (
     LINES,
-    MARKS,
     PALETTE,
-    Look,
     axes_or_new,
-    legend_beside,
     plain_numbers,
     plain_text,
 )
 from exact_mdp.analysis.sensitivity.psa.intervals import tolerances_of
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.sensitivity.psa.expected_loss import LossCurve
     from exact_mdp.analysis.sensitivity.psa.psa import PSA
 
 COLOURS = ("#000000", *(PALETTE[n] for n in (3, 6, 4, 5, 7)), "#8C6D1F")
@@ -69,37 +65,6 @@ def plot_acceptability(
     ax.set_ylabel("probability that the policy loses at most Δ")
     if len(candidates) > 1:
         ax.legend(loc="best")
-    return ax
-
-
-@plain_text
-def plot_expected_loss(found: LossCurve, *, ax: Axes | None = None) -> Axes:
-    """Draw each policy's expected loss, with its 95 % interval, and the lowest one in grey."""
-    ax = axes_or_new(ax)
-    positive = found.loss[found.loss > 0]
-    floor = float(positive.min()) / 10 if len(positive) else 1e-6
-    # A logarithmic axis has no 0: bars that would end below its floor end there.
-    losses = np.maximum(found.loss, floor)
-    lows, highs = np.clip(found.low, floor, losses), np.maximum(found.high, losses)
-    grey: Look = {"color": "0.8", "linewidth": 7, "solid_capstyle": "round"}
-    ax.plot(found.points, losses.min(axis=1), label="best of these", **grey)
-    for n, name in enumerate(found.policies):
-        ax.errorbar(
-            found.points,
-            losses[:, n],
-            yerr=(losses[:, n] - lows[:, n], highs[:, n] - losses[:, n]),
-            linestyle=LINES[n % len(LINES)],
-            marker=MARKS[n % len(MARKS)],
-            color=COLOURS[n % len(COLOURS)],
-            markersize=4,
-            capsize=2,
-            label=name,
-        )
-    ax.set(xscale="log", yscale="log")
-    plain_numbers(ax.xaxis, ax.yaxis)
-    ax.set_xlabel("effective sample size (observations)")
-    ax.set_ylabel("expected loss of the policy (reward)")
-    legend_beside(ax)
     return ax
 
 

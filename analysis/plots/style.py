@@ -239,11 +239,10 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
     ax.invert_yaxis()
 
 
-def plain_numbers(*axes: Axis) -> None:
-    """Write the numbers along logarithmic axes as numbers, not as formulas."""
-    for axis in axes:
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
+def plain_numbers(axis: Axis) -> None:
+    """Write the numbers along a logarithmic axis as numbers, not as formulas."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def level(ax: Axes, value: float, label: str = "optimum") -> None:

@@ -18,7 +18,6 @@ from exact_mdp.analysis.sensitivity.psa.distributions import (
     load_uncertainty,
     uncertainty,
 )
-from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.ranges import Range, load_ranges
 from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum
@@ -32,7 +31,6 @@ __all__ = [
     "Uncertainty",
     "box_extreme",
     "box_optimum",
-    "expected_loss",
     "gradient",
     "load_ranges",
     "load_uncertainty",

@@ -48,7 +48,6 @@ from exact_mdp.analysis.sensitivity import (
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
-from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum
 from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
@@ -135,7 +134,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Gradient": lambda: gradient(SMALL),
     "Hedging": lambda: hedging(care(), levels=[1.0, 0.9]),
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
-    "LossCurve": lambda: expected_loss(SMALL, {"a": "optimal"}, [10, 100], rng=0, n=20),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
     "Morris": lambda: morris(SMALL, names=NAMES, n=4, rng=0),
     "Needed": lambda: recorded().needed("1/100", "9/10"),

@@ -11,7 +11,6 @@ import numpy as np
 from exact_mdp.analysis.cli.options import whole_of
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
 from exact_mdp.analysis.cli.sensitivity.options import Asked
-from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.solver import solver_of
 from exact_mdp.analysis.sensitivity.psa.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
@@ -19,9 +18,7 @@ from exact_mdp.analysis.sensitivity.psa.distributions import (
     load_uncertainty,
     uncertainty,
 )
-from exact_mdp.analysis.sensitivity.psa.expected_loss import LossCurve, expected_loss
 from exact_mdp.analysis.sensitivity.psa.intervals import (
-    FEW,
     MeanLoss,
     mean_loss,
     mean_of,
@@ -37,8 +34,6 @@ from exact_mdp.mdp.table import Floats, exact
 
 SHOWN = 16  # rows of a table
 DRAWS, SLOW_DRAWS = "10000", "500"
-CURVE_DRAWS = 2000  # at each point of the expected loss curve; a tenth of all, of slow models
-SIZES = (10.0, 30.0, 100.0, 300.0, 1000.0)
 
 Stated = Mapping[str, Mapping[str, object]]
 
@@ -52,7 +47,6 @@ def psa_report(asked: Asked) -> Report:
     count = whole_of(samples, "--samples", 1, 10**8)
     found = psa(model, count, rng=asked.seed, uncertain=chosen, policy=asked.policy, **asked.work)
     partial = found.evppi() if len(found) >= FEWEST else {}
-    curve = _curve(asked, model, found, stated, names)
     start, worth, regret = found.start, found.evpi(), found.regret()
     tolerances = tolerances_of([regret])
     accepted, least, most = found.accepted(tolerances)
@@ -114,7 +108,6 @@ def psa_report(asked: Asked) -> Report:
             }
             for n, candidate in enumerate(found.candidates)
         ],
-        "expected_loss": None if curve is None else _losses(curve),
     }
     means = {"regret": lost, "EVPI's upper end": worth.high, "EVPI's lower end": worth.low}
     few = [f"{name} by {m.carried:.0f}" for name, m in means.items() if m.few and m.value]
@@ -168,34 +161,12 @@ def _shares(found: PSA) -> dict[str, dict[str, dict[str, float]]]:
     }
 
 
-def _losses(curve: LossCurve) -> dict[str, Any]:
-    keys = {
-        "loss": "loss",
-        "standard_error": "standard_error",
-        "low": "low",
-        "high": "high",
-        "draws_that_carry_it": "carried",
-        "probability_optimal": "optimal",
-    }
-    return {
-        "along": "effective_sample_size",
-        "unit": "observations",
-        "draws": curve.draws,
-        "points": curve.points,
-        "policies": {
-            name: {key: getattr(curve, each)[:, n] for key, each in keys.items()}
-            for n, name in enumerate(curve.policies)
-        },
-    }
-
-
 def _tables(
     result: Mapping[str, Any], found: PSA, partial: Mapping[str, PartialInformation]
 ) -> list[Table]:
     share, low, high = found.probability_optimal()
     reach = float(np.maximum(high - share, share - low).max())
     where = "at subtask 0, trial 0; " if found.compiled else ""
-    losses = result["expected_loss"] or {"points": (), "policies": {}, "draws": 0}
     return [
         Table(
             title=f"share of draws in which an action is optimal, {where}ends of Wilson's 95 % "
@@ -220,16 +191,6 @@ def _tables(
             },
         ),
         Table(
-            title="expected loss by the effective sample size of parameters without a stated one, "
-            f"{losses['draws']:,} draws each; ~: rests on fewer than {FEW:g} draws",
-            rows=[
-                {"name": name} | {str(n): _marked(each, n) for n in range(len(losses["points"]))}
-                for name, each in losses["policies"].items()
-            ],
-            columns={"policy": "name"}
-            | {f"{point:g}": str(n) for n, point in enumerate(losses["points"])},
-        ),
-        Table(
             title="EVPPI, choosing among these policies: by regression, at most their EVPI, "
             "and a lower estimate; ? marks what is not to be relied on",
             rows=sorted(partial.items(), key=lambda item: -item[1].regression.value),
@@ -242,11 +203,6 @@ def _tables(
             first=SHOWN,
         ),
     ]
-
-
-def _marked(losses: Mapping[str, Any], place: int) -> str:
-    few = 0 < losses["draws_that_carry_it"][place] < FEW
-    return f"{losses['loss'][place]:.4g}{'~' if few else ''}"
 
 
 def _stated(asked: Asked) -> tuple[Parametric, Stated, float]:
@@ -290,27 +246,3 @@ def _uncertain(
             raise
         where = f"{file}, {error.where}" if error.where else str(file)
         raise ModelError(error.what, where=where, fix=error.fix) from error
-
-
-def _curve(
-    asked: Asked, model: Parametric, found: PSA, stated: Stated, names: Sequence[str] | None
-) -> LossCurve | None:
-    """Return expected losses by sample size, where they depend on it and draws suffice."""
-    draws = min(len(found), CURVE_DRAWS) if found.compiled else len(found) // 10
-    ends = [uncertainty(model, stated, default=size, names=names) for size in SIZES[::4]]
-    if draws < 2 or ends[0].parts == ends[1].parts:
-        return None
-    how = asked.work
-    if how["folder"] is not None:
-        told = digest(*(candidate.weights for candidate in found.candidates))
-        how["folder"] = Path(how["folder"]) / f"loss-{told[:12]}-{draws}"
-    return expected_loss(
-        model,
-        {candidate.name: candidate.weights for candidate in found.candidates},
-        SIZES,
-        rng=found.seed,
-        n=draws,
-        stated=stated,
-        names=names,
-        **how,
-    )

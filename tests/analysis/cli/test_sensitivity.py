@@ -14,7 +14,6 @@ from exact_mdp.analysis.cli import commands
 from exact_mdp.analysis.cli.options import Question
 from exact_mdp.analysis.cli.sensitivity import KINDS
 from exact_mdp.analysis.sensitivity.draws.global_ import sobol
-from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.io.npz import save
@@ -283,14 +282,6 @@ def test_psa_prints_what_scripts_read() -> None:
     assert set(found["p_optimal"]) == {f"{number:04b}" for number in range(16)}
     assert found["acceptability"]["probability"][0] == pytest.approx((direct.regret() == 0).mean())
     assert found["evppi"]["base.*"] >= 0
-    curve = found["expected_loss"]
-    assert curve["along"] == "effective_sample_size"
-    assert list(curve["policies"]) == [each["name"] for each in found["candidates"]]
-    told = curve["policies"]["optimum today"]
-    points = curve["points"]
-    alone = expected_loss(YUAN, {"today": "optimal"}, points, rng=3, n=curve["draws"])
-    assert told["loss"] == pytest.approx(alone.loss[:, 0].tolist())
-    assert told["low"][0] < told["loss"][0] < told["high"][0]
     assert found["regret"]["few_draws"] == (found["regret"]["draws_that_carry_it"] < 50)
     assert all(each["reliable"] != bool(each["doubts"]) for each in found["evppi_details"].values())
     assert run(*words, "--n-jobs", "2").result == found
@@ -316,7 +307,6 @@ def test_psa_takes_any_model(tmp_path: Path) -> None:
     assert found["evpi"] > 0
     assert set(found["evppi"]) == {"(state 0, 0)", "(state 0, 1)"}
     assert found["clipped"] is None
-    assert found["expected_loss"]["draws"] == 2
     row = tmp_path / "row.toml"
     row.write_text('["(state 0, 0)"]\nfixed = true\n')
     words = ("--samples", 20, "--n-jobs", 1, "--json", "--effective-sample-size", row)
@@ -331,7 +321,6 @@ def test_psa_keeps_its_work(tmp_path: Path) -> None:
     assert run(*words).result == found
     kept = json.loads((tmp_path / "psa.json").read_text())
     assert kept["evpi"] == found["evpi"]
-    assert [path.name for path in tmp_path.glob("loss-*/points/*.npz")]
 
 
 def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:

@@ -34,7 +34,6 @@ from exact_mdp.analysis.plots.style import titled
 from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
-from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
 from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.care.perception import independent
@@ -142,35 +141,6 @@ def test_the_heat_map_shows_shares_of_draws(draws: PSA) -> None:
     ax = plot_optimal_actions(draws)
     assert np.allclose(ax.images[0].get_array(), draws.probability_optimal()[0])
     assert [each.get_text() for each in ax.get_yticklabels()] == list(draws.labels)
-
-
-def test_expected_losses_are_drawn_at_their_points() -> None:
-    curve = expected_loss(SMALL, {"a": "optimal", "b": "random"}, [10, 100], rng=0, n=50)
-    ax = curve.plot()
-    assert ax.get_xscale() == ax.get_yscale() == "log"
-    assert {line.get_label() for line in ax.lines} >= {"best of these"}
-    assert "observations" in ax.get_xlabel()
-    bars = [segment[:, 1] for bar in ax.containers for segment in bar[2][0].get_segments()]
-    assert np.min(bars) > 0
-    ends = np.column_stack([curve.low.T.reshape(-1), curve.high.T.reshape(-1)])
-    floor = ax.lines[0].get_ydata().min() / 10
-    assert np.allclose(bars, np.maximum(ends, floor), rtol=1e-9, atol=floor)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ({"points": []}, "0 points"),
-        ({"n": 1}, "1 draws"),
-        ({"policies": {}}, "0 policies"),
-        ({"points": [0]}, "sample size 0"),
-        ({"names": ["base.angre"]}, "did you mean"),
-    ],
-)
-def test_curves_that_cannot_be_are_refused(words: dict[str, object], message: str) -> None:
-    given = {"policies": {"a": "optimal"}, "points": [10], "rng": 0, "n": 5} | words
-    with pytest.raises(ModelError, match=message):
-        expected_loss(SMALL, **given)
 
 
 def test_every_picture_is_drawn_by_a_function_that_is_there() -> None:

@@ -14,7 +14,6 @@ from scipy.stats import binom, binomtest
 
 from exact_mdp.analysis.sensitivity.draws.solver import CareSolver, solver_of
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
-from exact_mdp.analysis.sensitivity.psa.expected_loss import expected_loss
 from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss, mean_of, quantiles, wilson
 from exact_mdp.analysis.sensitivity.psa.psa import MISSING, PSA, psa
 from exact_mdp.analysis.sensitivity.psa.rows import row_family
@@ -353,19 +352,6 @@ def test_a_published_model_with_an_uncertain_row() -> None:
             v = np.maximum(waiting, np.array([0, 1, 2]) + g * v[0])
         assert found.optimal[d] == pytest.approx(v[0], rel=1e-9)
     assert found.evpi().low.value <= found.evpi().high.value
-
-
-def test_the_expected_loss_falls_as_more_is_known_and_bounds_evpi() -> None:
-    found = expected_loss(
-        YUAN, {"today": "optimal", "random": "random"}, [10, 100, 1000], rng=0, n=200
-    )
-    assert found.loss.shape == (3, 2)
-    assert found.loss[0, 0] > found.loss[1, 0] > found.loss[2, 0] >= 0
-    assert (found.loss[:, 1] > 10).all()
-    alone = psa(YUAN, 200, rng=0, effective_sample_size=100)
-    error = 4 * found.standard_error[1, 0] + 4 * alone.evpi().high.standard_error
-    assert abs(found.loss[1, 0] - alone.regret().mean()) < error
-    assert list(found.frame()["policy"]) == ["today", "random"] * 3
 
 
 def test_intervals_are_those_of_scipy() -> None:

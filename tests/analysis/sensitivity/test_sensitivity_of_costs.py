@@ -10,7 +10,6 @@ import pytest
 from exact_mdp.analysis.sensitivity import (
     box_extreme,
     box_optimum,
-    expected_loss,
     morris,
     psa,
     sobol,
@@ -54,13 +53,6 @@ def test_probabilistic_analysis() -> None:
     assert costs.evpi_of_candidates() == rewards.evpi_of_candidates()
     assert costs.evppi() == rewards.evppi()
     assert costs.value.value == -rewards.value.value
-
-
-def test_expected_loss() -> None:
-    held = {"today": "optimal", "long": [1, 0, 0, 0]}
-    costs, rewards = (expected_loss(each, held, [10, 100], rng=1, n=20) for each in BOTH)
-    assert (costs.loss == rewards.loss).all()
-    assert (costs.loss > 0).any()
 
 
 def test_shares_of_variance_and_effects() -> None:
