@@ -6,9 +6,8 @@ import shlex
 from dataclasses import replace
 from fractions import Fraction
 from math import inf, isinf, isnan, nextafter
-from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -23,7 +22,7 @@ from exact_mdp.analysis.cli.options import (
 )
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
-from exact_mdp.analysis.gate.check import PLANNED, UNEXPLAINED, Audit, share_of
+from exact_mdp.analysis.gate.check import UNEXPLAINED, Audit, share_of
 from exact_mdp.analysis.gate.disagreements import Disagreement, either
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.gate.reasons import Representation
@@ -35,11 +34,7 @@ from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.solution import Certified
 
-if TYPE_CHECKING:
-    from exact_mdp.analysis.gate.data.needed import Needed
-
 posterior = later("exact_mdp.analysis.gate.data.posterior")
-style = later("exact_mdp.analysis.plots.style")
 off_policy = later("exact_mdp.analysis.gate.data.off_policy")
 robust = later("exact_mdp.analysis.gate.data.robust")
 
@@ -75,17 +70,14 @@ def check(
     certify: bool,
     no_explain: bool,
     subject_to: tuple[str, ...],
-    needed: bool,
-    picture: str | None,
     **rest: Any,
 ) -> Report:
     """Audit a policy."""
     started = perf_counter()
-    check_outputs((junit, (".xml",)), (html, (".html",)), (picture, (".svg", ".png")))
+    check_outputs((junit, (".xml",)), (html, (".html",)))
     github.check_summary()
     settings = {name: rest.pop(name) for name in OF_INTERVAL}
     interval = _interval_of(**settings)
-    _check_needed(needed, picture, **settings)
     asked = given(policy=learned, **rest)
     # An interval needs the counts, which a model of episodes that stop has not.
     counted = settings["confidence"] is not None and asked.steps is not None
@@ -100,30 +92,26 @@ def check(
         subject_to=limits_from(subject_to) or None,
         **interval,
     )
-    plan = audit.needed() if needed else None
     why = None if no_explain else audit.representation
     if junit is not None:
         seconds = perf_counter() - started
         told = {"notice": ADVICE} if advice(asked.endless) else {}
-        text = _message(audit, why, plan)
-        _junit(junit, asked.loaded.name, learned, audit, seconds, told, text, plan)
+        text = audit.message(explain=why is not None)
+        _junit(junit, asked.loaded.name, learned, audit, seconds, told, text)
     result = {"learned": learned} | _result(audit) | _limits(audit) | _reasons(why)
-    result |= {} if plan is None else {"needed": _needed(plan)}
     report = asked.report(
         result,
-        _facts(audit, why, plan),
-        [*_tables(result, audit), *([] if plan is None else [_needed_table(plan)])],
+        _facts(audit, why),
+        _tables(result, audit),
         notes=_notes(audit, explain=not no_explain),
         status=PASSED if audit.passed else FAILED,
     )
-    if picture is not None and plan is not None:
-        style.save_as(plan.plot().figure, Path(picture))
     if html is not None:
         write_atomically(html, _page(report, audit, asked.loaded.name, learned))
     title = f"{learned} in {asked.loaded.name}: {'passed' if audit.passed else 'failed'}"
     github.summarise(markdown(report, title))
     if not audit.passed:
-        github.annotate(title, _message(audit, why, plan))
+        github.annotate(title, audit.message(explain=why is not None))
     return report
 
 
@@ -165,76 +153,6 @@ def _interval_of(confidence: str | None, by: str | None, **settings: Any) -> dic
     else:
         evidence = posterior.Posterior(progress=True, **stated)
     return {"confidence": confidence, "by": evidence}
-
-
-def _check_needed(needed: bool, picture: str | None, **settings: Any) -> None:
-    """Raise ModelError where --needed has nothing to plan for."""
-    if picture is not None and not needed:
-        raise ModelError("--picture draws --needed", where="--picture", fix="add --needed")
-    if not needed:
-        return
-    if settings["confidence"] is None:
-        raise ModelError(
-            "--needed applies to an interval", where="--needed", fix="give --confidence 0.95"
-        )
-    if settings["by"] not in (None, "robust"):
-        raise ModelError(
-            f"--needed plans for the robust interval, not for {settings['by']}",
-            where="--needed",
-            fix="give --by robust",
-        )
-
-
-def _needed(plan: Needed) -> dict[str, Any]:
-    """Return the JSON object of a plan."""
-    return {
-        "limit": plan.limit,
-        "decided": plan.decided,
-        "expected": plan.expected,
-        "possible": plan.possible,
-        "observations": int(plan.more.sum()),
-        "pairs": plan.frame().to_dict("records"),
-        "planned": plan.planned,
-        "chance": plan.chance,
-        "rest": {"pairs": plan.rest[0], "worth": plan.rest[1]},
-    }
-
-
-def _needed_table(plan: Needed) -> Table:
-    return Table(
-        title="what more records of a pair are worth",
-        rows=plan.frame(),
-        columns={
-            "state": "state",
-            "action": "action",
-            "observations": "observations",
-            "worth": "worth:.6g",
-            "more": "more",
-        },
-        note="worth: how far the deciding end moves if the row is known; more: observations that "
-        "together decide the verdict, if they show the same shares" + plan.others,
-        first=SHOWN,
-    )
-
-
-def _planned(text: str, plan: Needed | None) -> str:
-    """Return what was found with what is needed in the place of how to ask for it."""
-    return text if plan is None else text.replace(PLANNED, f" ({plan.told.removeprefix('open; ')})")
-
-
-def _message(audit: Audit, why: Representation | None, plan: Needed | None) -> str:
-    """Return what reports say, the pairs that need more records among it."""
-    text = _planned(audit.message(explain=why is not None), plan)
-    if plan is None or not plan.more.any():
-        return text
-    rows = plan.frame().query("more > 0")
-    lines = [
-        f"  {row.state}, {row.action}: {row.more:,} more observations, {row.observations:,} so far"
-        for row in rows.head(SHOWN).itertuples()
-    ]
-    if len(rows) > SHOWN:
-        lines.append(f"  and {len(rows) - SHOWN} pairs more, {rows.more[SHOWN:].sum():,} in all")
-    return "\n".join([text, "what decides it, if they show the same shares:", *lines])
 
 
 def _option(name: str) -> str:
@@ -311,12 +229,9 @@ def _junit(
     seconds: float,
     told: dict[str, str],
     text: str,
-    plan: Needed | None,
 ) -> None:
     cases = [
-        Case(name=each.name)
-        if each.passed
-        else Case(name=each.name, failure=_planned(each.told, plan), text=text)
+        Case(name=each.name) if each.passed else Case(name=each.name, failure=each.told, text=text)
         for each in audit.verdicts
     ]
     properties = {
@@ -438,13 +353,12 @@ def _reasons(why: Representation | None) -> dict[str, Any]:
     }
 
 
-def _facts(audit: Audit, why: Representation | None, plan: Needed | None) -> dict[str, Any]:
+def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
     lost, relative = audit.regret, audit.relative_regret
     facts: dict[str, Any] = {"verdict": "passed" if audit.passed else "FAILED"}
     for each in audit.verdicts:
         word = "yes" if each.passed else "not decided" if each.undecided else "no"
-        text = each.text if plan is None else each.text.replace(PLANNED, " (see what is needed)")
-        facts[each.name] = f"{word}: {text}"
+        facts[each.name] = f"{word}: {each.text}"
     if audit.interval is not None:
         facts["regret of the process"] = f"{audit.interval} ({audit.claim})"
         for name, value in _of_interval(audit)["interval"].items():
@@ -490,8 +404,6 @@ def _facts(audit: Audit, why: Representation | None, plan: Needed | None) -> dic
         facts[f"best policy that reads {_read(best.columns)}"] = f"{cell(best.value)} ({proof})"
         facts["lost because of what it reads"] = why.loss
         facts["lost by learning"] = why.learning_error
-    if plan is not None:
-        facts["needed"] = plan.told
     return facts
 
 

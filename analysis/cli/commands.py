@@ -175,12 +175,6 @@ of_interval = together(
         help="off-policy: the policy that chose the recorded actions, a .npy of its probabilities; "
         "estimated unless given.",
     ),
-    click.option(
-        "--needed",
-        is_flag=True,
-        help="robust: which pairs leave the verdict open, and how many more records decide it.",
-    ),
-    click.option("--picture", metavar="FILE", help="Of --needed: the picture, .svg or .png."),
 )
 model = click.argument("model")
 policy = click.argument("policy")

@@ -58,11 +58,9 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from exact_mdp.analysis.gate.data.needed import Needed
 
 pandas = later("pandas")
 # Loaded where an audit asks for an interval.
-needed_of = later("exact_mdp.analysis.gate.data.needed")
 off_policy = later("exact_mdp.analysis.gate.data.off_policy")
 posterior = later("exact_mdp.analysis.gate.data.posterior")
 robust = later("exact_mdp.analysis.gate.data.robust")
@@ -130,8 +128,6 @@ class Audit(Pictured):
     interval : RegretInterval, optional
         Where the regret lies in the process behind the records; the verdicts then rest on it, and
         all other numbers are those of the estimated model.
-    evidence : Evidence, optional
-        What the interval was made by.
 
     Examples
     --------
@@ -151,7 +147,6 @@ class Audit(Pictured):
     criterion: str = "total"
     limits: UnderLimits | None = None
     interval: RegretInterval | None = None
-    evidence: Evidence | None = None
 
     picture = "exact_mdp.analysis.plots.states:plot_audit"
 
@@ -273,59 +268,6 @@ class Audit(Pictured):
         """The ends of the interval; None where no confidence was asked for."""
         return None if self.interval is None else (self.interval.low, self.interval.high)
 
-    def needed(self, max_regret: object | None = None, confidence: object | None = None) -> Needed:
-        """Return which pairs' counts leave the verdict open, and how many more would decide it.
-
-        See `analysis.gate.data.needed`. The audit's own limit (0 without one), confidence and, of a
-        robust audit, settings are taken unless given. The plan is for the robust interval, whatever
-        the audit's own is made by.
-
-        Parameters
-        ----------
-        max_regret : number or "p/q", optional
-        confidence : number, optional
-            0.95 where the audit has none.
-
-        Returns
-        -------
-        Needed
-
-        Raises
-        ------
-        ModelError
-            For a model without counts, and of an audit that does not state where rewards lie.
-
-        Examples
-        --------
-        >>> import pandas as pd
-        >>> names = ["episode", "state", "action", "reward", "next_state"]
-        >>> rows = [(n, "ill", "wait", n % 2, None) for n in range(40)]
-        >>> rows += [(n + 40, "ill", "treat", n % 4 > 0, None) for n in range(40)]
-        >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="1/2")
-        >>> audit = check(mdp, "always:treat", confidence=0.95, by=robust.Robust(rewards=(0, 1)))
-        >>> audit.needed(0.1).frame()["more"].tolist()
-        [..., ...]
-        """
-        limit = self.max_regret or Fraction(0)
-        if max_regret is not None:
-            limit = limit_of("max_regret", max_regret)
-        if self.mdp.observations is None and self.interval is not None:
-            raise ModelError(
-                "plans are for episodes without a horizon",
-                where="needed",
-                fix="leave out the horizon (--horizon, horizon=), or --needed",
-            )
-        share: object = Fraction(19, 20) if self.interval is None else self.interval.confidence
-        found: Needed = needed_of.needed(
-            self.mdp,
-            self.chain.weights,
-            Fraction(self.value.value),
-            limit,
-            confidence_of(share if confidence is None else confidence),
-            self.evidence if isinstance(self.evidence, robust.Robust) else robust.Robust(),
-        )
-        return found
-
     @property
     def passed(self) -> bool:
         """Whether every limit holds; what bounds cannot decide does not pass."""
@@ -354,8 +296,7 @@ class Audit(Pictured):
             limit = self.max_regret or Fraction(0)
             share = self.interval.within(limit).value
             return f"{OPEN}: it is kept with probability {share:.3g} by the posterior"
-        how = PLANNED if self.interval.by == "robust" else ""
-        return f"{OPEN}: more records decide it{how}, or give a limit above the interval"
+        return f"{OPEN}: more records may decide it, or give a limit above the interval"
 
     @cached_property
     def _decisions(self) -> tuple[Decision, ...]:
@@ -533,7 +474,6 @@ UNDECIDED = (
 )
 
 OPEN = "which leaves the limit open"
-PLANNED = " (audit.needed() or --needed says which)"
 
 
 def share_of(cost: float, lost: float) -> float | None:
@@ -736,7 +676,7 @@ def check(
     if evidence is None:
         return result
     found = evidence.interval(endless, chain, confidence_of(confidence), horizon)
-    return replace(result, interval=found, evidence=evidence)
+    return replace(result, interval=found)
 
 
 def assert_policy_optimal(

@@ -136,7 +136,6 @@ MADE: dict[str, Callable[[], object]] = {
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
     "Morris": lambda: morris(SMALL, names=NAMES, n=4, rng=0),
-    "Needed": lambda: recorded().needed("1/100", "9/10"),
     "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),
     "PSA": lambda: psa(SMALL, 50, rng=0),
     "PosteriorInterval": lambda: (

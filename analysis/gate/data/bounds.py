@@ -35,8 +35,8 @@ only where episodes were cut off, and where the sets allow that an episode never
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -53,9 +53,7 @@ from exact_mdp.solvers.bounds.linear import LinearSystem
 
 IMPROVEMENTS = 50
 SWEEPS = 1000
-ENDING = 1e-6
-FIXED_POINTS = ("own_low", "own_high", "best_low", "best_high", "most_regret", "least_regret")
-SMALL = 1e-10
+SMALL = 1e-10  # of the range: steps not worth another one; bounds hold wherever the search ends
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,22 +75,11 @@ class RobustBounds:
         The policy's probabilities of pairs.
     returns : (float, float), optional
         Where total rewards lie.
-    near : {name: (S,)}
-        Values of like sets, `found` of theirs: where the search for fixed points begins.
-    small : float
-        Steps of that part of the range are not worth another one; bounds hold wherever it ends.
     """
 
     sets: RowSets
     own: Floats
     returns: Ends | None = None
-    near: Mapping[str, Floats] = field(default_factory=dict)
-    small: float = SMALL
-
-    @property
-    def found(self) -> dict[str, Floats]:
-        """What was worked out so far, by name."""
-        return {name: vars(self)[name] for name in FIXED_POINTS if name in vars(self)}
 
     @property
     def mdp(self) -> MDP:
@@ -128,22 +115,22 @@ class RobustBounds:
     @cached_property
     def own_low(self) -> Floats:
         """(S,) lower bounds of V^π."""
-        return self._settled(self.under_policy(False), 0, near="own_low")
+        return self._settled(self.under_policy(False), 0)
 
     @cached_property
     def own_high(self) -> Floats:
         """(S,) upper bounds of V^π."""
-        return self._settled(self.under_policy(True), 1, near="own_high")
+        return self._settled(self.under_policy(True), 1)
 
     @cached_property
     def best_low(self) -> Floats:
         """(S,) lower bounds of V*."""
-        return self._settled(self.optimum(False), 0, near="best_low")
+        return self._settled(self.optimum(False), 0)
 
     @cached_property
     def best_high(self) -> Floats:
         """(S,) upper bounds of V*."""
-        return self._settled(self.optimum(True), 1, near="best_high")
+        return self._settled(self.optimum(True), 1)
 
     def at_start(self, mdp: MDP, whose: str) -> Ends:
         """Return the bounds of a value at the start, in the sense of the model given."""
@@ -155,42 +142,20 @@ class RobustBounds:
     @property
     def regret(self) -> Ends:
         """Bounds of the regret at the start."""
-        return self.regret_end(most=False), self.regret_end(most=True)
-
-    def regret_end(self, *, most: bool) -> float:
-        """Return one of these bounds, at about half the work."""
-        if most:
-            return self.sets.at_start(self.most_regret, most=True)
-        return max(self.sets.at_start(self.least_regret, most=False), 0.0)
+        low = max(self.sets.at_start(self.least_regret, most=False), 0.0)
+        return low, self.sets.at_start(self.most_regret, most=True)
 
     @cached_property
     def most_regret(self) -> Floats:
         """(S,) upper bounds of V* - V^π."""
         apart = np.maximum(self.best_high - self.own_low, 0.0)
-        return self._settled(self._joint(True), 1, apart, near="most_regret")
+        return self._settled(self._joint(True), 1, apart)
 
     @cached_property
     def least_regret(self) -> Floats:
         """(S,) lower bounds of V* - V^π."""
         apart = np.maximum(self.best_low - self.own_high, 0.0)
-        return self._settled(self._joint(False), 0, apart, near="least_regret")
-
-    @property
-    def own_visits(self) -> Floats:
-        """(L,) expected visits of each pair by the policy, if the shares are those seen."""
-        chain = sp.csr_array(self._mixing @ self.mdp.transition)
-        return np.asarray(self._visits(chain)[self.mdp.pair_state] * self.own)
-
-    def visits(self, *, most: bool) -> Floats:
-        """(S,) the same of the choices, and of the rows, that make one of the regret's bounds."""
-        value = self.most_regret if most else self.least_regret
-        return self._visits(self._joint(most)(value).piece()[0])
-
-    def _visits(self, chain: sp.csr_array) -> Floats:
-        """(S,) visits from the start; at discount 1 of the episodes that the chance 1e-6 ends."""
-        rate = min(self.mdp.discount, 1 - ENDING)
-        begun = self.mdp.start_distribution
-        return np.asarray(LinearSystem(sp.csr_array(chain.T), rate).approximate(begun))
+        return self._settled(self._joint(False), 0, apart)
 
     # ---- operators -------------------------------------------------------------------------------
 
@@ -311,22 +276,16 @@ class RobustBounds:
     # ---- fixed points ----------------------------------------------------------------------------
 
     def _settled(
-        self,
-        step: Callable[[Floats], Step],
-        side: int,
-        first: Floats | None = None,
-        *,
-        near: str,
+        self, step: Callable[[Floats], Step], side: int, first: Floats | None = None
     ) -> Floats:
         """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
 
-        `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over;
-        `near` is the name of the values to begin with.
+        `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over.
         """
         sign, take = (1, np.minimum) if side else (-1, np.maximum)
         known = np.where(self.over, 0.0, self.range[side]) if first is None else first
         rate, left = self.mdp.discount, float(1 - self.mdp.discount_exact)
-        scale = self.small * (self.range[1] - self.range[0])
+        scale = SMALL * (self.range[1] - self.range[0])
         if not left:
             for _ in range(SWEEPS):
                 value = take(known, step(known).bound)
@@ -334,7 +293,7 @@ class RobustBounds:
                     break
                 known = value
             return value
-        value = self.near.get(near, known)
+        value = known
         for _ in range(IMPROVEMENTS):
             found = step(value)
             over = max(float((sign * (found.bound - value)).max()), 0.0) / left * SLACK

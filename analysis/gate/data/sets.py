@@ -36,7 +36,7 @@ counted are as certain as the model says.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import log
 from typing import Literal
@@ -59,7 +59,6 @@ transitions = later("exact_mdp.mdp.io.transitions")
 
 KNOWN = "known"
 HALVINGS = 60
-LASTING = ("pairs", "share", "counts", "gains", "_blocks")  # whatever the numbers are
 ONE_BLOCK = 2**14  # outcomes that are asked about together, however long the rows
 Given = Literal["known"] | tuple[object, object] | None
 
@@ -73,7 +72,7 @@ class RowSets:
     mdp : MDP
         Of rewards, not costs.
     counted : (L,)
-        Observations of each pair; 0 for rows that are certain. Some may be only imagined.
+        Observations of each pair; 0 for rows that are certain.
     doubt : float
         The probability that some row is outside of its set.
     known : bool
@@ -130,18 +129,6 @@ class RowSets:
             rewards=ends,
             episodes=mdp.episodes,
         )
-
-    def with_more(self, more: Floats, *, start: bool = True) -> RowSets:
-        """Return the sets after `more` (L,) observations that show what was seen, in proportion.
-
-        They come in episodes as long as those seen, which show the `start`, unless that is to stay.
-        """
-        counted, episodes = np.asarray(self.counted + more), self.episodes
-        if episodes is not None and start:
-            episodes *= float(counted.sum() / self.counted.sum())
-        found = replace(self, counted=counted, episodes=episodes)
-        vars(found).update({name: vars(self)[name] for name in LASTING if name in vars(self)})
-        return found
 
     @cached_property
     def unknown(self) -> Flags:

@@ -12,9 +12,7 @@ import pandas as pd
 import pytest
 from cli_runner import run
 
-from exact_mdp.analysis import check
 from exact_mdp.analysis.cli import main
-from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.mdp import MDP
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs/data.md").read_text("utf-8")
@@ -75,39 +73,8 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
         assert shown in text
         assert "leaves the limit open" in text
         assert "no: it is in" not in text
-        assert ("audit.needed" in text) == (kind == "robust")
     assert page.read_text("utf-8").count("no medical advice") == 1
     assert "no medical advice" in done.out
-
-
-def test_what_more_records_decide(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words = ("check", folder / "model.npz", "always:a", "--max-regret=0.55", "--confidence=0.95")
-    words += ("--rewards=0,1",)
-    told = run(*words, "--needed", "--json", f"--picture={tmp_path / 'needed.svg'}").result[
-        "needed"
-    ]
-    mdp = MDP.load(folder / "model.npz")
-    by = Robust(rewards=(0, 1))
-    found = check(mdp, "always:a", max_regret="0.55", confidence=0.95, by=by).needed()
-    assert (told["expected"], told["decided"], told["possible"]) == (True, None, True)
-    assert [each["more"] for each in told["pairs"]] == found.more.tolist()
-    assert told["observations"] == found.more.sum() > 0
-    assert (tmp_path / "needed.svg").read_text("utf-8").startswith("<?xml")
-    done = run(*words, "--needed", f"--html={tmp_path / 'page.html'}")
-    assert done.status == 1
-    assert "not decided: it is in" in " ".join(done.out.split())
-    assert "--needed says which" not in done.out
-    for text in (done.out, (tmp_path / "page.html").read_text("utf-8")):
-        assert "what more records of a pair are worth" in text
-    monkeypatch.setenv("GITHUB_ACTIONS", "true")
-    done = run(*words, "--needed", f"--junit={tmp_path / 'report.xml'}")
-    report, number = (tmp_path / "report.xml").read_text("utf-8"), f"{found.more.sum():,}"
-    for text in (report, done.err):
-        assert "--needed says which" not in text
-        assert f"({number} more observations of" in text
-        assert f"{found.more[0]:,} more observations, " in text
 
 
 @pytest.mark.parametrize(
@@ -122,12 +89,8 @@ def test_what_more_records_decide(
         (["--confidence", "0.9", "--rewards", "0,x"], "no range"),
         (["--confidence", "0.9", "--by", "off-policy"], "no trajectories"),
         (["--confidence", "0.9", "--by", "posterior", "--draws", "x"], "not a whole number"),
-        (["--needed"], "--needed applies to an interval"),
-        (["--confidence", "0.9", "--by", "posterior", "--needed"], "plans for the robust"),
-        (["--picture", "x.svg"], "--picture draws --needed"),
         (["--confidence", "0.9"], "nothing says where rewards lie"),
         (["--confidence=.9", "--rewards=0,1", "--by=off-policy", "--records=none.csv"], "none.csv"),
-        (["--confidence=.9", "--rewards=0,1", "--horizon=3", "--needed"], "without a horizon"),
         (["--confidence", "0.9", "--max-relative-regret", "1"], "total regret alone"),
     ],
 )

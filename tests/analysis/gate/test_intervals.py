@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from fractions import Fraction as F
 from itertools import pairwise
 from math import lgamma, log
@@ -19,7 +20,6 @@ from hypothesis import strategies as st
 from scipy import integrate, optimize, stats
 
 from exact_mdp.analysis import check
-from exact_mdp.analysis.gate.check import Audit
 from exact_mdp.analysis.gate.data.bootstrap import Episodes
 from exact_mdp.analysis.gate.data.bounds import RobustBounds
 from exact_mdp.analysis.gate.data.interval import Evidence
@@ -47,6 +47,14 @@ ROWS = np.array(
 CHANCES = np.array([[0.2, 0.7], [0.5, 0.4], [0.9, 0.1]])
 POLICY = [0, 1, 0, 0]
 RATE = 0.9
+
+
+def with_more(sets: RowSets, more: np.ndarray) -> RowSets:
+    """Return the sets after more observations (L,) that show what was seen, in proportion."""
+    counted, episodes = sets.counted + more, sets.episodes
+    if episodes is not None:
+        episodes *= counted.sum() / sets.counted.sum()
+    return replace(sets, counted=counted, episodes=episodes)
 
 
 def recorded(rng: np.random.Generator, episodes: int) -> pd.DataFrame:
@@ -496,7 +504,7 @@ def test_the_bound_is_narrower_than_that_by_two_models() -> None:
 def test_with_ever_more_records_the_interval_is_the_regret() -> None:
     mdp, chain = estimated(recorded(np.random.default_rng(1), 300))
     sets = RowSets.of(mdp, 0.05, (0, 1))
-    sets = sets.with_more(np.where(sets.counted > 0, 1e14, 0.0))
+    sets = with_more(sets, np.where(sets.counted > 0, 1e14, 0.0))
     found = RobustBounds(sets=sets, own=chain.weights).regret
     wanted = float(check(mdp, POLICY).value.value)
     assert found == (pytest.approx(wanted, abs=1e-4), pytest.approx(wanted, abs=1e-4))
@@ -537,7 +545,7 @@ def test_at_discount_1_the_interval_is_that_of_episodes_that_stop_late() -> None
         for name in ("own_low", "own_high", "best_low", "best_high"):
             assert vars(late)[name] == pytest.approx(getattr(found, name), abs=1e-5)
         assert found.regret == pytest.approx(late.regret, abs=1e-5)
-    sets = sets.with_more(np.where(sets.counted > 0, 1e14, 0.0))
+    sets = with_more(sets, np.where(sets.counted > 0, 1e14, 0.0))
     found = RobustBounds(sets=sets, own=own, returns=(-50, 50))
     wanted = float(check(mdp, POLICY).value.value)
     assert found.regret == (pytest.approx(wanted, abs=1e-4), pytest.approx(wanted, abs=1e-4))
@@ -572,18 +580,16 @@ def test_at_discount_1_ends_are_worth_nothing(kind: str, end: str | None) -> Non
 
 
 def test_at_discount_1_where_episodes_were_cut_off_the_range_stays() -> None:
-    """No number of records decides it, and the plan says so, not that the estimate is close."""
     rows = [(n, "s", "ab"[n % 2], n % 2, ("u", None)[n % 2], n % 2 == 0) for n in range(200)]
     mdp = MDP.from_transitions(pd.DataFrame(rows, columns=[*NAMES, "truncated"]))
     by = Robust(rewards="known", returns=(0, 10))
     audit = check(mdp, "always:b", max_regret="1/10", confidence=0.95, by=by)
     assert audit.regret_interval is not None
     assert audit.regret_interval[1] == pytest.approx(9.0, abs=0.5)
-    found = audit.needed()
-    assert (found.possible, found.decided, found.expected) == (False, None, True)
-    assert "no more records of this kind decide it" in found.told
-    assert found.known == pytest.approx(9, abs=1e-4)
-    assert f"the upper end would be {found.known:.6g}" in found.told
+    sets = RowSets.of(mdp, 0.05, "known")
+    sets = with_more(sets, np.where(sets.counted > 0, 1e14, 0.0))
+    known = RobustBounds(sets=sets, own=audit.chain.weights, returns=(0, 10)).regret
+    assert known[1] == pytest.approx(9, abs=1e-4)  # no number of records decides it
 
 
 @pytest.mark.parametrize(
@@ -684,12 +690,10 @@ def test_with_ever_more_records_it_is_the_regret_within_the_horizon() -> None:
     policy = staged_policy(mdp)
     audit = check(mdp, policy, horizon=3, confidence=0.95, by=Robust(rewards=(0, 1)))
     sets = RowSets.of(mdp, 0.05, (0, 1))
-    sets = sets.with_more(np.where(sets.counted > 0, 1e14, 0.0))
+    sets = with_more(sets, np.where(sets.counted > 0, 1e14, 0.0))
     found = staged(sets, by_time(mdp, audit.chain.weights, 3)).regret
     wanted = float(audit.value.value)
     assert found == (pytest.approx(wanted, abs=1e-4), pytest.approx(wanted, abs=1e-4))
-    with pytest.raises(ModelError, match="without a horizon"):
-        audit.needed(5)
     long = check(mdp, policy=POLICY, horizon=300, confidence=0.95, by=Posterior(n=80))
     assert long.interval is not None
     other = check(mdp, POLICY, confidence=0.95, by=Posterior(n=80)).interval
@@ -942,147 +946,12 @@ def test_the_bound_is_that_of_the_theorem(seed: int) -> None:
 # ---- what needs more records -------------------------------------------------------------------
 
 
-def two_treatments(n: int) -> pd.DataFrame:
-    """Return n records of each of two actions in one state, of rewards 1/4 and 3/4 on average."""
-    rows = [(k, "ill", "wait", int(k % 4 == 0), None) for k in range(n)]
-    rows += [(k + n, "ill", "treat", int(k % 4 > 0), None) for k in range(n)]
-    return pd.DataFrame(rows, columns=NAMES)
-
-
-def longer() -> tuple[pd.DataFrame, PolicyLike]:
-    return recorded(np.random.default_rng(3), 600), POLICY
-
-
-@pytest.mark.parametrize(
-    ("records", "policy", "limit", "expected"),
-    [
-        (two_treatments(40), "always:treat", "1/10", True),
-        (two_treatments(40), "always:wait", "1/10", False),
-        pytest.param(*longer(), "3/2", True, marks=pytest.mark.slow),
-    ],
-)
-def test_a_plan_decides_and_nothing_of_it_could_be_left_out(
-    records: pd.DataFrame, policy: PolicyLike, limit: str, expected: bool
-) -> None:
-    mdp = MDP.from_transitions(records, discount="9/10")
-    audit = check(mdp, policy, max_regret=limit, confidence=0.95, by=Robust(rewards=(0, 1)))
-    found = audit.needed()
-    assert audit.undecided
-    assert found.decided is None
-    assert found.expected is expected
-    sets, own = RowSets.of(mdp, 0.05, (0, 1)), audit.chain.weights
-
-    def end(more: np.ndarray) -> float:
-        """Return the end that decides, less the limit, below 0 where it decides."""
-        low, high = RobustBounds(sets=sets.with_more(more), own=own).regret
-        return high - float(F(limit)) if expected else float(F(limit)) - low
-
-    plan = np.zeros(mdp.n_pairs)
-    plan[found.pairs] = found.more
-    assert end(plan) <= 0 < end(0 * plan)
-    for pair in np.flatnonzero(plan).tolist():
-        fewer = plan.copy()
-        fewer[pair] *= 0.8
-        assert end(fewer) > 0
-    known = 0 * plan
-    known[found.pairs[0]] = 1e15  # the start stays as it was seen
-    alone = RobustBounds(sets=sets.with_more(known, start=False), own=own).regret
-    moved = np.subtract(RobustBounds(sets=sets, own=own).regret, alone)
-    assert found.worth[0] == pytest.approx(moved[1] if expected else -moved[0])
-    assert found.worth[0] == found.worth.max() > 0
-    table = found.frame()
-    assert list(table) == ["state", "action", "observations", "worth", "more"]
-    assert found.plot().get_xlabel()
-    assert "if they show the same shares; chance" in repr(found)
-
-
-@pytest.mark.slow
-def test_the_chance_of_a_plan_is_that_of_records_drawn_anew() -> None:
-    """The records grow by rows drawn from themselves, and are read and audited as any others."""
-    records, hits = two_treatments(40), 0
-
-    def audited(table: pd.DataFrame) -> Audit:
-        mdp = MDP.from_transitions(table, discount="9/10")
-        by = Robust(rewards=(0, 1))
-        return check(mdp, "always:treat", max_regret="1/10", confidence=0.95, by=by)
-
-    found = audited(records).needed()
-    assert found.chance is not None
-    plan = dict(zip(found.frame()["action"], found.more.tolist(), strict=True))
-    for seed in range(100):
-        rng, new = np.random.default_rng(seed), [records]
-        for number, (action, count) in enumerate(plan.items(), 1):
-            drawn = records[records.action == action].sample(count, replace=True, random_state=rng)
-            new.append(drawn.assign(episode=np.arange(count) + 10**4 * number))
-        hits += audited(pd.concat(new)).passed
-    low, high = (float(each) for each in wilson(hits, 100))
-    assert low <= found.chance.high
-    assert found.chance.low <= high
-    assert 0.2 < found.chance.value < 0.8  # a plan ends at the limit
-
-
-def test_of_many_pairs_the_others_are_asked_about_together() -> None:
-    """Pairs that matter little are many; those that matter are found, and the plan decides."""
-    rng, rows = np.random.default_rng(0), []
-    for n in range(1200):
-        state = "ill" if n % 2 else f"rare{n // 2 % 40}"
-        action = ("wait", "treat")[rng.integers(2)]
-        rows.append(
-            (n, state, action, int(rng.random() < (0.7 if action == "treat" else 0.4)), None)
-        )
-    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="9/10")
-    assert np.count_nonzero(mdp.observations) == 82
-    by = Robust(rewards=(0, 1))
-    audit = check(mdp, "always:treat", max_regret="1/3", confidence=0.95, by=by)
-    found = audit.needed()
-    pairs, worth = found.rest
-    assert pairs == 82 - 30
-    assert worth > 0
-    plan = np.zeros(mdp.n_pairs)
-    plan[found.pairs] = found.more
-    sets = RowSets.of(mdp, 0.05, (0, 1))
-    own = audit.chain.weights
-    assert RobustBounds(sets=sets.with_more(plan), own=own).regret[1] <= 1 / 3 + 1e-6
-    assert RobustBounds(sets=sets.with_more(0.75 * plan), own=own).regret[1] > 1 / 3
-    today = RobustBounds(sets=sets, own=own).regret[1]
-    alone = {}
-    for pair in [*found.pairs[:4].tolist(), *np.setdiff1d(sets.pairs, found.pairs)[::9].tolist()]:
-        known = np.where(np.arange(mdp.n_pairs) == pair, 1e15, 0.0)
-        known_sets = sets.with_more(known, start=False)
-        alone[pair] = today - RobustBounds(sets=known_sets, own=own).regret[1]
-    one_by_one = dict(zip(found.pairs.tolist(), found.worth.tolist(), strict=True))
-    for pair, moved in alone.items():
-        if not np.isnan(one_by_one.get(pair, np.nan)):
-            assert one_by_one[pair] == pytest.approx(moved, abs=1e-5)
-        else:
-            assert moved <= min(worth, np.nanmin(found.worth[:4])) + 1e-9
-
-
-def test_a_plan_draws_starts_too() -> None:
-    rows = [(n, f"ill{n % 3}", "ab"[n % 2], int(n % 4 > 0), None) for n in range(60)]
-    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=NAMES), discount="1/2")
-    by = Robust(rewards=(0, 1))
-    found = check(mdp, "always:a", max_regret="7/10", confidence=0.95, by=by).needed()
-    assert found.more.sum() > 0
-    assert found.chance is not None
-    assert 0 < found.chance.value <= 1
-
-
 def test_records_that_show_the_same_again_count_as_the_sets_foresee() -> None:
     frame = recorded(np.random.default_rng(3), 60)
     twice = pd.concat([frame, frame.assign(episode=frame.episode + 10**6)])
     one, other = (RowSets.of(MDP.from_transitions(x, "9/10"), 0.05, (0, 1)) for x in (frame, twice))
-    assert other.radius == pytest.approx(one.with_more(one.counted).radius)
-    assert other.reward[1] == pytest.approx(one.with_more(one.counted).reward[1])
-
-
-def test_what_is_decided_needs_nothing() -> None:
-    mdp, _ = estimated(recorded(np.random.default_rng(3), 100))
-    audit = check(mdp, POLICY, max_regret=20, confidence=0.95, by=Robust(rewards=(0, 1)))
-    assert audit.passed
-    assert not audit.needed().more.any()
-    at = audit.value.value
-    assert not audit.needed(at).possible
+    assert other.radius == pytest.approx(with_more(one, one.counted).radius)
+    assert other.reward[1] == pytest.approx(with_more(one, one.counted).reward[1])
 
 
 # ---- the gate ----------------------------------------------------------------------------------
