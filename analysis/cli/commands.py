@@ -661,9 +661,6 @@ def explore() -> None:
     help="The policy that takes what is perceived for true (optimal).",
 )
 @click.option(
-    "--share", default="19/20", metavar="X", help="Share of the value that is to be kept (19/20)."
-)
-@click.option(
     "--seconds",
     metavar="X",
     help="Time limit of each of the two searches with memory (5). Where it ends a search, the "
@@ -685,8 +682,7 @@ def perception() -> None:
     """Compute what acting on a perceived status costs in MODEL.
 
     Ways to deal with errors: knowing the status, remembering what was seen and done, the best
-    fixed response to what is seen, and taking it for true. Then which errors cost most, and the
-    accuracy that keeps a share of the value.
+    fixed response to what is seen, and taking it for true. Then which errors cost most.
     """
 
 

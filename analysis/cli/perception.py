@@ -9,6 +9,7 @@ from typing import Any
 from exact_mdp.analysis.cli.options import given, number_of, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, at_most, between
 from exact_mdp.analysis.gate.column_policies import BestPolicy
+from exact_mdp.analysis.perception.accuracy import confusion_at
 from exact_mdp.analysis.perception.cost import (
     PriceOfPerception,
     UncertainValue,
@@ -16,13 +17,6 @@ from exact_mdp.analysis.perception.cost import (
     value_under_counts,
 )
 from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
-from exact_mdp.analysis.perception.needed import (
-    ALL,
-    AccuracyNeeded,
-    accuracy_needed,
-    confusion_at,
-)
-from exact_mdp.analysis.perception.policies import status_names
 from exact_mdp.mdp.care.perception import (
     Counted,
     holds_examples,
@@ -32,9 +26,7 @@ from exact_mdp.mdp.care.perception import (
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.pomdp.pomdp import BeliefSolution
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -51,7 +43,6 @@ def perception(
     draws: str,
     seed: str,
     policy: str,
-    share: str,
     seconds: str | None,
     trials: str | None,
     tolerance: str,
@@ -65,7 +56,6 @@ def perception(
     n, rng = whole_of(draws, "--draws", least=2, most=10**6), whole_of(seed, "--seed")
     matrix, counts = _confusion(mdp, perception, accuracy, prior)
     chosen = policy_of(mdp, policy)
-    needed = _needed(mdp, chosen, share)
     price = price_of_perception(mdp, matrix, policy=chosen, tol=tol, **limits)
     costs = error_costs(mdp, chosen, matrix)
     spread = None if counts is None else value_under_counts(mdp, chosen, counts, rng=rng, n=n)
@@ -82,7 +72,6 @@ def perception(
         "unseeing": _bounds(price.unseeing),
         "errors": _errors(costs),
         "confusions": {"loss": costs.loss, "marginal": costs.marginal, "error_bound": costs.error},
-        "needed": {name: None if each is None else _need(each) for name, each in needed.items()},
         "counted": None if spread is None else _spread(spread, rng),
     }
     best = "proven the best" if price.memoryless.proven else "the best found"
@@ -95,7 +84,6 @@ def perception(
             first=READINGS,
         ),
         *_cost_tables(costs),
-        *_need_table({name: each for name, each in needed.items() if each is not None}),
     ]
     return asked.report(result, facts, tables)
 
@@ -139,18 +127,6 @@ def _confusion(
     return counts.mean, counts
 
 
-def _needed(mdp: MDP, policy: Policy, share: str) -> dict[str, AccuracyNeeded | None]:
-    """Return the accuracy needed, of all statuses and of each; None where no value is positive."""
-    number_of(share, "--share")
-    names = (ALL, *status_names(mdp))
-    if not evaluate(mdp, policy).mean > 0:
-        return dict.fromkeys(names)
-    try:
-        return {name: accuracy_needed(mdp, policy, share=share, status=name) for name in names}
-    except ModelError as error:
-        raise ModelError(error.what, where="--share", fix=error.fix) from error
-
-
 # ---- what is told --------------------------------------------------------------------------------
 
 
@@ -174,17 +150,6 @@ def _errors(costs: ErrorCosts) -> dict[str, dict[str, float]]:
     return {
         status: dict(zip(names, (*lost, *costs.rates[status]), strict=True))
         for status, lost in costs.by_status.items()
-    }
-
-
-def _need(each: AccuracyNeeded) -> dict[str, Any]:
-    return {
-        "share": each.share,
-        "target": each.target,
-        "enough": float(each.enough),
-        "crossings": [[float(low), float(high)] for low, high, _ in each.crossings],
-        "monotone": each.monotone,
-        "claim": each.value.claim,
     }
 
 
@@ -253,28 +218,4 @@ def _cost_tables(costs: ErrorCosts) -> list[Table]:
             },
             first=SHOWN,
         ),
-    ]
-
-
-def _need_table(needed: dict[str, AccuracyNeeded]) -> list[Table]:
-    if not needed:
-        return []
-    share = float(needed[ALL].share)
-    return [
-        Table(
-            title=f"accuracy that keeps {share:.4g} of the value, the others perfect (certified)",
-            rows=[
-                (
-                    name,
-                    f"{float(each.enough):.6f}" if each.crossings else "any from 0.5",
-                    each.monotone,
-                )
-                for name, each in needed.items()
-            ],
-            columns={
-                "status": itemgetter(0),
-                "accuracy": itemgetter(1),
-                "value rises all the way": itemgetter(2),
-            },
-        )
     ]

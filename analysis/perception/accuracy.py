@@ -3,8 +3,7 @@
 With accuracy x a status is read rightly with probability x where it is present and where it is
 absent, the statuses independently. Curves of a policy's value over a grid come from
 `solvers.pomdp.values`, and the best memoryless policy along it (how it hedges as perception
-worsens) from `analysis.perception.policies`. The accuracy that is needed for a share of the value
-is found exactly, in `analysis.perception.needed`.
+worsens) from `analysis.perception.policies`.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ import numpy as np
 from exact_mdp.analysis.gate.column_policies import BestPolicy
 from exact_mdp.analysis.gate.relaxation import Flags
 from exact_mdp.analysis.perception.cost import PriceOfPerception, price_of_perception
-from exact_mdp.analysis.perception.needed import ALL, confusion_at
 from exact_mdp.analysis.perception.policies import NODES, best_perceived_policy, status_names
 from exact_mdp.mdp.care.process import Process
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -33,6 +32,24 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 pandas = later("pandas")
+
+ALL = "all"
+
+
+def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
+    """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all."""
+    if not 0 <= accuracy <= 1:
+        raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
+    found = np.ones((1, 1))
+    names = status_names(model)
+    if status not in (*names, ALL):
+        raise ModelError(
+            f"unknown status {status!r}", where="accuracy", fix=suggest(status, [*names, ALL])
+        )
+    for name in names:
+        x = accuracy if status in (name, ALL) else 1.0
+        found = np.kron(found, np.array([[x, 1 - x], [1 - x, x]]))
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

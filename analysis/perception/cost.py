@@ -4,7 +4,7 @@ From above to below: whoever knows the status; whoever remembers what was seen a
 (`solvers.pomdp.pomdp`, between two bounds); the best fixed reading of what is seen
 (`analysis.perception.policies`, with a bound on all others); what is seen taken for true. Which
 errors cost most is in `analysis.perception.errors`, and how the value depends on the accuracy in
-`analysis.perception.accuracy` and `analysis.perception.needed`.
+`analysis.perception.accuracy`.
 
 Where the confusion of statuses is known from counts only, its rows are drawn from their posterior
 (`mdp.care.perception`), and the policy is evaluated under each draw: mean and quantiles are

@@ -29,20 +29,14 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.perception.accuracy import AccuracyCurves, Hedging
     from exact_mdp.analysis.perception.cost import PriceOfPerception
     from exact_mdp.analysis.perception.errors import ErrorCosts
-    from exact_mdp.analysis.perception.needed import AccuracyNeeded
 
 DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), (0, (3, 1, 1, 1, 1, 1)))
 ACCURACY, VALUE = "accuracy of perception", "value at the start (reward)"
 
 
 @plain_text
-def plot_accuracy_curves(
-    curves: AccuracyCurves, *, needed: AccuracyNeeded | None = None, ax: Axes | None = None
-) -> Axes:
-    """Draw the value of a policy against the accuracy of one status, and of all.
-
-    The target of the accuracy needed is a level line, and its last crossing a point.
-    """
+def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> Axes:
+    """Draw the value of a policy against the accuracy of one status, and of all."""
     ax = axes_or_new(ax)
     for number, (name, values) in enumerate(curves.values.items()):
         every = name == "all"
@@ -58,23 +52,6 @@ def plot_accuracy_curves(
             linewidth=1.8 if every else 1.1,
             label="all four alike" if every and len(curves.values) == 5 else name,
         )
-    if needed is not None:
-        target, at = float(needed.target), float(needed.enough)
-        ax.axhline(target, color="0.6", linewidth=0.8)
-        # Beside the axes, where no curve crosses it.
-        ax.annotate(
-            f"{float(needed.share):.0%} of\nthe value",
-            (1.01, target),
-            xycoords=("axes fraction", "data"),
-            va="center",
-            fontsize=8,
-            color="0.3",
-            annotation_clip=False,
-        )
-        if needed.crossings:
-            ax.plot([at], [target], "o", color="black", markersize=5, zorder=5)
-            offset: Look = {"textcoords": "offset points", "xytext": (5, -12), "fontsize": 8}
-            ax.annotate(f"{at:.3f}", (at, target), **offset)
     ax.set(xlabel=f"{ACCURACY} (sensitivity = specificity)", ylabel=VALUE)
     ax.legend(loc="lower right", title="read with this accuracy")
     return ax

@@ -29,7 +29,6 @@ from exact_mdp.analysis.perception.cost import (
     value_under_counts,
 )
 from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
-from exact_mdp.analysis.perception.needed import AccuracyNeeded, accuracy_needed
 from exact_mdp.analysis.plots.perception import (
     plot_accuracy_curves,
     plot_confusion,
@@ -223,12 +222,12 @@ def measured() -> Measured:
 
 
 @cache
-def worsening() -> tuple[tuple[PriceOfPerception, ...], Hedging, AccuracyCurves, AccuracyNeeded]:
-    """Return what is left as perception worsens, how reading hedges, curves, and what is needed."""
+def worsening() -> tuple[tuple[PriceOfPerception, ...], Hedging, AccuracyCurves]:
+    """Return what is left as perception worsens, how reading hedges, and curves."""
     mdp = measured().mdp
     # Limits by count, not by time: every run says the same.
     found = prices(mdp, LEVELS, tol=0.05, seconds=60, max_trials=20, node_limit=4000)
-    return found, Hedging.of(mdp, LEVELS, found), accuracy_curves(mdp), accuracy_needed(mdp)
+    return found, Hedging.of(mdp, LEVELS, found), accuracy_curves(mdp)
 
 
 @PICTURES.add("agents_perception_confusion")
@@ -257,8 +256,7 @@ def _errors() -> Figure:
 @PICTURES.add("agents_perception_accuracy")
 def _accuracy() -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    _, _, curves, needed = worsening()
-    plot_accuracy_curves(curves, needed=needed, ax=ax)
+    plot_accuracy_curves(worsening()[2], ax=ax)
     titled(ax, "The optimal policy acting on what it perceives")
     return figure
 

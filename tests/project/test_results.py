@@ -37,7 +37,6 @@ from exact_mdp.analysis.pages.explorer import explore
 from exact_mdp.analysis.perception.accuracy import accuracy_curves, hedging
 from exact_mdp.analysis.perception.cost import Counted, price_of_perception, value_under_counts
 from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.perception.needed import accuracy_needed
 from exact_mdp.analysis.sensitivity import (
     gradient,
     one_way,
@@ -107,7 +106,6 @@ def walk() -> MDP:
 # One of each kind of result. A new kind is added here; the first test says so.
 MADE: dict[str, Callable[[], object]] = {
     "AccuracyCurves": lambda: accuracy_curves(care(), levels=[0.9, 1]),
-    "AccuracyNeeded": lambda: accuracy_needed(care()),
     "Audit": lambda: check(care(), "always:directive"),
     "AverageEvaluation": lambda: evaluate(care(), "random", criterion="average"),
     "AverageSolution": lambda: solve(care(), criterion="average"),

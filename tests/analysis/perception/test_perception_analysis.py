@@ -11,14 +11,13 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, Oracle
 
-from exact_mdp.analysis.perception.accuracy import accuracy_curves
+from exact_mdp.analysis.perception.accuracy import accuracy_curves, confusion_at
 from exact_mdp.analysis.perception.cost import price_of_perception
 from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.perception.needed import accuracy_needed, confusion_at
 from exact_mdp.analysis.perception.policies import best_perceived_policy
-from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.care.perception import independent, perceived
-from exact_mdp.solvers import certify, evaluate
+from exact_mdp.solvers import evaluate
 
 F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]
@@ -81,13 +80,16 @@ def test_losses_add_up(care: MDP) -> None:
     assert found.loss == pytest.approx(np.zeros((16, 16)), abs=found.error)
 
 
-def test_the_polynomial_is_the_reference_models_value() -> None:
+def test_curves_are_the_reference_models_values() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=3).compile()
-    found = accuracy_needed(mdp, dict.fromkeys(LABELS, "directive"), status="anger")
-    assert len(found.polynomial) == 1  # a policy that does not look does not mind
+    levels = (F(1, 2), F(2, 3), F(1))
+    how = {"levels": map(float, levels), "statuses": ["anger"]}
+    found = accuracy_curves(mdp, dict.fromkeys(LABELS, "directive"), **how)
+    assert np.ptp(found.values["anger"]) <= 2 * found.error  # who does not look does not mind
     for status in ("all", "confusion"):
-        found = accuracy_needed(mdp, POLICY, share=F(0), status=status)
-        for x in (F(1, 2), F(2, 3), F(1)):
+        how = {"levels": map(float, levels), "statuses": [status]}
+        found = accuracy_curves(mdp, POLICY, **how)
+        for x, value in zip(levels, found.values[status], strict=True):
 
             def decide(state: object, x: Fraction = x, status: str = status) -> dict:
                 assert isinstance(state, tuple)
@@ -104,38 +106,7 @@ def test_the_polynomial_is_the_reference_models_value() -> None:
                 return mixed
 
             wanted = Oracle(tasks=[1], max_trial=3).evaluate(decide, distribution=False)["mean"]
-            assert sum(c * x**k for k, c in enumerate(found.polynomial)) == wanted
-
-
-def test_the_accuracy_needed_is_where_the_value_is(care: MDP) -> None:
-    found = accuracy_needed(care, share="19/20")
-    assert found.perfect == certify(care).start_value
-    assert found.monotone
-    ((low, high, rising),) = found.crossings
-    assert rising
-    assert high - low <= F(1, 10**12)
-    curve = accuracy_curves(care, levels=[float(low) - 1e-6, float(high) + 1e-6])
-    curve = curve.values["all"]
-    assert curve[0] < float(found.target) < curve[1]
-
-
-def test_every_crossing_is_found(care: MDP) -> None:
-    """A policy that is best when it sees half of it: its value falls and rises."""
-    signs = set()
-    for shift in range(4):
-        policy = {label: ACTIONS[(int(label, 2) + shift) % 4] for label in LABELS}
-        if evaluate(care, policy).mean <= 0:
-            with pytest.raises(ModelError, match="not positive"):
-                accuracy_needed(care, policy)
-            continue
-        found = accuracy_needed(care, policy, share="999/1000")
-        grid = np.linspace(0.5, 1, 401)[1:-1]
-        values = accuracy_curves(care, policy, levels=grid, statuses=["all"]).values["all"]
-        above = values > float(found.target)
-        assert len(found.crossings) == int((above[1:] != above[:-1]).sum())
-        assert found.monotone == bool((np.diff(values) >= 0).all())
-        signs.add(found.monotone)
-    assert False in signs
+            assert value == pytest.approx(float(wanted), abs=found.error + 1e-12 * abs(wanted))
 
 
 def test_curves_are_evaluations(care: MDP) -> None:
@@ -199,7 +170,6 @@ def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
         best_perceived_policy(mdp, matrix).value.value, rel=1e-12
     )
     assert found["errors"]["anger"]["by_sensitivity"] == pytest.approx(costs.rates["anger"][0])
-    assert found["needed"]["all"]["enough"] == float(accuracy_needed(mdp).enough)
     assert found["claim"] == "bounded"
     pairs = "".join(f"{s},{s}\n" for s in LABELS)
     (tmp_path / "seen.csv").write_text(f"true,perceived\n{pairs}")
@@ -221,7 +191,6 @@ def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
         (("--accuracy", "1.5"), "where: --accuracy"),
         (("--accuracy", "0.9", "--prior", "1"), "takes no prior"),
         (("--accuracy", "0.9", "--seconds", "0"), "not positive"),
-        (("--accuracy", "0.9", "--share", "2"), "share is"),
         (("--accuracy", "0.9", "--trials", "0"), "not a whole number"),
         (("--accuracy", "0.9", "--trials", "9", "--seconds", "1"), "both --seconds"),
         (("--accuracy", "0.9", "--draws", "x"), "not a whole number"),

@@ -19,7 +19,6 @@ from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve, ra
 from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
 from exact_mdp.analysis.perception.accuracy import Hedging, accuracy_curves, hedging, prices
 from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.perception.needed import accuracy_needed
 from exact_mdp.analysis.plots import (
     plot_distinct,
     plot_learning_curves,
@@ -276,7 +275,7 @@ def test_figures_of_perception() -> None:
     policy = {f"{s:04b}": mdp.actions[(3 * s + 2) % 4] for s in range(16)}
     priced = prices(mdp, levels, tol=0.5, node_limit=200)
     drawn = [
-        plot_accuracy_curves(accuracy_curves(mdp, levels=levels), needed=accuracy_needed(mdp)),
+        plot_accuracy_curves(accuracy_curves(mdp, levels=levels)),
         plot_prices(levels, priced),
         plot_error_costs(error_costs(mdp, policy, ROUGH)),
         plot_hedging(Hedging.of(mdp, levels, priced)),
@@ -306,10 +305,6 @@ def test_figures_mark_what_is_not_proven() -> None:
     assert [tick.get_text() for tick in ax.get_xticklabels()] == ["1", "0.9*"]
     assert "not proven" in ax.get_xlabel()
     assert "*" not in plot_hedging(found).get_xlabel()
-    curves = accuracy_curves(mdp, levels=[0.5, 1.0])
-    drawn = plot_accuracy_curves(curves, needed=accuracy_needed(mdp))
-    (label,) = (text for text in drawn.texts if text.get_text().startswith("95%"))
-    assert label.xy[0] > 1  # beside the axes, where there are no curves
     with style():
         _, ax = plt.subplots(figsize=(4, 3))
         words = "What these errors cost the optimal policy by the posterior of all counts"
