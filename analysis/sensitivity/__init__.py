@@ -20,7 +20,7 @@ from exact_mdp.analysis.sensitivity.psa.distributions import (
 )
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.ranges import Range, load_ranges
-from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum
+from exact_mdp.analysis.sensitivity.robust.corners import worst_point
 from exact_mdp.analysis.sensitivity.robust.robust import robust_curve
 from exact_mdp.analysis.sensitivity.thresholds import thresholds
 from exact_mdp.analysis.sensitivity.two_way import two_way
@@ -29,8 +29,6 @@ __all__ = [
     "Range",
     "Uncertain",
     "Uncertainty",
-    "box_extreme",
-    "box_optimum",
     "gradient",
     "load_ranges",
     "load_uncertainty",
@@ -45,4 +43,5 @@ __all__ = [
     "two_way",
     "uncertainty",
     "value_function",
+    "worst_point",
 ]

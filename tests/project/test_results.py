@@ -43,12 +43,12 @@ from exact_mdp.analysis.sensitivity import (
     thresholds,
     tornado,
     two_way,
+    worst_point,
 )
 from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum
 from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp import MDP, Policy, Scenario, moving
@@ -113,8 +113,6 @@ MADE: dict[str, Callable[[], object]] = {
     "BeliefSolution": lambda: solve_beliefs(Process.of(care(), ROUGH), tol=1),
     "BestPolicy": lambda: best_policy(care()),
     "BoundedCertificate": lambda: certify(care(), bounded=True),
-    "BoxExtreme": lambda: box_extreme(SMALL, "optimal", {"base.anger": ("1/25", "3/50")}),
-    "BoxOptimum": lambda: box_optimum(SMALL, {"base.anger": ("1/25", "3/50")}),
     "CVaROptimum": lambda: best_cvar(care(), "1/10"),
     "Certificate": lambda: certify(care()),
     "CoachSolution": lambda: solve(Coach()),
@@ -157,6 +155,7 @@ MADE: dict[str, Callable[[], object]] = {
     ),
     "Tornado": lambda: tornado(SMALL, names=NAMES),
     "TwoWay": lambda: two_way(SMALL, *NAMES, points=3),
+    "WorstPoint": lambda: worst_point(SMALL, "optimal", {"base.anger": ("1/25", "3/50")}),
     "ValueFunction": lambda: value_function(SMALL, "base.anger"),
     "UncertainValue": lambda: value_under_counts(
         care(), "optimal", Counted(counts=50 * np.eye(16, dtype=int), prior=1 / 16), rng=0, n=20

@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from math import inf, nextafter
-from typing import Any
 
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
-from exact_mdp.analysis.cli.sensitivity.options import ROUNDED, STATED, Asked, stated_ranges
-from exact_mdp.analysis.sensitivity.ranges import RELATIVE, Range
-from exact_mdp.analysis.sensitivity.robust.box import (
-    BoxExtreme,
-    BoxOptimum,
-    box_extreme,
-    box_optimum,
-    box_ranges,
-    exact_value,
-)
+from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked
+from exact_mdp.analysis.sensitivity.base_case import finite_worth
+from exact_mdp.analysis.sensitivity.ranges import RELATIVE, Ranges, ranges_of, unit_of, usual
+from exact_mdp.analysis.sensitivity.robust.corners import worst_point
 from exact_mdp.analysis.sensitivity.robust.robust import (
     SETS,
     Robust,
     ambiguity_of,
-    difference,
     robust,
 )
-from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.table import LARGEST, beside, exact, shown
-from exact_mdp.solvers import solve
-from exact_mdp.solvers.solution import Bounded, Certified
 
 BOX = "box"
 MOST_APART = 2  # the L1 distance of laws that have nothing in common
-NEAR = 1e-6  # bounds of which one number is shown
 RADII = {"interval": RELATIVE, "absolute": "0.02", "l1": "0.1", "kl": "0.01", "entropy": "0.01"}
 """The radius of each kind of set unless one is given."""
 
@@ -159,126 +146,65 @@ def _changes(found: Robust) -> list[dict[str, str]]:
 
 
 def _box_report(asked: Asked) -> Report:
-    """Return worst and best over one shared box of the scenario's parameters."""
-    scenario, mdp, form = asked.loaded.scenario, asked.loaded.mdp, asked.form
-    if scenario is None:
-        raise ModelError(
-            "a shared box needs the parameters of a scenario",
-            where="--set-kind box",
-            fix="give a scenario, or another kind of set",
-        )
-    box, radius = _box(scenario, asked)
-    optimal = isinstance(asked.policy, str) and asked.policy == "optimal"
-    held = solve(mdp) if optimal else asked.policy
-    others = {} if optimal else {form: asked.policy}
-    surest = box_optimum(scenario, box, candidates=others, progress=True)
-    worst = surest.candidates["optimal today" if optimal else form]
-    best = box_extreme(scenario, held, box, side="best", progress=True)
-    there = solve(ScenarioFamily(scenario=scenario).at(best.point)).start
-    today, sure = exact_value(mdp, held), exact_value(mdp, surest.policy)
-    result = claimed("start_value", Certified(value=today)) | {
-        "policy": form,
-        "set_kind": "box",
+    """Return the worst point that is found for the policy over one shared box of parameters."""
+    ranges, radius = _box(asked)
+    found = worst_point(asked.model, asked.policy, ranges)
+    start = finite_worth(asked.loaded.mdp, asked.policy, "today's parameters")
+    better = "most" if asked.loaded.mdp.sense == "max" else "least"
+    result = claimed("start_value", start) | {
+        "policy": asked.form,
+        "set_kind": BOX,
         "radius": None if radius is None else float(radius),
         "nature": "one choice of the parameters for all states",
-        "worst_case": _surest(surest) | {"nominal_policy": _extreme(worst)},
-        # Some policy is worth this somewhere in the box; how much more there is, is not known.
-        "best_case": {
-            "value": None,
-            "error_bound": None,
-            "low": max(best.low, there.interval[0]),
-            "high": None,
-            "nominal_policy": _extreme(best),
+        "claim": found.claim,
+        "worst_case": plain(found.value)
+        | {
+            "claim": found.claim,
+            "point": {name: float(at) for name, at in found.point.items()},
+            "optimum": found.optimum,
         },
-        "price_of_robustness": Certified(value=today - sure),
-        "worst_case_gain": _gain(surest.worst, worst),
-        "robust_policy_value": Certified(value=sure),
-        "box": {name: [float(span.low), float(span.high)] for name, span in box.items()},
+        "box": {name: [float(span.low), float(span.high)] for name, span in ranges.items()},
     }
-    if asked["perception"] is not None:
-        result["claim_of"] = ROUNDED
-    unknown = sum(sign == "open" for sign in worst.signs.values())
     facts = {
-        "uncertainty": f"{len(box)} parameters within a box, shared by all states",
-        "start value": Certified(value=today),
-        "worst case": _said(worst.low, worst.high, proven=worst.proven),
-        "best case": _said(best.low, best.high, proven=best.proven),
-        "best policy against the box": _said(surest.low, surest.high, proven=surest.saddle),
-        "directions not proven": unknown or None,
+        "uncertainty": f"{len(ranges)} parameters within a box, shared by all states",
+        "policy held": asked.form,
+        "start value": start,
+        "worst case": f"at {better} {cell(found.value)}: the worst of {found.corners:,} corners, "
+        "not proven to be the worst point (estimated)",
+        "optimum there": f"{cell(found.optimum)}: no policy has a better worst case",
     }
     rows = [
-        {
-            "name": name,
-            "low": float(span.low),
-            "high": float(span.high),
-            "at": float(worst.point[name]),
-            "moves": worst.signs[name],
-        }
-        for name, span in box.items()
+        {"name": name, "low": float(span.low), "high": float(span.high), "at": float(at)}
+        for (name, span), at in zip(ranges.items(), found.point.values(), strict=True)
     ]
     columns = {
         "parameter": "name",
         "from": "low:.6g",
         "to": "high:.6g",
-        "at the worst": "at:.6g",
-        "value moves": "moves",
+        "at the worst point": "at:.6g",
     }
-    table = Table(title=f"where the worst case of {form} is", rows=rows, columns=columns)
+    table = Table(title=f"the worst point found for {asked.form}", rows=rows, columns=columns)
     return Report(result=result, facts=facts, tables=[table])
 
 
-def _box(scenario: Scenario, asked: Asked) -> tuple[dict[str, Range], Fraction | None]:
+def _box(asked: Asked) -> tuple[Ranges, Fraction | None]:
     """Return the box that the options mean: all probabilities ± the radius unless stated."""
-    if not any(asked[name] for name in ("parameters", *STATED)):
-        radius = _radius(asked, RELATIVE)
-        return box_ranges(scenario, relative=radius), radius
-    if asked["radius"] is not None:
-        raise ModelError("both a radius and ranges", where="--radius", fix="give one of them")
-    spans = stated_ranges(ScenarioFamily(scenario=scenario), asked.options)
-    moving = {name: (span.low, span.high) for name, span in spans.items() if span.low < span.high}
-    if not (asked["parameters"] or asked["ranges"] or asked["range_file"]):
-        moving.pop("discount", None)
-    return box_ranges(scenario, moving), None
-
-
-def _said(low: float, high: float, *, proven: bool) -> str:
-    if proven or high - low < NEAR:
-        return f"{cell(high)} ({'proven' if proven else 'bounded'})"
-    return f"from {cell(low)} to {cell(high)} (bounded)"
-
-
-def _number(found: BoxExtreme) -> dict[str, Any]:
-    return {**plain(found.value), "low": found.low, "high": found.high}
-
-
-def _extreme(found: BoxExtreme) -> dict[str, Any]:
-    return _number(found) | {
-        "claim": found.value.claim,
-        "exact": found.reached if found.proven else None,
-        "point": {name: float(at) for name, at in found.point.items()},
-        "moves": found.signs,
-    }
-
-
-def _surest(found: BoxOptimum) -> dict[str, Any]:
-    if found.saddle:
-        known = _number(found.worst)
+    named = any(asked[name] for name in ("parameters", "ranges", "range_file"))
+    if named or any(asked[name] for name in STATED):
+        if asked["radius"] is not None:
+            raise ModelError("both a radius and ranges", where="--radius", fix="give one of them")
+        ranges, radius = asked.ranges()[0], None
+        chosen = [*ranges] if named else usual(asked.model)
     else:
-        known = {**plain(_middle(found)), "low": found.low, "high": found.high}
-    return known | {"proven_best_policy": found.saddle}
-
-
-def _middle(found: BoxExtreme | BoxOptimum) -> Bounded:
-    """Return the middle of bounds, and how far off it may be."""
-    middle = (found.low + found.high) / 2
-    half = max(found.high - middle, middle - found.low)
-    return Bounded(value=middle, error=nextafter(half, inf) if half else 0.0)
-
-
-def _gain(surest: BoxExtreme, held: BoxExtreme) -> Certified | Bounded:
-    """Return the worst case of the best candidate less that of the policy held."""
-    if surest is held:
-        return Bounded(value=0.0, error=0.0)
-    if surest.proven and held.proven:
-        return Certified(value=surest.reached - held.reached)
-    return difference(_middle(surest), _middle(held))
+        radius = _radius(asked, RELATIVE)
+        ranges = ranges_of(asked.model, relative=radius)
+        chosen = [p.name for p in asked.model.parameters if unit_of(p) == "probability"]
+    moving = (name for name in chosen if name in ranges)
+    box = Ranges({n: ranges[n] for n in moving if ranges[n].low < ranges[n].high})
+    if not box:
+        raise ModelError(
+            "no parameter moves",
+            where="--set-kind box",
+            fix="give a range (--range NAME=LOW:HIGH), or another kind of set",
+        )
+    return box, radius

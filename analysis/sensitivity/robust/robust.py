@@ -2,8 +2,8 @@
 
 Uncertainty is (s, a)-rectangular: each row has a set of laws around the tables' one, and nature
 picks from each on its own, against the agent or with it. An error in a table is something else:
-many rows share one number; for that see `analysis.sensitivity.robust.box`. The sets are those of
-Iyengar (Mathematics of Operations Research 30, 2005).
+many rows share one number; for that see `analysis.sensitivity.robust.corners`. The sets are those
+of Iyengar (Mathematics of Operations Research 30, 2005).
 
 Four values at the start, the policy re-optimised against the sets (robust) or held as it is
 (nominal), under the tables' laws or nature's worst, give

@@ -19,9 +19,9 @@ from exact_mdp.analysis.sensitivity import (
     sobol,
     tornado,
     two_way,
+    worst_point,
 )
 from exact_mdp.analysis.sensitivity.draws.solver import ModelSolver
-from exact_mdp.analysis.sensitivity.robust.box import box_optimum
 from exact_mdp.analysis.sensitivity.robust.robust import robust
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
@@ -92,9 +92,9 @@ def test_infinite_values_are_refused(name: str, mdp: MDP, policy: str, what: str
 
 
 def test_other_analyses_refuse_them() -> None:
-    """The worst case and a shared box refuse them, too."""
+    """The worst case and the worst point refuse them, too."""
     for ask in (
-        lambda: box_optimum(chances(GAINS), {"p": ("1/4", "1/2")}),
+        lambda: worst_point(chances(GAINS), ranges={"p": ("1/4", "1/2")}),
         lambda: robust(GAINS, policy="always:1"),
     ):
         with pytest.raises(ModelError, match=r"nothing can be compared|needs every episode to end"):

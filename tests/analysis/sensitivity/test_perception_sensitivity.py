@@ -165,8 +165,8 @@ def test_the_worst_case_in_a_box(mdp: MDP, seen: Path) -> None:
     found = ask("robust", seen, *words)
     policy = perceived(mdp, solve(mdp).policy, ROUGH)
     worst = evaluate(at(**{"base.anger": "3/50"}), policy).mean
-    assert found["worst_case"]["nominal_policy"]["point"] == {"base.anger": 0.06}
-    assert found["worst_case"]["nominal_policy"]["low"] == pytest.approx(worst, rel=1e-9)
+    assert found["worst_case"]["point"] == {"base.anger": 0.06}
+    assert found["worst_case"]["value"] == pytest.approx(worst, rel=1e-9)
     assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
 
 

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from fractions import Fraction as F
-
 import numpy as np
-import pytest
 
 from exact_mdp.analysis.sensitivity import (
-    box_extreme,
-    box_optimum,
     morris,
     psa,
     sobol,
@@ -66,21 +61,3 @@ def test_shares_of_variance_and_effects() -> None:
     costs, rewards = (morris(each, n=2, **how) for each in BOTH)
     assert (costs.optimal.mu == -rewards.optimal.mu).all()
     assert (costs.regret.mu == rewards.regret.mu).all()
-
-
-@pytest.mark.parametrize("side", ["worst", "best"])
-def test_extremes_over_a_box(side: str) -> None:
-    span = {"short": SPANS["short"]}
-    costs, rewards = (box_extreme(each, [0, 0, 0, 0], span, side=side) for each in BOTH)
-    assert (costs.low, costs.high) == (-rewards.high, -rewards.low)
-    assert (costs.reached, costs.point) == (-rewards.reached, rewards.point)
-    assert costs.proven
-    assert costs.reached == 1 + 7 * (F("3/4") if side == "worst" else F("1/4"))  # failing costs 7
-
-
-def test_what_the_best_policy_can_be_sure_of() -> None:
-    costs, rewards = (box_optimum(each, SPANS) for each in BOTH)
-    assert (costs.low, costs.high) == (-rewards.high, -rewards.low)
-    assert costs.saddle == rewards.saddle
-    assert costs.worst.reached == -rewards.worst.reached
-    assert (costs.policy == rewards.policy).all()

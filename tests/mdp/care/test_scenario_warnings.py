@@ -11,7 +11,6 @@ import pytest
 from cli_runner import run
 
 from exact_mdp.analysis.sensitivity import (
-    box_extreme,
     gradient,
     morris,
     one_way,
@@ -19,6 +18,7 @@ from exact_mdp.analysis.sensitivity import (
     sobol,
     thresholds,
     tornado,
+    worst_point,
 )
 from exact_mdp.mdp import Scenario, ScenarioWarning
 from exact_mdp.mdp.care.laws import chances, excess
@@ -120,7 +120,7 @@ def test_a_batch_says_in_how_many_draws() -> None:
         lambda own: thresholds(own, "base.anger", (Fraction(1, 2), Fraction(4, 5))),
         lambda own: sobol(own, ranges=HIGH, n=16, rng=0),
         lambda own: morris(own, ranges=HIGH, n=4, rng=0),
-        lambda own: box_extreme(own, "always:none", HIGH, parts=3),
+        lambda own: worst_point(own, "always:none", HIGH),
         lambda own: psa(
             own.with_(parameters={"base.anger": "7/10"}), 50, rng=0, effective_sample_size=5
         ),

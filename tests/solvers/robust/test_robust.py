@@ -265,12 +265,12 @@ def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
     assert found.gain.value > 0
 
 
-def test_a_box_needs_a_scenario(tmp_path) -> None:
+def test_a_box_needs_a_parameter_that_moves(tmp_path) -> None:
     from exact_mdp.mdp.io.load import save_model
 
     save_model(risky(), tmp_path / "model.npz")
     loaded = options.given(str(tmp_path / "model.npz"), (), None)
-    with pytest.raises(ModelError, match="scenario"):
+    with pytest.raises(ModelError, match="no parameter moves"):
         robust_report(Asked(given=loaded, options={"set_kind": "box"}))
 
 
