@@ -180,16 +180,6 @@ def per_step(model: MDP) -> MDP:
     return model.with_(discount=1, table=table, component_table=parts, component_names=names)
 
 
-def divided_everywhere(model: MDP) -> MDP:
-    """Return the model with each row divided by its sum, at its own discount."""
-    found = per_step(model)
-    return (
-        found
-        if found.discount_exact == model.discount_exact
-        else found.with_(discount=model.discount_exact)
-    )
-
-
 def divided(model: MDP) -> MDP:
     """Return the model itself, or where some policy never ends, with each row divided by its sum.
 

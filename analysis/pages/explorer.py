@@ -27,7 +27,6 @@ from exact_mdp.analysis.sensitivity.base_case import held_at
 from exact_mdp.analysis.sensitivity.curves.checker import RationalFunction
 from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction, value_function
 from exact_mdp.analysis.sensitivity.ranges import Range, ranges_of, unit_of
-from exact_mdp.analysis.sensitivity.thresholds import divided_family
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.lazy import later
@@ -163,7 +162,7 @@ def explore(
         )
     if not 2 <= n <= MOST_GRID:
         raise ModelError(f"{n} values", where="explorer", fix=f"choose from 2 to {MOST_GRID}")
-    family = divided_family(parametric(model))
+    family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
     for name, span in spans.items():
         if span.low == span.high:
@@ -270,16 +269,6 @@ def _curve(curve: ValueFunction, sets: _Sets) -> dict[str, Any]:
         ],
         "fixed": [_whole(each) for each in fixed],
         "certified": [_exact(point) for point in certified(curve)],
-        # Where some policy never ends, the value may be another one where two pieces meet.
-        "points": [
-            {
-                "at": _exact(point),
-                "value": _exact(curve.at(point)),
-                "held": None if (held := curve.fixed_at(point)) is None else _exact(held),
-            }
-            for point in certified(curve)
-            if curve.pieces[0].proof is not None
-        ],
     }
 
 
@@ -306,10 +295,8 @@ def _parameter(parameter: Parameter) -> dict[str, str]:
     }
 
 
-def _exact(number: Fraction | float) -> str:
-    """Return a rational in hexadecimal, "p/q": no number of digits is too large; ±∞ is ±1/0."""
-    if not isinstance(number, Fraction):
-        return "1/0" if number > 0 else "-1/0"
+def _exact(number: Fraction) -> str:
+    """Return a rational in hexadecimal, "p/q": no number of digits is too large."""
     return f"{number.numerator:x}/{number.denominator:x}"
 
 

@@ -141,7 +141,6 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
     """Draw the optimal start value along a parameter, piece by piece, from its exact functions.
 
     A dotted line is a value at which another policy becomes optimal; each piece has `n` points.
-    Where the value is infinite, the range is hatched.
     """
     ax = axes_or_new(ax)
     for number, piece in enumerate(found.pieces):
@@ -151,12 +150,9 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
         if number:
             label = "another policy becomes optimal" if number == 1 else None
             ax.axvline(x[0], color="0.5", linestyle=":", linewidth=1, label=label)
-        if piece.value.infinite:
-            sign = "+" if piece.value.at(low) > 0 else "-"
-            ax.axvspan(x[0], x[-1], facecolor="0.9", hatch="///", label=f"the value is {sign}∞")
-        ax.plot(x, [float(piece.value.limit(value, piece.middle)) for value in at], color=BLACK)
+        ax.plot(x, [float(piece.value.at(value)) for value in at], color=BLACK)
         if piece.fixed is not None:
-            held = [float(piece.fixed.limit(value, piece.middle)) for value in at]
+            held = [float(piece.fixed.at(value)) for value in at]
             ax.plot(x, held, "--", color="0.4")
     ax.plot([], [], color=BLACK, label=OUTPUT["optimal"].removeprefix("start value, "))
     if found.pieces[0].fixed is not None:

@@ -90,6 +90,16 @@ def _refuse_infinite(what: str, value: Bounded, where: str) -> None:
         )
 
 
+def unending(where: str) -> ModelError:
+    """Return the error of an analysis that follows no policies that never end."""
+    return ModelError(
+        "some policy never ends",
+        where=f"the total reward at discount 1, {where}",
+        fix="give a discount below 1 (--discount 0.95), a number of steps (mdp.within(100)), or a "
+        "range in which every policy ends",
+    )
+
+
 def maximised(model: Parametric, policy: PolicyLike) -> tuple[Parametric, PolicyLike]:
     """Return models of costs as their negations, which engines maximise, and the policy for them.
 

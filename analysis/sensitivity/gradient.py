@@ -20,17 +20,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.base_case import maximised
+from exact_mdp.analysis.sensitivity.base_case import maximised, unending
 from exact_mdp.analysis.sensitivity.derivatives import BoundedPass, Checked, ExactPass
-from exact_mdp.analysis.sensitivity.endless_slopes import EndlessPass
 from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, is_acyclic
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import divided_everywhere
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, Posed, parameter_of, parametric
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.row_change import pieces, row_change
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -202,9 +199,9 @@ def gradient(
     Raises
     ------
     ModelError
-        For unknown names; where the value is infinite, or is so on one side;
-        where rows are not polynomials of the degree that a family states; with
-        floats, where ties cannot be told from small gaps.
+        For unknown names; at discount 1 where some policy never ends; where rows are not
+        polynomials of the degree that a family states; with floats, where ties cannot be told from
+        small gaps.
 
     Examples
     --------
@@ -222,20 +219,10 @@ def gradient(
         rewards, policy = maximised(family, policy)
         return gradient(rewards, policy=policy, names=names, exact=exact).negated()
     reoptimised = isinstance(policy, str) and policy == "optimal"
-    passed: ExactPass | BoundedPass | EndlessPass
     if reoptimised and endless(mdp):
-        if exact is False:
-            raise ModelError(
-                "floats cannot tell which policies wait for ever",
-                where="the total reward at discount 1",
-                fix="leave out exact=False, or give a discount below 1",
-            )
-        family = Posed(family=family, ask=divided_everywhere)
-        mdp = family.at({})
-        passed = EndlessPass(mdp)
-    else:
-        exact = _cheap(mdp) if exact is None else exact
-        passed = ExactPass(mdp, policy) if exact else BoundedPass(mdp, policy)
+        raise unending("today's parameters")
+    exact = _cheap(mdp) if exact is None else exact
+    passed = ExactPass(mdp, policy) if exact else BoundedPass(mdp, policy)
     return Gradient(
         start=passed.start,
         derivatives={each.name: _derivative(family, mdp, passed, each) for each in parameters},
@@ -256,7 +243,7 @@ def _cheap(mdp: MDP) -> bool:
 def _derivative(
     family: Parametric,
     mdp: MDP,
-    passed: ExactPass | BoundedPass | EndlessPass,
+    passed: ExactPass | BoundedPass,
     parameter: Parameter,
 ) -> Derivative:
     name = parameter.name

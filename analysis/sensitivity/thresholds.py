@@ -11,7 +11,7 @@ et al., Medical Decision Making 32, 2012).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain, count, pairwise
@@ -20,18 +20,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.base_case import maximised
-from exact_mdp.analysis.sensitivity.curves.endless_stretches import Region, gone, regions
+from exact_mdp.analysis.sensitivity.base_case import maximised, unending
 from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Rows
-from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Mask, Stretch, Sweep
+from exact_mdp.analysis.sensitivity.curves.optimal_stretches import WIDTH, Bracket, Mask, Sweep
+from exact_mdp.analysis.sensitivity.curves.real_roots import roots, simple
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, reachable
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import divided_everywhere
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, Posed, parameter_of, parametric
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, RowChange, row_change, transition_entries
@@ -215,8 +214,7 @@ def thresholds(
     Returns
     -------
     Thresholds
-        Those inside the range, touches included; its own ends are not looked at. Where values are
-        infinite beyond one, all actions that keep them are optimal there. They are certified
+        Those inside the range, touches included; its own ends are not looked at. They are certified
         where the degree of the rows is proven; where that of a `mdp.parametric.Family` is only
         checked at some points they say so.
 
@@ -224,8 +222,8 @@ def thresholds(
     ------
     ModelError
         For an unknown name, an empty range, a model with cycles that is too large, rows that are
-        no polynomials of the degree that a family states, and where rewards cancel for ever at
-        discount 1, or +∞ and -∞ come together.
+        no polynomials of the degree that a family states, and at discount 1 where some policy never
+        ends.
 
     Examples
     --------
@@ -234,7 +232,7 @@ def thresholds(
     >>> [threshold.value for threshold in found.found]  # 10/11: Puterman (1994), section 3.1
     [0.90909090909...]
     """
-    family = divided_family(parametric(model))
+    family = parametric(model)
     span = below_one(family, name, range_of(family, name, ranges, relative))
     if family.at({}).sense == "min":
         family, _ = maximised(family, "optimal")
@@ -249,7 +247,8 @@ def thresholds(
         if switches := _switches(mdp, *both, met=both):
             found.append(Threshold(low=low, high=high, switches=switches))
         if low == high:  # a breakpoint: rows have a kink there, and so may a gap that is 0 there
-            more = left.optimal | (_optimal_at(family, name, low, left) & ~right.optimal)
+            there = proven(family.at({name: low})).optimal_pairs
+            more = left.optimal | (there & ~right.optimal)
             more = np.where(mdp.terminal[mdp.pair_state], left.optimal, more)
             if switches := _switches(mdp, left.optimal, more, met=both):
                 found.append(Threshold(low=low, high=high, switches=switches, touch=True))
@@ -262,24 +261,6 @@ def thresholds(
     found.sort(key=lambda threshold: threshold.low)
     parameter = parameter_of(family, name)
     return Thresholds(parameter=parameter, range=span, found=tuple(found), checked=checked_at)
-
-
-def _optimal_at(family: Parametric, name: str, value: Fraction, left: Stretch) -> Mask:
-    """Return the pairs (L,) that are optimal at a value where the range is cut.
-
-    Where some policy never ends there may be none: rewards may cancel for ever at that value alone.
-    """
-    try:
-        return proven(family.at({name: value})).optimal_pairs
-    except ModelError:
-        if left.proof is None:
-            raise
-        return left.optimal
-
-
-def divided_family(family: Parametric) -> Parametric:
-    """Return a family with rows divided by their sums where today some policy never ends."""
-    return Posed(family=family, ask=divided_everywhere) if endless(family.at({})) else family
 
 
 def below_one(family: Parametric, name: str, span: Range) -> Range:
@@ -295,21 +276,18 @@ def below_one(family: Parametric, name: str, span: Range) -> Range:
     return Range(low=span.low, high=NEARLY_ONE)
 
 
-def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep | Region]:
+def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep]:
     """Return what yields stretches, over each section on which rows are polynomials.
 
-    Where some policy never ends, one region or more for each section.
+    Raises ModelError where some policy never ends at discount 1.
     """
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
-    found: list[Sweep | Region] = []
+    found = list[Sweep]()
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
         base, change = _middle(family, name, low, high)
         if _endless(family, base, change):
-            found += regions(family, name, low, high)
-        else:
-            found.append(
-                Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high)
-            )
+            raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
+        found.append(Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high))
     return found
 
 
@@ -345,7 +323,19 @@ def _endless(family: Parametric, mdp: MDP, change: RowChange) -> bool:
         there = family.at({change.name: end})
         if endless(there) or (there.terminal != mdp.terminal).any():
             return True
-    return bool(gone(PolynomialRows.of(mdp, change), low, high))
+    return any(
+        low < high or endless(family.at({change.name: low}))
+        for low, high in _gone(PolynomialRows.of(mdp, change), low, high)
+    )
+
+
+def _gone(rows: PolynomialRows, low: Fraction, high: Fraction) -> Iterator[Bracket]:
+    """Yield brackets of the values between two at which some chance becomes 0."""
+    origin = rows.change.origin
+    for poly in {str(p): p for p in rows.moving}.values():
+        for root in roots(simple(poly), low - origin, high - origin):
+            near = root.narrowed(WIDTH).simplest()
+            yield near.low + origin, near.high + origin
 
 
 def _switches(mdp: MDP, before: Mask, after: Mask, *, met: tuple[Mask, ...]) -> tuple[Switch, ...]:

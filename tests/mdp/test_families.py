@@ -303,14 +303,15 @@ def test_thresholds_where_an_absorbing_reward_spans_both_signs(bounds) -> None:
     assert found.claim == Claim.CERTIFIED
 
 
-def test_an_endless_reward_changes_no_action_where_there_is_one() -> None:
-    """The value is -∞ below 0, 0 there, and +∞ above; it is earned by the only action."""
+def test_a_reward_without_end_is_refused() -> None:
+    """The value is -∞ below 0, 0 there, and +∞ above."""
 
     def build(at):
         return MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, at["r"])])], 1)
 
     family = Family(parameters=(Parameter(name="r", value=F(0)),), build=build)
-    assert not thresholds(family, "r", (-1, 1)).found
+    with pytest.raises(ModelError, match="some policy never ends"):
+        thresholds(family, "r", (-1, 1))
 
 
 def test_a_tie_at_a_kink_is_a_touch() -> None:

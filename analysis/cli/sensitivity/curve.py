@@ -82,9 +82,8 @@ def _piece(mdp: MDP, piece: CurvePiece) -> dict[str, Any]:
 
 
 def _ratio(ratio: RationalFunction) -> dict[str, Any]:
-    """Return the coefficients of both; ±1 and 0 of an infinite value, which is named as well."""
-    found = {"numerator": list(ratio.numerator), "denominator": list(ratio.denominator)}
-    return found | ({"value": ratio.at(Fraction(0))} if ratio.infinite else {})
+    """Return the coefficients of both."""
+    return {"numerator": list(ratio.numerator), "denominator": list(ratio.denominator)}
 
 
 def _point(bracket: Bracket) -> Fraction:

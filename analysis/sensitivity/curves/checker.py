@@ -9,8 +9,7 @@ and the Bellman equations have one solution: where γ Σ P < 1 throughout, or wh
 transition of each pair leads to a state that is nearer to the end (see `solvers.proof.checker`).
 
 No sign is sampled (`.signs`). A bracket between two pieces has one root in it at which everything
-changes that changes: the left values are optimal up to it, the right ones from it on. Pieces where
-some policy never ends are checked by `.endless_checker`, and claim nothing of the brackets.
+changes that changes: the left values are optimal up to it, the right ones from it on.
 """
 
 from __future__ import annotations
@@ -20,28 +19,20 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
-from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.sensitivity.curves.endless_checker import (
-    EndlessProof,
-    endless_violations,
-    without_end,
-)
 from exact_mdp.analysis.sensitivity.curves.signs import (
     bernstein,
     nonnegative,
     odd_part,
     positive,
-    positive_inside,
     roots_on,
     vanishes,
 )
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, row_change
@@ -62,7 +53,7 @@ Shares = Sequence[Sequence[tuple[int, Fraction]]]
 
 @dataclass(frozen=True, kw_only=True)
 class RationalFunction:
-    """A ratio of two polynomials, with coefficients from the constant up; ±1 / 0 is ±∞.
+    """A ratio of two polynomials, with coefficients from the constant up.
 
     Examples
     --------
@@ -87,26 +78,9 @@ class RationalFunction:
     def __neg__(self) -> RationalFunction:
         return replace(self, numerator=tuple(-c for c in self.numerator))
 
-    @property
-    def infinite(self) -> bool:
-        """Whether this is +∞ or -∞ throughout."""
-        return not any(self.denominator)
-
-    def at(self, value: Fraction) -> Fraction | float:
+    def at(self, value: Fraction) -> Fraction:
         """Return the ratio at a point."""
-        if self.infinite:
-            return inf * int(self.numerator[0])
         return _horner(self.numerator, value) / _horner(self.denominator, value)
-
-    def limit(self, value: Fraction, inside: Fraction) -> Fraction | float:
-        """Return the ratio at a point, or its limit there, coming from `inside`; it may be ±inf.
-
-        It is in its lowest terms, and its denominator has no root between the two.
-        """
-        if self.infinite or _horner(self.denominator, value):
-            return self.at(value)
-        sign = _horner(self.numerator, value) * _horner(self.denominator, inside)
-        return inf if sign > 0 else -inf
 
 
 def _horner(coefficients: Sequence[Fraction], value: Fraction) -> Fraction:
@@ -142,9 +116,6 @@ class CurvePiece:
     section : Section
     values, fixed_values : (N of each of S states, D)
         The values of all states, polynomials of y; those that are maximised, of a model of costs.
-    proof : EndlessProof or None
-        What the polynomials leave to be shown where some policy never ends; of the open interval
-        between the brackets, whose ends `at` works out by themselves.
     """
 
     low: Bracket
@@ -155,7 +126,6 @@ class CurvePiece:
     section: Section
     values: Values
     fixed_values: Values | None = None
-    proof: EndlessProof | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {name: _coefficients(getattr(self, name)) for name in POLYNOMIALS}
@@ -195,19 +165,13 @@ def piece_violations(
     """
     wrong, last = list[str](), None
     for _, some in groupby(pieces, key=lambda each: id(each.section)):
-        equations, before, sound = None, None, False
+        equations, before = None, None
         for piece in some:
             if equations is None:
-                if last is not None and not _met(last, piece):
+                if last is not None and len({*last.high, *piece.low}) > 1:
                     wrong.append(f"nothing proves what is optimal next to {shown(piece.low[0])}")
                 equations = _Equations(family, name, piece.section)
-            if piece.proof is None and not sound:
-                wrong, sound = [*wrong, *equations.unsound()], True
-            if piece.proof is not None:
-                wrong += equations.endless(family.at({name: piece.proof.point}), piece)
-                if shares is not None:
-                    wrong += equations.not_of(piece, shares)
-                continue
+                wrong += equations.unsound()
             gaps = equations.gaps(piece)
             wrong += equations.not_optimal(piece, gaps)
             if shares is not None:
@@ -217,11 +181,6 @@ def piece_violations(
             before = (piece, gaps)
         last = piece
     return wrong
-
-
-def _met(last: CurvePiece, piece: CurvePiece) -> bool:
-    """Whether pieces of two sections meet in a point, or claim nothing of the bracket between."""
-    return not last.proof is piece.proof is None or len({*last.high, *piece.low}) == 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -341,29 +300,6 @@ class _Equations:
                 yield f"a pair of state {self.state[pair]} is better from {at} on"
         yield from self._not_the_start(piece.values, piece.value, at)
 
-    def endless(self, mdp: MDP, piece: CurvePiece) -> Iterator[str]:
-        """Yield why values may not be the optimal ones throughout, where some policy never ends.
-
-        `mdp` is the model at the point of the proof.
-        """
-        low, high, at = piece.low[1], piece.high[0], shown(piece.low[1])
-        proof = piece.proof
-        assert proof is not None
-        if not self.section.low <= low < proof.point < high <= self.section.high:
-            yield f"the piece from {at} on is outside its section"
-            return
-        span = self._inside(low, high)
-        faults = endless_violations(mdp, self.rows, span, piece.values, proof, self.gap)
-        yield from (f"{fault}, from {at} on" for fault in faults)
-        if not np.array_equal(piece.optimal, proof.certificate.optimal_pairs):
-            yield f"the pairs from {at} on are not those that are optimal"
-        start = proof.certificate.start_value
-        sign = (start == inf) - (start == -inf)
-        if not sign:
-            yield from self._not_the_start(piece.values, piece.value, at)
-        elif not piece.value.infinite or piece.value.at(low) != start:
-            yield f"the value at the start from {at} on is another one"
-
     def _not_the_start(self, values: Values, value: RationalFunction, at: str) -> Iterator[str]:
         numerators, scale = values
         shift = flint.fmpq_poly([rational(self.section.origin), 1])
@@ -384,23 +320,11 @@ class _Equations:
         if values is None or value is None:
             yield f"the policy held fixed has no value from {at} on"
             return
-        zero, states = flint.fmpq_poly(), self.states
-        if piece.proof is None:
-            sound = positive(values[1], *self._inside(piece.low[0], piece.high[1]))
-        else:
-            inside = self._inside(piece.low[1], piece.high[0])
-            sound = positive_inside(values[1], *inside)
-            pairs = [[pair for pair, share in mix if share] for mix in shares]
-            left = without_end(self.rows, pairs, [state for state, _ in self.start])
-            if left is None:
-                yield f"the policy held fixed may go on for ever from {at} on"
-                return
-            states = left
-        if not sound:
+        if not positive(values[1], *self._inside(piece.low[0], piece.high[1])):
             yield f"the denominator of the policy held fixed from {at} on is not positive"
-        for state in states:
+        for state in self.states:
             mix = (rational(share) * self.gap(values, pair) for pair, share in shares[state])
-            if sum(mix, zero) != 0:
+            if sum(mix, flint.fmpq_poly()) != 0:
                 yield f"the policy held fixed has another value in state {state} from {at} on"
         yield from self._not_the_start(values, value, at)
 

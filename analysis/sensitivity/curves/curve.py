@@ -8,15 +8,10 @@ in lowest terms (`.gap_polynomials`). A threshold is known up to 1e-12. Within s
 the greater of the values on both sides, which are those of policies, optimal up to the threshold
 and from it on. The value of a policy held fixed is such a ratio, too, between the points at which
 the rows pass from one polynomial to another.
-
-At discount 1, where some policy never ends, pieces are those of `.endless_stretches`: between their
-brackets, both values are such ratios, or the optimum is infinite; in a bracket they are worked out
-at each value.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -24,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.check import limit_of
-from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.base_case import maximised
 from exact_mdp.analysis.sensitivity.curves.checker import (
     CurvePiece,
@@ -32,14 +26,12 @@ from exact_mdp.analysis.sensitivity.curves.checker import (
     Section,
     piece_violations,
 )
-from exact_mdp.analysis.sensitivity.curves.endless_stretches import Region
 from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Sweep, moved
 from exact_mdp.analysis.sensitivity.curves.regret_limits import Interval, kept
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of
 from exact_mdp.analysis.sensitivity.thresholds import (
     NEARLY_ONE,
     below_one,
-    divided_family,
     sections_of,
 )
 from exact_mdp.mdp.care.scenario import Scenario
@@ -54,7 +46,6 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.unending import model_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -116,34 +107,20 @@ class ValueFunction(Pictured):
             )
         return found
 
-    def at(self, value: object) -> Fraction | float:
-        """Return the optimal value at the start at a value of the parameter; ±inf is one, too.
+    def at(self, value: object) -> Fraction:
+        """Return the optimal value at the start at a value of the parameter.
 
-        Raises ModelError outside the range, and where rewards cancel for ever at that very value.
+        Raises ModelError outside the range.
         """
         where = exact(value)
-        found = self.around(where)
-        if _cut(found, where):
-            return self._start(self.family.at({self.parameter.name: where}))
         best = max if self.mdp.sense == "max" else min
-        return best(piece.value.at(where) for piece in found)
+        return best(piece.value.at(where) for piece in self.around(where))
 
-    def fixed_at(self, value: object) -> Fraction | float | None:
+    def fixed_at(self, value: object) -> Fraction | None:
         """Return the value of the policy held fixed there, None without one; as `at` does."""
         where = exact(value)
-        found = self.around(where)
-        if self.chain is None:
-            return None
-        if _cut(found, where):
-            there = self.family.at({self.parameter.name: where})
-            return self._start(model_of(replace(self.chain, mdp=there)))
-        fixed = found[0].fixed
-        assert fixed is not None
-        return fixed.at(where)
-
-    def _start(self, mdp: MDP) -> Fraction | float:
-        start = proven(mdp).start_value
-        return start if self.mdp.sense == "max" else -start
+        fixed = self.around(where)[0].fixed
+        return None if fixed is None else fixed.at(where)
 
     def negated(self, mdp: MDP) -> ValueFunction:
         """Return the function of costs, whose model is given, from that of their negation."""
@@ -169,8 +146,7 @@ class ValueFunction(Pictured):
         Returns
         -------
         tuple of Interval
-            In rising order. Where some policy never ends at discount 1, ends that are ends of
-            pieces may be exceptions; `at` has the value there.
+            In rising order.
 
         Raises
         ------
@@ -225,8 +201,8 @@ class ValueFunction(Pictured):
                 "low": float(piece.low[0]),
                 "high": float(piece.high[1]),
                 "degree": len(piece.value.numerator) - 1,
-                "value_low": float(piece.value.limit(piece.low[1], piece.middle)),
-                "value_high": float(piece.value.limit(piece.high[0], piece.middle)),
+                "value_low": float(piece.value.at(piece.low[1])),
+                "value_high": float(piece.value.at(piece.high[0])),
                 "claim": str(self.claim),
             }
             for piece in self.pieces
@@ -254,8 +230,7 @@ def value_function(
     relative : number, optional
         Today's value ± this share instead.
     policy : PolicyLike, optional
-        A policy held fixed, whose value is followed, too. At discount 1 it has to end, or to come
-        to where it earns nothing any more.
+        A policy held fixed, whose value is followed, too.
 
     Returns
     -------
@@ -273,7 +248,7 @@ def value_function(
     >>> len(found.pieces), found.at("1/2"), found.at("19/20")  # Puterman (1994), section 3.1
     (2, Fraction(9, 1), Fraction(-60, 7))
     """
-    family = divided_family(parametric(model))
+    family = parametric(model)
     if family.at({}).sense == "min":
         rewards, held = maximised(family, "optimal" if policy is None else policy)
         given = None if policy is None else held
@@ -306,22 +281,13 @@ def value_function(
     )
 
 
-def _cut(pieces: Sequence[CurvePiece], at: Fraction) -> bool:
-    """Whether a value may be another one than beside it: where some policy never ends."""
-    return any(each.proof and not each.low[1] < at < each.high[0] for each in pieces)
-
-
-def _pieces(sweep: Sweep | Region, chain: PolicyChain | None) -> list[CurvePiece]:
+def _pieces(sweep: Sweep, chain: PolicyChain | None) -> list[CurvePiece]:
     fixed = fixed_values = None
     if chain is not None:
         weights = map(chain.exact_weights, range(chain.mdp.n_states))
         mix = [[(pair, rational(w)) for pair, w in each.items()] for each in weights]
-        if isinstance(sweep, Sweep):
-            rows = sweep.rows
-        else:
-            rows = sweep.rows_of([[pair for pair, _ in each] for each in mix])
-        fixed_values = rows.values(mix, (sweep.low, sweep.high))
-        fixed = RationalFunction.of(moved(rows.worth(fixed_values), sweep.origin))
+        fixed_values = sweep.rows.values(mix, (sweep.low, sweep.high))
+        fixed = RationalFunction.of(moved(sweep.rows.worth(fixed_values), sweep.origin))
     origin = sweep.origin
     section = Section(low=sweep.low + origin, high=sweep.high + origin, origin=origin)
     return [
@@ -334,7 +300,6 @@ def _pieces(sweep: Sweep | Region, chain: PolicyChain | None) -> list[CurvePiece
             section=section,
             values=stretch.values,
             fixed_values=fixed_values,
-            proof=stretch.proof,
         )
         for stretch in sweep
     ]

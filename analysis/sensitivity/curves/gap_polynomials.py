@@ -17,16 +17,14 @@ thresholds there are.
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.derivatives import refuse_endless
 from exact_mdp.analysis.sensitivity.exact_chain import LARGEST
-from exact_mdp.mdp.chain import endless
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
@@ -51,24 +49,13 @@ Values = tuple[Sequence["fmpq_poly"], "fmpq_poly"]
 
 
 class Rows:
-    """The rows of a model as polynomials of y = θ - θ0, already discounted, and its policies.
+    """The rows of a model as polynomials of y = θ - θ0, already discounted, and its policies."""
 
-    `only` are states outside which all is over, where a policy that comes to no others is followed.
-    """
-
-    def __init__(self, mdp: MDP, change: RowChange, only: Container[int] | None = None) -> None:
+    def __init__(self, mdp: MDP, change: RowChange) -> None:
         rows = PolynomialRows.of(mdp, change)
         self.mdp, self.change, self.rate = mdp, change, rows.rate
         self.terminal, self.reward, self.following = rows.terminal, rows.reward, rows.following
-        if only is not None:
-            self.terminal = [state not in only for state in range(mdp.n_states)]
-            self.following = [
-                [(to, p) for to, p in row if not self.terminal[to]] for row in rows.following
-            ]
-        self.loops = only is None and endless(mdp)
         self.state: list[int] = mdp.pair_state.tolist()
-        if self.rate == flint.fmpq_poly([1]):
-            refuse_endless(mdp, change.reward.key.tolist(), change.name)
         self.order = self._order()
         live = len(self.live)
         if self.order is None and live > LARGEST:
@@ -100,23 +87,6 @@ class Rows:
     def live(self) -> list[int]:
         """The states that are not terminal."""
         return [state for state, end in enumerate(self.terminal) if not end]
-
-    @cached_property
-    def _leaks(self) -> list[bool]:
-        """Whether each of L pairs may lead to a terminal state."""
-        one = flint.fmpq_poly([1])
-        return [bool(one - sum(p for _, p in row)) for row in self.following]
-
-    def ends(self, pairs: Sequence[int]) -> bool:
-        """Whether the policy that takes these pairs (S,) ends for sure, at discount 1."""
-        near = {state for state in self.live if self._leaks[pairs[state]]}
-        left = set(self.live) - near
-        while more := {
-            s for s in left if any(to in near for to, p in self.following[pairs[s]] if p)
-        }:
-            near |= more
-            left -= more
-        return not left
 
     @cached_property
     def degree(self) -> int:

@@ -4,9 +4,6 @@ A policy π stays optimal until the first root at which one of its gap polynomia
 At a point just beyond it the policy is improved, and the new policy's gaps show that it is optimal
 from that very root on: none of them may turn negative between the root and the point, else the
 point is moved closer. So no threshold is passed over, however close two of them lie.
-
-Where some policy never ends, one that improves on another beyond a root may be such a policy: it
-gains for ever there, and the walk stops at the root.
 """
 
 from __future__ import annotations
@@ -21,14 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.curves.endless_checker import EndlessProof
 from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Gaps, Ratio, Rows, Values
 from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple, variations
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.proof.checker import policy_pairs
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
@@ -58,10 +53,7 @@ class Stretch:
     values : (N of each of S states, D)
         The optimal values are N / D throughout, polynomials of y = θ - θ0.
     worth : (fmpq_poly, fmpq_poly)
-        The same of the value at the start, polynomials of the parameter θ; ±1 and 0 where it is
-        infinite.
-    proof : EndlessProof or None
-        What shows it where some policy never ends.
+        The same of the value at the start, polynomials of the parameter θ.
     """
 
     before: Bracket
@@ -70,18 +62,10 @@ class Stretch:
     touches: list[tuple[Fraction, Fraction, int]]
     values: Values
     worth: Ratio
-    proof: EndlessProof | None = None
-
-
-class _GainsForever(Exception):
-    """The better policy beyond a root never ends."""
 
 
 class Sweep:
-    """A walk over one piece (low, high) of a parameter, whose rows are polynomials there.
-
-    `stopped` is the bracket of the root, a number y, beyond which some policy gains for ever.
-    """
+    """A walk over one piece (low, high) of a parameter, whose rows are polynomials there."""
 
     def __init__(
         self, rows: Rows, at: Callable[[Fraction], MDP], low: Fraction, high: Fraction
@@ -93,33 +77,16 @@ class Sweep:
         self.first: dict[int, Root | None] = {}
         self.touching: dict[int, list[Root]] = {}
         self.policy: Integers = np.empty(0, dtype=np.int64)
-        self.stopped: Bracket | None = None
-
-    @property
-    def _begin(self) -> Root:
-        return Root(poly=flint.fmpq_poly([rational(-self.low), 1]), low=self.low, high=self.low)
 
     def __iter__(self) -> Iterator[Stretch]:
-        return self.walk(self._settle(self._begin, self.high))
+        here = self._settle()
 
-    def settled(self, point: Fraction) -> bool:
-        """Whether the policy that is optimal at y = `point` is so from the lower end on."""
-        return self._fits(self._begin, (self.low, point))
-
-    def walk(self, here: Fraction) -> Iterator[Stretch]:
-        """Yield the stretches, by the policy that is optimal from the lower end to `here`."""
         before = (self.low, self.low)
         while found := self._next(here):
             root = found.narrowed(WIDTH / 16)
             optimal, touches = self._optimal(), self._touches(here, root.low)
             values = self.gaps.values
-            try:
-                here, after = self._cross(root, here)
-            except _GainsForever:
-                near = root.simplest()
-                self.stopped = (near.low, near.high)
-                yield self._stretch(before, self.stopped, optimal, touches, values)
-                return
+            here, after = self._cross(root, here)
             yield self._stretch(before, after, optimal, touches, values)
             before = after
         touches = self._touches(here, self.high)
@@ -189,12 +156,13 @@ class Sweep:
 
     # ---- beyond a root -----------------------------------------------------------------------
 
-    def _settle(self, root: Root, limit: Fraction) -> Fraction:
-        """Follow the policy that is optimal from a rational point on; return a point beyond it."""
-        step = (limit - root.high) / 64
+    def _settle(self) -> Fraction:
+        """Follow the policy that is optimal from the lower end on; return a point beyond it."""
+        root = Root(poly=flint.fmpq_poly([rational(-self.low), 1]), low=self.low, high=self.low)
+        step = (self.high - self.low) / 64
         for _ in range(ATTEMPTS):
-            point = root.high + step
-            if self._fits(root, (root.high, point)):
+            point = self.low + step
+            if self._fits(root, (self.low, point)):
                 return point
             step = step * 3 / 64
         raise RuntimeError("no policy is optimal beyond a point: thresholds without end")
@@ -233,10 +201,8 @@ class Sweep:
         if len(former):
             self._improve(low, high)
         else:
-            first = self._optimal_at(high)
-            if first is None:
-                return False
-            self._follow(first)
+            optimal = np.flatnonzero(proven(self.at(high + self.origin)).optimal_pairs)
+            self._follow(optimal[np.searchsorted(optimal, self.rows.mdp.pair_offsets[:-1])])
         for pair, poly in enumerate(self.gaps.gap):
             if poly.degree() < 0 or self._far(pair, low, high):
                 continue
@@ -252,17 +218,6 @@ class Sweep:
                 return False
         return True
 
-    def _optimal_at(self, y: Fraction) -> Integers | None:
-        """Return an optimal policy's pairs (S,) at a point; None where it does not end."""
-        mdp, certificate = self.rows.mdp, proven(self.at(y + self.origin))
-        if not self.rows.loops:
-            optimal = np.flatnonzero(certificate.optimal_pairs)
-            return optimal[np.searchsorted(optimal, mdp.pair_offsets[:-1])]
-        pairs = policy_pairs(mdp, certificate.policy)
-        assert pairs is not None
-        finite = certificate.endless is None or not certificate.endless.sign.any()
-        return pairs if finite and self.rows.ends(pairs.tolist()) else None
-
     def _improve(self, low: Fraction, high: Fraction) -> None:
         """Follow a policy that is optimal at the end of a bracket (policy iteration)."""
         while True:
@@ -276,8 +231,6 @@ class Sweep:
                 pairs[self.rows.state[pair]] = pair
             if not falls:
                 return
-            if self.rows.loops and not self.rows.ends(pairs.tolist()):
-                raise _GainsForever
             self._follow(pairs)
 
     def _follow(self, policy: Integers) -> None:

@@ -91,8 +91,7 @@ class _Limit:
         )
         room = rational(most) * d * e - (best * e - mine * d)
         more = rational(share) * best * e
-        # Where the optimum is infinite, so is the regret.
-        self.sides: list[fmpq_poly] = [] if piece.value.infinite else [room + more, room - more]
+        self.sides: list[fmpq_poly] = [room + more, room - more]
         nonzero = [side for side in self.sides if side.degree() >= 0]
         self.every = simple(prod(nonzero, start=flint.fmpq_poly([1])))
 

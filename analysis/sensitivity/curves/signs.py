@@ -37,13 +37,6 @@ def positive(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
     return bool(ends and (bernstein(poly, low, high) or not roots_on(simple_part(poly), low, high)))
 
 
-def positive_inside(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
-    """Whether a polynomial is positive on an open interval."""
-    simple, steps = simple_part(poly), poly.degree() + 2
-    points = (low + (high - low) * Fraction(k, steps) for k in range(1, steps))
-    return any(poly(rational(y)) > 0 for y in points) and not roots_inside(simple, low, high)
-
-
 def vanishes(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
     """Whether a polynomial that is not 0 has a root between two points."""
     return roots_inside(simple_part(poly), low, high) > 0

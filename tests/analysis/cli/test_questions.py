@@ -210,12 +210,17 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
         assert (waits.status, waits.err) == (0, "")
         assert "mean is infinite" in waits.out
     for words in (
+        ["sensitivity", model, "gradient"],
         ["sensitivity", model, "threshold"],
         ["sensitivity", model, "curve", "--parameter", "reward.5"],
-        ["sensitivity", model, "curve", "--parameter", "discount"],
         ["explore", model, "--parameter", "reward.5", "--html", page],
     ):
-        assert run(*words).status == 0, words
+        done = run(*words)
+        assert (done.status, done.out) == (2, ""), words
+        assert "some policy never ends" in done.err
+        assert "--discount 0.95" in done.err
+        assert run(*words, "--discount", "0.95").status == 0, words
+    assert run("sensitivity", model, "curve", "--parameter", "discount").status == 0
 
 
 @pytest.mark.parametrize(
@@ -247,8 +252,6 @@ def test_totals_that_nobody_has_are_refused_by_name(
         ["solve", model],
         ["solve", model, "--certify"],
         ["check", model, "always:0"],
-        ["sensitivity", model, "gradient"],
-        ["sensitivity", model, "threshold"],
     ):
         done = run(*command, *words)
         assert (done.status, done.out) == (2, ""), command

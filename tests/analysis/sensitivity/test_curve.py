@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
@@ -15,8 +15,9 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.sensitivity import thresholds, value_function
-from exact_mdp.analysis.sensitivity.curves import checker, endless_checker, gap_polynomials, signs
+from exact_mdp.analysis import explore
+from exact_mdp.analysis.sensitivity import gradient, thresholds, value_function
+from exact_mdp.analysis.sensitivity.curves import checker, gap_polynomials, signs
 from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.curves.signs import nonnegative, positive
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
@@ -24,6 +25,7 @@ from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.parametric import Family, Parameter, Parametric, moving, parametric
 from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.solvers import certify
+from exact_mdp.solvers.solution import Certified
 
 F = Fraction
 SMALL = Scenario.load("tea").with_(tasks=[1], max_trial=2)
@@ -270,9 +272,8 @@ def test_limits_that_say_nothing_are_refused() -> None:
 
 def test_the_checkers_import_no_solver() -> None:
     own = "exact_mdp.analysis.sensitivity.curves"
-    allowed = {f"{own}.signs", f"{own}.endless_checker"}
-    allowed |= {f"exact_mdp.solvers.proof.{name}" for name in ("certificate", "endless")}
-    for module in (checker, endless_checker, signs):
+    allowed = {f"{own}.signs"}
+    for module in (checker, signs):
         source = Path(module.__file__).read_text("utf-8")
         assert "import exact_mdp" not in source
         lines = (line.split() for line in source.splitlines() if line.startswith("from exact_mdp"))
@@ -328,3 +329,65 @@ def test_a_policy_that_is_silent_where_it_matters_elsewhere_is_refused() -> None
         assert found.within(0)[-1].high[1] == pytest.approx(0)
     with pytest.raises(ModelError, match="says nothing of a state"):
         value_function(family, "t", (-1, 1), policy=lambda state: 1)
+
+
+# ---- discount 1, where some policy never ends ----------------------------------------------------
+
+WAIT = MDP.from_outcomes(
+    [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 2, 5)]), (1, 0, [(1, 1, -1)]), (2, 0, [(1, 2, 0)])]
+)
+
+
+@pytest.mark.parametrize("engine", [thresholds, value_function, explore])
+def test_where_some_policy_never_ends_curves_are_refused(engine: Callable[..., object]) -> None:
+    with pytest.raises(ModelError, match="some policy never ends") as refused:
+        engine(WAIT, "reward.5")
+    assert "discount below 1" in (refused.value.fix or "")
+    assert engine(WAIT.with_(discount="9/10"), "reward.5")
+    assert engine(WAIT.within(3), "reward.5")
+
+
+def test_where_some_policy_never_ends_derivatives_are_refused() -> None:
+    with pytest.raises(ModelError, match="some policy never ends"):
+        gradient(WAIT)
+    held = gradient(WAIT, policy=[1, 0, 0], names=["reward.5"])  # this one ends
+    assert held["reward.5"].value == Certified(value=F(1))
+    assert gradient(WAIT.with_(discount="9/10"))["reward.5"].value == Certified(value=F(1))
+
+
+def test_a_policy_that_never_ends_at_one_value_alone_is_found() -> None:
+    """An episode goes on with the chance (2x - 1)², or 1 - (2x - 1)², and pays 1 a step."""
+
+    def family(stays: Callable[[Fraction], Fraction]) -> Parametric:
+        def build(at: Mapping[str, Fraction]) -> MDP:
+            p = stays(at["x"])
+            row = [(chance, to, 1) for chance, to in ((p, 0), (1 - p, 1)) if chance]
+            return MDP.from_outcomes([(0, 0, row), (1, 0, [(1, 1, 0)])])
+
+        x = Parameter(name="x", value=F(1, 4), low=F(0), high=F(1))
+        return Family(parameters=(x,), build=build, degrees={"x": 2})
+
+    for stays, wrong, right in (
+        (lambda x: (2 * x - 1) ** 2, (0, F(3, 4)), (F(1, 8), F(3, 4))),
+        (lambda x: 1 - (2 * x - 1) ** 2, (F(1, 8), F(3, 4)), (F(1, 8), F(3, 8))),
+    ):
+        with pytest.raises(ModelError, match="some policy never ends"):
+            value_function(family(stays), "x", wrong)
+        found = value_function(family(stays), "x", right)
+        assert found.at("1/4") == 1 / (1 - stays(F(1, 4)))
+        assert found.violations() == []
+
+
+def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -> None:
+    for engine in (thresholds, value_function):
+        assert engine(WAIT, "discount").range.high < 1
+    thirds = [0.1, 0.2, 0.3]
+    row = [(p, to, 0.0) for to, p in enumerate([*thirds, 1 - sum(thirds)])]
+    rest = [(1 / 3, 1, 0), (1 / 3, 2, 0), (1 / 3 + 1e-16, 0, 0)]  # a little more than 1
+    ends = [(1, 0, [(1, 0, 0)]), (3, 0, [(1, 4, 1)]), (4, 0, [(1, 4, 0)])]
+    floats = MDP.from_outcomes(
+        [(0, 0, row), *ends[:1], (2, 0, rest), (2, 1, [(1, 2, 0)]), *ends[1:]]
+    )
+    curve = value_function(floats, "discount")
+    assert curve.violations() == []
+    assert curve.at("1/2") == certify(floats.with_(discount="1/2")).start_value
