@@ -148,7 +148,7 @@ lock: | $(PY) ## write the lock files again (UPGRADE=1: newest versions)
 	    --output-file requirements-bench.lock pyproject.toml
 	$(COMPILE) --group docs --constraints requirements.lock --output-file requirements-docs.lock
 	printf 'icu-sepsis\ngym\n' | $(COMPILE) --no-deps --output-file requirements-icu.lock -
-	$(COMPILE) $(if $(UPGRADE),,--upgrade) --resolution lowest-direct --extra lp --extra plots --extra gymnasium --extra sensitivity --extra umb \
+	$(COMPILE) $(if $(UPGRADE),,--upgrade) --resolution lowest-direct --extra lp --extra plots --extra gymnasium --extra umb \
 	    --extra parquet \
 	    --extra cluster --group test --output-file requirements-lowest.lock pyproject.toml
 

@@ -40,7 +40,6 @@ from exact_mdp.mdp.errors import ModelError
 
 # Each package that loads late, and the extra that brings it.
 EXTRAS = {
-    "SALib": "sensitivity",
     "bitstring": "umb",
     "certifi": "agents-openai",
     "clarabel": "lp",

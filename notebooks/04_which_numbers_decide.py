@@ -33,7 +33,7 @@ from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.plots.psa import plot_optimal_actions
 from exact_mdp.analysis.plots.sensitivity import plot_thresholds
 from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
-from exact_mdp.analysis.sensitivity.draws.global_ import sobol
+from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.robust.robust import robust_curve
 from exact_mdp.mdp import Scenario, ScenarioWarning

@@ -497,8 +497,8 @@ def train() -> None:
     "parameters",
     multiple=True,
     metavar="NAME",
-    help="Vary only this parameter. May be repeated. The default is all parameters; for sobol and "
-    "morris, all but the discount.",
+    help="Vary only this parameter. May be repeated. The default is all parameters; for sobol, "
+    "all but the discount.",
 )
 @click.option(
     "--range",
@@ -539,7 +539,7 @@ def train() -> None:
     "--samples",
     metavar="N",
     help="psa: draws (10000; 500 of slow models). sobol: points of the sequence, a power of 2 "
-    "(1024). morris: trajectories (64).",
+    "(1024).",
 )
 @click.option("--seed", metavar="S", help="Seed of the draws (0).")
 @click.option(
@@ -582,8 +582,8 @@ def sensitivity() -> None:
     gradient: derivatives and elasticities. tornado: values at both ends of each range, and the
     regret of a policy held fixed. threshold: every value at which an optimal action changes.
     curve: the optimal value as an exact function of a parameter, and where a policy keeps a limit.
-    psa: value, regret and optimal actions over random draws around the tables. sobol, morris:
-    which parameters matter, alone and together. robust: the worst case within sets around the
+    psa: value, regret and optimal actions over random draws around the tables. sobol: which
+    parameters matter, alone and together. robust: the worst case within sets around the
     tables.
 
     An option that a kind does not use is refused.

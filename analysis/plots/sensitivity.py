@@ -35,7 +35,7 @@ from exact_mdp.mdp.errors import ModelError
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
-    from exact_mdp.analysis.sensitivity.draws.global_ import Morris, Sobol
+    from exact_mdp.analysis.sensitivity.draws.sobol import Sobol
     from exact_mdp.analysis.sensitivity.gradient import Gradient
     from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Tornado
     from exact_mdp.analysis.sensitivity.ranges import Range
@@ -286,29 +286,4 @@ def plot_sobol(
     ax.set_xlabel("share of the variance")
     ax.legend(loc="lower right", title=f"{found.confidence:.0%} intervals")
     titled(ax, f"variance of the {OUTPUT[output]}")
-    return ax
-
-
-@plain_text
-def plot_morris(
-    found: Morris, *, output: str = "optimal", most: int = 15, ax: Axes | None = None
-) -> Axes:
-    """Draw μ* of the parameters that matter most, with intervals, and σ as a diamond."""
-    each = found.of(output)
-    order = np.argsort(-each.mu_star, kind="stable")[:most]
-    names = _with_ranges([found.names[place] for place in order], found.ranges)
-    ax = axes_or_new(ax, names)
-    rises = each.mu[order] >= 0
-    for some, fill, hatch, label in (
-        (rises, BLUE, "//", "μ*, rises on average"),
-        (~rises, WHITE, "", "μ*, falls on average"),
-    ):
-        at, which = np.flatnonzero(some), order[some]
-        if len(at):
-            bars_across(ax, at, each.mu_star[which], each.mu_star_half[which], fill, hatch, label)
-    ax.plot(each.sigma[order], range(len(order)), "D", color=BLACK, markersize=4, label="σ")
-    name_rows(ax, names)
-    ax.set_xlabel("effect (reward per range)")
-    ax.legend(loc="lower right")
-    titled(ax, f"effects on the {OUTPUT[output]}")
     return ax

@@ -8,8 +8,8 @@
 """
 
 from exact_mdp.analysis.sensitivity.curves.curve import value_function
-from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
+from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 from exact_mdp.analysis.sensitivity.gradient import gradient
 from exact_mdp.analysis.sensitivity.one_way import one_way, tornado
 from exact_mdp.analysis.sensitivity.psa.distributions import (
@@ -32,7 +32,6 @@ __all__ = [
     "gradient",
     "load_ranges",
     "load_uncertainty",
-    "morris",
     "one_way",
     "psa",
     "robust_curve",

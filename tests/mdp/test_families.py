@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from exact_mdp.analysis.sensitivity import (
     gradient,
-    morris,
     one_way,
     sobol,
     thresholds,
@@ -378,7 +377,6 @@ def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on()
 def test_samples_of_a_discount_stay_below_1(discount: str) -> None:
     mdp = CONTINUING.with_(discount=discount)
     assert sobol(mdp, n=8, rng=0).parameters
-    assert morris(mdp, n=4, rng=0).parameters
 
 
 def test_default_ranges_stay_where_there_is_a_model() -> None:

@@ -23,7 +23,6 @@ NUMBA_MODULES = ["mdp/forms/compiling.py", "mdp/forms/rows.py", "solvers/kernels
 # top because their whole job is that package. Everywhere else they are taken with `later`.
 LAZY = {
     "IPython": [],
-    "SALib": [],
     "cvxpy": [],
     "dask": [],
     "distributed": [],

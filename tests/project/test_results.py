@@ -45,8 +45,8 @@ from exact_mdp.analysis.sensitivity import (
     two_way,
     worst_point,
 )
-from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
+from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
@@ -131,7 +131,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Hedging": lambda: hedging(care(), levels=[1.0, 0.9]),
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
-    "Morris": lambda: morris(SMALL, names=NAMES, n=4, rng=0),
     "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),
     "PSA": lambda: psa(SMALL, 50, rng=0),
     "PosteriorInterval": lambda: (
@@ -179,11 +178,7 @@ def kinds() -> dict[str, type[Result]]:
         below = waiting.pop().__subclasses__()
         waiting += below
         found |= {kind.__name__: kind for kind in below if kind.__module__.startswith("exact_mdp")}
-    return {
-        name: kind
-        for name, kind in found.items()
-        if not inspect.isabstract(kind) and name != "Global"  # Sobol and Morris are made
-    }
+    return {name: kind for name, kind in found.items() if not inspect.isabstract(kind)}
 
 
 class Parsed(HTMLParser):

@@ -110,7 +110,7 @@ def test_every_import_is_declared() -> None:
     own |= {path.name for path in (ROOT / "tests").iterdir() if path.is_dir()}
     names = set().union(*map(imported, files)) - own - set(sys.stdlib_module_names)
     # Under another name, and perhaps not installed.
-    packages = {"flint": ["python-flint"], "SALib": ["SALib"]} | dict(packages_distributions())
+    packages = {"flint": ["python-flint"]} | dict(packages_distributions())
     missing = {
         name
         for name in names
@@ -165,4 +165,4 @@ def test_the_lowest_lock_holds_the_declared_bounds() -> None:
         if name in held and cut(held[name]) != cut(bound[1]):
             newer[name] = (bound[1], held[name])
     assert newer == {}
-    assert {"numpy", "scipy", "numba", "cvxpy", "gymnasium", "salib", "umbi", "dask"} <= set(held)
+    assert {"numpy", "scipy", "numba", "cvxpy", "gymnasium", "umbi", "dask"} <= set(held)

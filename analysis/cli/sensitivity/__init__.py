@@ -80,8 +80,7 @@ KINDS = MappingProxyType(
             about="the draws have distributions, not ranges: give --effective-sample-size, a "
             "number or a .toml file",
         ),
-        "sobol": Kind(does="draws:sobol_report", uses=RANGES | HELD | DRAWN),
-        "morris": Kind(does="draws:morris_report", uses=RANGES | HELD | DRAWN),
+        "sobol": Kind(does="sobol:sobol_report", uses=RANGES | HELD | DRAWN),
         "robust": Kind(
             does="robust:robust_report",
             uses=RANGES | HELD | {"set_kind", "radius"},

@@ -13,7 +13,7 @@ from cli_runner import run
 from exact_mdp.analysis.cli import commands
 from exact_mdp.analysis.cli.options import Question
 from exact_mdp.analysis.cli.sensitivity import KINDS
-from exact_mdp.analysis.sensitivity.draws.global_ import sobol
+from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 from exact_mdp.analysis.sensitivity.psa.psa import psa
 from exact_mdp.analysis.sensitivity.robust.corners import worst_point
 from exact_mdp.mdp import MDP, Scenario
@@ -50,16 +50,14 @@ def test_sobol_tells_of_value_and_regret() -> None:
     assert found["regret"]["mean"] == expected.regret.mean > 0
 
 
-@pytest.mark.parametrize("kind, samples", [("sobol", 8), ("morris", 4)])
-def test_the_discount_is_held_unless_it_is_named(kind: str, samples: int) -> None:
-    words = ("sensitivity", "yuan2025", kind, *SET, "--samples", samples)
+def test_the_discount_is_held_unless_it_is_named() -> None:
+    words = ("sensitivity", "yuan2025", "sobol", *SET, "--samples", 8)
     default = run(*words, "--relative", "0.1")
     assert "held; vary it with --parameter discount" in default.out
     named = run(*words, "--parameter", "discount", "--parameter", "base.anger")
     assert "held; vary it" not in named.out
-    shares = "total" if kind == "sobol" else "mu_star"
     stated = run(*words, "--range", "discount=0.9:1", "--json").result
-    assert list(stated[shares]) == ["discount"]
+    assert list(stated["total"]) == ["discount"]
 
 
 def test_first_orders_above_the_total_are_called_noise() -> None:
@@ -78,35 +76,25 @@ def test_the_same_seed_gives_the_same_words() -> None:
     assert ask("sobol", *words, "--seed", 1)["total"] != first["total"]
 
 
+def test_sobol_keeps_its_work(tmp_path: Path) -> None:
+    words = (*HELD, "--samples", 4, "--parameter", "base.anger", "--out", tmp_path / "kept")
+    found = ask("sobol", *words)
+    assert [Path(path).name for path in found["written"]] == ["sobol.json", "run.json"]
+    kept = json.loads((tmp_path / "kept" / "sobol.json").read_text())
+    assert found == kept | {"notice": found["notice"]}
+    assert json.loads((tmp_path / "kept" / "run.json").read_text())["seed"] == 0
+    assert ask("sobol", *words) == found
+    other = run("sensitivity", "yuan2025", "sobol", *SET, *words, "--seed", 1)
+    assert other.status == 2
+    assert "differs in" in other.err
+
+
 def test_a_regret_of_nothing_has_no_indices() -> None:
     found = ask("sobol", "--samples", 4, "--parameter", "reward.subtask-complete")
     assert found["regret"]["total"] == {"reward.subtask-complete": None}
     text = run("sensitivity", "yuan2025", "sobol", *SET, "--samples", 4, "--parameter", "discount")
     assert text.status == 0
     assert "shares of the variance of the start value" in text.out
-
-
-def test_morris_tells_of_value_and_regret(tmp_path: Path) -> None:
-    words = (*HELD, "--samples", 6, "--out", tmp_path / "kept")
-    found = ask("morris", *words)
-    assert found["trajectories"] == 6
-    assert found["draws"] == 6 * (len(found["mu_star"]) + 1)
-    assert found["mu_star"]["reward.subtask-complete"] == pytest.approx(
-        found["mu"]["reward.subtask-complete"]
-    )
-    low, high = found["sigma_interval"]["base.anger"]
-    assert low < found["sigma"]["base.anger"] < high
-    assert found["regret"]["mu_star"]["base.anger"] > 0
-    assert [Path(path).name for path in found["written"]] == ["morris.json", "run.json"]
-    kept = json.loads((tmp_path / "kept" / "morris.json").read_text())
-    assert found == kept | {"notice": found["notice"]}
-    assert json.loads((tmp_path / "kept" / "run.json").read_text())["seed"] == 0
-    assert ask("morris", *words) == found
-    other = run("sensitivity", "yuan2025", "morris", *SET, *words, "--seed", 1)
-    assert other.status == 2
-    assert "differs in" in other.err
-    text = run("sensitivity", "yuan2025", "morris", *SET, *HELD, "--samples", 4)
-    assert "elementary effects on the regret" in text.out
 
 
 def test_the_regret_of_a_policy_has_a_tornado() -> None:
@@ -361,9 +349,8 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
         (("sobol", "--policy", "always:nothing"), "nothing"),
         (("sobol", "--out", " "), "--out is empty"),
         ((*LITTLE, "--scheduler", "tcp://127.0.0.1:1"), "no scheduler answers"),
-        (("morris", "--samples", "0"), "'0' is not a whole number from 2"),
-        (("morris", "--range", "base.anger=0.2:0.1"), "empty"),
-        (("morris", "--range", "base.anger=0.2:0.2"), "empty"),
+        (("sobol", "--range", "base.anger=0.2:0.1"), "empty"),
+        (("sobol", "--range", "base.anger=0.2:0.2"), "empty"),
         (("psa", "--samples", "0"), "--samples"),
         (("psa", "--samples", "-3"), "--samples"),
         (("psa", "--effective-sample-size", "0"), "effective sample size 0"),

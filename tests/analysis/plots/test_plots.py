@@ -28,10 +28,10 @@ from exact_mdp.analysis.plots import (
 )
 from exact_mdp.analysis.plots.perception import plot_accuracy_curves, plot_hedging
 from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_actions
-from exact_mdp.analysis.plots.sensitivity import plot_morris, plot_sobol
+from exact_mdp.analysis.plots.sensitivity import plot_sobol
 from exact_mdp.analysis.plots.style import titled
 from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
-from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
+from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
 from exact_mdp.mdp import MDP, ModelError, Scenario
@@ -245,19 +245,15 @@ def test_figures_of_one_and_two_parameters() -> None:
         figure.savefig(io.BytesIO(), format="svg")
 
 
-def test_figures_of_indices_and_effects() -> None:
+def test_figures_of_indices() -> None:
     names = ["base.anger", "discount", "reward.anger"]
     indices = sobol(SMALL, policy="always:directive", names=names, n=16, rng=0)
-    effects = morris(SMALL, policy="always:directive", names=names, n=4, rng=0)
     with style():
         for output in ("optimal", "fixed", "regret"):
-            for found, draw in ((indices, plot_sobol), (effects, plot_morris)):
-                figure, ax = plt.subplots()
-                assert draw(found, output=output, ax=ax) is ax
-                assert "(reward per range)" in ax.get_xlabel() or ax.get_xlabel().startswith(
-                    "share"
-                )
-                figure.savefig(io.BytesIO())
+            figure, ax = plt.subplots()
+            assert plot_sobol(indices, output=output, ax=ax) is ax
+            assert ax.get_xlabel().startswith("share")
+            figure.savefig(io.BytesIO())
     ax = plot_sobol(indices, most=2)
     total = dict(zip(indices.names, indices.optimal.total, strict=True))
     widths = [patch.get_width() for patch in ax.patches]

@@ -13,7 +13,6 @@ import pytest
 from cli_runner import run
 
 from exact_mdp.analysis.sensitivity import (
-    morris,
     one_way,
     psa,
     sobol,
@@ -64,7 +63,6 @@ ANALYSES: dict[str, Callable[[MDP, PolicyLike], object]] = {
     ),
     "psa": lambda mdp, policy: psa(chances(mdp), 4, rng=0, policy=policy, **QUIET),
     "sobol": lambda mdp, policy: sobol(chances(mdp), n=4, rng=0, policy=policy, **QUIET),
-    "morris": lambda mdp, policy: morris(chances(mdp), n=4, rng=0, policy=policy, **QUIET),
 }
 
 

@@ -131,17 +131,14 @@ def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["optimal", "plan"])
-def test_psa_sobol_and_morris_hold_it(form: str, mdp: MDP, seen: Path, plan: Path) -> None:
-    from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
+def test_psa_and_sobol_hold_it(form: str, mdp: MDP, seen: Path, plan: Path) -> None:
+    from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 
     told, source = (plan, PLAN) if form == "plan" else (form, solve(mdp).policy)
     words = ("--policy", told, "--n-jobs", 1, *ANGER, "--parameter", "base.confusion")
     policy, names = perceived(mdp, source, ROUGH), ["base.anger", "base.confusion"]
     wide = sobol(SMALL, names=names, n=8, rng=0, policy=policy)
     assert ask("sobol", seen, *words, "--samples", 8)["regret"]["mean"] == wide.regret.mean > 0
-    screened = morris(SMALL, names=names, n=4, rng=0, policy=policy)
-    found = ask("morris", seen, *words, "--samples", 4)["regret"]["mu_star"]
-    assert list(found.values()) == screened.regret.mu_star.tolist()
     drawn = ask("psa", seen, *words, "--samples", 30)
     lost = solve(mdp).start_value - evaluate(mdp, policy).mean
     spread = drawn["regret"]

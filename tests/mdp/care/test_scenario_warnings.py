@@ -12,7 +12,6 @@ from cli_runner import run
 
 from exact_mdp.analysis.sensitivity import (
     gradient,
-    morris,
     one_way,
     psa,
     sobol,
@@ -119,7 +118,6 @@ def test_a_batch_says_in_how_many_draws() -> None:
         lambda own: one_way(own, "base.anger", HIGH["base.anger"], points=5),
         lambda own: thresholds(own, "base.anger", (Fraction(1, 2), Fraction(4, 5))),
         lambda own: sobol(own, ranges=HIGH, n=16, rng=0),
-        lambda own: morris(own, ranges=HIGH, n=4, rng=0),
         lambda own: worst_point(own, "always:none", HIGH),
         lambda own: psa(
             own.with_(parameters={"base.anger": "7/10"}), 50, rng=0, effective_sample_size=5

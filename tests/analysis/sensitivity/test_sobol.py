@@ -1,8 +1,8 @@
-"""Sobol indices and Morris effects against closed forms; draws of whole models; seeds."""
+"""Sobol indices against closed forms and scipy's; draws of whole models; seeds."""
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
@@ -11,24 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 from forest import burning
+from scipy import stats
 
-from exact_mdp.analysis.sensitivity.draws.global_ import (
-    Morris,
-    Sobol,
-    inside,
-    morris,
-    problem_of,
-    sobol,
-)
-from exact_mdp.analysis.sensitivity.draws.sampled import sampled
-from exact_mdp.analysis.sensitivity.ranges import Range, spans_of
+from exact_mdp.analysis.sensitivity.draws.sampled import Sampled, sampled
+from exact_mdp.analysis.sensitivity.draws.sobol import Sobol, sobol
+from exact_mdp.analysis.sensitivity.ranges import spans_of
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric import Parametric, moving, parametric
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.solvers import evaluate, solve
 
-global_module = import_module("exact_mdp.analysis.sensitivity.draws.global_")
+sobol_module = import_module("exact_mdp.analysis.sensitivity.draws.sobol")
 solver_module = import_module("exact_mdp.analysis.sensitivity.draws.solver")
 F = Fraction
 HALF = F(1, 2)
@@ -122,7 +114,7 @@ def test_indices_are_those_of_the_closed_form(of_chain: Sobol) -> None:
 
 def test_the_maximum_of_two_and_the_regret_of_one_have_known_indices() -> None:
     """Var max(p, q) = 1/18, of which 1/45 is each one's own; so is the regret's, max(0, q - p)."""
-    found = sobol(choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, n=128, rng=1)
+    found = sobol(choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, n=512, rng=1)
     for output in (found.optimal, found.regret):
         np.testing.assert_allclose(output.first, [0.4, 0.4], atol=0.06)
         np.testing.assert_allclose(output.total, [0.6, 0.6], atol=0.06)
@@ -132,7 +124,7 @@ def test_the_maximum_of_two_and_the_regret_of_one_have_known_indices() -> None:
     np.testing.assert_allclose(found.fixed.first, [1, 0], atol=0.02)
 
 
-def same(a: Sobol | Morris, b: Sobol | Morris) -> bool:
+def same(a: Sobol, b: Sobol) -> bool:
     return all(
         np.array_equal(value, getattr(getattr(b, output), name), equal_nan=True)
         for output in ("optimal", "fixed", "regret")
@@ -140,57 +132,69 @@ def same(a: Sobol | Morris, b: Sobol | Morris) -> bool:
     )
 
 
-@pytest.mark.parametrize(
-    "method, size", [(sobol, {"n": 16}), (morris, {"n": 8})], ids=["sobol", "morris"]
-)
-def test_seed_zero_is_a_seed_and_workers_change_nothing(
-    method: Any, size: dict[str, int], tmp_path: Path
-) -> None:
-    how: dict[str, Any] = {"policy": "always:0", "ranges": {"p": (0, 1), "q": (0, 1)}, **size}
-    first = method(choice(), rng=0, **how)
+def test_seed_zero_is_a_seed_and_workers_change_nothing(tmp_path: Path) -> None:
+    how: dict[str, Any] = {"policy": "always:0", "ranges": {"p": (0, 1), "q": (0, 1)}, "n": 16}
+    first = sobol(choice(), rng=0, **how)
     np.random.seed(1)  # noqa: NPY002 - what others do with the global generator plays no part
-    assert same(method(choice(), rng=0, n_jobs=2, folder=tmp_path, **how), first)
-    assert same(method(choice(), rng=0, folder=tmp_path, **how), first)
-    assert not same(method(choice(), rng=1, **how), first)
+    assert same(sobol(choice(), rng=0, n_jobs=2, folder=tmp_path, **how), first)
+    assert same(sobol(choice(), rng=0, folder=tmp_path, **how), first)
+    assert not same(sobol(choice(), rng=1, **how), first)
     with pytest.raises(ModelError, match="differs in"):
-        method(choice(), rng=1, folder=tmp_path, **how)
+        sobol(choice(), rng=1, folder=tmp_path, **how)
 
 
-# ---- Morris --------------------------------------------------------------------------------------
+class Told:
+    """What `sampled` gives, of a function of the draws."""
+
+    def __init__(self, function: Callable[[np.ndarray], np.ndarray]) -> None:
+        self.function, self.value = function, np.empty(0)
+
+    def __call__(self, model: Parametric, names: Any, draws: np.ndarray, *_: Any) -> Sampled:
+        self.value = self.function(draws)
+        none = np.zeros((len(draws), 2))
+        return Sampled(optimal=self.value, fixed=self.value[:, None], error=none)
 
 
-def test_effects_are_those_of_the_closed_form() -> None:
-    """On a grid of 4 levels, Δ = 2/3, each parameter is at 0, 1/3, 2/3, 1 with equal chances."""
-    found = morris(chain(), ranges=CHAIN_RANGES, n=100, rng=0)
-    grid = np.arange(4) / 3
-    (p, q, r) = (float(low) + grid * float(high - low) for low, high in CHAIN_RANGES.values())
-    wide = [float(high - low) for low, high in CHAIN_RANGES.values()]
-    effects = [
-        wide[0] * (2 + q[:, None] * (3 + 4 * r[None, :])),
-        wide[1] * p[:, None] * (3 + 4 * r[None, :]),
-        wide[2] * 4 * p[:, None] * q[None, :],
-    ]
-    for place, each in enumerate(effects):
-        # Three standard errors, of which the half width is two.
-        assert (
-            abs(found.optimal.mu_star[place] - each.mean())
-            < 1.5 * found.optimal.mu_star_half[place]
-        )
-        assert abs(found.optimal.sigma[place] - each.std()) < 1.5 * found.optimal.sigma_half[place]
-        assert found.optimal.mu_star_half[place] < 0.15 * each.mean()
-    np.testing.assert_allclose(found.optimal.mu, found.optimal.mu_star)  # all effects are positive
-    assert (found.regret.mu_star == 0).all()
-    assert found.draws == 100 * 4
+def ishigami(x: np.ndarray) -> np.ndarray:
+    """Ishigami and Homma (1990): sin x1 + 7 sin² x2 + x3⁴ sin(x1) / 10."""
+    return np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + x[:, 2] ** 4 * np.sin(x[:, 0]) / 10
 
 
-def test_effects_of_a_policy_held_fixed() -> None:
-    found = morris(choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, n=60, rng=3)
-    np.testing.assert_allclose(found.fixed.mu_star, [1, 0], atol=1e-9)
-    np.testing.assert_allclose(found.fixed.sigma, [0, 0], atol=1e-9)
-    assert found.regret.mu[0] < 0 < found.regret.mu[1]
-    frame = found.frame("regret")
-    assert list(frame["parameter"]) in (["p", "q"], ["q", "p"])
-    assert frame.attrs["output"] == "regret"
+def test_the_indices_of_ishigami(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worked out by hand: Var = 49/8 + π⁴/50 + π⁸/1800 + 1/2; x3 weighs with x1 alone."""
+    pi = np.pi
+    rewards = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (0, 2, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+    names = [f"reward.{n}" for n in (1, 2, 3)]
+    told = Told(ishigami)
+    monkeypatch.setattr(sobol_module, "sampled", told)
+    how: dict[str, Any] = {"ranges": dict.fromkeys(names, (-pi, pi)), "n": 2**13}
+    found = sobol(MDP.from_outcomes(rewards), rng=0, **how).optimal
+    variance = 49 / 8 + pi**4 / 50 + pi**8 / 1800 + 1 / 2
+    alone = np.array([(1 + pi**4 / 50) ** 2 / 2, 49 / 8, 0]) / variance
+    joint = pi**8 * (1 / 18 - 1 / 50) / 100 / variance
+    np.testing.assert_allclose(found.first, alone, atol=3e-3)
+    np.testing.assert_allclose(found.total, alone + np.array([joint, 0, joint]), atol=3e-3)
+    assert found.sd == pytest.approx(variance**0.5, rel=1e-3)
+    # The same numbers by scipy, of the same draws.
+    output = told.value.reshape(2**13, 5)
+    theirs = stats.sobol_indices(
+        func={"f_A": output[:, :1].T, "f_B": output[:, -1:].T, "f_AB": output[:, 1:-1].T[:, None]},
+        n=2**13,
+    )
+    np.testing.assert_allclose(found.first, theirs.first_order, atol=1e-12)
+    np.testing.assert_allclose(found.total, theirs.total_order, atol=1e-12)
+
+
+def test_intervals_cover_as_often_as_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of x1 + 2 x2, both indices are 1/5 and 4/5; intervals are those of a random sample."""
+    rewards = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
+    monkeypatch.setattr(sobol_module, "sampled", Told(lambda x: x[:, 0] + 2 * x[:, 1]))
+    how: dict[str, Any] = {"ranges": {"reward.1": (0, 1), "reward.2": (0, 1)}, "n": 64}
+    for seed in range(20):
+        found = sobol(MDP.from_outcomes(rewards), rng=seed, **how).optimal
+        for index, half in ((found.first, found.first_half), (found.total, found.total_half)):
+            assert (np.abs(index - [0.2, 0.8]) < half).all()
+            assert (half < 0.5).all()
 
 
 # ---- draws ---------------------------------------------------------------------------------------
@@ -253,15 +257,6 @@ def test_care_parameters_without_range_are_left_out() -> None:
     assert all(span.low < span.high for span in spans.values())
 
 
-def test_rounding_pushes_no_draw_out_of_its_range() -> None:
-    span = {Parameter(name="p", value=HALF, low=F(0), high=F(1)): Range(low=F(3, 10), high=F(1))}
-    low, high = problem_of(span)["bounds"][0]
-    draws = inside(np.array([[np.nextafter(high, 2)], [np.nextafter(low, 0)], [0.5]]), span)
-    assert draws.tolist() == [[1.0], [0.3], [0.5]]
-    with pytest.raises(AssertionError):
-        inside(np.array([[1.1]]), span)
-
-
 def test_an_index_that_is_not_there_is_not_a_number(of_chain: Sobol) -> None:
     frame = of_chain.frame("regret")
     assert frame["total (share of variance)"].isna().all()
@@ -272,45 +267,25 @@ def test_an_index_that_is_not_there_is_not_a_number(of_chain: Sobol) -> None:
         of_chain.frame("loss")
 
 
-BOTH = (sobol, morris)
-
-
 @pytest.mark.parametrize(
-    "methods, change, message",
+    "change, message",
     [
-        ((sobol,), {"n": 0}, "0 samples"),
-        ((sobol,), {"n": 100}, "not a power of 2"),
-        ((sobol,), {"n": True}, "True samples"),
-        ((morris,), {"n": 0}, "0 trajectories"),
-        ((morris,), {"levels": 5}, "5 levels"),
-        (BOTH, {"rng": -1}, "-1 is not a source"),
-        (BOTH, {"names": ["x"]}, "unknown parameter 'x'"),
-        (BOTH, {"ranges": {"p": (HALF, HALF)}}, "empty"),
-        (BOTH, {"ranges": {"p": (0, 2)}}, "outside"),
-        (BOTH, {"confidence": 1.0}, "confidence"),
-        (BOTH, {"relative": F(0)}, "share of 0"),
-        (BOTH, {"policy": "nobody"}, "nobody"),
-        (BOTH, {"n_jobs": 0}, "n_jobs"),
+        ({"n": 0}, "0 samples"),
+        ({"n": 100}, "not a power of 2"),
+        ({"n": True}, "True samples"),
+        ({"rng": -1}, "-1 is not a source"),
+        ({"names": ["x"]}, "unknown parameter 'x'"),
+        ({"ranges": {"p": (HALF, HALF)}}, "empty"),
+        ({"ranges": {"p": (0, 2)}}, "outside"),
+        ({"confidence": 1.0}, "confidence"),
+        ({"relative": F(0)}, "share of 0"),
+        ({"policy": "nobody"}, "nobody"),
+        ({"n_jobs": 0}, "n_jobs"),
     ],
 )
-def test_bad_requests_are_refused(
-    methods: tuple[Any, ...], change: dict[str, Any], message: str
-) -> None:
-    for method in methods:
-        with pytest.raises(ModelError, match=message):
-            method(choice(), **({"n": 4, "rng": 0} | change))
-
-
-@pytest.mark.parametrize("method", [sobol, morris])
-def test_a_missing_package_is_named(method: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in [name for name in sys.modules if name.split(".")[0] == "SALib"]:
-        monkeypatch.delitem(sys.modules, module)
-    monkeypatch.setitem(sys.modules, "SALib", None)
-    name = f"{method.__name__}_sample"
-    monkeypatch.setattr(global_module, name, later(f"SALib.sample.{method.__name__}"))
-    with pytest.raises(ModelError, match="not installed") as caught:
-        method(choice(), rng=0)
-    assert "exact-mdp[sensitivity]" in caught.value.fix
+def test_bad_requests_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        sobol(choice(), **({"n": 4, "rng": 0} | change))
 
 
 def test_probabilities_that_sum_to_more_than_one_name_the_draw() -> None:

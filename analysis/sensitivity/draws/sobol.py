@@ -1,0 +1,295 @@
+"""Global sensitivity: Sobol indices over the parameters' ranges.
+
+Parameters are independent and uniform over their ranges. At each draw of a design the model is
+solved again, and a policy held fixed is evaluated, which gives three outputs Y: the value of the
+optimum, that of the policy, and the policy's regret. All results are estimates.
+
+Sobol indices say which share of the variance of Y the parameter θ_i decides,
+
+    S_i  = Var(E[Y | θ_i]) / Var(Y)          first order: alone,
+    ST_i = E[Var(Y | θ_others)] / Var(Y)     total: alone and with others.
+
+A and B are two independent halves of the points of one scrambled Sobol sequence, and AB_i is A with
+the column of θ_i from B: n (P + 2) draws for P parameters. Then
+
+    S_i  ≈ mean of (B - mean of both) (AB_i - A) / Var,      ST_i ≈ mean of (AB_i - A)² / (2 Var)
+
+(Saltelli et al., Computer Physics Communications 181, 2010, table 2, (b) and (f)). Intervals are
+those of a normal distribution, with the spread of a bootstrap over the n points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Unpack
+
+import numpy as np
+from numpy.random import default_rng
+
+from exact_mdp.analysis.sensitivity.draws.blocks import How
+from exact_mdp.analysis.sensitivity.draws.sampled import sampled
+from exact_mdp.analysis.sensitivity.ranges import Range, spans_of, unit_of
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.learning.sampler import child
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+pandas = later("pandas")
+qmc = later("scipy.stats.qmc")
+
+OUTPUTS = ("optimal", "fixed", "regret")
+RESAMPLES = 200
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Indices:
+    """Sobol indices of one output.
+
+    Attributes
+    ----------
+    mean, sd : float
+        Of the output over the ranges; units of reward.
+    first, total : (P,)
+        NaN where the output does not vary.
+    first_half, total_half : (P,)
+        Half the width of the intervals.
+    """
+
+    mean: float
+    sd: float
+    first: Floats
+    first_half: Floats
+    total: Floats
+    total_half: Floats
+
+    @property
+    def constant(self) -> bool:
+        """Whether the output is the same, up to rounding, at every draw."""
+        return bool(np.isnan(self.first).all())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Sobol(Pictured):
+    """Sobol indices of every parameter, output by output.
+
+    Attributes
+    ----------
+    parameters : tuple of P Parameter
+    ranges : {name: Range}
+    optimal, fixed, regret : Indices
+        Of the value with the policy re-optimised, of the value with it held fixed, and of the
+        difference.
+    n : int
+        Points of the sequence.
+    confidence : float
+        Of the intervals.
+    seed : int
+    """
+
+    parameters: tuple[Parameter, ...]
+    ranges: Mapping[str, Range]
+    optimal: Indices
+    fixed: Indices
+    regret: Indices
+    n: int
+    confidence: float
+    seed: int
+
+    picture = "exact_mdp.analysis.plots.sensitivity:plot_sobol"
+
+    @property
+    def draws(self) -> int:
+        """Number of models that were solved."""
+        return self.n * (len(self.parameters) + 2)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    def of(self, output: str) -> Indices:
+        """Return the indices of one output; raises ModelError unless it has this name."""
+        if output not in OUTPUTS:
+            raise ModelError(
+                f"unknown output {output!r}", fix=f"choose one of {', '.join(OUTPUTS)}"
+            )
+        indices: Indices = getattr(self, output)
+        return indices
+
+    def frame(self, output: str = "optimal") -> DataFrame:
+        """Return one row for each parameter, the largest total index first.
+
+        Parameters
+        ----------
+        output : "optimal", "fixed" or "regret"
+
+        Returns
+        -------
+        pandas.DataFrame
+        """
+        found = self.of(output)
+        spans = [self.ranges[name] for name in self.names]
+        table = pandas.DataFrame(
+            {
+                "parameter": list(self.names),
+                "unit": [unit_of(parameter) for parameter in self.parameters],
+                "low": [float(span.low) for span in spans],
+                "high": [float(span.high) for span in spans],
+                "first order (share of variance)": found.first,
+                "first order ±": found.first_half,
+                "total (share of variance)": found.total,
+                "total ±": found.total_half,
+                "claim": "estimated",
+            }
+        )
+        order = np.argsort(-np.nan_to_num(found.total), kind="stable")
+        table = table.iloc[order].reset_index(drop=True)
+        table.attrs |= {"output": output, "confidence": self.confidence}
+        table.attrs |= {"n": self.n, "seed": self.seed}
+        table.attrs |= {"mean (reward)": found.mean, "sd (reward)": found.sd}
+        return table
+
+
+def sobol(
+    model: Scenario | MDP | Parametric,
+    *,
+    policy: PolicyLike = "optimal",
+    names: Iterable[str] | None = None,
+    ranges: Mapping[str, object] | None = None,
+    relative: Fraction | None = None,
+    n: int = 1024,
+    rng: RNG,
+    confidence: float = 0.95,
+    **how: Unpack[How],
+) -> Sobol:
+    """Return first-order and total Sobol indices over the ranges of parameters.
+
+    Parameters
+    ----------
+    model : Scenario, MDP or Parametric
+    policy : PolicyLike
+        The policy whose regret is decomposed; "optimal" is the optimum at today's values.
+    names : iterable of str, optional
+    ranges : {name: (low, high)}, optional
+    relative : Fraction, optional
+        As for `analysis.sensitivity.one_way.tornado`: today's value ± 20 % unless given. Parameters
+        that are 0 today are left out unless a range is stated, the discount unless it is named.
+    n : int
+        A power of 2; the model is solved at n (P + 2) points.
+    rng : int or numpy.random.Generator
+        0 is a seed like any other.
+    confidence : float
+        Of the bootstrap intervals.
+    **how
+        n_jobs, scheduler, folder and progress; see `solvers.parallel.many.many`.
+
+    Returns
+    -------
+    Sobol
+
+    Raises
+    ------
+    ModelError
+        For unknown names, empty ranges, a wrong number of samples, or values that the model
+        cannot have together.
+
+    Examples
+    --------
+    >>> from exact_mdp.mdp.parametric import moving
+    >>> rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [("1/2", 2, 1), ("1/2", 3, 0)])]
+    >>> rows += [(2, 0, [(1, 2, 0)]), (3, 0, [(1, 3, 0)])]
+    >>> model = moving(MDP.from_outcomes(rows, 1), {"p": [(0, 1)], "q": [(1, 2)]})
+    >>> found = sobol(model, ranges={"p": (0, 1), "q": (0, 1)}, n=64, rng=0)
+    >>> found.names, found.draws, (found.optimal.total > found.optimal.first).tolist()
+    (('p', 'q'), 256, [True, True])
+    """
+    if not 0 < confidence < 1:
+        raise ModelError(
+            f"a confidence of {confidence}", where="confidence", fix="choose one from 0 to 1"
+        )
+    if isinstance(n, bool) or not isinstance(n, int) or n < 2:
+        raise ModelError(f"{n!r} samples", where="sobol", fix="ask for at least 2")
+    if n & (n - 1):
+        near = 1 << (n.bit_length() - 1)
+        raise ModelError(
+            f"{n} samples, not a power of 2, of which Sobol sequences are made",
+            where="sobol",
+            fix=f"ask for {near} or {2 * near}",
+        )
+    family, seed = parametric(model), seed_of(rng)
+    spans = spans_of(family, None if names is None else list(names), ranges, relative)
+    draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
+    found = sampled(family, [parameter.name for parameter in spans], draws, [policy], **how)
+    resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
+    every = found.optimal, found.fixed[:, 0], found.regret[:, 0]
+    indices = {
+        name: _indices(output.reshape(n, -1), found.noise, resamples, confidence)
+        for name, output in zip(OUTPUTS, every, strict=True)
+    }
+    return Sobol(
+        parameters=tuple(spans),
+        ranges={parameter.name: span for parameter, span in spans.items()},
+        n=n,
+        confidence=confidence,
+        seed=seed,
+        **indices,
+    )
+
+
+def _design(spans: Sequence[Range], n: int, rng: np.random.Generator) -> Floats:
+    """Return (n (P + 2), P) draws: for each point its rows of A, of AB_1 … AB_P, and of B."""
+    count = len(spans)
+    points = qmc.Sobol(2 * count, rng=rng).random_base2(n.bit_length() - 1)
+    unit = np.repeat(points[:, None, :count], count + 2, axis=1)
+    each = np.arange(count)
+    unit[:, each + 1, each] = points[:, count:]
+    unit[:, -1] = points[:, count:]
+    low = np.array([float(span.low) for span in spans])
+    high = np.array([float(span.high) for span in spans])
+    # low + u (high - low) may round to a little more than high.
+    draws: Floats = np.minimum(low + unit * (high - low), high).reshape(-1, count)
+    return draws
+
+
+def _indices(output: Floats, noise: float, resamples: Integers, confidence: float) -> Indices:
+    """Return the indices of an output (n, P + 2), whose columns are A, AB_1 … AB_P, and B."""
+    both = output[:, [0, -1]]
+    mean, count = float(both.mean()), output.shape[1] - 2
+    if np.ptp(output) <= noise:
+        nan = np.full(count, np.nan)
+        return Indices(mean=mean, sd=0.0, first=nan, first_half=nan, total=nan, total_half=nan)
+    first, total = _shares(output)
+    # A resample in which the output does not vary has no indices.
+    varied = [each for each in resamples if np.ptp(both[each]) > 0]
+    again = np.array([_shares(output[each]) for each in varied])
+    z = NormalDist().inv_cdf(0.5 + confidence / 2)
+    half = z * again.std(axis=0, ddof=1) if len(again) > 1 else np.full((2, count), np.nan)
+    return Indices(
+        mean=mean,
+        sd=float(both.std(ddof=1)),
+        first=first,
+        first_half=half[0],
+        total=total,
+        total_half=half[1],
+    )
+
+
+def _shares(output: Floats) -> tuple[Floats, Floats]:
+    """Return (P,) the first-order and (P,) the total indices."""
+    both, moved = output[:, [0, -1]], output[:, 1:-1] - output[:, :1]
+    variance = both.var()
+    first = (output[:, -1:] - both.mean()) * moved
+    return first.mean(axis=0) / variance, (moved**2).mean(axis=0) / (2 * variance)
