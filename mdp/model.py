@@ -29,13 +29,6 @@ from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.forms import explore
 from exact_mdp.mdp.forms.names import Names, Told, object_key, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
-from exact_mdp.mdp.parametric.symbolic import (
-    arrays_degree,
-    changed_degree,
-    followed,
-    outcomes_degree,
-    pairs_degree,
-)
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
 from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, spans
 from exact_mdp.mdp.validate import (
@@ -470,7 +463,6 @@ class MDP(ByFields, Parts):
 
     # ---- change ------------------------------------------------------------------------------
 
-    @followed(changed_degree)
     def with_(
         self, *, discount: object | None = None, start: object | None = None, **parts: Any
     ) -> Self:
@@ -661,7 +653,6 @@ class MDP(ByFields, Parts):
     # ---- construction ------------------------------------------------------------------------
 
     @classmethod
-    @followed(arrays_degree)
     def from_arrays(
         cls,
         P: object,
@@ -715,7 +706,6 @@ class MDP(ByFields, Parts):
         return cls(**build.from_arrays(P, R, discount, layout=layout, start=start, **names))
 
     @classmethod
-    @followed(pairs_degree)
     def from_pairs(
         cls,
         pair_state: ArrayLike,
@@ -761,7 +751,6 @@ class MDP(ByFields, Parts):
         return cls(**parts)
 
     @classmethod
-    @followed(outcomes_degree)
     def from_outcomes(
         cls,
         rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],

@@ -97,7 +97,7 @@ explore(
 #
 # A number may stand behind several entries. Then write the model as a function of it: a `Family`
 # builds the model from its parameters, here one age that makes both kinds of wear likelier. That
-# the rows are polynomials of the parameter is proven from the function itself.
+# the rows are polynomials of the parameter is checked at points, and the result says so.
 
 # %%
 

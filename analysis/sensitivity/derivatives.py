@@ -31,8 +31,8 @@ from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.parametric.row_change import RowChange
-from exact_mdp.mdp.parametric.symbolic import fraction, rational
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers import evaluate, solve

@@ -20,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -72,11 +72,9 @@ class Source(Protocol):
 class Family:
     """A parametric model made of a function.
 
-    Derivatives and thresholds rest on the degrees. They are certified where a run of `build` on
-    polynomials proves the degree (see `.symbolic`), which it does where `build` adds, multiplies
-    and compares the fractions that it is given and hands them to one of MDP's constructors.
-    Otherwise the degree is checked at further points: a wrong one is refused, and a right one is
-    called what it is, checked.
+    Derivatives and thresholds rest on the degrees, which nothing proves of a function. They are
+    checked at further points: a wrong one is refused, and what rests on a right one is called
+    checked. Of a model with named entries (`moving`) and of a scenario the degrees are known.
 
     Attributes
     ----------
@@ -106,7 +104,7 @@ class Family:
     (Fraction(1, 3), 0, Fraction(1, 1))
     >>> from exact_mdp.analysis.sensitivity import gradient  # V = 1 / (1 - p)
     >>> print(gradient(family)["p"].value)
-    4 (certified)
+    4 (checked: the degree holds at 6 points, and is not proven)
     """
 
     parameters: tuple[Parameter, ...]
@@ -324,55 +322,72 @@ def moving(
     earned = _earned(model, rewards or {})
     gains = [Parameter(name=name, value=reward) for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
-    whole = all(sum(p for p, _, _ in model.table.row(pair)) == 1 for pair in named)
-
-    build = partial(
-        _moved, model, (*found, *gains), named=named, rest=rest, earned=earned, whole=whole
-    )
     return Family(
         parameters=(*found, *gains, rate),
-        build=build,
+        build=Moved(
+            model=model, parameters=(*found, *gains), named=named, rest=rest, earned=earned
+        ),
         name=model.name or "model",
         room=_rooms(found, named),
     )
 
 
-def _moved(
-    model: MDP,
-    today: Sequence[Parameter],
-    values: Mapping[str, Fraction],
-    *,
-    named: Mapping[int, Mapping[int, str]],
-    rest: Mapping[int, Fraction],
-    earned: Mapping[Fraction, str],
-    whole: bool,
-) -> MDP:
-    """Return the model of `moving` at some values; `today` has its parameters but the discount."""
-    same = all(values[p.name] is p.value for p in today)  # no question of values
-    if whole and same:
-        return model.with_(discount=values[DISCOUNT])
-    moved = {r: values[name] for r, name in earned.items() if values[name] is not r}
-    rows = []
-    for pair in range(model.n_pairs):
-        outcomes = model.table.row(pair)
-        if pair in named:
-            outcomes = _rebalanced(model, pair, named[pair], rest[pair], values)
-        if moved:
-            outcomes = [(p, to, _replaced(gain, moved)) for p, to, gain in outcomes]
-        rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
-    return MDP.from_outcomes(
-        rows,
-        values[DISCOUNT],
-        start=model.start,
-        space=model.space,
-        actions=model.actions,
-        action_objects=model.action_objects,
-        name=model.name,
-        sense=model.sense,
-        labels=model.labels,
-        goal=model.goal,
-        unreached=model.unreached,
-    )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moved:
+    """The builder of `moving`, whose rows are of degree 1 in each parameter.
+
+    Named entries are the parameters themselves, the others of their row share what is left in fixed
+    proportions, and a reward, or the discount, is a parameter or constant.
+
+    Attributes
+    ----------
+    model : MDP
+    parameters : tuple of Parameter
+        All but the discount.
+    named : {pair: {next state: parameter name}}
+    rest : {pair: what the entries that are not named add up to}
+    earned : {reward: parameter name}
+    """
+
+    model: MDP
+    parameters: tuple[Parameter, ...]
+    named: Mapping[int, Mapping[int, str]]
+    rest: Mapping[int, Fraction]
+    earned: Mapping[Fraction, str]
+
+    @cached_property
+    def _whole(self) -> bool:
+        """Whether the rows with named entries sum to 1 today."""
+        table = self.model.table
+        return all(sum(p for p, _, _ in table.row(pair)) == 1 for pair in self.named)
+
+    def __call__(self, values: Mapping[str, Fraction]) -> MDP:
+        """Return the model at values of all parameters."""
+        model = self.model
+        if self._whole and all(values[p.name] == p.value for p in self.parameters):
+            return model.with_(discount=values[DISCOUNT])
+        moved = {r: values[name] for r, name in self.earned.items() if values[name] != r}
+        rows = []
+        for pair in range(model.n_pairs):
+            outcomes = model.table.row(pair)
+            if pair in self.named:
+                outcomes = _rebalanced(model, pair, self.named[pair], self.rest[pair], values)
+            if moved:
+                outcomes = [(p, to, _replaced(gain, moved)) for p, to, gain in outcomes]
+            rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
+        return MDP.from_outcomes(
+            rows,
+            values[DISCOUNT],
+            start=model.start,
+            space=model.space,
+            actions=model.actions,
+            action_objects=model.action_objects,
+            name=model.name,
+            sense=model.sense,
+            labels=model.labels,
+            goal=model.goal,
+            unreached=model.unreached,
+        )
 
 
 def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.row_change import (
     Change,
     Entries,
@@ -20,7 +21,6 @@ from exact_mdp.mdp.parametric.row_change import (
     reward_entries,
     transition_entries,
 )
-from exact_mdp.mdp.parametric.symbolic import rational
 
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_poly

@@ -4,9 +4,9 @@
 
 on a piece between two breakpoints. A polynomial of degree d is fixed by d + 1 compiled models
 (Newton's divided differences), without error in rational arithmetic. That the degree is
-d follows from the rules of a care scenario, is proven by a run of a family's builder on polynomials
-(see `.symbolic`), or is checked at further points: one that does not fit refutes it, and where no
-proof is found those that do fit are all that is known.
+d follows from the rules of a care scenario, or from those of `moving`; that of any other family is
+checked at further points: one that does not fit refutes it, and those that fit are all that is
+known.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import (
     Family,
+    Moved,
     Parametric,
     parameter_of,
     room_of,
     unposed,
 )
-from exact_mdp.mdp.parametric.symbolic import degree_of
 from exact_mdp.mdp.table import Integers, Numbers, merged, shown
 
 Entries = tuple[Integers, Numbers, Numbers]
@@ -86,7 +86,7 @@ class RowChange:
     rate : tuple of Fraction
         Coefficients of (θ - θ0)^k, k from 1, of the discount.
     checked : int or None
-        Points at which rows fit the polynomials; None where a proof says that they do everywhere.
+        Points at which rows fit the polynomials; None where the degree is known.
     """
 
     name: str
@@ -144,7 +144,11 @@ def row_change(
     """
     degree = max(model.degree(name), 1)
     place = parameter_of(model, name).value if origin is None else origin
-    points, models, proven = _sampled(model, name, piece, degree, place)
+    family = unposed(model)
+    known = isinstance(family, ScenarioFamily) or (
+        isinstance(family, Family) and isinstance(family.build, Moved)
+    )
+    points, models = _sampled(model, name, piece, place, degree if known else degree + EXTRA)
     models.insert(0, model.at({name: place}) if base is None else base)
     for point, other in zip(points, models[1:], strict=True):
         _check_alike(models[0], other, name, point)
@@ -171,7 +175,7 @@ def row_change(
         transition=found[0],
         reward=found[1],
         rate=tuple(rate[:degree]),
-        checked=None if proven else len(models),
+        checked=None if known else len(models),
     )
 
 
@@ -185,37 +189,18 @@ def _no_polynomial(what: str, name: str, degree: int, where: str = "") -> ModelE
     )
 
 
-EXTRA = 4  # points at which a degree is checked where there is no proof
+EXTRA = 4  # points at which a degree that is not known is checked, beside those that it needs
 SHRINKS = 64  # how often points are moved closer to θ0 where there is no model
 
 
 def _sampled(
-    model: Parametric, name: str, piece: Piece, degree: int, origin: Fraction
-) -> tuple[list[Fraction], list[MDP], bool]:
-    """Return as many points and models as fix polynomials of a degree, and whether it is proven.
+    model: Parametric, name: str, piece: Piece, origin: Fraction, count: int
+) -> tuple[list[Fraction], list[MDP]]:
+    """Return points, and the models there.
 
     Points lie inside the piece: at its ends another polynomial may begin. Where a family has no
     model at some of them, as where a probability would pass 1, they are moved closer to `origin`.
-    There are more of them where neither a scenario's rules state the degree nor a symbolic run
-    proves it.
     """
-    family = unposed(model)
-    if isinstance(family, ScenarioFamily):
-        points = piece.points(origin, degree)
-        return points, [model.at({name: point}) for point in points], True
-    points, models = _found(model, name, piece, origin, degree + 1)
-    proof = None
-    if isinstance(family, Family):
-        values = {parameter.name: parameter.value for parameter in model.parameters}
-        proof = degree_of(family.build, values, name, (piece.low, piece.high), points[0])
-    if proof is None:
-        points, models = _found(model, name, piece, origin, degree + EXTRA)
-    return points, models, proof is not None and proof <= degree
-
-
-def _found(
-    model: Parametric, name: str, piece: Piece, origin: Fraction, count: int
-) -> tuple[list[Fraction], list[MDP]]:
     sides = [piece]
     if (piece.high is None or origin < piece.high) and (piece.low is None or piece.low < origin):
         sides.append(piece.turned(origin))

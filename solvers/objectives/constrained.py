@@ -37,7 +37,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.symbolic import fraction, rational
+from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, Numbers, exact

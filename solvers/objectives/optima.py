@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.parametric.symbolic import rational
+from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.table import Integers, Numbers, common, spans
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Attained, Proof, Values, slack

@@ -15,7 +15,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.parametric.symbolic import fraction, rational
+from exact_mdp.mdp.numbers import fraction, rational
 
 if TYPE_CHECKING:
     from flint import fmpq

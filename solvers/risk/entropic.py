@@ -26,7 +26,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.symbolic import fraction, rational
+from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, exact
 from exact_mdp.solvers.risk.entropic_checker import entropic_violations

@@ -12,7 +12,7 @@ from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.analysis.sensitivity.thresholds import Threshold, Thresholds, thresholds
 from exact_mdp.mdp.lazy import later
 from exact_mdp.solvers import solve
-from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.solution import Bounded, Certified, Claim
 
 progress = later("tqdm")
 
@@ -161,7 +161,9 @@ def threshold_report(asked: Asked) -> Report:
     start = solve(asked.loaded.mdp).start
     result = {
         **claimed("start_value", start),
-        "claim": "certified",
+        "claim": next(
+            (c for each in found.values() if (c := each.claim) != Claim.CERTIFIED), Claim.CERTIFIED
+        ),
         "switches": switches,
         "stable": {name: _stable(each) for name, each in found.items()},
         "without_range": without,

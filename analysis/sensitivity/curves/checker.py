@@ -33,10 +33,10 @@ from exact_mdp.analysis.sensitivity.curves.signs import (
     vanishes,
 )
 from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, row_change
-from exact_mdp.mdp.parametric.symbolic import fraction, rational
 from exact_mdp.mdp.table import shown
 
 if TYPE_CHECKING:

@@ -28,9 +28,9 @@ from exact_mdp.analysis.sensitivity.exact_chain import LARGEST
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import RowChange
-from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import levels
 

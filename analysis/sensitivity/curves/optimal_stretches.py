@@ -22,7 +22,7 @@ from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Gaps, Ratio, R
 from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple, variations
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.symbolic import rational
+from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.table import Integers
 
 if TYPE_CHECKING:

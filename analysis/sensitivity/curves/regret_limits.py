@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.parametric.symbolic import rational
+from exact_mdp.mdp.numbers import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly

@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.parametric.symbolic import rational
+from exact_mdp.mdp.numbers import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly

@@ -22,8 +22,8 @@ from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.curves.signs import nonnegative, positive
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric import Family, Parameter, Parametric, moving, parametric
-from exact_mdp.mdp.parametric.symbolic import rational
 from exact_mdp.solvers import certify
 from exact_mdp.solvers.solution import Certified
 

@@ -18,7 +18,7 @@ from exact_mdp import evaluate, solve
 from exact_mdp.analysis.sensitivity import value_function
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots
 from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.parametric.symbolic import rational
+from exact_mdp.mdp.numbers import rational
 from exact_mdp.solvers import certify
 
 F = Fraction
