@@ -13,7 +13,6 @@ from exact_mdp.mdp.lazy import names_later
 
 if TYPE_CHECKING:
     from exact_mdp.mdp.care.scenario import Scenario
-    from exact_mdp.mdp.coach.model import Coach
     from exact_mdp.mdp.errors import (
         DistributionError,
         ModelError,
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MDP",
-    "Coach",
     "Column",
     "DistributionError",
     "Family",
@@ -49,7 +47,6 @@ __getattr__, __dir__ = names_later(
     __name__,
     {
         "exact_mdp.mdp.care.scenario": ["Scenario"],
-        "exact_mdp.mdp.coach.model": ["Coach"],
         "exact_mdp.mdp.errors": [
             "DistributionError",
             "ModelError",

@@ -16,14 +16,12 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, overload
 from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, numbered_in_order
-from exact_mdp.mdp.coach.model import Coach
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import asked, later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import AverageSolution, solve_average
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
-from exact_mdp.solvers.dynamic.coach import CoachSolution, solve_coach
 from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel
 from exact_mdp.solvers.dynamic.known import opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
@@ -84,8 +82,6 @@ def mdp_of(model: object) -> MDP:
     if isinstance(model, CareOperator):
         found: MDP = model.transition  # raises: an operator has no matrix
         return found
-    if isinstance(model, Coach):
-        return model.compile()
     if isinstance(model, MDP):
         return model
     raise ModelError(
@@ -124,8 +120,6 @@ def solve(
     deterministic: Literal[False] = ...,
 ) -> ConstrainedSolution: ...
 @overload
-def solve(model: Coach, solver: str | None = ..., *, tol: float | None = ...) -> CoachSolution: ...
-@overload
 def solve(
     model: MDP | Scenario,
     *,
@@ -162,9 +156,9 @@ def solve(
 
     Parameters
     ----------
-    model : MDP, Scenario, CareOperator, Coach, or a model with a method `solve_with`
+    model : MDP, Scenario, CareOperator, or a model with a method `solve_with`
         A scenario is compiled. An operator (`Scenario.operator`) is solved by backward induction,
-        the handwashing assistant (`mdp.coach`) by sweeps over its factors, both without a matrix.
+        without a matrix.
         A robust model and a belief problem are solved by their own algorithms.
     solver : Solver or str
         A solver with its settings, or a name in `SOLVERS`; "auto" takes backward induction for
@@ -255,8 +249,6 @@ def solve(
         return own(solver, tol)
     if isinstance(model, CareOperator):
         return _within(_by_layers(model, solver), tol)
-    if isinstance(model, Coach) and (solver, start, subject_to) == ("auto", None, None):
-        return solve_coach(model, tol)
     mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)

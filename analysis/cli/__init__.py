@@ -28,7 +28,7 @@ GATE = commands.check
 @click.group(
     commands=COMMANDS,
     no_args_is_help=False,
-    epilog="MODEL is a shipped scenario (yuan2025, tea), coach, a .toml scenario, a saved "
+    epilog="MODEL is a shipped scenario (yuan2025, tea), a .toml scenario, a saved "
     ".npz or .umb model, or gymnasium:ID.",
 )
 @click.version_option(package_name=PROGRAM, message="%(prog)s %(version)s")

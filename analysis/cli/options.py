@@ -11,7 +11,7 @@ from typing import Any
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.load import COACH, Loaded, load
+from exact_mdp.mdp.io.load import Loaded, load
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
@@ -22,7 +22,7 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 seeing = later("exact_mdp.mdp.care.perception")
 
 MOST_STEPS = 10**9
-OF_CARE = (COACH, "gymnasium:icu_sepsis")  # models of care that are no scenarios
+OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is no scenario
 
 
 @dataclass(frozen=True, kw_only=True)

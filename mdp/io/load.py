@@ -1,8 +1,8 @@
 """Models by name or file, as the command line takes them.
 
-A model is a shipped scenario (`yuan2025`), the handwashing assistant (`coach`), a scenario file
-(`.toml`), a saved model (`.npz`), a model checker's file (`.umb` or `.drn`; `.umb#NAME` chooses
-among its reward models), its source (`.prism`, `.jani`, which Storm builds), or `gymnasium:ID`.
+A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`), a
+model checker's file (`.umb` or `.drn`; `.umb#NAME` chooses among its reward models), its source
+(`.prism`, `.jani`, which Storm builds), or `gymnasium:ID`.
 """
 
 from __future__ import annotations
@@ -14,18 +14,15 @@ from pathlib import Path
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
-from exact_mdp.mdp.coach.model import Coach
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.family import Family
 
 drn = later("exact_mdp.mdp.io.drn")
 npz = later("exact_mdp.mdp.io.npz")
 storm = later("exact_mdp.mdp.io.storm")
 umb = later("exact_mdp.mdp.io.umb")
 
-COACH = "coach"
 GYMNASIUM = "gymnasium:"
 CHECKERS = (".umb", ".drn")
 SOURCES = (".prism", ".nm", ".pm", ".jani")
@@ -34,12 +31,11 @@ FILES = (".toml", ".npz", *CHECKERS, *SOURCES)
 
 @dataclass(frozen=True, kw_only=True)
 class Loaded:
-    """A model with the name it goes by, and the scenario or family it was compiled from, if any."""
+    """A model with the name it goes by, and the scenario it was compiled from, if any."""
 
     name: str
     mdp: MDP
     scenario: Scenario | None
-    family: Family | None = None
 
 
 def load(
@@ -55,10 +51,10 @@ def load(
     Parameters
     ----------
     spec : str or path
-        A shipped scenario, "coach", a `.toml`, `.npz`, `.umb` or `.drn` file (`.umb#NAME` chooses
+        A shipped scenario, a `.toml`, `.npz`, `.umb` or `.drn` file (`.umb#NAME` chooses
         a reward model), a `.prism` or `.jani` file, or `gymnasium:ID`.
     sets : sequence of "KEY=VALUE"
-        Changes to a scenario, or to numbers of "coach", in order; other models have nothing to set.
+        Changes to a scenario, in order; other models have nothing to set.
     discount : number or "p/q", optional
         Instead of the model's own; it wins over `sets`. A `.umb` or `.drn` file of another program
         states none: 1 is taken, with a warning.
@@ -88,8 +84,6 @@ def load(
         compiled = scenario.compile()
         mdp = compiled if start is None else compiled.with_(start=start)
         return Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
-    if text == COACH:
-        return _coach(sets, discount, start)
     if sets and (text.startswith(GYMNASIUM) or suffix in FILES):
         raise ModelError(
             f"{sets[0]!r} cannot be set: the model is not a scenario",
@@ -114,24 +108,6 @@ def load(
     return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=None)
 
 
-def _coach(sets: Sequence[str], discount: object | None, start: object | None) -> Loaded:
-    """Return the handwashing assistant of the published reduced model, with other numbers."""
-    numbers: dict[str, object] = {}
-    for assignment in sets:
-        name, equals, value = assignment.partition("=")
-        if not equals:
-            raise ModelError(
-                f"{assignment!r} sets nothing", where=COACH, fix="write NAME=VALUE, cost.aware=1"
-            )
-        numbers[name.strip()] = value.strip()
-    if discount is not None:
-        numbers["discount"] = discount
-    coach = Coach().with_numbers(numbers)
-    mdp = coach.compile()
-    mdp = mdp if start is None else mdp.with_(start=start)
-    return Loaded(name=COACH, mdp=mdp, scenario=None, family=coach.parametric())
-
-
 def load_model(
     spec: str | Path,
     *,
@@ -149,7 +125,7 @@ def load_scenario(
     """Return a shipped scenario or one from a `.toml` file, changed by `sets` in order."""
     text = str(spec)
     if text not in shipped() and _suffix(text) != ".toml":
-        if text == COACH or text.startswith(GYMNASIUM) or _suffix(text) in FILES:
+        if text.startswith(GYMNASIUM) or _suffix(text) in FILES:
             raise ModelError(
                 "the model is not a scenario", where=text, fix="give a scenario or a .toml file"
             )
@@ -195,5 +171,5 @@ def _unknown(text: str) -> ModelError:
     known = f"{', '.join(FILES)} file, or {GYMNASIUM}ID"
     if Path(text).is_file():
         return ModelError("unknown kind of model file", where=text, fix=f"give a {known}")
-    fix = f"{suggest(text, [*shipped(), COACH])} (or give a {known})"
+    fix = f"{suggest(text, shipped())} (or give a {known})"
     return ModelError(f"unknown model {text!r}", where="model", fix=fix)

@@ -54,7 +54,6 @@ from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp import MDP, Policy, Scenario, moving
 from exact_mdp.mdp.care.perception import independent
 from exact_mdp.mdp.care.process import Process
-from exact_mdp.mdp.coach.model import Coach
 from exact_mdp.mdp.parametric import parametric
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
@@ -115,7 +114,6 @@ MADE: dict[str, Callable[[], object]] = {
     "BoundedCertificate": lambda: certify(care(), bounded=True),
     "CVaROptimum": lambda: best_cvar(care(), "1/10"),
     "Certificate": lambda: certify(care()),
-    "CoachSolution": lambda: solve(Coach()),
     "ConstrainedSolution": lambda: solve(care(), subject_to={"anger": ">= -50"}),
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),
     "Explorer": lambda: explore(SMALL, "base.anger"),

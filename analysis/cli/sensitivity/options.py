@@ -46,7 +46,7 @@ class Asked:
     def model(self) -> Parametric:
         """The model with its parameters; what is compiled already stays so."""
         base, question = self.given.endless, self.given.question
-        family: Parametric = base.family or parametric(base.mdp)
+        family: Parametric = parametric(base.mdp)
         if base.scenario is not None:
             family = ScenarioFamily(scenario=base.scenario, base=base.mdp)
         return family if question is None else Posed(family=family, ask=question)

@@ -180,7 +180,6 @@ def test_every_command_is_documented() -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["info", "coach"], True),
         (["evaluate", "yuan2025", "random"], True),
         (["sensitivity", "tea", "gradient", "--parameter", "reward.anxiety"], True),
         (["solve", "yuan2025", "--operator"], True),
