@@ -26,7 +26,7 @@ def run_record(
     """Return what a result rests on: model hash, solver, seed, versions and commit.
 
     `model` is the model as the user named it, `solver` the solver with its settings, `command` the
-    words of the command line. An operator has no rows to hash.
+    words of the command line.
     """
     return {
         "command": list(command),

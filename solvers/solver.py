@@ -1,7 +1,7 @@
 """One verb for every model and every solver: `solve`, and the list of solvers.
 
 A solver is whatever `solve` accepts: an object with a `name` and a method `solve(model)`, see
-`solvers.dynamic`. A model is one, too: an MDP, what compiles to one (a Scenario), an operator, or
+`solvers.dynamic`. A model is one, too: an MDP, what compiles to one (a Scenario), or
 an object that brings its own algorithms as `solve_with(solver, tol)`, as robust models and belief
 problems do; its answer is the answer.
 """
@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, overload
 
-from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, numbered_in_order
 from exact_mdp.mdp.errors import ModelError, suggest
@@ -26,7 +25,6 @@ from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel
 from exact_mdp.solvers.dynamic.known import opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
-from exact_mdp.solvers.dynamic.operator import solve_operator
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
@@ -79,9 +77,6 @@ def mdp_of(model: object) -> MDP:
     """
     if isinstance(model, Scenario):
         return model.compile()
-    if isinstance(model, CareOperator):
-        found: MDP = model.transition  # raises: an operator has no matrix
-        return found
     if isinstance(model, MDP):
         return model
     raise ModelError(
@@ -93,7 +88,7 @@ def mdp_of(model: object) -> MDP:
 
 @overload
 def solve(
-    model: MDP | Scenario | CareOperator,
+    model: MDP | Scenario,
     solver: Solver | str | None = ...,
     *,
     tol: float | None = ...,
@@ -156,10 +151,9 @@ def solve(
 
     Parameters
     ----------
-    model : MDP, Scenario, CareOperator, or a model with a method `solve_with`
-        A scenario is compiled. An operator (`Scenario.operator`) is solved by backward induction,
-        without a matrix.
-        A robust model and a belief problem are solved by their own algorithms.
+    model : MDP, Scenario, or a model with a method `solve_with`
+        A scenario is compiled. A robust model and a belief problem are solved by their own
+        algorithms.
     solver : Solver or str
         A solver with its settings, or a name in `SOLVERS`; "auto" takes backward induction for
         models without cycles and modified policy iteration for others.
@@ -243,12 +237,10 @@ def solve(
         raise ModelError(
             f"{type(model).__name__} takes no horizon",
             where="horizon",
-            fix="leave horizon out, or compile the scenario, which stops after any number of steps",
+            fix="leave horizon out, or make the robust model of mdp.within(horizon)",
         )
     if own is not None:
         return own(solver, tol)
-    if isinstance(model, CareOperator):
-        return _within(_by_layers(model, solver), tol)
     mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)
@@ -342,14 +334,3 @@ def _within(solution: Solution, tol: float | None) -> Solution:
     message = f"the error bound is {solution.error_bound:.2g}: {Status.PRECISION}"
     warn_of_precision(message)
     return replace(solution, status=Status.PRECISION)
-
-
-def _by_layers(operator: CareOperator, solver: Any) -> Solution:
-    """Return the solution of an operator, which has one algorithm."""
-    if solver == "auto" or isinstance(_named(solver), BackwardInduction):
-        return solve_operator(operator)
-    raise ModelError(
-        "an operator is solved by backward induction alone",
-        where=f"operator {operator.name}",
-        fix="leave the solver out, or compile the scenario",
-    )

@@ -275,11 +275,6 @@ def convert() -> None:
 )
 @click.option("--tol", metavar="X", help="Greatest absolute error of a value.")
 @click.option("--certify", is_flag=True, help="Compute and prove the exact optimum.")
-@click.option(
-    "--operator",
-    is_flag=True,
-    help="Solve a scenario without its matrix, by backward induction: for large ones.",
-)
 @subject_to
 @click.option(
     "--deterministic",
@@ -299,10 +294,9 @@ def solve() -> None:
 
     With --certify the optimum is also computed in rational arithmetic, and proved. The result says
     whether an optimal policy needs the status alone, unless bounds without a proof leave that open.
-    With --operator it does not say so, and it records no hash of the model. With --horizon episodes
-    stop, and the optimal policy depends on the time. With --subject-to the optimum under limits is
-    exact, with its policy, which may draw its actions, and the price of each limit; the exit
-    status is 1 where no policy keeps the limits.
+    With --horizon episodes stop, and the optimal policy depends on the time. With --subject-to the
+    optimum under limits is exact, with its policy, which may draw its actions, and the price of
+    each limit; the exit status is 1 where no policy keeps the limits.
     """
 
 

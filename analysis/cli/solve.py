@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from math import isinf
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -13,7 +13,6 @@ import numpy as np
 from exact_mdp import solvers
 from exact_mdp.analysis.cli.options import (
     Given,
-    advice,
     check_outputs,
     given,
     limits_from,
@@ -25,7 +24,7 @@ from exact_mdp.analysis.record import run_record, write_record
 from exact_mdp.mdp.chain import endless
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.load import Loaded, load_scenario
+from exact_mdp.mdp.io.load import Loaded
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
@@ -33,7 +32,6 @@ from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.solve import AverageSolution
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified
-from exact_mdp.solvers.solver import is_average
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.objectives.checker import Limit
@@ -53,7 +51,6 @@ def solve(
     method: str,
     tol: str | None,
     certify: bool,
-    operator: bool,
     policy_out: str | None,
     out: str | None,
     certificate: str | None,
@@ -64,7 +61,7 @@ def solve(
     """Find an optimum, and write what was asked for."""
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     if subject_to:
-        refused = {"--method": method != "auto", "--tol": tol, "--operator": operator}
+        refused = {"--method": method != "auto", "--tol": tol}
         refused |= {"--out": out, "--criterion average": shared.get("criterion") == "average"}
         under = _deterministic if deterministic else _under_limits
         return under(subject_to, refused, policy_out, certificate, **shared)
@@ -74,16 +71,7 @@ def solve(
             where="--deterministic",
             fix="leave it out, or add --subject-to",
         )
-    if operator:
-        wanted: dict[str, object] = {"--certify": certify, "--certificate": certificate}
-        if is_average(shared.pop("criterion")):
-            wanted["--criterion average"] = True
-        kept = ("model", "sets", "discount")
-        wanted |= {f"--{name}": shared.pop(name) for name in [*shared] if name not in kept}
-        asked = _as_operator(method, wanted, **shared)
-        method = "backward-induction" if method == "auto" else method
-    else:
-        asked = given(**shared)
+    asked = given(**shared)
     mdp, average = asked.mdp, asked.average
     if average and certificate and not certify:
         raise ModelError(
@@ -308,31 +296,6 @@ def _contradictory(limits: Sequence[Limit]) -> str | None:
             if (low.name, low.sign, high.sign) == (high.name, 1, -1) and low.bound > high.bound:
                 return f"{low} and {high} contradict each other"
     return None
-
-
-def _as_operator(
-    method: str, wanted: dict[str, object], model: str, sets: tuple[str, ...], discount: str | None
-) -> Given:
-    """Return a scenario as an operator; raises ModelError where options ask for a matrix."""
-    others = [name for name, value in wanted.items() if value]
-    if method in solvers.SOLVERS and method != "backward-induction":
-        others.append(f"--method {method}")
-    if others:
-        raise ModelError(
-            f"{others[0]} needs the explicit model",
-            where="--operator",
-            fix=f"leave out {others[0]}, or --operator",
-        )
-    scenario = load_scenario(model, sets=sets, discount=discount)
-    # What follows reads of a model only what operators have too.
-    mdp = cast("MDP", scenario.operator())
-    loaded = Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
-    facts = {"model": scenario.name, "discount": mdp.discount}
-    head = facts | {"horizon": None, "sense": mdp.sense, "question": None, "start": None}
-    head |= {"criterion": "total"}
-    return Given(
-        endless=loaded, loaded=loaded, steps=None, head=head, facts=facts, notes=advice(loaded)
-    )
 
 
 def policy_words(mdp: MDP, names: Sequence[Any]) -> dict[str, dict[str, Any] | None]:

@@ -54,7 +54,6 @@ from exact_mdp.mdp.table import (
 )
 
 ENTRIES = 2**20  # of a product held at once
-MOST_STATUSES = 10
 
 Rows = dict[str, NDArray[Any]]
 """Rows of a block: lengths, next, weight, denominator, gain, event; components amount / below."""
@@ -223,18 +222,6 @@ def _matmul(left: Numbers, right: Numbers) -> Numbers:
 
 def check_explicit(scenario: Tables) -> tuple[Rules, ExactChances]:
     """Return rules and chances, or raise ModelError where an explicit model would be too large."""
-    where = f"scenario {scenario.name}"
-    fix = (
-        "use fewer subtasks, trials or statuses, or the form without a matrix: "
-        "`exact-mdp solve … --operator`, in Python Scenario.operator()"
-    )
-    count = len(scenario.statuses)
-    if count > MOST_STATUSES:
-        raise ModelError(
-            f"{count} statuses, more than the {MOST_STATUSES} of an explicit model",
-            where=where,
-            fix=fix,
-        )
     rules, exact = Rules(scenario), ExactChances(scenario)
     outcomes, denominator = size(rules, exact)
     each = NARROW if denominator < EXACT_IN_INT64 else WIDE
@@ -243,8 +230,8 @@ def check_explicit(scenario: Tables) -> tuple[Rules, ExactChances]:
         raise ModelError(
             f"the explicit model would have {states:,} states and up to {outcomes:,} outcomes of "
             f"{each} bytes each, more than {MOST_BYTES / 1e9:g} GB",
-            where=where,
-            fix=fix,
+            where=f"scenario {scenario.name}",
+            fix="use fewer subtasks, trials or statuses",
         )
     return rules, exact
 

@@ -11,8 +11,8 @@ next statuses are independent, so that
     K_a(s, s') = Π_i p_i(s, a)^{s'_i} (1 - p_i(s, a))^{1 - s'_i},
 
 as integers over one denominator for each row in an exact model. One array of positions says how a
-model follows from its parameters: exact laws, batches of drawn parameters and operators all read
-it. Source: Yuan et al. (2025), Section 2.1.
+model follows from its parameters: exact laws and batches of drawn parameters read it.
+Source: Yuan et al. (2025), Section 2.1.
 """
 
 from __future__ import annotations

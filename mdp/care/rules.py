@@ -22,9 +22,8 @@ statuses follow the law K_a(s, ·), on a skip Z(s, ·). A subtask ends in one of
     flag         a new task starts with f = 0; behind the last subtask of all is the end
 
 `CHARGES`, `BONUS` and `STATUS_COST` are this table as data, `Rules` is what it says of a scenario.
-The explicit matrix (`mdp.care.compile`), the operator (`mdp.care.operator`) and batches of
-parameter draws (`solvers.care`) read it there. Every gain is a sum of weights, each at most once,
-as an integer over one common `scale`.
+The explicit matrix (`mdp.care.compile`) and batches of parameter draws (`solvers.care`) read it
+there. Every gain is a sum of weights, each at most once, as an integer over one common `scale`.
 Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
 """
 

@@ -21,7 +21,6 @@ from pathlib import Path
 from exact_mdp.mdp.care import toml
 from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import excess, influence, warn_of_excess
-from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, placed
@@ -72,7 +71,7 @@ class Scenario(Tables):
         Raises
         ------
         ModelError
-            Where it would have more than 10 statuses, or outcomes of more than 10 GB.
+            Where its outcomes would take more than 10 GB.
 
         Warns
         -----
@@ -82,18 +81,6 @@ class Scenario(Tables):
         mdp = compile_scenario(self)
         warn_of_excess(self)
         return mdp
-
-    def operator(self) -> CareOperator:
-        """Return the same model without its matrix, for scenarios of up to 14 statuses.
-
-        Warns
-        -----
-        ScenarioWarning
-            As `compile`.
-        """
-        operator = CareOperator.of(self)
-        warn_of_excess(self)
-        return operator
 
     def parametric(self) -> ScenarioFamily:
         """Return the scenario as a family of models, one for each choice of its numbers."""

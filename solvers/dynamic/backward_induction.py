@@ -30,7 +30,6 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.care.operator import CareOperator
 from exact_mdp.mdp.chain import numbered_in_order, runs_in_order
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later, loops_pay
@@ -38,7 +37,6 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.bounds import bounds, ladder, levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
-from exact_mdp.solvers.dynamic.operator import solve_operator
 from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
@@ -69,11 +67,9 @@ class BackwardInduction:
 
     @np.errstate(over="ignore", invalid="ignore")
     @of_costs
-    def solve(self, model: MDP | CareOperator) -> Solution:
+    def solve(self, model: MDP) -> Solution:
         """Return the optimum; raises ModelError where states come back to themselves."""
         started = perf_counter()
-        if isinstance(model, CareOperator):
-            return solve_operator(model)
         in_order = numbered_in_order(model)
         level = None if in_order else levels(model)
         if level is None and not in_order:

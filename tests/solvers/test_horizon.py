@@ -355,13 +355,6 @@ def test_solve_with_a_horizon_is_proved_written_and_given_back(tmp_path: Path) -
         assert run("check", model, file, *limit, "--no-explain", "--json").status == 0
 
 
-def test_an_operator_takes_no_horizon() -> None:
-    done = run("solve", "yuan2025", "--operator", "--horizon", "3")
-    assert (done.status, done.out) == (2, "")
-    with pytest.raises(ModelError, match="compile the scenario"):
-        solve(Scenario.load("yuan2025").operator(), horizon=3)
-
-
 def test_a_file_of_before_has_no_limit(tmp_path: Path) -> None:
     """Files that were written without the field are read as they were."""
     from exact_mdp.mdp.io.npz import as_header, parts_of

@@ -73,9 +73,3 @@ def test_what_does_not_apply_is_refused(model: Path, words: tuple[str, ...], sai
     done = run(words[0], model, *words[1:])
     assert (done.status, done.out) == (2, "")
     assert said in done.err
-
-
-def test_an_operator_has_no_average() -> None:
-    done = run("solve", "yuan2025", "--operator", *AVERAGE)
-    assert done.status == 2
-    assert "--criterion average needs the explicit model" in done.err

@@ -182,7 +182,6 @@ def test_every_command_is_documented() -> None:
     [
         (["evaluate", "yuan2025", "random"], True),
         (["sensitivity", "tea", "gradient", "--parameter", "reward.anxiety"], True),
-        (["solve", "yuan2025", "--operator"], True),
         (["info", "gymnasium:FrozenLake-v1"], False),
     ],
 )

@@ -75,7 +75,7 @@ def test_every_chance_above_1_is_counted(readings: dict[str, str]) -> None:
 def test_the_default_reading_warns_of_nothing() -> None:
     """Some sums are exactly 1 there, and none is more."""
     own = small()
-    assert told(own.compile) == told(own.operator) == told(lambda: optimal(own)) == []
+    assert told(own.compile) == told(lambda: optimal(own)) == []
 
 
 def test_compiling_names_the_state_and_the_numbers() -> None:
@@ -85,19 +85,17 @@ def test_compiling_names_the_state_and_the_numbers() -> None:
     assert "\n" not in said
 
 
-@pytest.mark.parametrize("make", ["compile", "operator"])
-def test_a_warning_is_an_error_where_python_is_told_so(make: str) -> None:
+def test_a_warning_is_an_error_where_python_is_told_so() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(ScenarioWarning, match=r"cut off at 1"):
-            getattr(small(**ADDITIVE), make)()
+            small(**ADDITIVE).compile()
 
 
-def test_operators_and_batches_say_it_too() -> None:
+def test_batches_say_it_too() -> None:
     own = small(**ADDITIVE)
     always = np.zeros((1, 16), dtype=int)
     for work in (
-        own.operator,
         lambda: optimal(own),
         lambda: policy_values(own, (), None, always),
     ):

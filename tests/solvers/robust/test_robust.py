@@ -333,3 +333,10 @@ def test_an_infinite_total_is_refused() -> None:
     with pytest.raises(ModelError, match="every episode to end") as caught:
         solve_robust(mdp, intervals)
     assert "(state 2)" in str(caught.value)
+
+
+def test_a_robust_model_takes_no_horizon() -> None:
+    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    model = RobustModel(model=mdp, ambiguity=Intervals.relative(mdp, 0.2))
+    with pytest.raises(ModelError, match="takes no horizon"):
+        solve(model, horizon=3)
