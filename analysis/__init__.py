@@ -14,7 +14,7 @@ from exact_mdp.mdp.lazy import names_later
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.check import Audit, assert_policy_optimal, check
-    from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
+    from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
     from exact_mdp.analysis.gate.comparison import PolicyComparison, compare
     from exact_mdp.analysis.gate.data.off_policy import OffPolicy
     from exact_mdp.analysis.gate.data.posterior import Posterior
@@ -44,7 +44,6 @@ __all__ = [
     "rationalize",
     "tradeoff",
     "value_function",
-    "value_of_memory",
 ]
 
 # Imported when first asked for: `exact-mdp --help` needs none of it.
@@ -55,7 +54,6 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.analysis.gate.column_policies": [
             "BestPolicy",
             "best_policy",
-            "value_of_memory",
         ],
         "exact_mdp.analysis.sensitivity.curves.curve": ["value_function"],
         "exact_mdp.analysis.tradeoffs.front": ["tradeoff"],

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from exact_mdp.analysis import explore, value_of_memory
+from exact_mdp.analysis import best_policy, explore
 from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.sensitivity import thresholds
 from exact_mdp.mdp import ModelError, Scenario
@@ -112,7 +112,8 @@ print(f"acting at random: {evaluate(mdp, 'random').mean:.3f}")
 # Is it worth remembering which trial and subtask it is, or does the status alone suffice?
 
 # %%
-found = value_of_memory(mdp, ["status"])
+sets = (["status"], ["subtask", "status"], ["trial", "status"], ["subtask", "trial", "status"])
+found = [best_policy(mdp, columns) for columns in sets]
 pd.DataFrame({"reads": [", ".join(f.columns) for f in found], "value": [f.value for f in found]})
 
 # %% [markdown]

@@ -10,8 +10,7 @@
 
 A solver is whatever `solve` accepts: a name, or an object with a `name` and `solve(model)`; the
 package `dynamic` says how to add one. A model is whatever `solve` accepts, too: an MDP, a Scenario,
-or an object that brings its own algorithms as `solve_with(solver, tol)`, as robust
-models and belief problems do.
+or an object that brings its own algorithms as `solve_with(solver, tol)`, as robust models do.
 """
 
 from __future__ import annotations
@@ -43,7 +42,6 @@ if TYPE_CHECKING:
     from exact_mdp.solvers.average.certificate import AverageCertificate
     from exact_mdp.solvers.average.evaluate import AverageEvaluation
     from exact_mdp.solvers.average.solve import AverageSolution
-    from exact_mdp.solvers.pomdp.pomdp import BeliefProblem
     from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
     from exact_mdp.solvers.proof.certify import certify
     from exact_mdp.solvers.robust.robust import RobustModel, solve_robust
@@ -57,7 +55,6 @@ __all__ = [
     "AverageEvaluation",
     "AverageSolution",
     "BackwardInduction",
-    "BeliefProblem",
     "Bounded",
     "BoundedCertificate",
     "Certificate",
@@ -92,7 +89,6 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.solvers.average.certificate": ["AverageCertificate"],
         "exact_mdp.solvers.average.evaluate": ["AverageEvaluation"],
         "exact_mdp.solvers.average.solve": ["AverageSolution"],
-        "exact_mdp.solvers.pomdp.pomdp": ["BeliefProblem"],
         "exact_mdp.solvers.proof.certificate": ["BoundedCertificate", "Certificate"],
         "exact_mdp.solvers.proof.certify": ["certify"],
         "exact_mdp.solvers.robust.robust": ["RobustModel", "solve_robust"],

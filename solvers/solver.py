@@ -2,8 +2,8 @@
 
 A solver is whatever `solve` accepts: an object with a `name` and a method `solve(model)`, see
 `solvers.dynamic`. A model is one, too: an MDP, what compiles to one (a Scenario), or
-an object that brings its own algorithms as `solve_with(solver, tol)`, as robust models and belief
-problems do; its answer is the answer.
+an object that brings its own algorithms as `solve_with(solver, tol)`, as robust models do; its
+answer is the answer.
 """
 
 from __future__ import annotations
@@ -152,8 +152,7 @@ def solve(
     Parameters
     ----------
     model : MDP, Scenario, or a model with a method `solve_with`
-        A scenario is compiled. A robust model and a belief problem are solved by their own
-        algorithms.
+        A scenario is compiled. A robust model is solved by its own algorithm.
     solver : Solver or str
         A solver with its settings, or a name in `SOLVERS`; "auto" takes backward induction for
         models without cycles and modified policy iteration for others.

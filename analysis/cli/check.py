@@ -319,7 +319,7 @@ def _disagreement(mdp: MDP, each: Disagreement, lost: float) -> dict[str, Any]:
 
 def _reasons(why: Representation | None) -> dict[str, Any]:
     if why is None:
-        return {"representation": None, "memory": None, "rows": None}
+        return {"representation": None, "rows": None}
     best = why.best
     policy = {
         best.policy.space.label(row) or "all states": best.policy.actions[int(taken.argmax())]
@@ -339,16 +339,6 @@ def _reasons(why: Representation | None) -> dict[str, Any]:
             "uncertainty": why.uncertainty,
             "policy": policy,
         },
-        "memory": [
-            {
-                "columns": each.columns,
-                "value": each.value.value,
-                "upper_bound": each.upper_bound,
-                "proven": each.proven,
-                "worth": abs(each.value.value - best.value.value),
-            }
-            for each in why.memory
-        ],
         "rows": why.rows,
     }
 
@@ -433,7 +423,6 @@ def _limit_table(audit: Audit) -> Table:
 
 
 def _tables(result: dict[str, Any], audit: Audit) -> list[Table]:
-    memory = result["memory"] or ()
     return [
         _limit_table(audit),
         Table(
@@ -455,16 +444,6 @@ def _tables(result: dict[str, Any], audit: Audit) -> list[Table]:
             title="rows of the policy, each changed alone",
             rows=[vars(change) for change in result["rows"] or ()],
             columns={"row": "row", "yours": "learned", "better": "best", "gain": "gain"},
-        ),
-        Table(
-            title="the value of remembering more",
-            rows=memory if len(memory) > 1 else (),
-            columns={
-                "reads": lambda row: _read(row["columns"]),
-                "best value": "value",
-                "worth": "worth",
-                "proven": lambda row: row["proven"] or f"bound {cell(row['upper_bound'])}",
-            },
         ),
     ]
 

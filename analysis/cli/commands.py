@@ -628,7 +628,7 @@ def explore() -> None:
 
 @command(
     "perception:perception",
-    "What errors of perception cost, and what memory would save.",
+    "What errors of perception cost, and which accuracy would be enough.",
     epilog=POLICY_HELP,
 )
 @model
@@ -655,28 +655,14 @@ def explore() -> None:
     help="The policy that takes what is perceived for true (optimal).",
 )
 @click.option(
-    "--seconds",
-    metavar="X",
-    help="Time limit of each of the two searches with memory (5). Where it ends a search, the "
-    "bounds vary a little with the load of the machine; with --trials they do not.",
-)
-@click.option(
-    "--trials",
-    metavar="N",
-    help="Limit of each search in trials, instead of seconds: identical output in every run.",
-)
-@click.option(
-    "--tolerance",
-    default="0.02",
-    metavar="X",
-    help="Gap between the bounds at which a search ends (0.02).",
+    "--share", default="19/20", metavar="X", help="Share of the value that is to be kept (19/20)."
 )
 @of_model
 def perception() -> None:
     """Compute what acting on a perceived status costs in MODEL.
 
-    Ways to deal with errors: knowing the status, remembering what was seen and done, the best
-    fixed response to what is seen, and taking it for true. Then which errors cost most.
+    The value where the status is known, and where the policy takes what it perceives for true; then
+    which errors cost most, and the accuracy that keeps a share of the value.
     """
 
 

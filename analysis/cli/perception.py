@@ -1,38 +1,36 @@
-"""`exact-mdp perception`: the cost of acting on a perceived status, and what would help."""
+"""`exact-mdp perception`: the cost of acting on a perceived status, and the accuracy needed."""
 
 from __future__ import annotations
 
-from math import inf
 from operator import itemgetter
 from typing import Any
 
 from exact_mdp.analysis.cli.options import given, number_of, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, at_most, between
-from exact_mdp.analysis.gate.column_policies import BestPolicy
-from exact_mdp.analysis.perception.accuracy import confusion_at
-from exact_mdp.analysis.perception.cost import (
-    PriceOfPerception,
-    UncertainValue,
-    price_of_perception,
-    value_under_counts,
-)
+from exact_mdp.analysis.perception.cost import UncertainValue, value_under_counts
 from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
+from exact_mdp.analysis.perception.needed import (
+    ALL,
+    AccuracyNeeded,
+    accuracy_needed,
+    confusion_at,
+)
 from exact_mdp.mdp.care.perception import (
     Counted,
     holds_examples,
     read,
     read_counts,
+    status_names,
     status_size,
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.pomdp.pomdp import BeliefSolution
+from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 SHOWN = 12  # confusions listed for people
-READINGS = 64  # perceived statuses listed for people
-SECONDS = "5"
 
 
 def perception(
@@ -43,61 +41,36 @@ def perception(
     draws: str,
     seed: str,
     policy: str,
-    seconds: str | None,
-    trials: str | None,
-    tolerance: str,
+    share: str,
     sets: tuple[str, ...],
     discount: str | None,
 ) -> Report:
-    """Report what acting on a perceived status costs, and what memory or accuracy would save."""
+    """Report what acting on a perceived status costs, and which accuracy would be enough."""
     asked = given(model, sets, discount)
-    mdp, limits = asked.mdp, _limits(seconds, trials)
-    tol = number_of(tolerance, "--tolerance", positive=True)
+    mdp = asked.mdp
     n, rng = whole_of(draws, "--draws", least=2, most=10**6), whole_of(seed, "--seed")
     matrix, counts = _confusion(mdp, perception, accuracy, prior)
-    chosen = policy_of(mdp, policy)
-    price = price_of_perception(mdp, matrix, policy=chosen, tol=tol, **limits)
-    costs = error_costs(mdp, chosen, matrix)
+    optimum = solve(mdp)
+    chosen = policy_of(mdp, optimum if policy == "optimal" else policy)
+    needed, costs = _needed(mdp, chosen, share), error_costs(mdp, chosen, matrix)
     spread = None if counts is None else value_under_counts(mdp, chosen, counts, rng=rng, n=n)
-    column, actions = mdp.space.column("status"), price.memoryless.policy.table.argmax(axis=1)
-    reading = {column.label(z): mdp.actions[a] for z, a in enumerate(actions.tolist())}
     facts = {"policy": policy, "perception": perception or f"accuracy {accuracy}"}
     result = facts | {
-        "claim": price.value.claim,
-        "perfect": price.perfect,
-        "filtering": _bounds(price.filtering),
-        "memoryless": _best(price.memoryless) | {"policy": reading},
-        "with_place": _best(price.with_place),
-        "taken_as_true": price.taken_as_true,
-        "unseeing": _bounds(price.unseeing),
+        "claim": costs.value.claim,
+        "perfect": optimum.start,
+        "taken_as_true": costs.value,
         "errors": _errors(costs),
         "confusions": {"loss": costs.loss, "marginal": costs.marginal, "error_bound": costs.error},
         "counted": None if spread is None else _spread(spread, rng),
     }
-    best = "proven the best" if price.memoryless.proven else "the best found"
     tables = [
-        _ways(price, spread),
-        Table(
-            title=f"best action by the status seen alone ({best})",
-            rows=list(reading.items()),
-            columns={"status seen": itemgetter(0), "action": itemgetter(1)},
-            first=READINGS,
-        ),
+        _ways(optimum.start, costs.value, spread),
         *_cost_tables(costs),
     ]
     return asked.report(result, facts, tables)
 
 
 # ---- what was asked ------------------------------------------------------------------------------
-
-
-def _limits(seconds: str | None, trials: str | None) -> dict[str, Any]:
-    """Return what ends the searches: time, or a number of trials."""
-    if trials is None:
-        return {"seconds": number_of(seconds or SECONDS, "--seconds", positive=True)}
-    if seconds is not None:
-        raise ModelError("both --seconds and --trials", where="options", fix="give one of them")
-    return {"seconds": inf, "max_trials": whole_of(trials, "--trials", least=1)}
 
 
 def _confusion(
@@ -130,21 +103,6 @@ def _confusion(
 # ---- what is told --------------------------------------------------------------------------------
 
 
-def _bounds(found: BeliefSolution) -> dict[str, Any]:
-    return {"lower": found.lower, "upper": found.upper, "closed": found.closed}
-
-
-def _best(best: BestPolicy) -> dict[str, Any]:
-    return {
-        "columns": list(best.columns),
-        "value": best.value.value,
-        "error_bound": best.value.error,
-        "upper_bound": best.upper_bound,
-        "mixed_upper_bound": best.mixed_upper_bound,
-        "proven": best.proven,
-    }
-
-
 def _errors(costs: ErrorCosts) -> dict[str, dict[str, float]]:
     names = ("missed", "seen", "by_sensitivity", "by_specificity")
     return {
@@ -165,24 +123,11 @@ def _spread(spread: UncertainValue, seed: int) -> dict[str, Any]:
     }
 
 
-def _ways(price: PriceOfPerception, spread: UncertainValue | None) -> Table:
-    """Return the table of the values at the start, by how errors are dealt with."""
-    searched = ((price.filtering, "seen and done"), (price.unseeing, "done, seeing nothing"))
+def _ways(perfect: Bounded, seen: Bounded, spread: UncertainValue | None) -> Table:
+    """Return the table of the values at the start."""
     rows: list[tuple[Any, ...]] = [
-        ("the status is known", price.perfect, ""),
-        *(
-            (f"memory of what was {what}", f"{found.lower:.6g} to {found.upper:.6g}", "bounds")
-            for found, what in searched
-        ),
-        *(
-            (
-                f"best by {', '.join(best.columns)} seen",
-                best.value,
-                "proven the best" if best.proven else f"others up to {best.upper_bound:.6g}",
-            )
-            for best in (price.with_place, price.memoryless)
-        ),
-        ("seen taken for true", price.taken_as_true, ""),
+        ("the status is known", perfect, ""),
+        ("seen taken for true", seen, ""),
     ]
     if spread is not None:
         told = f"{spread.level:.0%} in {between(*spread.interval)} (estimated)"

@@ -20,8 +20,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
-from itertools import combinations, count
-from typing import TYPE_CHECKING, Any, Protocol
+from itertools import count
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,6 @@ pandas, progress = later("pandas"), later("tqdm")
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 PROVEN = 1e-9  # of |value|; see `is_proven`
-ALL_SETS = 3  # further columns of which every set is tried
 ROWS_TRIED = 64  # rows that one step of the ascent tries to change
 
 
@@ -141,22 +140,11 @@ def best_policy(
     if node_limit < 1:
         raise ModelError(f"node_limit is {node_limit}", where="best_policy", fix="give 1 or more")
     rows = Rows.of(mdp.maximised, columns)
-    found = searched(rows, Relaxations(rows), start=start, node_limit=node_limit)
-    return found if mdp.sense == "max" else -found
-
-
-def searched(
-    rows: Rows, relaxations: Solver, *, start: Policy | None, node_limit: int
-) -> BestPolicy:
-    """Return what branch and bound finds among the policies that read some columns.
-
-    `relaxations` bounds and evaluates them: `Relaxations(rows)`, or another with its methods.
-    """
-    search = _Search(rows, relaxations, start)
+    search = _Search(rows, Relaxations(rows), start)
     search.run(node_limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
-    return BestPolicy(
+    found = BestPolicy(
         columns=rows.space.names,
         policy=rows.policy(search.choice),
         value=value,
@@ -165,6 +153,7 @@ def searched(
         proven=is_proven(value, upper),
         nodes=search.nodes,
     )
+    return found if mdp.sense == "max" else -found
 
 
 def is_proven(value: Bounded, upper: float) -> bool:
@@ -184,72 +173,6 @@ def is_proven(value: Bounded, upper: float) -> bool:
     return left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error)
 
 
-def value_of_memory(
-    model: MDP | Scenario,
-    columns: Sequence[str] = ("status",),
-    *,
-    known: Sequence[BestPolicy] = (),
-    node_limit: int | None = None,
-) -> tuple[BestPolicy, ...]:
-    """Return the best policy for `columns`, and for them with each set of further columns.
-
-    The value of remembering a counter is the difference between two of the values. Where more than
-    three columns are left, only each of them and all of them are added.
-
-    Parameters
-    ----------
-    model : MDP or Scenario
-    columns : names of columns of the model's states
-    known : best policies for some of the sets, optional
-    node_limit : int, optional
-        See `best_policy`.
-
-    Returns
-    -------
-    tuple of BestPolicy
-
-    Raises
-    ------
-    ModelError
-        As `best_policy` does.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> mdp = Scenario.load("yuan2025").with_(tasks=[1]).compile()
-    >>> [best.columns for best in value_of_memory(mdp, ("subtask", "status"))]
-    [('subtask', 'status'), ('subtask', 'trial', 'status')]
-    """
-    mdp = mdp_of(model)
-    names = mdp.space.names
-    for name in columns:
-        mdp.space.column(name)
-    others = [name for name in names if name not in columns]
-    done = {frozenset(best.columns): best for best in known}
-    found = []
-    sizes = range(len(others) + 1) if len(others) <= ALL_SETS else (0, 1, len(others))
-    for size in sizes:
-        for more in combinations(others, size):
-            read = tuple(name for name in names if name in columns or name in more)
-            best = done.get(frozenset(read))
-            found.append(best or best_policy(mdp, read, node_limit=node_limit))
-    return tuple(found)
-
-
-class Solver(Protocol):
-    """Bounds and values of many nodes at once; see `analysis.gate.relaxation.Relaxations`."""
-
-    @property
-    def batch(self) -> int:
-        """The most nodes at once."""
-
-    def expand(self, allowed: Flags, worth: float = ...) -> Expansion:
-        """Return bounds, and policies with what their rows cost."""
-
-    def evaluate(self, choices: Integers) -> tuple[Floats, Floats]:
-        """Return values and their errors."""
-
-
 class _Search:
     """The best policy so far, and what bounds the others.
 
@@ -261,7 +184,7 @@ class _Search:
         No policy has a higher value.
     """
 
-    def __init__(self, rows: Rows, relaxations: Solver, start: Policy | None) -> None:
+    def __init__(self, rows: Rows, relaxations: Relaxations, start: Policy | None) -> None:
         self.rows = rows
         self.relaxations = relaxations
         self.nodes = 0

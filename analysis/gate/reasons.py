@@ -25,7 +25,7 @@ from functools import cached_property
 
 import numpy as np
 
-from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy, value_of_memory
+from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
 from exact_mdp.analysis.gate.regret import Regret, regret
 from exact_mdp.analysis.gate.relaxation import Relaxations, Rows, one_hot
 from exact_mdp.mdp.chain import reachable
@@ -94,11 +94,6 @@ class Representation:
             f" ({proof}); of the regret, {float(self.loss.value):.6g} is due to what the policy"
             f" reads and {float(self.learning_error.value):.6g} to what was learned"
         )
-
-    @cached_property
-    def memory(self) -> tuple[BestPolicy, ...]:
-        """The best policies that read more columns; see `value_of_memory`."""
-        return value_of_memory(self.mdp, self.best.columns, known=(self.best,))
 
     @cached_property
     def rows(self) -> tuple[RowChange, ...]:

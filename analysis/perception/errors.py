@@ -24,17 +24,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.perception.policies import status_names
-from exact_mdp.mdp.care.process import Process
+from exact_mdp.analysis.perception.values import Passes
+from exact_mdp.mdp.care.perception import by_place, checked, status_names
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.gains import SLACK, gamma
-from exact_mdp.solvers.pomdp.values import acting, at_start, largest, rounding, values, visits
+from exact_mdp.solvers.bounds.gains import SLACK
 from exact_mdp.solvers.solution import Bounded
-from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -131,29 +129,26 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     >>> bool(abs(found.loss.sum() - whole) < 1e-9), max(found.by_status, key=found.by_status.get)
     (True, 'disengagement')
     """
-    process = Process.of(model, confusion)
-    size, matrix = process.statuses, process.confusion
-    table = process.table(policy_of(model, policy))
-    weights = acting(process, table)
-    value, q = values(process, weights)
-    met = visits(process, weights)[..., 0]
-    sharp = acting(process, table, np.eye(size))
-    true_value, true_q = values(process, sharp)
+    passes = Passes(model)
+    size, table = passes.statuses, passes.table(policy)
+    matrix = checked(confusion, size=size, where="confusion matrix")
+    matrix = np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
+    weights = passes.weights(table, np.stack([matrix, np.eye(size)]))
+    value, q = passes.values(weights)
+    worth, perfect = passes.at_start(value).tolist()
+    met = passes.visits(weights[:, 0])[: model.space.regular].reshape(-1, size)
     # (P, Z, Z): what acting by z is worth in s
-    by_seen = q[..., 0] @ table.transpose(0, 2, 1)
+    by_seen, true_by_seen = (by_place(model, each) @ table.transpose(0, 2, 1) for each in q.T)
     derivative = np.einsum("ps,psz->sz", met, by_seen)
-    true_by_seen = true_q[..., 0] @ table.transpose(0, 2, 1)
     short = np.diagonal(true_by_seen, axis1=1, axis2=2)[:, :, None] - true_by_seen
     loss = matrix * np.einsum("ps,psz->sz", met, short)
-    off = rounding(process)
-    rough = float(gamma(process.depth * process.terms + len(process.moves) + 4 * size + 8))
     # Visits sum to the steps at most, and no difference of values exceeds twice the largest.
-    error = 4 * rough * process.depth * largest(process) * size * SLACK
+    error = 4 * size * len(passes.layers) * passes.rounding * SLACK
     names = status_names(model)
     return ErrorCosts(
         statuses=names,
-        value=Bounded(value=float(at_start(process, value)[0]), error=off),
-        perfect=Bounded(value=float(at_start(process, true_value)[0]), error=off),
+        value=Bounded(value=worth, error=passes.rounding),
+        perfect=Bounded(value=perfect, error=passes.rounding),
         derivative=derivative,
         loss=loss,
         rates={name: _rate(matrix, derivative, bit, names) for bit, name in enumerate(names)},

@@ -12,7 +12,7 @@ from exact_mdp.analysis.plots.learning import (
     plot_trainer,
     plot_value_bands,
 )
-from exact_mdp.analysis.plots.perception import plot_confusion, plot_prices
+from exact_mdp.analysis.plots.perception import plot_confusion
 from exact_mdp.analysis.plots.returns import plot_return_distribution
 from exact_mdp.analysis.plots.states import plot_policy, plot_states
 from exact_mdp.analysis.plots.style import action_styles, save, style
@@ -25,7 +25,6 @@ __all__ = [
     "plot_influence",
     "plot_learning_curves",
     "plot_policy",
-    "plot_prices",
     "plot_regrets",
     "plot_return_distribution",
     "plot_states",

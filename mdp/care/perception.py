@@ -76,12 +76,18 @@ def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     array([1., 0., 0., 0.])
     """
     matrix = checked(confusion, size=status_size(model), where="confusion matrix")
+    weights, regular = Policy.of(model, policy).weights(model), model.space.regular
     by_action = np.zeros((model.n_states, model.n_actions))
-    by_action[model.pair_state, model.pair_action] = Policy.of(model, policy).weights(model)
-    regular = model.space.regular
-    places = by_action[:regular].reshape(-1, len(matrix), model.n_actions)
-    by_action[:regular] = (matrix @ places).reshape(regular, model.n_actions)
+    by_action[model.pair_state, model.pair_action] = weights
+    by_action[:regular] = (matrix @ by_place(model, weights)).reshape(regular, model.n_actions)
     return Policy(space=model.space, actions=model.actions, rule=by_action)
+
+
+def by_place(model: MDP, amounts: Floats) -> Floats:
+    """Return (P, Z, A) by place, status and action what `amounts` (L,) are by pair, else 0."""
+    by_state = np.zeros((model.n_states, model.n_actions))
+    by_state[model.pair_state, model.pair_action] = amounts
+    return by_state[: model.space.regular].reshape(-1, status_size(model), model.n_actions)
 
 
 def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> Floats:
@@ -392,6 +398,12 @@ def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
 def _status_names(model: MDP) -> list[str]:
     names = (parameter.name for parameter in model.parameters)
     return [name.removeprefix("base.") for name in names if name.startswith("base.")]
+
+
+def status_names(model: MDP) -> tuple[str, ...]:
+    """Return the names of the statuses, the most significant bit first; numbers where unnamed."""
+    names, bits = _status_names(model), status_size(model).bit_length() - 1
+    return tuple(names) if len(names) == bits else tuple(f"bit {bit}" for bit in range(bits))
 
 
 def _csv_rows(text: str, where: str, header: list[str], fix: str) -> list[tuple[str, list[str]]]:

@@ -2,9 +2,9 @@
 
 What the paper says there of language cannot be checked without its authors' model; what follows
 from the decision model is computed (`paper_repro.agents.claims`). The figures show what perception
-is worth: the scripted agent's measured confusion, what its errors cost, and what is left of the
-optimum as perception worsens. The scripted agent misreads each status at a stated rate, so that its
-confusion is known and the measurement can be compared with it.
+is worth: the scripted agent's measured confusion, what its errors cost, and what the optimal policy
+is worth as perception worsens. The scripted agent misreads each status at a stated rate, so that
+its confusion is known and the measurement can be compared with it.
 """
 
 from __future__ import annotations
@@ -17,24 +17,14 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from exact_mdp.analysis.perception.accuracy import (
-    AccuracyCurves,
-    Hedging,
-    accuracy_curves,
-    prices,
-)
-from exact_mdp.analysis.perception.cost import (
-    PriceOfPerception,
-    UncertainValue,
-    value_under_counts,
-)
+from exact_mdp.analysis.perception.accuracy import accuracy_curves
+from exact_mdp.analysis.perception.cost import UncertainValue, value_under_counts
 from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
+from exact_mdp.analysis.perception.needed import accuracy_needed
 from exact_mdp.analysis.plots.perception import (
     plot_accuracy_curves,
     plot_confusion,
     plot_error_costs,
-    plot_hedging,
-    plot_prices,
 )
 from exact_mdp.analysis.plots.style import titled
 from exact_mdp.mdp import MDP, Policy, Scenario
@@ -59,7 +49,6 @@ EACH = 20  # behaviours for each status vector
 SEED = 42
 SHOWN, TIMESTEPS = 3, 6  # seed of the conversation that is shown, and how much of it
 DRAWS = 2000
-LEVELS = (1.0, 0.98, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
 PICTURES = Pictures()
 
 
@@ -221,15 +210,6 @@ def measured() -> Measured:
     )
 
 
-@cache
-def worsening() -> tuple[tuple[PriceOfPerception, ...], Hedging, AccuracyCurves]:
-    """Return what is left as perception worsens, how reading hedges, and curves."""
-    mdp = measured().mdp
-    # Limits by count, not by time: every run says the same.
-    found = prices(mdp, LEVELS, tol=0.05, seconds=60, max_trials=20, node_limit=4000)
-    return found, Hedging.of(mdp, LEVELS, found), accuracy_curves(mdp)
-
-
 @PICTURES.add("agents_perception_confusion")
 def _confusion() -> Figure:
     figure, ax = plt.subplots(figsize=(5.6, 5.6))
@@ -256,22 +236,7 @@ def _errors() -> Figure:
 @PICTURES.add("agents_perception_accuracy")
 def _accuracy() -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plot_accuracy_curves(worsening()[2], ax=ax)
+    mdp = measured().mdp
+    plot_accuracy_curves(accuracy_curves(mdp), needed=accuracy_needed(mdp), ax=ax)
     titled(ax, "The optimal policy acting on what it perceives")
-    return figure
-
-
-@PICTURES.add("agents_perception_memory")
-def _memory() -> Figure:
-    figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plot_prices(LEVELS, worsening()[0], ax=ax)
-    titled(ax, "What remembering saves as perception worsens")
-    return figure
-
-
-@PICTURES.add("agents_perception_hedging")
-def _hedging() -> Figure:
-    figure, ax = plt.subplots(figsize=(7.4, 5.0))
-    plot_hedging(worsening()[1], ax=ax)
-    titled(ax, "The best action for each status perceived, without memory")
     return figure

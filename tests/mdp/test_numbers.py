@@ -20,12 +20,9 @@ from hypothesis import strategies as st
 
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.care.perception import independent
-from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.npz import load, save
 from exact_mdp.solvers import ValueIteration, certify, evaluate, solve
-from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
 from exact_mdp.solvers.robust.robust import solve_robust
 from exact_mdp.solvers.robust.sets import Intervals
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -394,16 +391,12 @@ def test_rows_that_are_mixed_and_miss_1_have_bounds_that_hold() -> None:
             assert abs(F(kept.value[s]) - value[s]) <= F(kept.error[s])
 
 
-PROCESS = Process.of(MODELS["exact"], independent([0.9] * 4, [0.8] * 4))
-
-
 def test_true_is_no_number_of_iterations() -> None:
     """Counts are whole numbers; True does not count as 1, nor does 1.0."""
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     calls: list[Any] = [
         lambda count: ValueIteration(max_iterations=count),
         lambda count: return_distribution(mdp, "optimal", max_sweeps=count),
-        lambda count: solve_beliefs(PROCESS, max_trials=count),
         lambda count: solve_robust(mdp, Intervals.relative(mdp, 0.2), max_iterations=count),
     ]
     for call in calls:

@@ -34,8 +34,8 @@ from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
 from exact_mdp.analysis.learning.trainers import check_trainer
 from exact_mdp.analysis.pages.explorer import explore
-from exact_mdp.analysis.perception.accuracy import accuracy_curves, hedging
-from exact_mdp.analysis.perception.cost import Counted, price_of_perception, value_under_counts
+from exact_mdp.analysis.perception.accuracy import accuracy_curves
+from exact_mdp.analysis.perception.cost import Counted, value_under_counts
 from exact_mdp.analysis.perception.errors import error_costs
 from exact_mdp.analysis.sensitivity import (
     gradient,
@@ -59,7 +59,6 @@ from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.training import train_many
-from exact_mdp.solvers.pomdp.pomdp import solve_beliefs
 from exact_mdp.solvers.risk import best_cvar, best_entropic
 from exact_mdp.solvers.robust.robust import solve_robust
 from exact_mdp.solvers.robust.sets import Intervals
@@ -109,7 +108,6 @@ MADE: dict[str, Callable[[], object]] = {
     "AverageEvaluation": lambda: evaluate(care(), "random", criterion="average"),
     "AverageSolution": lambda: solve(care(), criterion="average"),
     "AverageCertificate": lambda: certify(care(), criterion="average"),
-    "BeliefSolution": lambda: solve_beliefs(Process.of(care(), ROUGH), tol=1),
     "BestPolicy": lambda: best_policy(care()),
     "BoundedCertificate": lambda: certify(care(), bounded=True),
     "CVaROptimum": lambda: best_cvar(care(), "1/10"),
@@ -126,7 +124,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Evaluation": lambda: evaluate(care(), "random"),
     "Front": lambda: tradeoff(care(), ["anger", "subtask-complete"]),
     "Gradient": lambda: gradient(SMALL),
-    "Hedging": lambda: hedging(care(), levels=[1.0, 0.9]),
+    "JointRadius": lambda: joint_radius(SMALL, {"base.anger": (0, 1)}),
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
     "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),
@@ -135,7 +133,6 @@ MADE: dict[str, Callable[[], object]] = {
         check(recorded().mdp, "always:wait", confidence=0.95, by=Posterior(n=80, rng=0)).interval
     ),
     "PolicyComparison": lambda: compare(care(), {"a": "random", "b": "optimal"}),
-    "PriceOfPerception": lambda: price_of_perception(care(), ROUGH, tol=1),
     "ReturnDistribution": lambda: return_distribution(care(), "random"),
     "Rationalization": lambda: rationalize(care(), "always:directive"),
     "RegretInterval": lambda: recorded().interval,

@@ -120,17 +120,10 @@ def test_reasons(mdp: MDP, tmp_path: Path) -> None:
     assert (why["columns"], why["proven"]) == (["status"], True)
     assert why["loss"] + why["learning_error"] == pytest.approx(found["regret"], abs=1e-12)
     assert list(why["policy"]) == [f"status {s:04b}" for s in range(16)]
-    assert [each["columns"] for each in found["memory"]] == [
-        ["status"],
-        ["subtask", "status"],
-        ["trial", "status"],
-        ["subtask", "trial", "status"],
-    ]
-    assert found["memory"][0]["worth"] == 0
     assert found["rows"][0]["gain"] > 0
     assert found["q_error"]["promised"] == q[0].max()
     bare = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json", "--no-explain").result
-    assert (bare["representation"], bare["memory"], bare["rows"]) == (None, None, None)
+    assert (bare["representation"], bare["rows"]) == (None, None)
     assert bare["regret"] == found["regret"]
 
 

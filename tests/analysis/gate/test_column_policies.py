@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis import best_policy, check, value_of_memory
+from exact_mdp.analysis import best_policy, check
 from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
 from exact_mdp.analysis.gate.relaxation import Rows as TableRows
 from exact_mdp.mdp import MDP, Column, ModelError, Policy, Scenario
@@ -91,10 +91,8 @@ def test_the_best_policy_is_the_best_of_all(mdp: MDP) -> None:
         assert cut.upper_bound >= max(values) - 1e-12
         assert cut.value.value <= max(values) + 1e-9
         assert cut.proven == (cut.upper_bound - cut.value.value < 1e-8)
-    found = value_of_memory(mdp, ("row",))
-    assert [each.columns for each in found] == [("row",), ("time", "row")]
     exact = float(certify(mdp).start_value)
-    assert found[1].value.value == pytest.approx(exact, abs=1e-9)
+    assert best_policy(mdp, ("time", "row")).value.value == pytest.approx(exact, abs=1e-9)
     assert best.mixed_upper_bound == pytest.approx(exact, abs=1e-9)
 
 
@@ -124,16 +122,14 @@ def test_no_policy_that_a_relaxation_allows_is_worth_more(mdp: MDP, seed: int) -
 
 def test_what_a_status_policy_cannot_express() -> None:
     mdp = TEMPTING.compile()
-    best, *others = value_of_memory(mdp)
+    best = best_policy(mdp)
+    more = [("subtask", "status"), ("trial", "status"), ("subtask", "trial", "status")]
+    others = [best_policy(mdp, columns) for columns in more]
     optimal = float(certify(mdp).start_value)
     assert best.columns == ("status",)
     assert best.proven
     assert optimal - best.value.value > 0.005  # what is best changes with the trial
-    assert [each.columns for each in others] == [
-        ("subtask", "status"),
-        ("trial", "status"),
-        ("subtask", "trial", "status"),
-    ]
+    assert [each.columns for each in others] == more
     for each in others:
         assert each.proven
         assert best.value.value - 1e-9 <= each.value.value <= optimal + 1e-9
@@ -145,7 +141,6 @@ def test_what_a_status_policy_cannot_express() -> None:
     assert float(why.learning_error.value) == 0
     assert why.rows == ()
     assert why.loss == audit.regret.at_start
-    assert [each.columns for each in why.memory] == [each.columns for each in (best, *others)]
     assert check(mdp, others[-1].policy).representation is None
 
 

@@ -11,13 +11,14 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, Oracle
 
-from exact_mdp.analysis.perception.accuracy import accuracy_curves, confusion_at
-from exact_mdp.analysis.perception.cost import price_of_perception
+from exact_mdp.analysis.perception.accuracy import accuracy_curves
+from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.perception.policies import best_perceived_policy
-from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.care.perception import independent, perceived
-from exact_mdp.solvers import evaluate
+from exact_mdp.analysis.perception.needed import accuracy_needed, confusion_at
+from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp.care.perception import Counted, independent, perceived
+from exact_mdp.mdp.space import Column, StateSpace
+from exact_mdp.solvers import certify, evaluate
 
 F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]
@@ -116,59 +117,38 @@ def test_curves_are_evaluations(care: MDP) -> None:
             assert value == pytest.approx(worth(care, confusion_at(care, x, name)), rel=1e-12)
 
 
-def test_prices_are_in_order(care: MDP) -> None:
-    found = price_of_perception(care, ROUGH, tol=0.05)
-    fixed, placed = found.memoryless, found.with_place
-    assert found.taken_as_true.value <= placed.value.value + 1e-9
-    assert fixed.value.value <= placed.value.value + 1e-9
-    assert placed.value.interval[0] <= found.filtering.upper
-    assert found.filtering.lower >= placed.value.value - 1e-6
-    assert found.filtering.lower <= found.perfect.value + found.perfect.error
-    assert found.unseeing.lower <= found.filtering.upper
-    assert fixed.value.value == pytest.approx(worth(care, ROUGH, fixed.policy), rel=1e-12)
-    assert placed.value.value == pytest.approx(worth(care, ROUGH, placed.policy), rel=1e-12)
-    for best in (fixed, placed):
-        low, _ = best.value.interval
-        assert low <= best.upper_bound <= best.mixed_upper_bound + 1e-9
+def test_draws_of_the_confusion_are_evaluations(care: MDP) -> None:
+    counts = Counted(counts=np.diag(range(16)), prior=0.5)
+    found = value_under_counts(care, POLICY, counts, rng=0, n=3)
+    drawn = counts.samples(np.random.default_rng(0), 3)
+    assert found.draws == pytest.approx([worth(care, matrix) for matrix in drawn], rel=1e-12)
+    assert found.at_mean.value == pytest.approx(worth(care, counts.mean), rel=1e-12)
 
 
-def test_a_limit_on_nodes_is_sound(care: MDP) -> None:
-    whole = best_perceived_policy(care, ROUGH)
-    early = best_perceived_policy(care, ROUGH, node_limit=20)
-    assert whole.proven
-    assert early.upper_bound >= whole.value.interval[0]
-    assert early.value.value <= whole.value.interval[1]
-
-
-def test_trials_make_the_output_the_same() -> None:
-    words = ("yuan2025", "--set", "tasks=[2]", "--set", "max_trial=2", "--accuracy", "0.8")
-    words += ("--tolerance", "1e-9", "--trials")
-    first, again = (run("perception", *words, "3", "--json") for _ in range(2))
-    assert first.out == again.out
-    assert first.err == ""  # progress is for terminals
-    assert not first.result["filtering"]["closed"]  # the trials ended it
-
-
-def test_the_text_tells_the_best_reading() -> None:
-    words = ("yuan2025", "--set", "tasks=[1]", "--set", "max_trial=1", "--accuracy", "0.8")
-    found = run("perception", *words, "--trials", "5", "--json").result["memoryless"]["policy"]
-    text = run("perception", *words, "--trials", "5").out
-    assert "best action by the status seen alone (proven the best)" in text
-    for status, action in found.items():
-        assert [status, action] in [line.split() for line in text.splitlines()]
+def test_models_whose_errors_have_no_price() -> None:
+    """States that come back, and actions that reveal the status."""
+    space = StateSpace(columns=(Column(name="status", size=2, bits=1),), extra=("end",))
+    end = (2, 0, [(1, 2, 0)])
+    turning = [(s, 0, [("1/2", 1 - s, 1), ("1/2", 2, 0)]) for s in (0, 1)]
+    revealing = [(0, 0, [(1, 2, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 2, 1)])]
+    for rows, said in ((turning, "come back"), (revealing, "reveal the status")):
+        mdp = MDP.from_outcomes([*rows, end]).with_(space=space)
+        for ask in (error_costs, lambda *given: accuracy_curves(given[0])):
+            with pytest.raises(ModelError, match=said):
+                ask(mdp, "optimal", np.eye(2))
+    with pytest.raises(ModelError, match="no statuses"):
+        error_costs(MDP.from_arrays([[[1]]], [0]), "optimal", np.eye(1))
 
 
 def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
     model = ("yuan2025", "--set", "tasks=[1]", "--set", "max_trial=2")
-    words = (*model, "--accuracy", "0.9", "--tolerance", "0.5")
+    words = (*model, "--accuracy", "0.9")
     found = json.loads(run("perception", *words, "--json").out)
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
     matrix = confusion_at(mdp, 0.9)
     costs = error_costs(mdp, "optimal", matrix)
     assert found["taken_as_true"]["value"] == pytest.approx(costs.value.value, rel=1e-12)
-    assert found["memoryless"]["value"] == pytest.approx(
-        best_perceived_policy(mdp, matrix).value.value, rel=1e-12
-    )
+    assert found["perfect"]["value"] == pytest.approx(float(certify(mdp).start_value), rel=1e-12)
     assert found["errors"]["anger"]["by_sensitivity"] == pytest.approx(costs.rates["anger"][0])
     assert found["claim"] == "bounded"
     pairs = "".join(f"{s},{s}\n" for s in LABELS)
@@ -190,9 +170,7 @@ def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
         (("--accuracy", "2"), "accuracy is 2"),
         (("--accuracy", "1.5"), "where: --accuracy"),
         (("--accuracy", "0.9", "--prior", "1"), "takes no prior"),
-        (("--accuracy", "0.9", "--seconds", "0"), "not positive"),
-        (("--accuracy", "0.9", "--trials", "0"), "not a whole number"),
-        (("--accuracy", "0.9", "--trials", "9", "--seconds", "1"), "both --seconds"),
+        (("--accuracy", "0.9", "--share", "2"), "share is"),
         (("--accuracy", "0.9", "--draws", "x"), "not a whole number"),
     ],
 )

@@ -5,7 +5,6 @@ import io
 import itertools
 import pkgutil
 from collections.abc import Iterator
-from dataclasses import replace
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -17,7 +16,7 @@ from matplotlib.figure import Figure
 from exact_mdp import analysis, evaluate, solve, solvers
 from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve, random_curve
 from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
-from exact_mdp.analysis.perception.accuracy import Hedging, accuracy_curves, hedging, prices
+from exact_mdp.analysis.perception.accuracy import accuracy_curves
 from exact_mdp.analysis.perception.errors import error_costs
 from exact_mdp.analysis.plots import (
     plot_distinct,
@@ -26,7 +25,7 @@ from exact_mdp.analysis.plots import (
     plot_value_bands,
     style,
 )
-from exact_mdp.analysis.plots.perception import plot_accuracy_curves, plot_hedging
+from exact_mdp.analysis.plots.perception import plot_accuracy_curves
 from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_actions
 from exact_mdp.analysis.plots.sensitivity import plot_sobol
 from exact_mdp.analysis.plots.style import titled
@@ -265,42 +264,27 @@ def test_figures_of_indices() -> None:
 
 
 def test_figures_of_perception() -> None:
-    from exact_mdp.analysis.plots.perception import plot_confusion, plot_error_costs, plot_prices
+    from exact_mdp.analysis.plots.perception import plot_confusion, plot_error_costs
 
-    mdp, levels = SMALL.compile(), [1.0, 0.9]
+    mdp = SMALL.compile()
     policy = {f"{s:04b}": mdp.actions[(3 * s + 2) % 4] for s in range(16)}
-    priced = prices(mdp, levels, tol=0.5, node_limit=200)
     drawn = [
-        plot_accuracy_curves(accuracy_curves(mdp, levels=levels)),
-        plot_prices(levels, priced),
+        plot_accuracy_curves(accuracy_curves(mdp, levels=[1.0, 0.9]), needed=accuracy_needed(mdp)),
         plot_error_costs(error_costs(mdp, policy, ROUGH)),
-        plot_hedging(Hedging.of(mdp, levels, priced)),
         plot_confusion(ROUGH),
     ]
     assert all(ax.get_xlabel() for ax in drawn)
-    bars = sorted(round(bar.get_width(), 9) for bar in drawn[2].patches)
+    bars = sorted(round(bar.get_width(), 9) for bar in drawn[1].patches)
     losses = error_costs(mdp, policy, ROUGH).by_status.values()
     assert bars == sorted(round(loss, 9) for both in losses for loss in both)
 
 
-def test_figures_mark_what_is_not_proven() -> None:
+def test_labels_beside_the_axes_and_titles_within_them() -> None:
     mdp = SMALL.compile()
-    found = hedging(mdp, levels=[1.0, 0.9])
-    open_ = replace(found.best[1], proven=False)
-    ax = plot_hedging(replace(found, best=(found.best[0], open_)))
-    drawn = found.seen.sum(axis=1)
-    sure, pale = ax.patches[: drawn[0]], ax.patches[drawn[0] : drawn.sum()]
-    assert len(ax.patches) == drawn.sum()
-    # Read rightly, what is perceived is where the policy comes by.
-    met = (evaluate(mdp, found.best[0].policy).visits > 0) & (np.bincount(mdp.pair_state) > 1)
-    seen = np.unique(mdp.space.values("status", np.flatnonzero(met)))
-    assert np.flatnonzero(found.seen[0]).tolist() == seen.tolist()
-    assert found.seen[1].all()
-    assert min(sum(cell.get_facecolor()[:3]) for cell in pale) > 2.2
-    assert min(sum(cell.get_facecolor()[:3]) for cell in sure) < 2
-    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["1", "0.9*"]
-    assert "not proven" in ax.get_xlabel()
-    assert "*" not in plot_hedging(found).get_xlabel()
+    curves = accuracy_curves(mdp, levels=[0.5, 1.0])
+    drawn = plot_accuracy_curves(curves, needed=accuracy_needed(mdp))
+    (label,) = (text for text in drawn.texts if text.get_text().startswith("95%"))
+    assert label.xy[0] > 1  # beside the axes, where there are no curves
     with style():
         _, ax = plt.subplots(figsize=(4, 3))
         words = "What these errors cost the optimal policy by the posterior of all counts"

@@ -1,0 +1,113 @@
+"""Values and visits of one policy under many confusions of the status at once.
+
+    Q(s, a) = r(s, a) + γ Σ_s' P(s' | s, a) V(s'),     V(s) = Σ_a π_C(a | s) Q(s, a),
+
+with the mixed policy π_C that a confusion C makes of a policy (`mdp.care.perception`), in one pass
+from the last states to the first, and the visits d in one pass forward. Every number is a sum of
+products. With D steps at most, n roundings in each of them and R the greatest reward of an outcome,
+a value is off by at most γ(D n) D R (Higham, Accuracy and Stability of Numerical Algorithms, SIAM
+2002, section 3.1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from exact_mdp.mdp.care.perception import by_place, status_size
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.table import Floats, Integers, spans
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
+from exact_mdp.solvers.values.policy_chain import policy_of
+
+
+class Passes:
+    """Passes over the states of a model with statuses, of P places and Z statuses.
+
+    Attributes
+    ----------
+    mdp : MDP
+    layers : list of int arrays
+        States that are reached and not the end; a transition leads to an earlier layer, or the end.
+    rounding : float
+        No value that is computed here is off by more.
+    """
+
+    def __init__(self, mdp: MDP) -> None:
+        size, level = status_size(mdp), levels(mdp)
+        if level is None:
+            raise ModelError(
+                "states come back to themselves, and what errors of perception cost is computed "
+                "where they do not",
+                where=f"model {mdp.name}".strip(),
+                fix="use a scenario, whose trials and subtasks are counted",
+            )
+        offered = by_place(mdp, np.ones(mdp.n_pairs)) > 0
+        differ = (offered != offered[:, :1]).any(axis=(1, 2))
+        if differ.any():
+            place = int(np.flatnonzero(differ)[0])
+            raise ModelError(
+                "the available actions reveal the status",
+                where=f"state ({mdp.space.label(place * size)}) and its other statuses",
+                fix="offer the same actions in every status of a place",
+            )
+        self.mdp, self.statuses = mdp, size
+        used = np.flatnonzero(reachable(mdp) & ~mdp.terminal)
+        used = used[np.argsort(level[used], kind="stable")]
+        self.layers: list[Integers] = np.split(used, np.flatnonzero(np.diff(level[used])) + 1)
+        steps = len(self.layers)
+        widest = int(np.diff(mdp.table.offsets).max())
+        largest = steps * float(np.abs(mdp.table.gains()).max(initial=0.0)) * SLACK
+        terms = steps * (widest + 2 * size + 2 * mdp.n_actions + 12) + mdp.n_states + 4 * size
+        self.rounding = (float(gamma(terms)) * largest + TINY * terms) * SLACK
+
+    def table(self, policy: PolicyLike) -> Floats:
+        """Return (P, Z, A) what a policy does at each place and *perceived* status."""
+        return by_place(self.mdp, policy_of(self.mdp, policy).weights(self.mdp))
+
+    def weights(self, table: Floats, confusions: Floats) -> Floats:
+        """Return (L, N) probabilities of pairs in each *true* status, of confusions (N, Z, Z)."""
+        mdp, regular = self.mdp, self.mdp.space.regular
+        mixed = (confusions[:, None] @ table).reshape(len(confusions), regular, mdp.n_actions)
+        inside = mdp.pair_state < regular  # the end has a single pair
+        found = np.ones((mdp.n_pairs, len(confusions)))
+        found[inside] = mixed[:, mdp.pair_state[inside], mdp.pair_action[inside]].T
+        total = np.add.reduceat(found, mdp.pair_offsets[:-1])
+        return np.asarray(found / total[mdp.pair_state])
+
+    def values(self, weights: Floats) -> tuple[Floats, Floats]:
+        """Return values (S, N) and action values (L, N) of policies (L, N); 0 where never met."""
+        mdp = self.mdp
+        value, q = np.zeros((mdp.n_states, weights.shape[1])), np.zeros(weights.shape)
+        for states in self.layers:
+            pairs, offsets = self._pairs(states)
+            ahead = mdp.transition[pairs] @ value
+            q[pairs] = mdp.reward[pairs, None] + mdp.discount * ahead
+            value[states] = np.add.reduceat(weights[pairs] * q[pairs], offsets)
+        return value, q
+
+    def visits(self, weights: Floats) -> Floats:
+        """Return (S,) expected discounted visits from the start under a policy (L,)."""
+        mdp = self.mdp
+        found = mdp.start_distribution.copy()
+        for states in reversed(self.layers):
+            pairs, _ = self._pairs(states)
+            flow = found[mdp.pair_state[pairs]] * weights[pairs]
+            found += mdp.discount * (mdp.transition[pairs].T @ flow)
+        return found
+
+    def at_start(self, values: Floats) -> Floats:
+        """Return (N,) start values of values (S, N)."""
+        return np.asarray(self.mdp.start_distribution @ values)
+
+    def worth(self, table: Floats, confusions: Floats) -> Floats:
+        """Return (N,) the start values of a policy (P, Z, A) under confusions (N, Z, Z)."""
+        return self.at_start(self.values(self.weights(table, confusions))[0])
+
+    def _pairs(self, states: Integers) -> tuple[Integers, Integers]:
+        """Return the pairs of some states, and where each state's begin."""
+        first, last = self.mdp.pair_offsets[states], self.mdp.pair_offsets[states + 1]
+        return spans(first, last), np.concatenate([[0], np.cumsum(last - first)[:-1]])

@@ -1,1 +1,0 @@
-"""Acting on what is perceived, with memory: beliefs, bounds and their search."""
