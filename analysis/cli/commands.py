@@ -712,37 +712,30 @@ def rationalize() -> None:
 @click.option(
     "--cvar",
     "level",
+    required=True,
     metavar="SHARE",
     help="The mean return of this share of the episodes, the worst: 0.1 or 1/10.",
-)
-@click.option(
-    "--entropic",
-    "aversion",
-    metavar="X",
-    help="The certainty equivalent - log(E exp(-X return)) / X: X above 0 avoids risk, below 0 "
-    "seeks it.",
 )
 @click.option(
     "--policy",
     "policies",
     multiple=True,
     metavar="POLICY",
-    help="With --cvar: a policy to place beside the best ones. May be repeated.",
+    help="A policy to place beside the best ones. May be repeated.",
 )
 @click.option(
     "--policy-out",
     metavar="FILE",
-    help="Write the policy: .csv or .json; with --cvar by state and reward so far.",
+    help="Write the policy: .csv or .json; by state and reward so far.",
 )
 @horizon
 @of_model
 def risk() -> None:
     """Find the policy of MODEL with the least risk of the return, exactly.
 
-    MODEL has discount 1 and no cycles, or a horizon. --cvar: the policy with the greatest mean
-    of the worst episodes, which remembers the reward so far, and those with the most of a weighted
-    mean of this and the mean of all. --entropic: the policy with the greatest certainty equivalent.
-    In a model of costs, the least.
+    MODEL has discount 1 and no cycles, or a horizon. The answer is the policy with the greatest
+    mean of the worst episodes, which remembers the reward so far, and those with the most of a
+    weighted mean of this and the mean of all. In a model of costs, the least.
     """
 
 

@@ -9,17 +9,14 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from exact_mdp.analysis.cli.options import Given, check_outputs, given, policy_from
+from exact_mdp.analysis.cli.options import check_outputs, given, policy_from
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.solvers.risk import best_entropic
 from exact_mdp.solvers.risk.lattice import share_of
 from exact_mdp.solvers.solution import Certified
 
@@ -145,8 +142,7 @@ def rationalize(**shared: Any) -> Report:
 
 def risk(
     *,
-    level: str | None,
-    aversion: str | None,
+    level: str,
     policies: tuple[str, ...],
     policy_out: str | None,
     **shared: Any,
@@ -154,17 +150,6 @@ def risk(
     """Find the best policy for a risk of the return."""
     check_outputs((policy_out, (".csv", ".json")))
     asked = given(**shared)
-    if (level is None) == (aversion is None):
-        raise ModelError(
-            "no measure of risk" if level is None else "two measures of risk",
-            where="risk",
-            fix="give --cvar SHARE or --entropic X",
-        )
-    if aversion is not None:
-        if policies:
-            fix = "leave it out, or give --cvar SHARE"
-            raise ModelError("--policy does not apply to --entropic", where="--policy", fix=fix)
-        return _entropic(asked, aversion, policy_out)
     mdp, share = asked.mdp, share_of(level)
     picture = mean_cvar(mdp, share, policies={p: policy_from(mdp, p) for p in policies})
     best = picture.optima[0]
@@ -229,30 +214,6 @@ def _write_rules(path: str, rules: Sequence[Mapping[str, Any]]) -> None:
     writer.writeheader()
     writer.writerows(texts)
     write_atomically(path, out.getvalue())
-
-
-def _entropic(asked: Given, aversion: str, policy_out: str | None) -> Report:
-    found = best_entropic(asked.mdp, aversion)
-    if policy_out:
-        Policy.from_choices(found.mdp, found.policy).write(policy_out)
-    result = {
-        "measure": "entropic",
-        "aversion": found.aversion,
-        "claim": found.claim,
-        "value": found.value.value,
-        "error_bound": found.value.error,
-        "mean": found.mean,
-        "distribution": found.distribution(),
-        "policy": whole_policy(found.mdp, [found.mdp.actions[a] for a in found.policy]),
-        "written": [policy_out] if policy_out else [],
-    }
-    facts = {
-        "certainty equivalent": found.value,
-        "mean of all episodes": Certified(value=found.mean),
-        "policy": "proven to be the best one",
-        "written": result["written"] or None,
-    }
-    return asked.report(result, facts, [])
 
 
 def _named(names: tuple[str, ...], values: Any) -> dict[str, Fraction]:

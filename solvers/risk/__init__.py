@@ -7,7 +7,6 @@
 Fraction(4, 1)
 """
 
-from exact_mdp.solvers.risk.entropic import EntropicOptimum, best_entropic
 from exact_mdp.solvers.risk.tail import CVaROptimum, best_cvar
 
-__all__ = ["CVaROptimum", "EntropicOptimum", "best_cvar", "best_entropic"]
+__all__ = ["CVaROptimum", "best_cvar"]

@@ -59,7 +59,7 @@ from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.training import train_many
-from exact_mdp.solvers.risk import best_cvar, best_entropic
+from exact_mdp.solvers.risk import best_cvar
 from exact_mdp.solvers.robust.robust import solve_robust
 from exact_mdp.solvers.robust.sets import Intervals
 
@@ -119,7 +119,6 @@ MADE: dict[str, Callable[[], object]] = {
     "DeterministicSolution": lambda: solve(
         care(), subject_to={"anger": ">= -50"}, deterministic=True
     ),
-    "EntropicOptimum": lambda: best_entropic(care(), 1),
     "EnclosedFront": lambda: tradeoff(walk(), ["gain", "calm"], exact=False),
     "Evaluation": lambda: evaluate(care(), "random"),
     "Front": lambda: tradeoff(care(), ["anger", "subtask-complete"]),

@@ -8,10 +8,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
-from math import exp, log
 from pathlib import Path
 
-import flint
 import numpy as np
 import pytest
 from cli_runner import run
@@ -20,10 +18,8 @@ from hypothesis import strategies as st
 
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.solvers import certify, return_distribution
-from exact_mdp.solvers.risk import best_cvar, best_entropic
-from exact_mdp.solvers.risk.entropic_checker import exponential
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers import certify
+from exact_mdp.solvers.risk import best_cvar
 
 F = Fraction
 Distribution = tuple[tuple[Fraction, Fraction], ...]
@@ -104,49 +100,7 @@ def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight
     assert {-value: p for value, p in turned.distribution().items()} == found.distribution()
 
 
-@settings(max_examples=50, deadline=None)
-@given(trees(), st.sampled_from([F(1, 10), F(1), F(-1), F(4)]))
-def test_entropic_risk(rows: Rows, aversion: Fraction) -> None:
-    every = distributions(rows, max(s for s, *_ in rows))
-
-    def equivalent(of: Distribution) -> float:
-        return -log(sum(float(p) * exp(-aversion * value) for value, p in of)) / float(aversion)
-
-    found = best_entropic(model(rows), aversion)
-    assert found.value.value == pytest.approx(max(map(equivalent, every)), rel=1e-9, abs=1e-9)
-    assert found.value.error < 1e-12
-    own = tuple(found.distribution().items())
-    assert own in every
-    assert equivalent(own) == pytest.approx(found.value.value, rel=1e-9, abs=1e-9)
-    again = return_distribution(model(rows), found.policy, exact=True)
-    assert tuple(zip(again.values, again.exact or (), strict=True)) == own
-    costs = [(s, a, [(p, to, -gain) for p, to, gain in each]) for s, a, each in rows]
-    turned = best_entropic(model(costs, "min"), aversion)
-    assert turned.value == -found.value
-    assert found.violations() == turned.violations() == []
-    other = found.policy.copy()
-    for pair in np.flatnonzero(~found.optimal):
-        state = found.mdp.pair_state[pair]
-        other[state] = found.mdp.pair_action[pair]
-        assert replace(found, policy=other).violations()
-        other[state] = found.policy[state]
-    far = Bounded(value=found.value.value + 1e-3, error=found.value.error)
-    for change in ({"value": far}, {"optimal": ~found.optimal}, {"returns": {F(99): F(1)}}):
-        assert replace(found, **change).violations()
-
-
-@given(st.fractions(-40, 40, max_denominator=50), st.sampled_from([64, 200, 1000]))
-def test_fractions_enclose_exponentials(x: Fraction, bits: int) -> None:
-    low, high = exponential(x, bits)
-    with flint.ctx.workprec(2 * bits + 200):
-        exact = flint.arb(flint.fmpq(x.numerator, x.denominator)).exp()
-        assert not flint.arb(flint.fmpq(low.numerator, low.denominator)) > exact
-        assert not flint.arb(flint.fmpq(high.numerator, high.denominator)) < exact
-    assert (high - low) * 2 ** (bits - 20) <= high
-
-
-def test_ties_are_decided_exactly() -> None:
-    """Two actions with one distribution, made in two ways, and one that is a hair better."""
+def test_returns_on_too_fine_a_lattice_are_refused() -> None:
     rows = [
         (2, 0, [("1/2", 1, 0), ("1/2", 0, 2)]),
         (2, 1, [("1/2", 0, 1), ("1/2", 0, 2)]),
@@ -154,9 +108,6 @@ def test_ties_are_decided_exactly() -> None:
         (1, 0, [(1, 0, 1)]),
         (0, 0, [(1, 0, 0)]),
     ]
-    found = best_entropic(MDP.from_outcomes(rows[:2] + rows[3:], start=2), 1)
-    assert found.optimal.all()
-    assert found.violations() == []
     with pytest.raises(ModelError, match="rounder rewards"):
         best_cvar(MDP.from_outcomes(rows, start=2), "1/2")
 
@@ -205,7 +156,7 @@ def test_what_is_false_is_found() -> None:
 
 
 def test_the_model_of_the_paper() -> None:
-    """The worst share of all is the mean; both risks lie between the least return and the mean."""
+    """The worst share of all is the mean."""
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
     best = certify(mdp).start_value
     assert best_cvar(mdp, 1).value == best
@@ -214,9 +165,7 @@ def test_the_model_of_the_paper() -> None:
     assert average == best
     assert found.optima[0].value >= value > found.policies["random"][1]
     assert found.optima[0].violations() == []
-    careful = best_entropic(mdp, "1/100")
-    assert careful.violations() == []
-    assert found.optima[0].value < careful.value.value < float(best)
+    assert found.optima[0].value < best
     assert len(found.frame()) == 7
 
 
@@ -225,9 +174,6 @@ def test_with_a_horizon_cycles_are_no_matter() -> None:
     mdp = MDP.from_outcomes(rows)
     found = best_cvar(mdp, "1/2", horizon=3)
     assert found.value == found.mean == 0
-    assert abs(best_entropic(mdp, 1, horizon=3).value.value) < 1e-100
-    bold = best_entropic(mdp, -1, horizon=2)
-    assert bold.value.value == pytest.approx(2 * log((exp(1) + exp(-1)) / 2))
     with pytest.raises(ModelError, match="give a horizon"):
         best_cvar(mdp, "1/2")
     with pytest.raises(ModelError, match="choose discount 1"):
@@ -278,18 +224,13 @@ def test_the_command() -> None:
     assert found["points"][0]["weight"] == "0"
     assert F(found["value"]) >= F(found["policies"][0]["cvar"])
     assert sum(map(F, found["distribution"].values())) == 1
-    other = run(*words, "--entropic", "1/10").result
-    assert (other["claim"], other["policy"].keys()) == ("bounded", {f"{n:04b}" for n in range(16)})
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ((), "--cvar SHARE"),
-        (("--cvar", "1/2", "--entropic", "1"), "two measures"),
+        ((), "--cvar"),
         (("--cvar", "0"), "above 0"),
-        (("--entropic", "0"), "aversion of 0"),
-        (("--entropic", "1", "--policy", "random"), "--policy"),
         (("--cvar", "1/2", "--discount", "1/2"), "discount 1"),
     ],
 )
