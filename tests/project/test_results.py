@@ -53,7 +53,6 @@ from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.mdp import MDP, Policy, Scenario, moving
 from exact_mdp.mdp.care.perception import independent
-from exact_mdp.mdp.care.process import Process
 from exact_mdp.mdp.parametric import parametric
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
@@ -235,7 +234,6 @@ def test_a_result_shows_itself(name: str) -> None:
         lambda: check(care(), np.eye(4)[[0] * 16]).representation,
         lambda: uncertainty(parametric(SMALL)),
         lambda: parametric(SMALL),
-        lambda: Process.of(care(), ROUGH),
     ],
 )
 def test_so_do_the_things_results_are_made_of(thing: Callable[[], object]) -> None:
