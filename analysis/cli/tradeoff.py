@@ -12,7 +12,6 @@ from typing import Any
 from exact_mdp.analysis.cli.options import check_outputs, given, policy_from
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.solve import whole_policy
-from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
@@ -76,9 +75,7 @@ def tradeoff(
     ]
     facts = {
         "vertices": len(vertices),
-        "claim": "certified: exact, and no policy is beyond"
-        if isinstance(front, Front)
-        else "certified: no policy is beyond; --json has proven bounds on all numbers",
+        "claim": "certified: exact, and no policy is beyond",
         "more is": "worse: totals are costs" if mdp.sense == "min" else None,
         "written": result["written"] or None,
     }

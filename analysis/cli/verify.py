@@ -10,7 +10,7 @@ from math import ulp
 from typing import Any
 
 from exact_mdp.analysis.cli.options import given
-from exact_mdp.analysis.cli.render import Report, Table, between
+from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
 from exact_mdp.mdp.model import MDP
@@ -42,9 +42,6 @@ def verify(*, certificate: str, **shared: Any) -> Report:
         proven = {} if violations else proof.found(asked.mdp)
         result |= {"kind": proof.kind, "objectives": list(proof.objectives)} | proven
         if "vertices" in proven:
-            result["totals"] = [
-                {name: _ends(total) for name, total in each.items()} for each in proven["totals"]
-            ]
             facts |= {"names": proven["names"], "vertices": proven["vertices"]}
             tables.append(_totals(proven))
         elif proven:
@@ -74,23 +71,11 @@ def verify(*, certificate: str, **shared: Any) -> Report:
     return asked.report(result, facts, [*tables, table], status=FAILS if violations else HOLDS)
 
 
-def _ends(total: Fraction | tuple[Fraction, Fraction]) -> object:
-    """Return a total as the front of a model has it: exactly, or between two fractions."""
-    return dict(zip(("low", "high"), total, strict=True)) if isinstance(total, tuple) else total
-
-
 def _totals(proven: Mapping[str, Any]) -> Table:
-    """Return the totals of the vertices, in decimals; a wide range is shown as one."""
-
-    def shown(total: Fraction | tuple[Fraction, Fraction]) -> float | str:
-        if not isinstance(total, tuple):
-            return float(total)
-        low, high = map(float, total)
-        return low if f"{low:.10g}" == f"{high:.10g}" else between(low, high)
-
+    """Return the totals of the vertices."""
     return Table(
         title="vertices of the front",
-        rows=[{name: shown(t) for name, t in each.items()} for each in proven["totals"]],
+        rows=[{name: float(total) for name, total in each.items()} for each in proven["totals"]],
         columns={name: f"{name}:.10g" for name in proven["names"]},
     )
 

@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from exact_mdp.analysis.gate.limits import totals_under
-from exact_mdp.analysis.tradeoffs.enclosed_front import EnclosedFront
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.lazy import later
@@ -53,7 +52,6 @@ from exact_mdp.solvers.objectives.optima import (
     proof,
     proposed,
 )
-from exact_mdp.solvers.objectives.parametric import chain_of
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -63,7 +61,7 @@ if TYPE_CHECKING:
 
 pandas = later("pandas")
 Weights = tuple[int, ...]
-LONG = 100  # states on a cycle, with which fractions of a front take over 10 seconds
+LONGEST = 200  # states that lead to each other: a front of two totals takes a minute or two
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,14 +205,10 @@ class Front(Pictured):
         ObjectivesProof.of(FRONT, self.objectives, **parts).save(path)
 
 
-def tradeoff(
-    model: MDP | Scenario, names: Sequence[str], *, exact: bool | None = None
-) -> Front | EnclosedFront:
+def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     """Return the exact Pareto front of two or three expected totals from the start.
 
-    Every total is maximised; in a model of costs, minimised. Where more than 100 states lead to
-    each other, fractions are very long: then the front of two totals has the same proven policies,
-    and short bounds on its numbers.
+    Every total is maximised; in a model of costs, minimised.
 
     Parameters
     ----------
@@ -223,20 +217,16 @@ def tradeoff(
     names : sequence of str
         Two or three of: a component of the reward, `steps`, an event, a label that is not left
         again (its probability), or a sum such as `name=2*a-b`.
-    exact : bool, optional
-        Whether to write out fractions however long they are; False: to bound them in any case.
 
     Returns
     -------
-    Front or EnclosedFront
-        Fractions, unless `exact` is False or, by default, they are long. Where policies tie in a
-        way that bounds do not tell, there are fractions, too, but for `exact=False`.
+    Front
 
     Raises
     ------
     ModelError
-        For an unknown name, or a total that is infinite under some policy; with `exact=False`,
-        for three totals, and where bounds do not tell policies apart.
+        For an unknown name, or a total that is infinite under some policy; and where more than 200
+        states lead to each other, as the fractions of a front are then very long.
 
     Examples
     --------
@@ -252,16 +242,13 @@ def tradeoff(
             fix="name two or three",
         )
     of = Objectives.of(mdp_of(model), names)
-    two = len(names) == 2
-    if exact is False or (exact is None and two and of.longest_cycle > LONG):
-        if chain := chain_of(of) if two else None:
-            return EnclosedFront(names=of.names, chain=chain, objectives=of)
-        if exact is False:
-            raise ModelError(
-                "bounds do not tell the policies apart" if two else "bounds of three totals",
-                where="tradeoff",
-                fix="leave out exact=False: then the numbers of the front are fractions",
-            )
+    if of.longest_cycle > LONGEST:
+        raise ModelError(
+            f"{of.longest_cycle:,} states lead to each other, and the fractions of a front are "
+            "very long then",
+            where="tradeoff",
+            fix="stop after N steps (horizon), or ask for one optimum under limits (subject_to)",
+        )
     vertices, duals = _chain(of) if len(names) == 2 else _cells(of)
     return Front(
         names=of.names,

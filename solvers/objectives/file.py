@@ -13,14 +13,7 @@ An exact front, of kind "front", has besides them
     bounds        [{"weights": [rational, …], "values": vector}]
 
 where a rational is [numerator, denominator], and a vector {"top": [S integers], "below": integer}.
-One whose numbers are enclosed, of kind "chain" (`.switches`), has
-
-    first, switches   [S pairs], [pairs]
-    brackets          [[rational, rational], …]
-    totals            [[[rational, rational], [rational, rational]], …]
-    weight            [S integers]
-
-and an optimum under limits, of kind "limits" (`.constrained`),
+An optimum under limits, of kind "limits" (`.constrained`), has
 
     rank, weight  as above
     limits        [{"name": text, "sign": 1 or -1, "bound": rational}]
@@ -64,7 +57,6 @@ from exact_mdp.solvers.objectives.checker import (
     parts_violations,
     totals_of,
 )
-from exact_mdp.solvers.objectives.switches import Chain, chain_violations, corners
 from exact_mdp.solvers.proof.checker import not_of
 from exact_mdp.solvers.proof.file import (
     ProofFile,
@@ -84,7 +76,7 @@ from exact_mdp.solvers.proof.file import (
 )
 from exact_mdp.solvers.solution import Claim
 
-FRONT, CHAIN, LIMITS, DETERMINISTIC = "front", "chain", "limits", "deterministic"
+FRONT, LIMITS, DETERMINISTIC = "front", "limits", "deterministic"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,16 +122,12 @@ class ObjectivesProof:
     def found(self, mdp: MDP) -> dict[str, Any]:
         """Return what a sound proof proves: totals of vertices, or those under limits.
 
-        The totals of a chain are pairs of bounds; those of limits that nobody keeps are missing.
+        Those of limits that nobody keeps are missing.
         """
         of, own = Objectives.of(mdp, self.objectives), self.content
         if self.kind in (LIMITS, DETERMINISTIC):
             return self._under_limits(of)
-        if self.kind == FRONT:
-            points = sorted(tuple(of.sign * t for t in v.total) for v in own["vertices"])
-        else:
-            every = (own["chain"].totals[corner.policy] for corner in corners(of, own["chain"]))
-            points = sorted(tuple(tuple(sorted(of.sign * e for e in t)) for t in v) for v in every)
+        points = sorted(tuple(of.sign * t for t in v.total) for v in own["vertices"])
         totals = [dict(zip(of.texts, point, strict=True)) for point in points]
         return {"names": of.texts, "vertices": len(totals), "totals": totals}
 
@@ -238,16 +226,6 @@ def _front(proof: Proof, vertices: Sequence[Attained], duals: Mapping[Point, Val
     }
 
 
-def _chain(chain: Chain) -> Written:
-    return {
-        "first": chain.first.tolist(),
-        "switches": list(chain.switches),
-        "brackets": [_ratios(bracket) for bracket in chain.brackets],
-        "totals": [[_ratios(bracket) for bracket in each] for each in chain.totals],
-        "weight": hexed(chain.weight),
-    }
-
-
 def _limits(
     proof: Proof,
     limits: Sequence[Limit],
@@ -340,21 +318,6 @@ def _read_front(file: ProofFile, states: int) -> dict[str, Any]:
     }
 
 
-def _read_chain(file: ProofFile, states: int) -> dict[str, Any]:
-    def bracket(ends: object) -> tuple[Fraction, Fraction]:
-        low, high = list_of(ratio, 2)(ends)
-        return low, high
-
-    chain = Chain(
-        first=file.get("first", array_of(states)),
-        switches=tuple(file.get("switches", _empty_or(typed(int)))),
-        brackets=tuple(file.get("brackets", _empty_or(bracket))),
-        totals=tuple(tuple(each) for each in file.get("totals", list_of(list_of(bracket, 2)))),
-        weight=tuple(file.get("weight", list_of(integer, states))),
-    )
-    return {"chain": chain}
-
-
 def _limit_list(file: ProofFile) -> list[Limit]:
     def limit(parts: dict[str, Any]) -> Limit:
         sign = typed(int)(parts["sign"])
@@ -404,13 +367,13 @@ def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
 
 
 WRITTEN: dict[str, Callable[..., Written]] = {
-    FRONT: _front, CHAIN: _chain, LIMITS: _limits, DETERMINISTIC: _deterministic,
+    FRONT: _front, LIMITS: _limits, DETERMINISTIC: _deterministic,
 }  # fmt: skip
 READ: dict[str, Callable[[ProofFile, int], dict[str, Any]]] = {
-    FRONT: _read_front, CHAIN: _read_chain, LIMITS: _read_limits,
+    FRONT: _read_front, LIMITS: _read_limits,
     DETERMINISTIC: _read_deterministic,
 }  # fmt: skip
 CHECKS: dict[str, Callable[..., list[str]]] = {
-    FRONT: front_violations, CHAIN: chain_violations, LIMITS: constrained_violations,
+    FRONT: front_violations, LIMITS: constrained_violations,
     DETERMINISTIC: parts_violations,
 }  # fmt: skip

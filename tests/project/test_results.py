@@ -94,12 +94,6 @@ def recorded() -> Audit:
     return check(mdp, "always:treat", confidence=0.95, by=Robust(rewards="known"))
 
 
-def walk() -> MDP:
-    """A model whose policies bounds tell apart."""
-    rows = [(s, a, [("1/3", 0, 0), ("2/3", a, 0)]) for s in (0, 1) for a in (0, 1)]
-    return MDP.from_outcomes(rows, "1/2", components={"gain": [0, 1, 3, 7], "calm": [5, 2, 9, 1]})
-
-
 # One of each kind of result. A new kind is added here; the first test says so.
 MADE: dict[str, Callable[[], object]] = {
     "AccuracyCurves": lambda: accuracy_curves(care(), levels=[0.9, 1]),
@@ -118,7 +112,6 @@ MADE: dict[str, Callable[[], object]] = {
     "DeterministicSolution": lambda: solve(
         care(), subject_to={"anger": ">= -50"}, deterministic=True
     ),
-    "EnclosedFront": lambda: tradeoff(walk(), ["gain", "calm"], exact=False),
     "Evaluation": lambda: evaluate(care(), "random"),
     "Front": lambda: tradeoff(care(), ["anger", "subtask-complete"]),
     "Gradient": lambda: gradient(SMALL),

@@ -167,7 +167,6 @@ def proofs(folder: Path) -> dict[str, Path]:
     """One proof of each kind about totals, as files."""
     made = {
         "front": tradeoff(THREE, ["a", "b"]),
-        "chain": tradeoff(THREE, ["a", "b"], exact=False),
         "limits": solve(THREE, subject_to={"b": ">= 15"}),
         "infeasible": solve(THREE, subject_to={"b": ">= 600"}),
         "alone": solve(THREE, subject_to={"b": ">= 15"}, deterministic=True),
@@ -204,8 +203,6 @@ def said(proof: ObjectivesProof) -> list[object]:
     of, own = Objectives.of(THREE, proof.objectives), proof.content
     if proof.kind == "front":
         return [own["vertices"][n].total for n in range(len(own["vertices"]))]
-    if proof.kind == "chain":
-        return [pairs.tolist() for pairs in own["chain"].policies(of)]
     if proof.kind == "deterministic":  # holds under nearby limits, and wider bounds, too
         return [{**proof.found(THREE), "limits": None, "bound": None}]
     return [proof.found(THREE), own["shift"], own["price"], totals_of(of, own["flow"])]
@@ -225,7 +222,7 @@ def test_proofs_about_totals_are_files_that_are_checked(tmp_path: Path) -> None:
         assert ObjectivesProof.load(path, kind).violations(THREE.with_(discount="1/2"))
         parts = content.keys() - {"format", "version", "kind", "model", "objectives", "states"}
         proven, refused = said(ObjectivesProof.load(path, kind)), list[bool]()
-        for part in parts - ({"weight"} if name == "chain" else set()):
+        for part in parts:
             for new in changed(content[part]):
                 path.write_text(json.dumps(content | {part: new}))
                 try:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from objective_models import totals, with_components
 
 from exact_mdp import Scenario, certify, evaluate, solve, tradeoff
+from exact_mdp.analysis import rationalize
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers.objectives.checker import Values, slack
 from exact_mdp.solvers.objectives.optima import Losses
@@ -280,3 +281,27 @@ def test_floats_and_integers_tell_the_same_signs(mdp: MDP, weights: tuple[int, i
     assert losses.signs(weights).tolist() == wanted
     losses.near = losses.near * 0
     assert losses.signs(weights).tolist() == wanted
+
+
+def test_at_discount_0_only_the_start_counts() -> None:
+    """What is gained in the state that comes next is no vertex, and no part of an edge."""
+    gains = zip(product(range(2), repeat=2), [2, 1, 5, 1], strict=True)
+    rows = [(s, a, [(1, 1, gain)]) for (s, a), gain in gains]
+    mdp = MDP.from_outcomes(rows, 0, components={"a": [2, 0, 5, 0], "b": [0, 1, 0, 1]})
+    assert tradeoff(mdp, ["a", "b"]).vertices == [(0, 1), (2, 0)]
+    limited = solve(mdp, subject_to={"b": ">= 1/2"})
+    assert (limited.start_value, limited.violations()) == (F(3, 2), [])
+    assert rationalize(mdp, [1, 0]).violations() == []
+
+
+def test_a_front_of_long_fractions_is_refused() -> None:
+    """What the message proposes is answered."""
+    rows = [(s, a, [(1, (s + 1) % 201, 0)]) for s in range(201) for a in (0, 1)]
+    mdp = MDP.from_outcomes(rows, "1/2", components={"a": [0, 1] * 201, "b": [2, 0] * 201})
+    for names in (["a", "b"], ["a", "b", "steps"]):
+        with pytest.raises(ModelError, match="201 states lead to each other") as refused:
+            tradeoff(mdp, names)
+    assert "horizon" in refused.value.fix
+    assert "subject_to" in refused.value.fix
+    assert tradeoff(mdp.within(3), ["a", "b"]).vertices == [(0, F(7, 2)), (F(7, 4), 0)]
+    assert solve(mdp, subject_to={"a": ">= 1"}).violations() == []
