@@ -100,17 +100,6 @@ for state, chances in held.randomises.items():
     print(care.space.label(state), {name: round(float(p), 4) for name, p in chances.items()})
 
 # %% [markdown]
-# Nobody wants a robot that draws lots? Then the best policy without a draw is worth less. To find
-# it is NP-hard; the search says how far its policy may be from the best. For one task of one
-# subtask:
-
-# %%
-small = scenario.with_(tasks=[1], max_trial=3)
-plain = solve(small, subject_to={"anger": ">= -1/5"}, deterministic=True)
-print(f"{float(plain.start_value):.3f}, at most {float(plain.gap):.3f} from the best;")
-print(f"policies that draw reach {float(plain.mixed.start_value):.3f}")
-
-# %% [markdown]
 # Limits may be too much. Then that is proven, with the closest ones that can be kept.
 
 # %%
@@ -133,9 +122,10 @@ for name, policy in {"the optimum": "optimal", "the best that keeps it": held.po
 # ## Which weights make a policy right?
 #
 # The other way round: by how much must the weights be changed before "always clear instruction"
-# were optimal?
+# were optimal? For one task of one subtask:
 
 # %%
+small = scenario.with_(tasks=[1], max_trial=3)
 asked = rationalize(small, "always:directive")
 print(f"each weight by up to {float(asked.change):.1%}")
 asked.frame().head()

@@ -33,10 +33,8 @@ from exact_mdp.solvers.solution import Solution, Status, warn_of_precision
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
-    from exact_mdp.solvers.objectives.deterministic import DeterministicSolution
 
 constrained = later("exact_mdp.solvers.objectives.constrained")
-deterministic_search = later("exact_mdp.solvers.objectives.deterministic")
 
 SOLVERS: dict[str, type[Solver]] = {
     "value-iteration": ValueIteration,
@@ -112,17 +110,7 @@ def solve(
     horizon: int | None = ...,
     terminal_value: Any = ...,
     subject_to: Mapping[str, Any],
-    deterministic: Literal[False] = ...,
 ) -> ConstrainedSolution: ...
-@overload
-def solve(
-    model: MDP | Scenario,
-    *,
-    horizon: int | None = ...,
-    terminal_value: Any = ...,
-    subject_to: Mapping[str, Any],
-    deterministic: Literal[True],
-) -> DeterministicSolution: ...
 @overload
 def solve(
     model: SolvesItself[Found],
@@ -142,7 +130,6 @@ def solve(
     start: Any = None,
     criterion: str = "total",
     subject_to: Mapping[str, Any] | None = None,
-    deterministic: bool = False,
 ) -> object:
     """Return optimal values and a policy, with bounds on their error.
 
@@ -178,14 +165,11 @@ def solve(
         Limits on expected totals of components of the reward, of steps, events or sums of these
         (`solvers.objectives.amounts`). The optimum under them is exact, and the policy may draw its
         actions.
-    deterministic : bool
-        Under limits, look for the best policy that draws none. That is NP-hard; the search, by
-        branch and bound, may end early, and the gap says how far the policy may be from the best.
 
     Returns
     -------
     Solution
-        With limits a ConstrainedSolution, or a DeterministicSolution; an AverageSolution of an
+        With limits a ConstrainedSolution; an AverageSolution of an
         average reward, which has gain and bias; or what `solve_with` of another kind of model
         gives.
 
@@ -213,12 +197,6 @@ def solve(
     [2.5, 2.5]
     """
     solver = "auto" if solver is None else solver
-    if deterministic and subject_to is None:
-        raise ModelError(
-            "without limits every optimum is deterministic",
-            where="deterministic",
-            fix="leave it out, or give subject_to",
-        )
     if subject_to is not None and (solver, tol, start, criterion) != ("auto", None, None, "total"):
         raise ModelError(
             "limits on total rewards have one solver, which is exact",
@@ -244,8 +222,6 @@ def solve(
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)
     if subject_to is not None:
-        if deterministic:
-            return deterministic_search.best_deterministic(mdp, subject_to)
         return constrained.solve_under(mdp, subject_to)
     if mdp.sense == "min":
         return solve(mdp.maximised, solver, tol=tol, start=opposite(mdp, start)).negated(mdp)

@@ -276,11 +276,6 @@ def convert() -> None:
 @click.option("--tol", metavar="X", help="Greatest absolute error of a value.")
 @click.option("--certify", is_flag=True, help="Compute and prove the exact optimum.")
 @subject_to
-@click.option(
-    "--deterministic",
-    is_flag=True,
-    help="Under limits, the best policy that draws no action: a search, which says how far off.",
-)
 @click.option("--policy-out", metavar="FILE", help="Write the policy: .csv or .json.")
 @click.option("--out", metavar="FILE", help="Write values, policy and action values: .npz.")
 @click.option(

@@ -36,7 +36,6 @@ from exact_mdp.solvers.solution import Bounded, Certified
 if TYPE_CHECKING:
     from exact_mdp.solvers.objectives.checker import Limit
     from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
-    from exact_mdp.solvers.objectives.deterministic import DeterministicSolution
 
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
@@ -55,7 +54,6 @@ def solve(
     out: str | None,
     certificate: str | None,
     subject_to: tuple[str, ...],
-    deterministic: bool,
     **shared: Any,
 ) -> Report:
     """Find an optimum, and write what was asked for."""
@@ -63,14 +61,7 @@ def solve(
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol}
         refused |= {"--out": out, "--criterion average": shared.get("criterion") == "average"}
-        under = _deterministic if deterministic else _under_limits
-        return under(subject_to, refused, policy_out, certificate, **shared)
-    if deterministic:
-        raise ModelError(
-            "without limits every optimum is deterministic",
-            where="--deterministic",
-            fix="leave it out, or add --subject-to",
-        )
+        return _under_limits(subject_to, refused, policy_out, certificate, **shared)
     asked = given(**shared)
     mdp, average = asked.mdp, asked.average
     if average and certificate and not certify:
@@ -159,71 +150,9 @@ def _limited(refused: Mapping[str, object], **shared: Any) -> Given:
     return given(**shared)
 
 
-def _sound(found: ConstrainedSolution | DeterministicSolution) -> None:
+def _sound(found: ConstrainedSolution) -> None:
     if faults := found.violations():
         raise Contradiction(f"the proof does not hold: {faults[0]}")
-
-
-def _deterministic(
-    texts: tuple[str, ...],
-    refused: Mapping[str, object],
-    policy_out: str | None,
-    certificate: str | None,
-    **shared: Any,
-) -> Report:
-    """Look for the best deterministic policy under limits."""
-    asked = _limited(refused, **shared)
-    mdp = asked.mdp
-    found = solvers.solve(mdp, subject_to=limits_from(texts), deterministic=True)
-    _sound(found)
-    held, mixed = found.found, found.mixed
-    if held is not None and policy_out:
-        found.policy.write(policy_out)
-    if certificate:
-        found.save(certificate)
-    value = found.start_value if held else None
-    result = {
-        "method": "limits, deterministic",
-        "claim": found.claim,
-        "feasible": found.feasible,
-        "start_value": None if value is None else float(value),
-        "error_bound": None if found.gap is None else float(found.gap),
-        "exact_start_value": value,
-        "bound": found.bound,
-        "gap": found.gap,
-        "mixed_value": mixed.start_value,
-        "limits": [str(limit) for limit in mixed.limits],
-        "totals": found.totals,
-        "parts": len(found.parts),
-        "policy": None
-        if held is None
-        else whole_policy(mdp, [mdp.actions[a] for a in mdp.pair_action[held.pairs]]),
-        "written": [path for path in (policy_out if held else None, certificate) if path],
-    }
-    facts = {
-        "limits": {
-            True: "can be kept",
-            False: "no deterministic policy keeps them all (proven)",
-            None: f"no deterministic policy that keeps them was found in {len(found.parts)} parts",
-        }[found.feasible],
-        "start value": found.start if held else None,
-        "in any model": _contradictory(mixed.limits),
-        "best possible": None
-        if found.bound is None
-        else "this policy (proven)"
-        if not found.gap and held
-        else f"at most {float(found.bound):.10g}: the search ended early"
-        if mdp.sense == "max"
-        else f"at least {float(found.bound):.10g}: the search ended early",
-        "policies that draw actions": mixed.start,
-        "written": result["written"] or None,
-    }
-    rows = [
-        {"limit": str(limit), "total": float(found.totals[limit.name])}
-        for limit in (mixed.limits if held else ())
-    ]
-    table = Table(title="limits", rows=rows, columns={"limit": "limit", "total": "total:.10g"})
-    return asked.report(result, facts, [table], status=0 if held else 1)
 
 
 def _under_limits(

@@ -46,14 +46,11 @@ def verify(*, certificate: str, **shared: Any) -> Report:
             tables.append(_totals(proven))
         elif proven:
             result["limits"] = [str(limit) for limit in proven["limits"]]
-            result["closest"] = {moved.name: moved.bound for moved in proven.get("closest", ())}
+            result["closest"] = {moved.name: moved.bound for moved in proven["closest"]}
             if proven["exact_start_value"] is not None:
                 facts["start value"] = Certified(value=proven["exact_start_value"])
-            elif proven["feasible"] is False:
-                which = "policy" if "prices" in proven else "deterministic policy"
-                facts["limits"] = f"no {which} keeps them all (proven)"
-            if proven.get("bound") is not None:
-                facts["no deterministic policy is beyond"] = Certified(value=proven["bound"])
+            else:
+                facts["limits"] = "no policy keeps them all (proven)"
             tables.append(_limits(proven))
     elif not violations:
         start = _start(proof, asked.mdp)

@@ -71,15 +71,11 @@ def _slack(of: Objectives, earned: Numbers, top: Sequence[int]) -> Numbers:
     return np.where(rows.terminal[state], own[state], found)
 
 
-def tight(
-    of: Objectives, weights: Sequence[Fraction], values: Values, allowed: Integers | None = None
-) -> Integers:
+def tight(of: Objectives, weights: Sequence[Fraction], values: Values) -> Integers:
     """Return (S,) the first pair of each state whose inequality is tight; at ends, the first."""
     loss = _weighted_slack(of, weights, values)
     state = of.mdp.pair_state
     pairs = np.flatnonzero(np.asarray(loss == 0, dtype=bool) | of.rows.terminal[state])
-    if allowed is not None:
-        pairs = np.intersect1d(pairs, allowed)
     return np.asarray(pairs[np.flatnonzero(np.diff(state[pairs], prepend=-1))])
 
 
@@ -104,20 +100,12 @@ def wrong_totals(of: Objectives, policy: Attained, name: str) -> list[str]:
 
 
 def wrong_bound(
-    of: Objectives,
-    weights: Sequence[Fraction],
-    values: Values,
-    bound: Fraction,
-    allowed: Integers | None = None,
+    of: Objectives, weights: Sequence[Fraction], values: Values, bound: Fraction
 ) -> bool:
-    """Return whether values do not prove that no policy has a weighted total above the bound.
-
-    `allowed` are the pairs that policies may take, by default all.
-    """
+    """Return whether values do not prove that no policy has a weighted total above the bound."""
     if values.below <= 0 or of.at_start(*values) > bound:
         return True
-    low = np.asarray(_weighted_slack(of, weights, values) < 0, dtype=bool)
-    return bool((low if allowed is None else low[allowed]).any())
+    return bool((_weighted_slack(of, weights, values) < 0).any())
 
 
 def front_violations(
@@ -325,93 +313,6 @@ def _not_reward(of: Objectives) -> Iterator[str]:
 def room(of: Objectives, limit: Limit, totals: Point) -> Fraction:
     """Return by how much totals, of which more is better, keep a limit; negative if they do not."""
     return limit.sign * (of.sign * totals[of.names.index(limit.name)] - limit.bound)
-
-
-def kept_by(of: Objectives, limit: Limit, totals: Point) -> bool:
-    """Return whether totals keep a limit."""
-    return room(of, limit, totals) >= 0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
-    """The deterministic policies that take certain pairs, and a bound on those that keep limits.
-
-    Attributes
-    ----------
-    taken : tuple of int
-        One pair of each of a few states.
-    price : tuple of Fraction
-        Of the reward, 1, or 0 where no policy of this part keeps the limits; then of each limit.
-    dual : Values
-        What no policy of this part exceeds, where reward and limited totals have these prices.
-    bound : Fraction, optional
-        What no return exceeds; None where no policy of this part keeps the limits.
-    """
-
-    taken: tuple[int, ...]
-    price: Point
-    dual: Values
-    bound: Fraction | None
-
-
-def pairs_of_part(of: Objectives, taken: Sequence[int]) -> Integers:
-    """Return the pairs (K,) that are left to the policies that take some."""
-    state = of.mdp.pair_state
-    open_ = ~np.isin(state, state[list(taken)]) if taken else np.ones(len(state), dtype=bool)
-    open_[list(taken)] = True
-    return np.flatnonzero(open_)
-
-
-def parts_violations(
-    of: Objectives,
-    proof: Proof,
-    limits: Sequence[Limit],
-    found: Attained | None,
-    parts: Sequence[Part],
-    bound: Fraction | None,
-) -> list[str]:
-    """Return what does not hold of a deterministic policy under limits, and a bound on others."""
-    wrong = [*sound(of, proof), *_not_reward(of)]
-    if found is not None:
-        wrong += wrong_totals(of, found, "the policy")
-        wrong += [f"the policy breaks {x}" for x in limits if not kept_by(of, x, found.total)]
-        if bound is None or found.total[0] > bound:
-            wrong.append("the policy is above the bound")
-    for part in parts:
-        reward, *each = part.price
-        weights = dict.fromkeys(of.names, Fraction(0)) | {of.names[0]: reward}
-        highest = Fraction(0) if part.bound is None else part.bound
-        for limit, price in zip(limits, each, strict=True):
-            weights[limit.name] += of.sign * limit.sign * price
-            highest += price * limit.sign * limit.bound
-        if part.bound is None:  # nothing in it keeps the limits
-            high = of.at_start(*part.dual) >= highest
-        else:
-            high = bound is None or part.bound > bound
-        if (
-            min(each, default=Fraction(0)) < 0
-            or reward != int(part.bound is not None)
-            or high
-            or wrong_bound(
-                of, list(weights.values()), part.dual, highest, pairs_of_part(of, part.taken)
-            )
-        ):
-            wrong.append(f"the bound of the part that takes pairs {part.taken} does not hold")
-    if not _cover(of, [part.taken for part in parts], {}):
-        wrong.append("the parts do not hold all policies")
-    return wrong
-
-
-def _cover(of: Objectives, parts: Sequence[tuple[int, ...]], taken: Mapping[int, int]) -> bool:
-    """Return whether each deterministic policy that takes some pairs is in a part."""
-    state = of.mdp.pair_state
-    left = [part for part in parts if all(taken.get(int(state[l]), l) == l for l in part)]
-    if not left:
-        return False
-    split = next((int(state[l]) for l in left[0] if int(state[l]) not in taken), None)
-    return split is None or all(
-        _cover(of, left, {**taken, split: int(l)}) for l in of.mdp.pairs_of(split)
-    )
 
 
 def _flows(of: Objectives, flow: Mapping[int, Fraction]) -> bool:

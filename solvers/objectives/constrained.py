@@ -40,7 +40,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Integers, Numbers, exact
+from exact_mdp.mdp.table import Numbers, exact
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
 from exact_mdp.solvers.objectives.basis import by_basis, combined
 from exact_mdp.solvers.objectives.checker import (
@@ -291,14 +291,12 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Relaxed:
-    """The optimum over mixtures of the policies that take certain pairs alone.
+    """The optimum over mixtures of policies.
 
     Attributes
     ----------
     shift, price, dual
         As in `ConstrainedSolution`.
-    worth : Fraction
-        The return, more being better; 0 where no mixture keeps the limits.
     mixing : _Mixing
         The policies that were found on the way.
     """
@@ -306,58 +304,29 @@ class Relaxed:
     shift: Fraction
     price: tuple[Fraction, ...]
     dual: Values
-    worth: Fraction
     mixing: _Mixing
-
-    @property
-    def columns(self) -> list[Attained]:
-        """The policies that were found on the way."""
-        return self.mixing.columns
 
     @cached_property
     def flow(self) -> Flow:
         """The visits of the mixture as one policy that draws few actions."""
         return _purified(self.mixing.of, self.mixing.limits, self.mixing.flow(), self.shift)
 
-    def drawn(self, of: Objectives) -> dict[int, Flow]:
-        """Return the visits of the states in which the policy draws its action."""
-        found: dict[int, Flow] = {}
-        for pair, amount in self.flow.items():
-            found.setdefault(int(of.mdp.pair_state[pair]), {})[pair] = amount
-        return {state: own for state, own in found.items() if len(own) > 1}
 
-
-def relaxed(
-    of: Objectives,
-    limits: Sequence[Limit],
-    allowed: Integers | None = None,
-    columns: Sequence[Attained] = (),
-) -> Relaxed:
-    """Return the optimum over mixtures; `allowed` pairs alone, from `columns` on."""
-    mixing = _Mixing(of, limits, allowed, columns)
-    closest, worth = mixing.closest(), ZERO
-    if closest is None:
-        price, dual, worth = mixing.best()
-        closest = ZERO, price, dual
-    shift, price, dual = closest
-    return Relaxed(shift=shift, price=price, dual=dual, worth=worth, mixing=mixing)
+def relaxed(of: Objectives, limits: Sequence[Limit]) -> Relaxed:
+    """Return the optimum over mixtures."""
+    mixing = _Mixing(of, limits)
+    shift, price, dual = mixing.closest() or (ZERO, *mixing.best())
+    return Relaxed(shift=shift, price=price, dual=dual, mixing=mixing)
 
 
 class _Mixing:
     """Mixtures of policies: the columns found, and the shares of the last program."""
 
-    def __init__(
-        self,
-        of: Objectives,
-        limits: Sequence[Limit],
-        allowed: Integers | None,
-        columns: Sequence[Attained],
-    ) -> None:
-        self.of, self.limits, self.allowed = of, limits, allowed
-        self.columns = list(columns)
+    def __init__(self, of: Objectives, limits: Sequence[Limit]) -> None:
+        self.of, self.limits = of, limits
+        self.columns: list[Attained] = []
         self.shares: list[Fraction] = []
-        if not columns:
-            self._add(ONE, [ZERO] * len(limits))
+        self._add(ONE, [ZERO] * len(limits))
 
     def closest(self) -> tuple[Fraction, tuple[Fraction, ...], Values] | None:
         """Find mixtures that keep limits moved by the least t; return t, its prices and values.
@@ -369,24 +338,21 @@ class _Mixing:
             moved = [*[ONE] * count, ZERO]
             costs = [*[ZERO] * len(self.columns), -ONE]
             price, most = self._program(costs, [moved])
-            shift = -self._worth(price, most)
+            each = zip(price, self.limits, strict=True)
+            shift = sum((p * limit.sign * limit.bound for p, limit in each), ZERO) - most
             if not shift:
                 return None
             found = self._add(ZERO, price, above=most)
             if found is not None:
                 return shift, price, found
 
-    def best(self) -> tuple[tuple[Fraction, ...], Values, Fraction]:
-        """Find the best mixture that keeps the limits; return prices, values and its return."""
+    def best(self) -> tuple[tuple[Fraction, ...], Values]:
+        """Find the best mixture that keeps the limits; return prices and values."""
         while True:
             price, most = self._program([a.total[0] for a in self.columns], [])
             found = self._add(ONE, price, above=most)
             if found is not None:
-                return price, found, self._worth(price, most)
-
-    def _worth(self, price: Sequence[Fraction], most: Fraction) -> Fraction:
-        each = zip(price, self.limits, strict=True)
-        return most - sum((p * limit.sign * limit.bound for p, limit in each), ZERO)
+                return price, found
 
     def _program(
         self, costs: list[Fraction], more: list[list[Fraction]]
@@ -414,7 +380,7 @@ class _Mixing:
     ) -> Values | None:
         """Add the best policy for these prices, or return its values where it is no better."""
         weights = combined(self.of, self.limits, reward, price)
-        found = optimum(self.of, weights, self.allowed)
+        found = optimum(self.of, weights)
         if above is not None and found.total <= above:
             return found.values
         self.columns.append(extreme(self.of, weights, found))

@@ -21,14 +21,6 @@ An optimum under limits, of kind "limits" (`.constrained`), has
     pairs, flow   [pairs visited], [rational, …]: their expected visits
     dual          vector
 
-The best policy under limits that draws no action, of kind "deterministic" (`.deterministic`), has
-rank, weight and limits, too, and
-
-    vertices      [the policy, as a vertex of a front], or [] where none was found
-    highest       rational: what no such policy exceeds, negated for costs; null where there is none
-    parts         [{"pairs": [pairs taken], "price": [rational, …], "dual": vector,
-                  "bound": rational or null}]
-
 What is read is checked for its form; whether its claims hold is for `violations` to say. Nothing
 here imports a solver.
 """
@@ -47,14 +39,12 @@ from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import (
     Attained,
     Limit,
-    Part,
     Point,
     Proof,
     Values,
     constrained_violations,
     front_violations,
     moved_by,
-    parts_violations,
     totals_of,
 )
 from exact_mdp.solvers.proof.checker import not_of
@@ -76,7 +66,7 @@ from exact_mdp.solvers.proof.file import (
 )
 from exact_mdp.solvers.solution import Claim
 
-FRONT, LIMITS, DETERMINISTIC = "front", "limits", "deterministic"
+FRONT, LIMITS = "front", "limits"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,7 +115,7 @@ class ObjectivesProof:
         Those of limits that nobody keeps are missing.
         """
         of, own = Objectives.of(mdp, self.objectives), self.content
-        if self.kind in (LIMITS, DETERMINISTIC):
+        if self.kind == LIMITS:
             return self._under_limits(of)
         points = sorted(tuple(of.sign * t for t in v.total) for v in own["vertices"])
         totals = [dict(zip(of.texts, point, strict=True)) for point in points]
@@ -135,28 +125,19 @@ class ObjectivesProof:
         own = self.content
         named = dict(zip(of.names, of.texts, strict=True))  # a name may be given to any sum
         limits = [replace(limit, name=named[limit.name]) for limit in own["limits"]]
-        if self.kind == DETERMINISTIC:
-            held, highest = own["found"], own["bound"]
-            feasible = True if held else False if highest is None else None
-            point = held.total if held else None
-            more = {
-                "bound": None if highest is None else of.sign * highest,
-            }
-        else:
-            feasible = own["price"][0] == 1
-            point = totals_of(of, own["flow"])
-            prices = dict.fromkeys(of.texts[1:], Fraction(0))
-            for limit, price in zip(limits, own["price"][1:], strict=True):
-                prices[limit.name] += price
-            closest = [moved_by(own["shift"], limit) for limit in limits]
-            more = {"prices": prices, "closest": closest}
-        total = point and dict(zip(of.texts, [of.sign * t for t in point], strict=True))
+        feasible = own["price"][0] == 1
+        prices = dict.fromkeys(of.texts[1:], Fraction(0))
+        for limit, price in zip(limits, own["price"][1:], strict=True):
+            prices[limit.name] += price
+        point = totals_of(of, own["flow"])
+        total = dict(zip(of.texts, [of.sign * t for t in point], strict=True))
         return {
             "limits": limits,
             "feasible": feasible,
-            "exact_start_value": total[of.texts[0]] if total and feasible else None,
-            "totals": {limit.name: total[limit.name] for limit in limits} if total else {},
-            **more,
+            "exact_start_value": total[of.texts[0]] if feasible else None,
+            "totals": {limit.name: total[limit.name] for limit in limits},
+            "prices": prices,
+            "closest": [moved_by(own["shift"], limit) for limit in limits],
         }
 
     def save(self, path: str | Path) -> None:
@@ -182,10 +163,7 @@ def _pairs(kind: str, content: Mapping[str, Any]) -> list[int]:
     """Return the pairs that are looked up."""
     if kind == FRONT:
         return [pair for vertex in content["vertices"] for pair in vertex.pairs.tolist()]
-    if kind == DETERMINISTIC:
-        own = [] if content["found"] is None else content["found"].pairs.tolist()
-        return own + [pair for part in content["parts"] for pair in part.taken]
-    return list(content["flow"]) if kind == LIMITS else []
+    return list(content["flow"])
 
 
 # ---- a kind each: what is written, and what is read ----------------------------------------------
@@ -250,29 +228,6 @@ def _bounds(limits: Sequence[Limit]) -> list[Written]:
     ]
 
 
-def _deterministic(
-    proof: Proof,
-    limits: Sequence[Limit],
-    found: Attained | None,
-    parts: Sequence[Part],
-    bound: Fraction | None,
-) -> Written:
-    return _proof(proof) | {
-        "limits": _bounds(limits),
-        "vertices": _vertices([] if found is None else [found]),
-        "highest": None if bound is None else hexed_ratio(bound),
-        "parts": [
-            {
-                "pairs": list(part.taken),
-                "price": _ratios(part.price),
-                "dual": _vector(part.dual),
-                "bound": None if part.bound is None else hexed_ratio(part.bound),
-            }
-            for part in parts
-        ],
-    }
-
-
 def _read_proof(file: ProofFile, states: int) -> Proof:
     weight = file.get("weight", or_none(list_of(integer, states)))
     return Proof(file.get("rank", or_none(array_of(states))), weight)
@@ -330,29 +285,6 @@ def _limit_list(file: ProofFile) -> list[Limit]:
     return list(file.get("limits", list_of(limit)))
 
 
-def _read_deterministic(file: ProofFile, states: int) -> dict[str, Any]:
-    limits = _limit_list(file)
-
-    def part(parts: dict[str, Any]) -> Part:
-        return Part(
-            taken=tuple(_empty_or(typed(int))(parts["pairs"])),
-            price=tuple(list_of(ratio, 1 + len(limits))(parts["price"])),
-            dual=_values(states)(parts["dual"]),
-            bound=or_none(ratio)(parts["bound"]),
-        )
-
-    policies = file.get("vertices", _empty_or(_vertex(file, states)))
-    if len(policies) > 1:
-        raise file.error("vertices")
-    return {
-        "proof": _read_proof(file, states),
-        "limits": limits,
-        "found": policies[0] if policies else None,
-        "parts": file.get("parts", list_of(part)),
-        "bound": file.get("highest", or_none(ratio)),
-    }
-
-
 def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
     limits = _limit_list(file)
     pairs = file.get("pairs", _empty_or(typed(int)))  # none where all has ended at the start
@@ -367,13 +299,11 @@ def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
 
 
 WRITTEN: dict[str, Callable[..., Written]] = {
-    FRONT: _front, LIMITS: _limits, DETERMINISTIC: _deterministic,
+    FRONT: _front, LIMITS: _limits,
 }  # fmt: skip
 READ: dict[str, Callable[[ProofFile, int], dict[str, Any]]] = {
     FRONT: _read_front, LIMITS: _read_limits,
-    DETERMINISTIC: _read_deterministic,
 }  # fmt: skip
 CHECKS: dict[str, Callable[..., list[str]]] = {
     FRONT: front_violations, LIMITS: constrained_violations,
-    DETERMINISTIC: parts_violations,
 }  # fmt: skip

@@ -4,7 +4,7 @@ All kinds have the keys
 
     format        "exact-mdp certificate"
     version       1
-    kind          "exact", "bounded" or "average"; "front", "limits" or "deterministic"
+    kind          "exact", "bounded" or "average"; "front" or "limits"
     model         SHA-256 of the model, see `mdp.exact`
 
 and, but for the last four kinds (`solvers.objectives.file`),

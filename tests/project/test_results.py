@@ -109,9 +109,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),
     "Explorer": lambda: explore(SMALL, "base.anger"),
     "ErrorCosts": lambda: error_costs(care(), "optimal", ROUGH),
-    "DeterministicSolution": lambda: solve(
-        care(), subject_to={"anger": ">= -50"}, deterministic=True
-    ),
     "Evaluation": lambda: evaluate(care(), "random"),
     "Front": lambda: tradeoff(care(), ["anger", "subtask-complete"]),
     "Gradient": lambda: gradient(SMALL),
