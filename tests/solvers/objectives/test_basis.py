@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction as F
 from typing import Any
@@ -16,9 +17,9 @@ from exact_mdp import MDP, solve
 from exact_mdp.mdp.forms.generators import garnet
 from exact_mdp.solvers.objectives import constrained
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.basis import by_basis
-from exact_mdp.solvers.objectives.checker import constrained_violations
-from exact_mdp.solvers.objectives.constrained import limits_of, relaxed
+from exact_mdp.solvers.objectives.basis import Optimal, by_basis
+from exact_mdp.solvers.objectives.checker import Limit, constrained_violations
+from exact_mdp.solvers.objectives.constrained import Relaxed, limits_of, relaxed
 from exact_mdp.solvers.objectives.optima import proof
 
 BOUNDS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(1, 7), F(1), F(5, 2)])
@@ -35,8 +36,13 @@ def test_a_basis_and_mixtures_give_the_same_optimum(mdp: MDP, bounds: tuple[F, F
         values = (found.flow, (weight, *found.price), found.dual, found.shift)
         assert constrained_violations(of, proof(of), limits, *values) == []
         assert found.shift == wanted.shift
-        room = sum(x.sign * p * x.bound for x, p in zip(limits, found.price, strict=True))
-        assert found.shift or of.at_start(*found.dual) - room == wanted.worth
+        assert found.shift or worth(of, limits, found) == worth(of, limits, wanted)
+
+
+def worth(of: Objectives, limits: Sequence[Limit], found: Optimal | Relaxed) -> F:
+    """The return that prices and values prove to be the greatest."""
+    room = sum(x.sign * p * x.bound for x, p in zip(limits, found.price, strict=True))
+    return of.at_start(*found.dual) - room
 
 
 def ring(constant: bool = False) -> MDP:
