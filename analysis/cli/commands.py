@@ -251,7 +251,7 @@ def data() -> None:
 )
 @of_model
 def convert() -> None:
-    """Read the model IN and write it to OUT: .npz and .umb keep all of it, .drn is Storm's text.
+    """Read the model IN and write it to OUT: .npz and .umb keep all of it.
 
     IN may also be a .prism or .jani file, which Storm builds.
     """

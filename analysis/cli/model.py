@@ -213,7 +213,7 @@ def convert(
     constants: str | None,
 ) -> Report:
     """Write a model in another format."""
-    check_outputs((target, (".npz", ".umb", ".drn")))
+    check_outputs((target, (".npz", ".umb")))
     loaded = load(source, sets=sets, discount=discount, constants=constants)
     save_model(loaded.mdp, target)
     result = {

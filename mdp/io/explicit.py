@@ -1,14 +1,14 @@
 """Models as model checkers list them: choices of states, branches of choices, rewards, labels.
 
-The readers of UMB and DRN files fill in an `Explicit`, and `model_of` makes the MDP. Rewards of
-states, of choices and of branches add up; a state without choices is where the process ends, and
-stays put. Nothing is rounded: a number is two integers, or a float.
+The readers of UMB files and of what Storm builds fill in an `Explicit`, and `model_of` makes the
+MDP. Rewards of states, of choices and of branches add up; a state without choices is where the
+process ends, and stays put. Nothing is rounded: a number is two integers, or a float.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -69,6 +69,30 @@ class Explicit:
     listed_actions: tuple[str, ...] = ()  # as the file lists them
     own: Mapping[str, Any] = field(default_factory=dict)
     header: Mapping[str, Any] | None = None
+
+
+def ratios(values: Sequence[Any]) -> Ratios:
+    """Return numbers as arrays: floats where one is, or integers over integers."""
+    if any(isinstance(value, float) for value in values):
+        return Ratios(np.array([float(value) for value in values]), ones(len(values)))
+    return Ratios(
+        _narrow(np.array([value.numerator for value in values], dtype=object)),
+        _narrow(np.array([value.denominator for value in values], dtype=object)),
+    )
+
+
+def named_by(valuations: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return each state's variables as words, where whole numbers and truth values tell them apart.
+
+    Else there are no words: states have their numbers.
+    """
+    words = []
+    for values in valuations:
+        if not all(isinstance(value, int) for value in values.values()):
+            return ()
+        shown = {k: str(v).lower() if isinstance(v, bool) else v for k, v in values.items()}
+        words.append(", ".join(f"{name}={value}" for name, value in shown.items()))
+    return tuple(words) if len(set(words)) == len(words) else ()
 
 
 def model_of(

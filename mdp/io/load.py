@@ -1,7 +1,7 @@
 """Models by name or file, as the command line takes them.
 
 A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`), a
-model checker's file (`.umb` or `.drn`; `.umb#NAME` chooses among its reward models), its source
+model checker's file (`.umb`; `.umb#NAME` chooses among its reward models), its source
 (`.prism`, `.jani`, which Storm builds), or `gymnasium:ID`.
 """
 
@@ -18,15 +18,13 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 
-drn = later("exact_mdp.mdp.io.drn")
 npz = later("exact_mdp.mdp.io.npz")
 storm = later("exact_mdp.mdp.io.storm")
 umb = later("exact_mdp.mdp.io.umb")
 
 GYMNASIUM = "gymnasium:"
-CHECKERS = (".umb", ".drn")
 SOURCES = (".prism", ".nm", ".pm", ".jani")
-FILES = (".toml", ".npz", *CHECKERS, *SOURCES)
+FILES = (".toml", ".npz", ".umb", *SOURCES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,15 +49,15 @@ def load(
     Parameters
     ----------
     spec : str or path
-        A shipped scenario, a `.toml`, `.npz`, `.umb` or `.drn` file (`.umb#NAME` chooses
+        A shipped scenario, a `.toml`, `.npz` or `.umb` file (`.umb#NAME` chooses
         a reward model), a `.prism` or `.jani` file, or `gymnasium:ID`.
     sets : sequence of "KEY=VALUE"
         Changes to a scenario, in order; other models have nothing to set.
     discount : number or "p/q", optional
-        Instead of the model's own; it wins over `sets`. A `.umb` or `.drn` file of another program
+        Instead of the model's own; it wins over `sets`. A `.umb` file of another program
         states none: 1 is taken, with a warning.
     start : state, {state: probability} or (S,) vector, optional
-        Instead of the model's own; a `.umb` or `.drn` file may have several initial states.
+        Instead of the model's own; a `.umb` file may have several initial states.
     constants : "N=4,p=1/3", optional
         Values of what a `.prism` or `.jani` file leaves open.
 
@@ -96,10 +94,9 @@ def load(
     elif suffix == ".npz":
         mdp = npz.load(text)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
-    elif suffix in CHECKERS:
+    elif suffix == ".umb":
         file, reward = _parts(text)
-        form = umb if suffix == ".umb" else drn
-        mdp = form.load(file, discount=discount, reward=reward, start=start)
+        mdp = umb.load(file, discount=discount, reward=reward, start=start)
     elif suffix in SOURCES:
         mdp = storm.load(text, constants=constants or "", discount=discount, start=start)
     else:
@@ -137,22 +134,17 @@ def load_scenario(
 
 
 def save_model(model: MDP, path: str | Path) -> None:
-    """Write a model as `.npz`, or as `.umb` or `.drn` for model checkers, by its ending.
-
-    Archives keep all of it; see `mdp.io.drn` for what that text does not hold.
-    """
+    """Write a model as `.npz`, or as `.umb` for model checkers, by its ending."""
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":
         npz.save(model, path)
     elif suffix == ".umb":
         umb.save(model, path)
-    elif suffix == ".drn":
-        drn.save(model, path)
     else:
         raise ModelError(
             f"cannot write a model as {suffix or 'a file without ending'}",
             where=str(path),
-            fix="name it .npz or .umb, or .drn for Storm",
+            fix="name it .npz or .umb",
         )
 
 
@@ -163,7 +155,7 @@ def _suffix(text: str) -> str:
 
 def _parts(text: str) -> tuple[str, str | None]:
     """Return the file and the reward model of "file.umb#NAME"; the text itself without one."""
-    found = re.fullmatch(r"(?s)(.*\.(?:umb|drn))#(.*)", text, re.IGNORECASE)
+    found = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
     return (text, None) if found is None else (found[1], found[2])
 
 

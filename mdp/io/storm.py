@@ -1,8 +1,8 @@
 """PRISM programs and JANI models, built state by state by Storm in exact rationals (stormpy).
 
-Storm writes the model as DRN, which `mdp.io.drn` reads: every label, reward model and action, and
-as names of states the values of their variables. Neither language has a discount: 1 unless it is
-given. What Storm prints goes to standard error.
+Every label, reward model and action of the model that Storm builds is kept, and the values of the
+variables are the names of the states. Neither language has a discount: 1 unless it is given. What
+Storm prints goes to standard error.
 
 Sources: https://www.prismmodelchecker.org/manual/ThePRISMLanguage, https://jani-spec.org
 """
@@ -11,19 +11,31 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.io import drn
-from exact_mdp.mdp.io.files import LARGE, LARGEST, read_bytes, read_text
+import numpy as np
+
+from exact_mdp.mdp.errors import ModelError, located, shown_text
+from exact_mdp.mdp.io.explicit import (
+    INITIAL,
+    Explicit,
+    Ratios,
+    actions_of,
+    model_of,
+    named_by,
+    ratios,
+)
+from exact_mdp.mdp.io.files import LARGE, read_bytes
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 
 stormpy = later("stormpy")
+
+KINDS = ("DTMC", "MDP")
 
 
 def load(
@@ -40,18 +52,17 @@ def load(
     """
     with located(str(path)):
         read_bytes(path, most=LARGE)  # a regular file, and not too large
-        with tempfile.TemporaryDirectory() as folder, _said_elsewhere():
-            file = Path(folder) / f"{Path(path).stem}.drn"
+        with _said_elsewhere():
             try:
-                stormpy.io.export_to_drn(_built(Path(path), constants), str(file))
+                found = _explicit(_built(Path(path), constants), Path(path).stem)
             except Exception as error:  # Storm raises several kinds, none of them for users
                 if isinstance(error, ModelError):
                     raise
                 raise ModelError(
                     f"Storm says: {' '.join(str(error).split())[:300]}", fix="correct that place"
                 ) from error
-            rate, text = 1 if discount is None else discount, read_text(file, most=LARGEST)
-            return drn.of_text(text, path, reward=None, discount=rate, start=start)
+        rate, where = 1 if discount is None else discount, shown_text(str(path))
+        return model_of(found, where, reward=None, discount=rate, start=start)
 
 
 def _built(path: Path, constants: str) -> Any:
@@ -73,6 +84,75 @@ def _built(path: Path, constants: str) -> Any:
     options.set_build_choice_labels(True)
     options.set_build_state_valuations(True)
     return stormpy.build_model[stormpy.Rational](program, options=options)
+
+
+def _explicit(model: Any, name: str) -> Explicit:
+    """Return the choices, branches, rewards, labels and names of Storm's sparse model."""
+    if model.model_type.name not in KINDS:
+        raise ModelError(
+            f"the model is a {model.model_type.name}",
+            fix=f"give a {' or '.join(KINDS)}: no continuous time, nothing hidden",
+        )
+    matrix, states = model.transition_matrix, range(model.nr_states)
+    ends = [matrix.get_row_group_end(state) for state in states]
+    rows = [
+        [(entry.column, _fraction(entry.value)) for entry in matrix.get_row(row)]
+        for row in range(matrix.nr_rows)
+    ]
+    branches = [entry for row in rows for entry in row]
+    offsets = np.array([0, *ends], dtype=np.int64)
+    words = [
+        " ".join(sorted(model.choice_labeling.get_labels_of_choice(r))) for r in range(len(rows))
+    ]
+    names = tuple(dict.fromkeys(words))
+    given = np.array([names.index(word) for word in words], dtype=np.int64)
+    actions, action_names = actions_of(given if all(words) else None, names, offsets)
+    listed = {word: list(model.labeling.get_states(word)) for word in model.labeling.get_labels()}
+    flags = {word: np.isin(states, on) for word, on in sorted(listed.items()) if on}
+    rewards = {word: _rewards(word, own) for word, own in model.reward_models.items()}
+    variables = sorted(model.state_valuations.get_all_variables(), key=lambda v: str(v.name))
+    values = (
+        {v.name: model.state_valuations.get_value(state, v) for v in variables} for state in states
+    )
+    return Explicit(
+        name=name,
+        state_to_choices=offsets,
+        choice_to_branches=np.cumsum([0, *map(len, rows)]),
+        target=np.array([target for target, _ in branches], dtype=np.int64),
+        probability=ratios([chance for _, chance in branches]),
+        actions=actions,
+        action_names=action_names,
+        initial=flags.pop(INITIAL, np.zeros(len(states), dtype=bool)),
+        words=named_by(values),
+        rewards=rewards,
+        labels=flags,
+        titles={group: {word: word for word in own}
+                for group, own in (("rewards", rewards), ("aps", flags))},
+    )  # fmt: skip
+
+
+def _rewards(name: str, model: Any) -> dict[str, Ratios]:
+    """Return the rewards of a reward model, of states and of choices."""
+    if model.has_transition_rewards:
+        raise ModelError(
+            "rewards that depend on the next state",
+            where=f"reward {name}",
+            fix="give them to states, or to actions",
+        )
+    found = {}
+    if model.has_state_rewards:
+        found["states"] = _ratios(model.state_rewards)
+    if model.has_state_action_rewards:
+        found["choices"] = _ratios(model.state_action_rewards)
+    return found
+
+
+def _ratios(values: Iterable[Any]) -> Ratios:
+    return ratios([_fraction(value) for value in values])
+
+
+def _fraction(value: Any) -> Fraction:
+    return Fraction(int(str(value.numerator)), int(str(value.denominator)))
 
 
 @contextmanager

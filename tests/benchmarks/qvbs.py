@@ -2,7 +2,7 @@
 
     python tests/benchmarks/qvbs.py FOLDER [--only TEXT] [--quick] [--out FILE.json]
 
-FOLDER holds models (.umb, .drn, .npz) and `index.json`, a list with one entry for each property:
+FOLDER holds models (.umb, .npz) and `index.json`, a list with one entry for each property:
 
     file             the model, in FOLDER
     measure          "reach": the probability of reaching `target`, "reward": the expected reward

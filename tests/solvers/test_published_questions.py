@@ -43,7 +43,7 @@ def test_published_answers(case: Asked) -> None:
 
 
 @pytest.mark.parametrize("case", [c for c in PUBLISHED if c.until], ids=lambda c: c.model)
-@pytest.mark.parametrize("ending", ["npz", "umb", "drn"])
+@pytest.mark.parametrize("ending", ["npz", "umb"])
 def test_the_same_on_the_command_line(tmp_path: Path, case: Asked, ending: str) -> None:
     path = tmp_path / f"model.{ending}"
     MODELS[case.model].save(path)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_runner import run
 from model_equality import assert_same
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io import npz
+from exact_mdp.mdp.io import npz, storm
 from exact_mdp.mdp.io.load import load, load_model, load_scenario, save_model
+from exact_mdp.mdp.lazy import later
 
 SMALL = ["tasks=[1]", "max_trial=1"]
 
@@ -129,3 +132,34 @@ def test_bad_settings_are_named() -> None:
         load("yuan2025", sets=["base.angre=1"])
     with pytest.raises(ModelError, match="unknown model"):
         load_scenario("yuan")
+
+
+def test_without_storm_the_error_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "stormpy", None)
+    monkeypatch.setattr(storm, "stormpy", later("stormpy"))
+    (tmp_path / "m.prism").write_text("mdp", encoding="utf-8")
+    with pytest.raises(ModelError, match=r"exact-mdp\[storm\]"):
+        load_model(tmp_path / "m.prism")
+    failed = run(
+        "convert", str(tmp_path / "m.prism"), str(tmp_path / "m.umb"), "--constants", "N=4"
+    )
+    assert (failed.status, failed.out) == (2, "")
+    assert "exact-mdp[storm]" in failed.err
+    with pytest.raises(ModelError, match="has no constants"):
+        load("yuan2025", constants="N=4")
+
+
+def test_convert_keeps_labels_and_refuses_other_endings(tmp_path: Path) -> None:
+    mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, 2), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])], "1/2")
+    mdp.with_(labels={"half way": [True, True], "goal": [False, True]}).save(tmp_path / "a.npz")
+    for source, target in (("a.npz", "b.umb"), ("b.umb", "c.npz")):
+        words = ("convert", tmp_path / source, tmp_path / target, "--json")
+        assert run(*words).result["written"] == str(tmp_path / target)
+    names = ("a.npz", "b.umb", "c.npz")
+    found = [run("info", tmp_path / name, "--json").result for name in names]
+    assert {each["model_hash"] for each in found} == {found[0]["model_hash"]}
+    assert found[2]["labels"] == {"half way": 2, "goal": 1}
+    failed = run("convert", tmp_path / "a.npz", tmp_path / "m.drn")
+    assert (failed.status, failed.out) == (2, "")

@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 from oracle import Oracle
 
-from exact_mdp.mdp import MDP, Scenario
+from exact_mdp import certify
+from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.io import umb
+from exact_mdp.mdp.io.load import load_model
 
 pytestmark = [pytest.mark.bench, pytest.mark.storm]
 
@@ -40,6 +42,18 @@ rewards "cost"
 endrewards
 rewards "steps"
   place < 3 : 1;
+endrewards
+"""
+
+
+CHAIN = """dtmc
+module a
+  x: [0..2] init 0;
+  [] x < 2 -> 0.3: (x' = 1) + 0.7: (x' = 2);
+  [] x = 2 -> true;
+endmodule
+rewards
+  [] x = 0 : 5;
 endrewards
 """
 
@@ -91,6 +105,57 @@ def test_storm_evaluates_a_policy_by_component(stormpy: Any, tmp_path: Path) -> 
         known_as = re.sub(r"\W", "_", name)
         found = answer(stormpy, model, f'R{{"{known_as}"}}max=? [F "terminal"]')
         assert float(found) == pytest.approx(float(value), abs=1e-5)
+
+
+def test_a_program_becomes_an_exact_model(stormpy: Any, tmp_path: Path) -> None:
+    """Rationals, rewards of states and choices, actions, labels, and names by variables."""
+    (tmp_path / "walk.prism").write_text(PRISM, encoding="utf-8")
+    with pytest.warns(UserWarning, match="are added up"):
+        mdp = load_model(tmp_path / "walk.prism")
+    assert (mdp.name, mdp.discount_exact, sorted(mdp.actions)) == (
+        "walk",
+        1,
+        ["jump", "rest", "run"],
+    )
+    known = {mdp.space.label(state): state for state in range(mdp.n_states)}
+    assert set(known) == {f"state place={n}" for n in range(4)}
+    one, goal = known["state place=1"], known["state place=3"]
+    assert {name: np.flatnonzero(on).tolist() for name, on in mdp.labels.items()} == {
+        "goal": [goal]
+    }
+    pair = mdp.pair(one, mdp.action("run"))
+    assert {n: p for p, n, _ in mdp.table.row(pair)} == {
+        known["state place=2"]: Fraction(1, 3), known["state place=0"]: Fraction(2, 3),
+    }  # fmt: skip
+    components = dict(zip(mdp.component_names, mdp.components[pair].tolist(), strict=True))
+    assert components == {"cost": 8, "steps": 1}
+    wanted = 'R{"steps"}min=? [F "goal"]'
+    model = stormpy.build_model(stormpy.parse_prism_program(str(tmp_path / "walk.prism")))
+    value = certify(mdp.with_(sense="min").until("goal", "steps")).start_value
+    assert float(value) == pytest.approx(float(answer(stormpy, model, wanted)), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (PRISM.replace("mdp", "ctmc", 1).replace("[jump]", "[run]"), "CTMC"),
+        (PRISM.replace("place < 3 : 1;", "[run] true -> true : 1;"), "Storm says|next state"),
+        (PRISM.replace("0..3", "0..N"), "Storm says"),
+        (PRISM.replace("module walk", "const int N;\nmodule walk"), "a constant has no value"),
+        ("mdp mdp", "Storm says"),
+    ],
+)
+def test_programs_that_are_refused(stormpy: Any, tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "m.prism").write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError, match=said):
+        load_model(tmp_path / "m.prism")
+
+
+def test_a_chain_without_names_of_actions(stormpy: Any, tmp_path: Path) -> None:
+    (tmp_path / "c.prism").write_text(CHAIN, encoding="utf-8")
+    mdp = load_model(tmp_path / "c.prism", discount="1/2")
+    assert (mdp.n_pairs, mdp.actions) == (3, ("0",))
+    assert certify(mdp).start_value == 5
 
 
 def test_a_model_that_storm_builds_and_writes(stormpy: Any, tmp_path: Path) -> None:
