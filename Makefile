@@ -91,7 +91,7 @@ test-slow: $(STAMP) ## the tests that take long, and every property on examples 
 # The core at the lowest versions that are declared: models, solvers, certificates, the gate, the
 # commands, and each optional package that has a bound of its own. Not what takes long.
 LOWEST_TESTS = $(addprefix tests/,mdp solvers/test_solvers.py solvers/test_equations.py \
-    solvers/proof solvers/values solvers/robust solvers/parallel \
+    solvers/proof solvers/values solvers/robust solvers/test_parallel.py \
     analysis/cli/test_commands.py analysis/cli/test_train.py \
     analysis/gate/test_check_command.py analysis/sensitivity/test_global.py \
     project/test_versions.py)
@@ -150,7 +150,7 @@ lock: | $(PY) ## write the lock files again (UPGRADE=1: newest versions)
 	printf 'icu-sepsis\ngym\n' | $(COMPILE) --no-deps --output-file requirements-icu.lock -
 	$(COMPILE) $(if $(UPGRADE),,--upgrade) --resolution lowest-direct --extra lp --extra plots --extra gymnasium --extra umb \
 	    --extra parquet \
-	    --extra cluster --group test --output-file requirements-lowest.lock pyproject.toml
+	    --group test --output-file requirements-lowest.lock pyproject.toml
 
 # The lowest versions are found anew each time: those locked would be kept where a bound falls.
 COMPILE = $(PY) -m uv pip compile --quiet --universal --python-version 3.11 \

@@ -44,8 +44,6 @@ EXTRAS = {
     "certifi": "agents-openai",
     "clarabel": "lp",
     "cvxpy": "lp",
-    "dask": "cluster",
-    "distributed": "cluster",
     "gymnasium": "gymnasium",
     "highspy": "lp",
     "httpcore": "agents-openai",

@@ -26,11 +26,6 @@ from exact_mdp.mdp.lazy import load
     help="Folder for report, numbers, figures and run.json; an interrupted run continues there.",
 )
 @click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Search the readings and train under them on a Dask cluster: tcp://HOST:PORT, or local.",
-)
-@click.option(
     "--summary",
     is_flag=True,
     help="Write only summary.html, one page of A4 with what was found; no figures are drawn.",
@@ -49,7 +44,6 @@ from exact_mdp.mdp.lazy import load
 def main(
     quick: bool,
     out: Path,
-    scheduler: str | None,
     summary: bool,
     name: str | None,
     sets: tuple[str, ...],
@@ -87,10 +81,10 @@ def main(
     try:
         work = load("exact_mdp.paper_repro.run")  # the help does not wait for it
         if summary:
-            work.summarise(out, quick=quick, scheduler=scheduler)
+            work.summarise(out, quick=quick)
             failed = False
         else:
-            failed = work.reproduce(out, quick, scheduler, name, candidates, sets)
+            failed = work.reproduce(out, quick, name, candidates, sets)
     except KeyboardInterrupt as stop:
         if not getattr(stop, "__notes__", ()):
             stop.add_note(f"what is finished is kept in {out}, and the same command goes on")

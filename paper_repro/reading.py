@@ -38,13 +38,21 @@ from exact_mdp.paper_repro.readings.training import (
 )
 from exact_mdp.solvers import certify, evaluate, simulate, solve
 from exact_mdp.solvers.learning.schedules import Constant
-from exact_mdp.solvers.parallel.sources import source_digest
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.values.evaluate import Evaluation
 
 SEED = 20250101
 TRAINING = "training."
 NAMED = re.compile(r"code-[0-9a-f]{12}")
+
+
+def _code() -> str:
+    """Return the beginning of a digest of all `*.py` and `*.toml` files of the project."""
+    digest, root = sha256(), Path(__file__).resolve().parents[1]
+    rooms = (root / room for room in ("mdp", "solvers", "analysis", "paper_repro"))
+    for path in sorted(p for r in rooms for p in r.rglob("*") if p.suffix in (".py", ".toml")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +89,7 @@ class Store:
     @classmethod
     def under(cls, out: Path) -> Store:
         """Return the store of an output folder, made where it is missing."""
-        root = out / "work" / f"code-{source_digest()[:12]}"
+        root = out / "work" / f"code-{_code()}"
         try:
             root.mkdir(parents=True, exist_ok=True)
         except OSError as error:

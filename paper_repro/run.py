@@ -56,7 +56,6 @@ Work = Callable[[], object]
 def reproduce(
     out: Path,
     quick: bool,
-    scheduler: str | None,
     name: str | None,
     form: bool,
     sets: Sequence[str] = (),
@@ -73,10 +72,10 @@ def reproduce(
     if name is not None:
         claims = [chosen(name)]  # a wrong name leaves no folder
         store = Store.under(out)
-        (found,) = run_claims(claims, sizes, store, quick=quick, scheduler=scheduler)
+        (found,) = run_claims(claims, sizes, store, quick=quick)
         output.print_claim(found)
         return False
-    judged, off = run(out, sizes=sizes, quick=quick, scheduler=scheduler)
+    judged, off = run(out, sizes=sizes, quick=quick)
     if form:
         click.echo(candidates(judged))
         return False
@@ -87,14 +86,11 @@ def reproduce(
     return bool(off)
 
 
-def run(
-    out: Path, *, sizes: Sizes, quick: bool, scheduler: str | None = None
-) -> tuple[list[Judged], list[str]]:
+def run(out: Path, *, sizes: Sizes, quick: bool) -> tuple[list[Judged], list[str]]:
     """Write numbers, report, figures and run record into `out`.
 
-    What an interrupted run left there is used. On a Dask `scheduler` run the search over the
-    readings and the training under them. Returns every claim, and what differs from the pinned
-    values.
+    What an interrupted run left there is used. Returns every claim, and what differs from the
+    pinned values.
     """
     started = time.perf_counter()
     store = Store.under(out)
@@ -103,9 +99,7 @@ def run(
     with tqdm.tqdm(disable=not sys.stderr.isatty(), leave=False) as bar:
         tick = partial(_tick, bar)
         tick("all readings of the text")
-        study = reading_study(
-            seed=SEED, out=store.folder("readings"), quick=quick, scheduler=scheduler, progress=True
-        )
+        study = reading_study(seed=SEED, out=store.folder("readings"), quick=quick, progress=True)
         others = list(_others(reading, sizes, study.main))
         bar.total = bar.n + len(claims) + len(others) + len(readings.PICTURES) + len(PICTURES)
         again, draw = tried_again(claims, study.main), partial(draw_all, folder=out / "figures")
@@ -164,11 +158,11 @@ def run(
     return judged, off
 
 
-def summarise(out: Path, *, quick: bool, scheduler: str | None = None) -> None:
+def summarise(out: Path, *, quick: bool) -> None:
     """Write the page for those who read no more: every claim is worked out, nothing is drawn."""
     sizes, store = QUICK if quick else FULL, Store.under(out)
     reading, folder = default(sizes, store), store.folder("readings")
-    found, *_ = weighed(seed=SEED, out=folder, quick=quick, scheduler=scheduler, progress=True)
+    found, *_ = weighed(seed=SEED, out=folder, quick=quick, progress=True)
     others = _others(reading, sizes, found)
     judged = judge(
         all_claims(),
@@ -190,7 +184,6 @@ def run_claims(
     store: Store,
     *,
     quick: bool,
-    scheduler: str | None = None,
 ) -> list[Judged]:
     """Work some claims out, with as little else as they need.
 
@@ -204,7 +197,7 @@ def run_claims(
     if quick or not any(claim.open for claim in claims) or not known:
         others, learners = _alike(reading, claims), [] if quick else reading.learners
         return judge(claims, reading, others=others, learners=learners, progress=_say)
-    found, *_ = weighed(seed=SEED, out=folder, quick=known[0], scheduler=scheduler, progress=True)
+    found, *_ = weighed(seed=SEED, out=folder, quick=known[0], progress=True)
     others = _others(reading, sizes, found)
     return judge(claims, reading, others=others, evidence=found, progress=_say)
 

@@ -25,7 +25,6 @@ from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import Solver
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
-from exact_mdp.solvers.parallel import sources as sources
 from exact_mdp.solvers.solution import (
     Bounded,
     Certified,

@@ -39,7 +39,7 @@ off_policy = later("exact_mdp.analysis.gate.data.off_policy")
 robust = later("exact_mdp.analysis.gate.data.robust")
 
 PASSED, FAILED = 0, 1
-DRAWN = ("draws", "seed", "n_jobs", "scheduler")
+DRAWN = ("draws", "seed", "n_jobs")
 RANGES = ("rewards", "returns")
 OF_KIND = {
     "robust": RANGES,

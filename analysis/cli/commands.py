@@ -155,11 +155,6 @@ of_interval = together(
         help="posterior, off-policy: processes (1). Results do not change.",
     ),
     click.option(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="posterior, off-policy: a Dask cluster, tcp://HOST:PORT or local.",
-    ),
-    click.option(
         "--records", metavar="FILE", help="off-policy: the trajectories, .csv or .parquet."
     ),
     click.option(
@@ -462,11 +457,6 @@ def check() -> None:
 )
 @click.option("--max-steps", default="10000", metavar="N", help="Cut longer episodes (10000).")
 @click.option("--jobs", metavar="N", help="Number of threads (all cores). Does not change results.")
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Train on a Dask cluster: tcp://HOST:PORT, or local for one on this machine.",
-)
 @of_model
 def train() -> None:
     """Train on MODEL as Yuan et al. (2025) do, and compute the exact values of the policies.
@@ -533,11 +523,6 @@ def train() -> None:
 @click.option("--seed", metavar="S", help="Seed of the draws (0).")
 @click.option(
     "--n-jobs", metavar="N", help="Number of processes (all cores). Does not change results."
-)
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Work on a Dask cluster: tcp://HOST:PORT, or local for one on this machine.",
 )
 @click.option(
     "--out",

@@ -51,7 +51,6 @@ def train(
     seed: str,
     out: str | None,
     jobs: str | None,
-    scheduler: str | None,
     sets: tuple[str, ...],
     discount: str | None,
     **options: Any,
@@ -68,7 +67,6 @@ def train(
         count,
         rng=first,
         n_jobs=workers,
-        scheduler=scheduler,
         out=out,
         progress=True,
     )

@@ -40,7 +40,7 @@ from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.completions import learnable
 from exact_mdp.paper_repro.reported import COMPLETIONS, NUMBER, STARTS
 from exact_mdp.solvers.care import optimal, policy_values, policy_values_of_last
-from exact_mdp.solvers.parallel.many import many
+from exact_mdp.solvers.parallel import many
 
 stats = later("scipy.stats")
 REPORTED = np.array(list(reported.AVERAGE_RETURN.values()))
@@ -228,8 +228,8 @@ def search(
 ) -> ReadingSearch:
     """Evaluate every compatible policy under every reading; the last one is `evaluation_discount`.
 
-    An interrupted search goes on from the folder `out`. In `n_jobs` processes, on a `scheduler` or
-    with `progress`, as `solvers.parallel.many.many` says. Raises ModelError where the folder holds
+    An interrupted search goes on from the folder `out`. In `n_jobs` processes or
+    with `progress`, as `solvers.parallel.many` says. Raises ModelError where the folder holds
     another search or a damaged file.
     """
     if space.names[-1:] != ("evaluation_discount",):

@@ -50,7 +50,7 @@ from exact_mdp.solvers.learning.schedules import (
     Exponential,
 )
 from exact_mdp.solvers.learning.training import train_many
-from exact_mdp.solvers.parallel.many import many
+from exact_mdp.solvers.parallel import many
 
 SETTINGS = {
     "constant": QLearning(exploration=PAPER_CONSTANT),

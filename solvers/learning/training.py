@@ -3,7 +3,7 @@
 Run i draws from the i-th child of the seed (`SeedSequence.spawn`), so that it depends neither on
 how many runs there are nor on who does them. A finished run is written to its own file at once, and
 read instead of done again when the training is called once more (`solvers.parallel.many`). Workers
-are threads, as the compiled loop needs no interpreter lock, or those of a Dask cluster.
+are threads, as the compiled loop needs no interpreter lock, unless joblib is given another backend.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun
 from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
-from exact_mdp.solvers.parallel.many import many
-from exact_mdp.solvers.parallel.pieces import damaged
+from exact_mdp.solvers.parallel import damaged, many
 
 FILES = ("training.json", "runs-")
 ARRAYS = ("q", "policies", "snapshots", "last", "returns")
@@ -36,7 +35,6 @@ def train_many(
     *,
     rng: Seed,
     n_jobs: int | None = 1,
-    scheduler: str | None = None,
     out: str | Path | None = None,
     progress: bool = False,
 ) -> list[TrainingRun]:
@@ -50,11 +48,8 @@ def train_many(
         How many. Run i is `settings.train(model, child(rng, i))`.
     rng : int, numpy.random.Generator or SeedSequence
     n_jobs : int, optional
-        Threads; all cores where None. With `scheduler="local"`, processes. The result does not
-        depend on it.
-    scheduler : str, optional
-        A Dask scheduler, "tcp://host:port", or "local" for one that ends with the call; see
-        `solvers.parallel.many.many`. The result does not depend on it, nor on workers that die.
+        Threads; all cores where None, or the workers of the backend that `joblib.parallel_config`
+        names. The result does not depend on it.
     out : path, optional
         Folder for finished runs. Those of an earlier call with the same model, settings and seed
         are used again; more runs may be asked for than before.
@@ -69,7 +64,7 @@ def train_many(
     ------
     ModelError
         Where the folder holds the training of another model, other settings or another seed, or a
-        file in it is damaged; where `n_jobs` is not a count, or the scheduler does not answer.
+        file in it is damaged; where `n_jobs` is not a count.
 
     Examples
     --------
@@ -93,7 +88,6 @@ def train_many(
         },
         n_jobs=n_jobs,
         threads=True,
-        scheduler=scheduler,
         folder=out,
         files=FILES,
         progress=progress,

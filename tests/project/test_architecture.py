@@ -255,7 +255,7 @@ LOADED = [
     ("exact_mdp.mdp", "numpy, scipy.sparse", set()),
     ("exact_mdp.solvers", "numpy, scipy.sparse", set()),
     (
-        "exact_mdp.solvers.learning.training, exact_mdp.solvers.parallel.cluster",
+        "exact_mdp.solvers.learning.training, exact_mdp.solvers.parallel",
         "numpy, scipy.sparse",
         set(),
     ),

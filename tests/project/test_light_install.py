@@ -51,7 +51,6 @@ NEEDED = {
     "solve yuan2025 --method linear-program": "exact-mdp[lp]",
     "info gymnasium:FrozenLake-v1 --discount 0.9": "exact-mdp[gymnasium]",
     "convert yuan2025 m.umb": "exact-mdp[umb]",
-    "train yuan2025 --seeds 1 --scheduler local": "exact-mdp[cluster]",
 }
 
 

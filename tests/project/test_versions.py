@@ -19,8 +19,9 @@ from exact_mdp.mdp import MDP
 from exact_mdp.solvers import BackwardInduction, LinearProgram, certify, evaluate, solve
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import substitution
-from exact_mdp.solvers.parallel.sources import PACKAGES, ROOT
 
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("mdp", "solvers", "analysis", "paper_repro")
 TOML = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT, GROUPS = TOML["project"], TOML["dependency-groups"]
 LOCKS = (

@@ -53,7 +53,7 @@ class Kind:
 NAMES = frozenset({"parameters"})
 RANGES = NAMES | {"ranges", "range_file", "relative", "whole"}
 HELD = frozenset({"policy", "perception"})
-DRAWN = frozenset({"n_jobs", "scheduler", "out", "samples", "seed"})
+DRAWN = frozenset({"n_jobs", "out", "samples", "seed"})
 
 KINDS = MappingProxyType(
     {

@@ -75,7 +75,6 @@ class Asked:
         jobs = self["n_jobs"]
         return {
             "n_jobs": None if jobs is None else whole_of(jobs, "--n-jobs", 1, 1024),
-            "scheduler": self["scheduler"],
             "folder": self["out"],
             "progress": True,
         }

@@ -33,8 +33,7 @@ from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import How, joined, seeded
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.parallel.many import many
-from exact_mdp.solvers.parallel.pieces import Arrays
+from exact_mdp.solvers.parallel import Arrays, many
 
 special = later("scipy.special")
 

@@ -77,8 +77,8 @@ class OffPolicy:
     n : int
         Draws of the bootstrap of the weighted estimate, which is in `found` and decides nothing.
     rng : int or Generator
-    n_jobs, scheduler, folder, progress
-        Where these draws are made, as `solvers.parallel.many.many` takes it; results do not change.
+    n_jobs, folder, progress
+        Where these draws are made, as `solvers.parallel.many` takes it; results do not change.
 
     Examples
     --------
@@ -101,7 +101,6 @@ class OffPolicy:
     n: int = DRAWS
     rng: RNG = 0
     n_jobs: int | None = 1
-    scheduler: str | None = None
     folder: str | Path | None = None
     progress: bool = False
     by: ClassVar[str] = "off-policy"
@@ -156,7 +155,6 @@ class OffPolicy:
             draws,
             seed,
             n_jobs=self.n_jobs,
-            scheduler=self.scheduler,
             folder=self.folder,
             progress=self.progress,
         )

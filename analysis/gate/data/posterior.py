@@ -57,8 +57,7 @@ from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers, exact
 from exact_mdp.solvers import solve
-from exact_mdp.solvers.parallel.many import many
-from exact_mdp.solvers.parallel.pieces import Arrays
+from exact_mdp.solvers.parallel import Arrays, many
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -128,8 +127,8 @@ class Posterior:
     n : int
         Draws; few do not show a high quantile, and are refused.
     rng : int or Generator
-    n_jobs, scheduler, folder, progress
-        Where the work is done, as `solvers.parallel.many.many` takes it; results do not change.
+    n_jobs, folder, progress
+        Where the work is done, as `solvers.parallel.many` takes it; results do not change.
 
     Examples
     --------
@@ -148,7 +147,6 @@ class Posterior:
     n: int = DRAWS
     rng: RNG = 0
     n_jobs: int | None = 1
-    scheduler: str | None = None
     folder: str | Path | None = None
     progress: bool = False
     by: ClassVar[str] = "posterior"
@@ -191,7 +189,6 @@ class Posterior:
             pieces,
             key=key,
             n_jobs=self.n_jobs,
-            scheduler=self.scheduler,
             folder=self.folder,
             progress=self.progress,
             what="draws",

@@ -7,7 +7,6 @@ bytes however many workers there are, and a larger sample begins with the blocks
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -16,21 +15,16 @@ from numpy.random import SeedSequence
 
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
-from exact_mdp.solvers.parallel.many import many
-from exact_mdp.solvers.parallel.pieces import Arrays
-
-joblib = later("joblib")
+from exact_mdp.solvers.parallel import Arrays, many
 
 
 class How(TypedDict, total=False):
-    """Where the work is done, as `solvers.parallel.many.many` takes it; results do not change.
+    """Where the work is done, as `solvers.parallel.many` takes it; results do not change.
 
     The workers of a care scenario are threads, those of other models processes.
     """
 
     n_jobs: int | None
-    scheduler: str | None
     folder: str | Path | None
     progress: bool
 
@@ -54,9 +48,7 @@ def run(
     folder = how.get("folder")
     if folder is not None:
         how["folder"] = Path(folder) / what
-    threads = solver.compiled and how.get("scheduler") is None and how.get("n_jobs", 1) != 1
-    with joblib.parallel_config(backend="threading") if threads else nullcontext():
-        return many(work, pieces, key=key, what=what, **how)
+    return many(work, pieces, key=key, what=what, threads=solver.compiled, **how)
 
 
 def seeded(seed: int, n: int, block: int) -> tuple[list[tuple[SeedSequence, int]], int]:

@@ -32,7 +32,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.care import cut_off
-from exact_mdp.solvers.parallel.pieces import Arrays
+from exact_mdp.solvers.parallel import Arrays
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -102,7 +102,7 @@ def sampled(
     policies : sequence of PolicyLike
         "optimal" is the optimum at today's values.
     **how
-        n_jobs, scheduler, folder and progress; see `solvers.parallel.many.many`.
+        n_jobs, folder and progress; see `solvers.parallel.many`.
 
     Returns
     -------

@@ -20,7 +20,7 @@ from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
-from exact_mdp.solvers.parallel.pieces import Arrays
+from exact_mdp.solvers.parallel import Arrays
 from exact_mdp.solvers.solution import Solution
 
 SHOWN = 3  # parameters of a draw that an error names

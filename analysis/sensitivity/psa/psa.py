@@ -60,7 +60,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.parallel.pieces import Arrays
+from exact_mdp.solvers.parallel import Arrays
 from exact_mdp.solvers.solution import Bounded, Estimated
 
 if TYPE_CHECKING:
@@ -313,7 +313,7 @@ def psa(
     policy : PolicyLike
         The policy that is held fixed; "optimal" is the optimum at today's values.
     **how
-        n_jobs, scheduler, folder and progress; see `solvers.parallel.many.many`. The workers of a
+        n_jobs, folder and progress; see `solvers.parallel.many`. The workers of a
         care scenario are threads, of other models processes. A larger sample with the same seed
         uses the whole pieces of an earlier one in the folder again.
 

@@ -24,7 +24,6 @@ YUAN = Scenario.load("yuan2025")
 SMALL = YUAN.with_(tasks=[1], max_trial=2)
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
 CHANCES = (Fraction(3, 10), Fraction(2, 5))
-LITTLE = ("sobol", "--samples", "4", "--parameter", "discount")
 HELD = ("--policy", "always:directive")
 
 
@@ -117,22 +116,6 @@ def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
     words = ("--samples", 32, "--n-jobs", 1, "--relative", "0.05", "--parameter", "discount")
     found = run("sensitivity", file, "sobol", *words, "--json").result
     assert found["total"]["discount"] == pytest.approx(1, abs=0.2)
-
-
-def test_a_cluster_changes_nothing() -> None:
-    words = ("--samples", 16, "--parameter", "base.anger", "--parameter", "discount")
-    alone = ask("sobol", *words)
-    import distributed
-
-    with distributed.LocalCluster(
-        n_workers=1,
-        processes=False,  # those are tried where the clusters are
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-        silence_logs=50,
-    ) as cluster:
-        assert ask("sobol", *words, "--scheduler", cluster.scheduler_address) == alone
 
 
 def test_every_option_that_a_kind_does_not_use_is_refused() -> None:
@@ -348,7 +331,6 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
         (("sobol", "--range", "base.anger"), "is not a range"),
         (("sobol", "--policy", "always:nothing"), "nothing"),
         (("sobol", "--out", " "), "--out is empty"),
-        ((*LITTLE, "--scheduler", "tcp://127.0.0.1:1"), "no scheduler answers"),
         (("sobol", "--range", "base.anger=0.2:0.1"), "empty"),
         (("sobol", "--range", "base.anger=0.2:0.2"), "empty"),
         (("psa", "--samples", "0"), "--samples"),
@@ -379,9 +361,8 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_done_is_refused_with_the_reason(
-    words: tuple[str, ...], message: str, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str, ...], message: str
 ) -> None:
-    monkeypatch.setattr("exact_mdp.solvers.parallel.cluster.ANSWER_WITHIN", 0.5)
     done = run("sensitivity", "yuan2025", *words, *SET)
     assert (done.status, done.out) == (2, "")
     assert message in done.err

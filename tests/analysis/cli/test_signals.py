@@ -16,7 +16,7 @@ WORK = """
 import click
 import worker
 from analysis.exit_status import Program
-from solvers.parallel.many import many
+from solvers.parallel import many
 
 @click.command(cls=Program)
 @click.argument("folder")

@@ -11,7 +11,7 @@ from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.sampler import child
-from exact_mdp.solvers.parallel.pieces import write_piece
+from exact_mdp.solvers.parallel import write_piece
 
 QUICK = ("train", "yuan2025", "--epochs", "60", "--seeds", "20", "--json")
 

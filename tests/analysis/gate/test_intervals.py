@@ -787,7 +787,6 @@ def test_drawn_rows_are_dirichlet() -> None:
     [
         {"n_jobs": 2, "threads": True},
         pytest.param({"n_jobs": 2}, marks=pytest.mark.slow),
-        pytest.param({"scheduler": "local", "n_jobs": 2}, marks=pytest.mark.slow),
     ],
 )
 def test_the_same_seed_gives_the_same_bytes_wherever(how: dict[str, Any], tmp_path: Path) -> None:

@@ -315,13 +315,12 @@ def test_a_folder_of_other_draws_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_processes_and_a_local_cluster_change_no_byte() -> None:
+def test_processes_change_no_byte() -> None:
     model = moving(wager("3/10", "2/5"), {"p": [(0, 1)], "q": [(1, 1)]})
     one = psa(model, 200, rng=0)
-    for how in ({"n_jobs": 2}, {"n_jobs": 2, "scheduler": "local"}):
-        two = psa(model, 200, rng=0, **how)
-        assert one.optimal.tobytes() == two.optimal.tobytes()
-        assert one.values.tobytes() == two.values.tobytes()
+    two = psa(model, 200, rng=0, n_jobs=2)
+    assert one.optimal.tobytes() == two.optimal.tobytes()
+    assert one.values.tobytes() == two.values.tobytes()
 
 
 def test_cut_off_chances_are_counted() -> None:

@@ -24,7 +24,7 @@ from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomical
 from exact_mdp.mdp.io.load import load
 from exact_mdp.paper_repro.agents import recording
 from exact_mdp.solvers import Certificate
-from exact_mdp.solvers.parallel.pieces import read_piece
+from exact_mdp.solvers.parallel import read_piece
 from exact_mdp.solvers.proof.certificate import BoundedCertificate
 
 MODEL = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2")
@@ -200,7 +200,7 @@ def test_numbers_of_every_type_come_through(tmp_path: Path) -> None:
 
 def test_a_constant_piece_is_not_out_of_proportion(tmp_path: Path) -> None:
     """Pieces of a run are compressed as far as they go; our own are never refused."""
-    from exact_mdp.solvers.parallel.pieces import write_piece
+    from exact_mdp.solvers.parallel import write_piece
 
     write_piece(tmp_path / "a.npz", {"zeros": np.zeros(20_000_000)})
     found = read_piece(tmp_path / "a.npz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import time
@@ -9,13 +10,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import joblib
+import numpy as np
 import pytest
 from pieces_of_work import KEY, WANTED, contents, draws, failing, same
 
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.training import train_many
-from exact_mdp.solvers.parallel.many import many
+from exact_mdp.solvers.parallel import many
 
 
 def draws_that_die(folder: str, index: int) -> dict[str, Any]:
@@ -116,3 +119,32 @@ def test_a_training_by_a_wrong_number_of_threads_is_refused(n_jobs: Any) -> None
     mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])], 1)
     with pytest.raises(ModelError, match="n_jobs is"):
         train_many(mdp, QLearning(epochs=1), 2, rng=0, n_jobs=n_jobs)
+
+
+def process(index: int) -> dict[str, Any]:
+    """A piece, with the number of the process that did it."""
+    return draws(0, index) | {"process": np.int64(os.getpid())}
+
+
+def test_a_dask_cluster_gives_the_same_bytes(tmp_path: Path) -> None:
+    """By joblib's own backend; what is done in threads here goes there as well."""
+    distributed = pytest.importorskip("distributed")
+    mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])], 1)
+    learner = QLearning(epochs=1)
+    alone = train_many(mdp, learner, 3, rng=0, out=tmp_path / "alone")
+    with (
+        distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        distributed.Client(cluster),
+        joblib.parallel_config(backend="dask"),
+    ):
+        found = many(process, range(12), key=KEY, n_jobs=None)
+        runs = train_many(mdp, learner, 3, rng=0, n_jobs=None, out=tmp_path / "cluster")
+    assert os.getpid() not in {int(each.pop("process")) for each in found}
+    assert same(found, WANTED)
+    assert [run.q.tobytes() for run in runs] == [run.q.tobytes() for run in alone]
+    assert contents(tmp_path / "cluster") == contents(tmp_path / "alone")

@@ -1,0 +1,299 @@
+"""Many independent pieces of work: in order, resumable, here or wherever joblib takes them.
+
+The result depends neither on where a piece is done nor on who finishes first: each piece carries
+all that it needs, its seed too. joblib does the work, by its threads or processes, or by another of
+its backends: `with joblib.parallel_config(backend="dask")` sends it to a Dask cluster.
+
+With a folder, every finished piece is written at once, whole or not at all, and is read instead of
+done again when the same work is called once more. The folder's record is JSON and says all that the
+pieces depend on: the model, the settings, the seed. A folder is used again only by work with the
+same record, so that pieces of two different ones cannot be mixed.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import warnings
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Sized
+from contextlib import closing, contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.arrays import read_arrays
+from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.io.structured import json_of
+from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.table import Numbers
+
+joblib, tqdm = later("joblib"), later("tqdm")
+loky = later("joblib.externals.loky.process_executor")
+tracker = later("joblib.externals.loky.backend.resource_tracker")
+
+Arrays = dict[str, Numbers]
+Work = Callable[[Any], Mapping[str, Any]]
+Task = tuple[int, Any]  # the number of a piece, and the piece
+
+ATTEMPTS = 3  # times that pieces are done again after a process doing one died
+DIGEST = "sha256"  # the name of the array that holds the digest of the others
+
+MOST = 1100
+"""Times its own size: pieces are compressed as far as they go, and their arrays may be constant."""
+
+
+def many(
+    work: Work,
+    pieces: Sequence[Any],
+    *,
+    key: Mapping[str, object],
+    n_jobs: int | None = 1,
+    threads: bool = False,
+    folder: str | Path | None = None,
+    files: tuple[str, str] = ("work.json", ""),
+    progress: bool = False,
+    what: str = "runs",
+) -> list[Arrays]:
+    """Return `work(piece)` for every piece, in their order.
+
+    Parameters
+    ----------
+    work : callable
+        From a piece to {name: array}; a function at the top of a module, or a `functools.partial`
+        of one, so that it can be sent to other processes. Threads of a worker share it.
+    pieces : sequence
+        Anything that can be pickled.
+    key : mapping
+        JSON values that say what this work is: model, settings, seed. Not how many pieces, where
+        earlier pieces stay the same when more are asked for.
+    n_jobs : int, optional
+        Processes: 1 works in this one, None on all cores, or on all workers of the backend that
+        `joblib.parallel_config` names.
+    threads : bool
+        Threads of this process instead, for work that needs no interpreter lock, unless
+        `joblib.parallel_config` names a backend.
+    folder : path, optional
+        Where finished pieces are kept; those of an earlier call with the same key are used again.
+    files : (str, str)
+        Name of the folder's record, and the beginning of the names of its pieces.
+    progress : bool
+        Show a bar on standard error where that is a terminal.
+    what : str
+        What pieces are called, for the bar and for messages.
+
+    Returns
+    -------
+    list of {name: array}
+
+    Raises
+    ------
+    ModelError
+        Where the folder holds other work or a damaged file, or `n_jobs` is not a count. What `work`
+        raises is raised as it is.
+
+    Examples
+    --------
+    >>> [found["x"].item() for found in many(dict, [{"x": 1}, {"x": 2}], key={})]
+    [1, 2]
+    """
+    whole = isinstance(n_jobs, int) and not isinstance(n_jobs, bool)
+    if n_jobs is not None and not (whole and n_jobs >= 1):
+        raise ModelError(f"n_jobs is {n_jobs!r}", where=what, fix="give a whole number > 0")
+    record, stem = files
+    place = None if folder is None else _opened(Path(folder), dict(key), name=record, what=what)
+    done: dict[int, Arrays] = {}
+
+    def file_of(index: int) -> Path:
+        return Path() if place is None else place / f"{stem}{index:06d}.npz"
+
+    for index in range(len(pieces) if place else 0):
+        found = read_piece(file_of(index))
+        if found is not None:
+            done[index] = found
+    tasks = [(index, piece) for index, piece in enumerate(pieces) if index not in done]
+    with (
+        _kept(done, len(pieces), what, place),
+        tqdm.tqdm(
+            total=len(pieces),
+            initial=len(done),
+            desc=what,
+            disable=None if progress else True,
+            delay=1,
+        ) as bar,
+        closing(_as_done(work, tasks, n_jobs, threads)) as results,
+    ):
+        for index, result in results:
+            if place is not None:
+                write_piece(file_of(index), result)
+            done[index] = result
+            bar.update()
+    return [done[index] for index in range(len(pieces))]
+
+
+def _one(work: Work, index: int, piece: Any) -> tuple[int, Arrays]:
+    """Do one piece, wherever this is called."""
+    found = work(piece)
+    if not isinstance(found, Mapping):
+        raise TypeError(
+            f"a piece of work must return {{name: array}}, not a {type(found).__name__}"
+        )
+    return index, {name: np.asarray(value) for name, value in found.items()}
+
+
+def _as_done(
+    work: Work, tasks: Sequence[Task], n_jobs: int | None, threads: bool
+) -> Generator[tuple[int, Arrays]]:
+    """Yield (number, `work(piece)`) as they are finished, in any order."""
+    if n_jobs == 1 or not tasks:
+        yield from (_one(work, *task) for task in tasks)
+        return
+    left = dict(tasks)
+    if not threads:
+        _track_quietly()
+    for attempt in range(ATTEMPTS + 1):
+        parallel = joblib.Parallel(
+            n_jobs=-1 if n_jobs is None else n_jobs,
+            prefer="threads" if threads else None,
+            return_as="generator_unordered",
+            batch_size=1,
+        )
+        calls = (joblib.delayed(_one)(work, *task) for task in list(left.items()))
+        with _quietly(parallel(calls)) as results:
+            try:
+                for index, result in results:
+                    del left[index]
+                    yield index, result
+                return
+            except loky.TerminatedWorkerError as error:
+                if attempt == ATTEMPTS:
+                    raise ModelError(
+                        f"the worker processes died in each of {ATTEMPTS + 1} attempts",
+                        where=f"piece {min(left)}",
+                        fix="give them more memory, or use fewer of them; finished pieces are kept",
+                    ) from error
+
+
+def _track_quietly() -> None:
+    """Start the process that gives back the semaphores of a program that a signal ended.
+
+    It outlives the program, and would warn of each semaphore after the program's last word.
+    """
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker"]))
+    try:
+        tracker.ensure_running()
+    finally:
+        del os.environ["PYTHONWARNINGS"]
+        if before is not None:
+            os.environ["PYTHONWARNINGS"] = before
+
+
+@contextmanager
+def _quietly(results: Generator[Any]) -> Iterator[Generator[Any]]:
+    """Close results in the end, without joblib's warning of pieces that nobody took any more."""
+    try:
+        yield results
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            results.close()
+
+
+# ---- a folder of finished pieces -----------------------------------------------------------------
+
+
+def _opened(folder: Path, record: Mapping[str, object], *, name: str, what: str) -> Path:
+    """Return the folder, made where it is missing, after checking that it is of this record.
+
+    The record has the JSON values that the pieces depend on, `name` is its file, and `what` says
+    in messages what the folder holds.
+    """
+    text = json.dumps(record, indent=2)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(
+            f"cannot make the folder: {error.strerror}", where=str(folder), fix="choose another"
+        ) from error
+    path = folder / name
+    if not path.exists():
+        write_atomically(path, text + "\n")
+        return folder
+    try:
+        found = json_of(read_text(path), str(path))
+    except ModelError as error:
+        raise ModelError(error.what, where=error.where, fix="choose another folder") from error
+    wanted = json.loads(text)
+    if found != wanted:
+        known = found if isinstance(found, dict) else {}
+        joined = ", ".join(key for key, value in wanted.items() if known.get(key) != value)
+        raise ModelError(
+            f"the folder holds {what} whose record differs{f' in {joined}' if joined else ''}",
+            where=str(folder),
+            fix="choose another folder, or delete this one",
+        )
+    return folder
+
+
+def write_piece(path: Path, arrays: Mapping[str, Numbers]) -> None:
+    """Write arrays, of no Python objects, as an .npz file; equal arrays give equal bytes.
+
+    A digest of them all is written with them, so that no other content is taken for theirs.
+    """
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays, **{DIGEST: _digest(arrays)})
+    write_atomically(path, buffer.getvalue())
+
+
+def read_piece(path: Path) -> Arrays | None:
+    """Return the arrays of a piece; None where it is missing, ModelError where it is damaged."""
+    if not path.exists():
+        return None
+    try:
+        arrays = read_arrays(path, names=_any, check=_any, ratio=MOST)
+        stated = arrays.pop(DIGEST).tobytes()
+    except (ModelError, KeyError) as error:
+        raise damaged(path) from error
+    if stated != _digest(arrays).tobytes():
+        raise damaged(path)
+    return arrays
+
+
+def _digest(arrays: Mapping[str, Numbers]) -> Numbers:
+    """Return (32,) bytes that differ where names, types, shapes or numbers differ."""
+    digest = sha256()
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        content = array.tobytes()
+        head = [name, array.dtype.str, list(array.shape), len(content)]
+        digest.update(json.dumps(head).encode() + content)
+    return np.frombuffer(digest.digest(), dtype=np.uint8)
+
+
+@contextmanager
+def _kept(done: Sized, total: int, what: str, folder: Path | None) -> Iterator[None]:
+    """Let an interruption say what is finished: whoever ends the program tells of it."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        if folder is not None:
+            stop.add_note(
+                f"what is finished ({what}: {len(done)} of {total}) is kept in {folder}, "
+                "and the same command goes on from there"
+            )
+        raise
+
+
+def _any(*_: object) -> None:
+    """Let every name and every type pass: who reads a piece knows what it should hold."""
+
+
+def damaged(path: Path) -> ModelError:
+    """Return the error for a piece's file that cannot be used."""
+    return ModelError(
+        "the file is damaged", where=str(path), fix="delete it: its runs are then done again"
+    )
