@@ -634,15 +634,12 @@ def explore() -> None:
     metavar="POLICY",
     help="The policy that takes what is perceived for true (optimal).",
 )
-@click.option(
-    "--share", default="19/20", metavar="X", help="Share of the value that is to be kept (19/20)."
-)
 @of_model
 def perception() -> None:
     """Compute what acting on a perceived status costs in MODEL.
 
     The value where the status is known, and where the policy takes what it perceives for true; then
-    which errors cost most, and the accuracy that keeps a share of the value.
+    which errors cost most.
     """
 
 

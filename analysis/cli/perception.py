@@ -1,4 +1,4 @@
-"""`exact-mdp perception`: the cost of acting on a perceived status, and the accuracy needed."""
+"""`exact-mdp perception`: the cost of acting on a perceived status."""
 
 from __future__ import annotations
 
@@ -7,26 +7,20 @@ from typing import Any
 
 from exact_mdp.analysis.cli.options import given, number_of, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, at_most, between
+from exact_mdp.analysis.perception.accuracy import confusion_at
 from exact_mdp.analysis.perception.cost import UncertainValue, value_under_counts
 from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
-from exact_mdp.analysis.perception.needed import (
-    ALL,
-    AccuracyNeeded,
-    accuracy_needed,
-    confusion_at,
-)
 from exact_mdp.mdp.care.perception import (
     Counted,
     holds_examples,
     read,
     read_counts,
-    status_names,
     status_size,
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -41,18 +35,17 @@ def perception(
     draws: str,
     seed: str,
     policy: str,
-    share: str,
     sets: tuple[str, ...],
     discount: str | None,
 ) -> Report:
-    """Report what acting on a perceived status costs, and which accuracy would be enough."""
+    """Report what acting on a perceived status costs, and which errors cost most."""
     asked = given(model, sets, discount)
     mdp = asked.mdp
     n, rng = whole_of(draws, "--draws", least=2, most=10**6), whole_of(seed, "--seed")
     matrix, counts = _confusion(mdp, perception, accuracy, prior)
     optimum = solve(mdp)
     chosen = policy_of(mdp, optimum if policy == "optimal" else policy)
-    needed, costs = _needed(mdp, chosen, share), error_costs(mdp, chosen, matrix)
+    costs = error_costs(mdp, chosen, matrix)
     spread = None if counts is None else value_under_counts(mdp, chosen, counts, rng=rng, n=n)
     facts = {"policy": policy, "perception": perception or f"accuracy {accuracy}"}
     result = facts | {

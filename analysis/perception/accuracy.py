@@ -2,8 +2,7 @@
 
 With accuracy x a status is read rightly with probability x where it is present and where it is
 absent, the statuses independently. Curves of a policy's value over a grid come from
-`analysis.perception.values`; the accuracy that is needed for a share of the value is found exactly,
-in `analysis.perception.needed`.
+`analysis.perception.values`.
 """
 
 from __future__ import annotations
@@ -14,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.perception.needed import ALL, confusion_at
 from exact_mdp.analysis.perception.values import Passes
 from exact_mdp.mdp.care.perception import status_names
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike

@@ -11,7 +11,6 @@ from exact_mdp.analysis.plots.style import (
     BLUE,
     MARKS,
     WHITE,
-    Look,
     axes_or_new,
     name_rows,
     plain_text,

@@ -20,7 +20,6 @@ from matplotlib.figure import Figure
 from exact_mdp.analysis.perception.accuracy import accuracy_curves
 from exact_mdp.analysis.perception.cost import UncertainValue, value_under_counts
 from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
-from exact_mdp.analysis.perception.needed import accuracy_needed
 from exact_mdp.analysis.plots.perception import (
     plot_accuracy_curves,
     plot_confusion,
@@ -237,6 +236,6 @@ def _errors() -> Figure:
 def _accuracy() -> Figure:
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     mdp = measured().mdp
-    plot_accuracy_curves(accuracy_curves(mdp), needed=accuracy_needed(mdp), ax=ax)
+    plot_accuracy_curves(accuracy_curves(mdp), ax=ax)
     titled(ax, "The optimal policy acting on what it perceives")
     return figure

@@ -40,7 +40,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Numbers, exact
+from exact_mdp.mdp.table import Integers, Numbers, exact
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
 from exact_mdp.solvers.objectives.basis import by_basis, combined
 from exact_mdp.solvers.objectives.checker import (

@@ -6,9 +6,8 @@ import compare
 import numpy as np
 import pytest
 from contenders import OURS
-from workloads import Workload, clusters, dense, garnet, grid, inventory, queue
-
 from results import write
+from workloads import Workload, clusters, dense, garnet, grid, inventory, queue
 
 PEER = "quantecon MPI, k=20"
 FAMILY = "queue γ=0.9999"

@@ -112,7 +112,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Evaluation": lambda: evaluate(care(), "random"),
     "Front": lambda: tradeoff(care(), ["anger", "subtask-complete"]),
     "Gradient": lambda: gradient(SMALL),
-    "JointRadius": lambda: joint_radius(SMALL, {"base.anger": (0, 1)}),
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
     "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),

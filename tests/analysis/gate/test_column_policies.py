@@ -225,7 +225,6 @@ def test_models_with_nothing_to_do_have_answers(rows: list[Any], discount: F) ->
     assert certify(mdp).violations() == []
     for read in ((), ("state",)):
         assert best_policy(mdp, read).value.value == pytest.approx(float(worth))
-    value_of_memory(mdp, ("state",))
     for kind, form in (("auto", solve(mdp)), ("q", np.zeros((mdp.n_states, mdp.n_actions)))):
         for exactly in (True, False):
             audit = check(mdp, form, kind=kind, exact_values=exactly)

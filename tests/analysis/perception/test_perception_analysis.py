@@ -14,7 +14,7 @@ from oracle import ACTIONS, Oracle
 from exact_mdp.analysis.perception.accuracy import accuracy_curves
 from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.perception.needed import accuracy_needed, confusion_at
+from exact_mdp.analysis.perception.needed import confusion_at
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.care.perception import Counted, independent, perceived
 from exact_mdp.mdp.space import Column, StateSpace
