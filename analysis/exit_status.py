@@ -40,6 +40,7 @@ DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
 SIGNALS = 128  # what shells add to the number of the signal that ended a program
 TRACEBACK = "EXACT_MDP_TRACEBACK"
 ONE_REQUEST = 1.0  # seconds: `timeout` and others signal the process, then its group with it in it
+AT_ONCE = os._exit
 ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
 
 Told = Callable[[int, str], None]
@@ -149,13 +150,12 @@ def leave(status: int) -> NoReturn:
     example, and such a library can crash when it is taken apart.
     """
     if status <= SIGNALS or status == PIPE_CLOSED:
-        at_once = os._exit
-        _exit_by(lambda _: at_once(status))  # whatever a module has registered to be done at exit
+        _exit_by(lambda _: AT_ONCE(status))  # whatever a module has registered to be done at exit
         sys.exit(status)
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()
-    os._exit(status)
+    AT_ONCE(status)
 
 
 def say(text: str) -> None:
