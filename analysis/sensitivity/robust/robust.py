@@ -112,15 +112,6 @@ class Robust(Result):
         table = [(policy, laws, found.value, found.error) for policy, laws, found in rows]
         return pandas.DataFrame(table, columns=headings)
 
-    def changes_frame(self) -> DataFrame:
-        """Return the states in which the robust policy does something else."""
-        mdp, policies = self.mdp, (self.policy, _weights(self.robust))
-        table = [
-            (mdp.space.label(state), *(_actions(mdp, state, weights) for weights in policies))
-            for state in self.changed.tolist()
-        ]
-        return pandas.DataFrame(table, columns=["state", "nominal", "robust"])
-
 
 def _weights(found: RobustSolution) -> Floats:
     """Return (L,) probabilities of pairs of the policy that was found."""
@@ -128,11 +119,6 @@ def _weights(found: RobustSolution) -> Floats:
     taken = np.zeros(found.mdp.n_pairs)
     taken[found.pairs] = 1.0
     return taken
-
-
-def _actions(mdp: MDP, state: int, weights: Floats) -> str:
-    taken = [pair for pair in mdp.pairs_of(state) if weights[pair] > 0]
-    return " or ".join(mdp.actions[mdp.pair_action[pair]] for pair in taken)
 
 
 def difference(one: Bounded, other: Bounded) -> Bounded:

@@ -248,7 +248,8 @@ def test_the_price_of_robustness() -> None:
     assert found.price.value == pytest.approx(0.5)
     assert found.gain.value == pytest.approx(0.25)
     assert found.changed.tolist() == [0]
-    assert found.changes_frame()["robust"].tolist() == ["safe"]
+    taken = found.mdp.pair_action[found.robust.pairs[found.changed]]
+    assert [found.mdp.actions[action] for action in taken] == ["safe"]
     assert found.frame()["value (reward)"].tolist() == pytest.approx(
         [1.5, 0.75, 2.25, 1, 1, 1, 2.25]
     )
