@@ -25,7 +25,7 @@ def imports() -> nx.DiGraph:
     found = nx.DiGraph()
     found.add_nodes_from(ROOMS)
     for room in ROOMS:
-        for path in (ROOT / room).rglob("*.py"):
+        for path in (ROOT / "exact_mdp" / room).rglob("*.py"):
             names = IMPORTED.findall(path.read_text("utf-8"))
             found.add_edges_from((room, name) for name in names if name in ROOMS and name != room)
     return found
@@ -35,7 +35,9 @@ def picture() -> str:
     """Return the picture in Mermaid's words."""
     lines = ["flowchart BT"]
     for room in ROOMS:
-        inside = sorted(path.parent.name for path in (ROOT / room).glob("*/__init__.py"))
+        inside = sorted(
+            path.parent.name for path in (ROOT / "exact_mdp" / room).glob("*/__init__.py")
+        )
         lines += [f'  subgraph {room}["{room}/"]', "    direction LR"]
         lines += [f'    {room}_{name}["{name}"]' for name in inside]
         lines.append("  end")

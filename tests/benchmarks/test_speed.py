@@ -258,7 +258,7 @@ def test_steps_a_second(care: MDP, benchmark: Any, show: Callable[..., None]) ->
     run = benchmark.pedantic(trainer.run, args=(1,), rounds=15)
     ours = rate_of(lambda: trainer.run(1).steps, 15)
     plain = rate_of(lambda: numpy_loop(care, SLOW_EPISODES, 1), 3)
-    env = gymnasium.make(f"mdp.environment:{YUAN2025}", disable_env_checker=True)
+    env = gymnasium.make(f"exact_mdp.mdp.environment:{YUAN2025}", disable_env_checker=True)
     theirs = rate_of(lambda: gymnasium_loop(env, SLOW_EPISODES, 1), 3)
     figures = {
         "steps of one training": run.steps,

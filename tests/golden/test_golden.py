@@ -124,7 +124,9 @@ def test_the_models_are_still_built_as_they_were_saved(tmp_path: Path) -> None:
 
 
 def test_pinned_claims_are_what_the_commands_answer(tmp_path: Path) -> None:
-    pinned = tomllib.loads((ROOT / "paper_repro" / "expected.toml").read_text("utf-8"))
+    pinned = tomllib.loads(
+        (ROOT / "exact_mdp" / "paper_repro" / "expected.toml").read_text("utf-8")
+    )
 
     def asked(line: str) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(run(line, tmp_path).out)

@@ -7,8 +7,8 @@ from threading import current_thread, main_thread
 import numpy as np
 import pytest
 
-from mdp import MDP, lazy
-from solvers import solve
+from exact_mdp.mdp import MDP, lazy
+from exact_mdp.solvers import solve
 
 SESSION = """
 import sys

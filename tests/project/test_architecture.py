@@ -64,7 +64,7 @@ class Import:
 
 
 def modules() -> list[Path]:
-    return sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))
+    return sorted(path for layer in LAYERS for path in (ROOT / "exact_mdp" / layer).rglob("*.py"))
 
 
 def imports_of(path: str, source: str) -> list[Import]:
@@ -116,7 +116,9 @@ def all_imports() -> list[Import]:
     return [
         found
         for path in modules()
-        for found in imports_of(path.relative_to(ROOT).as_posix(), path.read_text("utf-8"))
+        for found in imports_of(
+            path.relative_to(ROOT / "exact_mdp").as_posix(), path.read_text("utf-8")
+        )
     ]
 
 
@@ -176,7 +178,10 @@ def test_imports_point_one_way() -> None:
 
 
 def test_no_modules_import_each_other() -> None:
-    sources = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in modules()}
+    sources = {
+        path.relative_to(ROOT / "exact_mdp").as_posix(): path.read_text("utf-8")
+        for path in modules()
+    }
     assert circles(sources) == []
 
 
@@ -218,14 +223,17 @@ def inside_functions(source: str) -> list[str]:
 
 
 def test_no_function_imports() -> None:
-    sources = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in modules()}
+    sources = {
+        path.relative_to(ROOT / "exact_mdp").as_posix(): path.read_text("utf-8")
+        for path in modules()
+    }
     found = {path: inside_functions(source) for path, source in sources.items()}
     assert {path: names for path, names in found.items() if names} == {}
 
 
 def test_modules_that_import_by_name_are_listed_with_a_reason() -> None:
     found = {
-        path.relative_to(ROOT).as_posix()
+        path.relative_to(ROOT / "exact_mdp").as_posix()
         for path in modules()
         for node in ast.walk(ast.parse(path.read_text("utf-8")))
         if isinstance(node, ast.Name | ast.Attribute)
@@ -296,7 +304,9 @@ def test_no_module_is_called_utils() -> None:
 
 
 def test_every_package_says_that_it_is_typed() -> None:
-    assert [layer for layer in LAYERS if not (ROOT / layer / "py.typed").is_file()] == []
+    assert [
+        layer for layer in LAYERS if not (ROOT / "exact_mdp" / layer / "py.typed").is_file()
+    ] == []
 
 
 @pytest.mark.parametrize(

@@ -134,7 +134,7 @@ def test_every_command_has_a_line() -> None:
 
 
 def commands() -> str:
-    return (ROOT / "analysis" / "cli" / "commands.py").read_text("utf-8")
+    return (ROOT / "exact_mdp" / "analysis" / "cli" / "commands.py").read_text("utf-8")
 
 
 # ---- the gallery -------------------------------------------------------------------------------
@@ -144,7 +144,7 @@ def test_every_figure_is_in_the_gallery() -> None:
     """A script is called as the function that draws its figure."""
     functions = {
         node.name.removeprefix("plot_").removeprefix("draw_")
-        for path in (ROOT / "analysis" / "plots").glob("*.py")
+        for path in (ROOT / "exact_mdp" / "analysis" / "plots").glob("*.py")
         for node in ast.parse(path.read_text("utf-8")).body
         if isinstance(node, ast.FunctionDef) and node.name.startswith(("plot_", "draw_"))
     }

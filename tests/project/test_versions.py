@@ -21,7 +21,6 @@ from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import substitution
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("mdp", "solvers", "analysis", "paper_repro")
 TOML = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT, GROUPS = TOML["project"], TOML["dependency-groups"]
 LOCKS = (
@@ -71,12 +70,11 @@ def test_one_module_asks_for_a_triangular_solve() -> None:
     """The cast stands at the only place that needs it."""
     holders = [
         str(path.relative_to(ROOT))
-        for package in PACKAGES
-        for path in sorted((ROOT / package).rglob("*.py"))
+        for path in sorted((ROOT / "exact_mdp").rglob("*.py"))
         if "import spsolve_triangular" in path.read_text()
         or "spsolve_triangular(" in path.read_text()
     ]
-    assert holders == [str(Path("solvers") / "bounds" / "elimination.py")]
+    assert holders == [str(Path("exact_mdp") / "solvers" / "bounds" / "elimination.py")]
 
 
 def name_of(requirement: str) -> str:
@@ -105,9 +103,9 @@ def imported(path: Path) -> set[str]:
 
 def test_every_import_is_declared() -> None:
     """Each package that a module, a test or a notebook imports is named in pyproject.toml."""
-    folders = (*PACKAGES, "tests", "notebooks")
+    folders = ("exact_mdp", "tests", "notebooks")
     files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
-    own = {*PACKAGES, "exact_mdp", *(path.stem for path in (ROOT / "tests").rglob("*.py"))}
+    own = {"exact_mdp", *(path.stem for path in (ROOT / "tests").rglob("*.py"))}
     own |= {path.name for path in (ROOT / "tests").iterdir() if path.is_dir()}
     names = set().union(*map(imported, files)) - own - set(sys.stdlib_module_names)
     # Under another name, and perhaps not installed.

@@ -123,7 +123,7 @@ def test_large_models_are_solved_by_the_compiled_form() -> None:
 
 def test_the_compiler_is_loaded_once_it_pays() -> None:
     code = (
-        "import sys; from mdp import Scenario; from solvers import solve\n"
+        "import sys; from exact_mdp import Scenario, solve\n"
         "mdps = [Scenario.load('yuan2025').with_(tasks=[n]).compile() for n in (5, 5, 40, 40)]\n"
         "found = [(solve(mdp), 'numba' in sys.modules) for mdp in mdps]\n"
         "print([one[1] for one in found], len({one[0].value.tobytes() for one in found}))"

@@ -4,7 +4,6 @@ import errno
 import json
 import os
 import re
-import resource
 import subprocess
 import sys
 from dataclasses import replace
@@ -25,7 +24,7 @@ from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
 
 LONG_HEX = "0x" + "f" * 9000
-YUAN = Path(__file__).parents[3] / "mdp" / "scenarios" / "yuan2025.toml"
+YUAN = Path(__file__).parents[3] / "exact_mdp" / "mdp" / "scenarios" / "yuan2025.toml"
 
 
 def told(err: str, status: int = 2) -> None:
@@ -241,6 +240,8 @@ def test_a_closed_standard_error_changes_no_status() -> None:
 
 
 def test_a_full_disk_behind_a_file_ends_with_3_and_leaves_nothing(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")  # Unix alone has it
+
     def little() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
 

@@ -15,8 +15,8 @@ ROOT = Path(__file__).resolve().parents[3]
 WORK = """
 import click
 import worker
-from analysis.exit_status import Program
-from solvers.parallel import many
+from exact_mdp.analysis.exit_status import Program
+from exact_mdp.solvers.parallel import many
 
 @click.command(cls=Program)
 @click.argument("folder")

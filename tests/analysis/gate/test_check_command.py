@@ -200,8 +200,8 @@ import os
 
 import numpy as np
 import pytest
-from analysis import assert_policy_optimal
-from mdp import ModelError, Scenario
+from exact_mdp.analysis import assert_policy_optimal
+from exact_mdp.mdp import ModelError, Scenario
 
 SMALL = ("tasks=[2]", "max_trial=2")
 

@@ -23,7 +23,7 @@ from exact_mdp.solvers import Claim, SolverError, certify, evaluate, solve
 from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.margins import alike, gains, undecided
 
-PROOF = Path(__file__).parents[3] / "solvers" / "proof"
+PROOF = Path(__file__).parents[3] / "exact_mdp" / "solvers" / "proof"
 MARGINS = "exact_mdp.solvers.proof.margins"
 ENDLESS = "exact_mdp.solvers.proof.endless"
 EQUATIONS = "exact_mdp.solvers.proof.equations"

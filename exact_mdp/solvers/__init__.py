@@ -96,8 +96,3 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.solvers.values.simulate": ["Simulation", "simulate"],
     },
 )
-
-if __name__ == "solvers":
-    from exact_mdp._checkout import alias
-
-    alias(__name__)

@@ -61,8 +61,3 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.mdp.space": ["Column", "StateSpace"],
     },
 )
-
-if __name__ == "mdp":
-    from exact_mdp._checkout import alias
-
-    alias(__name__)

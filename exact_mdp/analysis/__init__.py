@@ -67,8 +67,3 @@ __getattr__, __dir__ = names_later(
         "exact_mdp.analysis.pages.explorer": ["explore"],
     },
 )
-
-if __name__ == "analysis":
-    from exact_mdp._checkout import alias
-
-    alias(__name__)
