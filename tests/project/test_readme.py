@@ -86,7 +86,7 @@ def test_command_lines_run(
 
 def test_there_is_something_to_run() -> None:
     assert len(PYTHON) == 2
-    assert len(BLOCKS) >= 20
+    assert len(BLOCKS) >= 18
 
 
 def test_links_lead_somewhere() -> None:

@@ -1,1 +1,1 @@
-"""Other ways to write a model: functions, dictionaries and lists; generators of models."""
+"""Other ways to write a model: functions, dictionaries and lists."""

@@ -17,6 +17,7 @@ from forest import forest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.axes import Axes
+from random_models import dense
 
 from exact_mdp import MDP, Scenario, certify, check, evaluate, solve
 from exact_mdp.analysis import compare, dot, value_function
@@ -29,7 +30,6 @@ from exact_mdp.analysis.plots import (
     plot_transitions,
 )
 from exact_mdp.mdp import ModelError
-from exact_mdp.mdp.forms.generators import dense
 from exact_mdp.solvers import Certificate, return_distribution
 
 mpl.use("Agg")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction as F
 from typing import Any
 
@@ -12,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import with_components
+from random_models import garnet_rows
 
 from exact_mdp import MDP, solve
-from exact_mdp.mdp.forms.generators import garnet
 from exact_mdp.solvers.objectives import constrained
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.basis import Optimal, by_basis
@@ -47,23 +46,10 @@ def worth(of: Objectives, limits: Sequence[Limit], found: Optimal | Relaxed) -> 
 
 def ring(constant: bool = False) -> MDP:
     """A random model of 60 states on one cycle, of three totals."""
-    mdp, rng = garnet(60, rng=1), np.random.default_rng(2)
-    parts = {name: rng.integers(0, 64, mdp.n_pairs).tolist() for name in "ab"}
-    table = mdp.table
+    rows, draw = garnet_rows(60, rng=1), np.random.default_rng(2)
     if constant:
-        table = replace(table, gain=table.gain * 0 + 7)
-    rows = [
-        (
-            int(mdp.pair_state[l]),
-            int(mdp.pair_action[l]),
-            [
-                (F(int(table.weight[i]), int(table.denominator[l])), int(table.next[i]),
-                 F(int(table.gain[l]), int(table.gain_denominator[l])))
-                for i in range(table.offsets[l], table.offsets[l + 1])
-            ],
-        )
-        for l in range(mdp.n_pairs)
-    ]  # fmt: skip
+        rows = [(s, a, [(p, n, F(7, 1000)) for p, n, _ in own]) for s, a, own in rows]
+    parts = {name: draw.integers(0, 64, len(rows)).tolist() for name in "ab"}
     return MDP.from_outcomes(rows, "19/20", components=parts)
 
 
