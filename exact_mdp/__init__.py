@@ -1,94 +1,63 @@
 """Exact analysis of finite Markov decision processes: models, solvers, proofs, audits.
 
 The rooms are `exact_mdp.mdp` (what a problem is), `.solvers` (how it is solved), `.analysis` (what
-it means) and `.paper_repro`. The public names are here, each loaded when it is first asked for.
-
-Names from before stay, of which each is another name of something:
-
-    mdp, solvers, analysis       in a checkout, exact_mdp.mdp and so on (`_checkout.py`)
-    .start_value of a result     .start.value, the number without its claim
-    .mean of an evaluation       the same
-    .error_bound of a solution   .error, over all states
+it means) and `.paper_repro`. All public names are here, and each room has its own of them too. They
+are listed once, in `__init__.pyi`; a name is loaded when it is first asked for.
 
 >>> from exact_mdp import MDP, check, solve
->>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+>>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]], layout="ass")
 >>> solve(mdp).value.tolist(), check(mdp, [1, 0]).passed
 ([3.0, 0.0], True)
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import ast
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
-from exact_mdp.mdp.lazy import names_later
 
-if TYPE_CHECKING:
-    from exact_mdp.analysis import assert_policy_optimal, check, check_trainer, tradeoff
-    from exact_mdp.mdp import (
-        MDP,
-        Family,
-        ModelError,
-        Parameter,
-        Policy,
-        PolicyLike,
-        Scenario,
-        moving,
-    )
-    from exact_mdp.solvers import (
-        BackwardInduction,
-        Certificate,
-        GaussSeidel,
-        LinearProgram,
-        ModifiedPolicyIteration,
-        PolicyIteration,
-        Solution,
-        SolverError,
-        ValueIteration,
-        certify,
-        evaluate,
-        return_distribution,
-        simulate,
-        solve,
-        solve_robust,
-    )
+def _listed() -> dict[str, tuple[str, str]]:
+    """Return the module of each public name, and what it is called there."""
+    source = Path(__file__).with_suffix(".pyi").read_text("utf-8")
+    return {
+        alias.asname or alias.name: (node.module or "", alias.name)
+        for node in ast.parse(source).body
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(__name__)
+        for alias in node.names
+    }
 
-__all__ = [
-    "MDP",
-    "BackwardInduction",
-    "Certificate",
-    "Family",
-    "GaussSeidel",
-    "LinearProgram",
-    "ModelError",
-    "ModifiedPolicyIteration",
-    "Parameter",
-    "Policy",
-    "PolicyIteration",
-    "PolicyLike",
-    "Scenario",
-    "Solution",
-    "SolverError",
-    "ValueIteration",
-    "assert_policy_optimal",
-    "certify",
-    "check",
-    "check_trainer",
-    "evaluate",
-    "moving",
-    "return_distribution",
-    "simulate",
-    "solve",
-    "solve_robust",
-    "tradeoff",
-]
 
-_MDP = ("MDP", "Family", "ModelError", "Parameter", "Policy", "PolicyLike", "Scenario", "moving")
-_ANALYSIS = ("assert_policy_optimal", "check", "check_trainer", "tradeoff")
-__getattr__, __dir__ = names_later(
-    __name__,
-    {
-        "exact_mdp.mdp": _MDP,
-        "exact_mdp.analysis": _ANALYSIS,
-        "exact_mdp.solvers": [name for name in __all__ if name not in (*_MDP, *_ANALYSIS)],
-    },
-)
+_HOMES = _listed()
+
+
+def names_of(room: str) -> tuple[list[str], Callable[[str], Any]]:
+    """Return the public names of a room, and the function that loads one: its `__getattr__`."""
+    names = sorted(name for name, (home, _) in _HOMES.items() if f"{home}.".startswith(f"{room}."))
+
+    def load(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {room!r} has no attribute {name!r}")
+        home, own = _HOMES[name]
+        module = import_module(home)
+        return getattr(module, own) if hasattr(module, own) else import_module(f"{home}.{own}")
+
+    return names, load
+
+
+__all__, _load = names_of(__name__)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("exact-mdp")
+    value = globals()[name] = _load(name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

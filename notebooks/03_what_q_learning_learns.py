@@ -35,7 +35,7 @@ from exact_mdp.mdp import Scenario
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 
 mdp = Scenario.load("yuan2025").compile()
 optimum = solve(mdp).start_value
@@ -49,7 +49,7 @@ optimum = solve(mdp).start_value
 # %%
 schedules = {"constant ε": PAPER_CONSTANT, "decaying ε": PAPER_DECAYING}
 runs = {
-    label: train_many(mdp, QLearning(exploration=exploration), 20, rng=0, n_jobs=2)
+    label: train(mdp, QLearning(exploration=exploration), 20, rng=0, n_jobs=2)
     for label, exploration in schedules.items()
 }
 

@@ -28,12 +28,12 @@
 import matplotlib.pyplot as plt
 
 from exact_mdp import Scenario, check, solve, tradeoff
-from exact_mdp.analysis import value_function
+from exact_mdp.analysis import curve
 from exact_mdp.analysis.plots import style
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
 from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 
 scenario = Scenario.load("yuan2025")
 care = scenario.compile()
@@ -65,7 +65,7 @@ print(f"the last point costs {float(edge.rate):.1f} points: {float(edge.rate) / 
 # how much both totals could be better at once.
 
 # %%
-runs = train_many(care, QLearning(epochs=100), 3, rng=0)
+runs = train(care, QLearning(epochs=100), 3, rng=0)
 learned = {f"learned, run {number}": run for number, run in enumerate(runs)}
 with style():
     ax = front.plot(policies={"optimal": "optimal", **learned})
@@ -138,7 +138,7 @@ asked.frame().head()
 # today's policy, held fixed, falls behind.
 
 # %%
-curve = value_function(scenario, "base.anger", (0, "1/2"), policy="optimal")
+curve = curve(scenario, "base.anger", (0, "1/2"), policy="optimal")
 print(curve, curve.violations())
 with style():
     figure, ax = plt.subplots()

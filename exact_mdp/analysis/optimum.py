@@ -19,13 +19,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp import solvers
 from exact_mdp.mdp.chain import is_acyclic, reachable
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.solution import warn_of_precision
-from exact_mdp.solvers.solver import Criterion, is_average
+from exact_mdp.solvers.dynamic.stopping import Solver
+from exact_mdp.solvers.proof.certify import certify as certified
+from exact_mdp.solvers.solution import Claim, Solution, SolverError, warn_of_precision
+from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.average.certificate import AverageCertificate
@@ -54,11 +55,11 @@ class Optimum:
 
     mdp: MDP
     method: str
-    solution: solvers.Solution | None
+    solution: Solution | None
     certificate: Certificate | AverageCertificate | None
 
     @property
-    def best(self) -> solvers.Solution | Certificate | AverageCertificate:
+    def best(self) -> Solution | Certificate | AverageCertificate:
         """What vouches for the values."""
         found = self.solution if self.certificate is None else self.certificate
         assert found is not None
@@ -68,13 +69,13 @@ class Optimum:
     def value(self) -> Floats:
         """(S,) state values."""
         best = self.best
-        return best.value if isinstance(best, solvers.Solution) else best.value_float
+        return best.value if isinstance(best, Solution) else best.value_float
 
     @cached_property
     def state_error(self) -> Floats:
         """(S,) bounds on the errors of the values; rounding alone where they are certified."""
         best = self.best
-        if not isinstance(best, solvers.Solution):
+        if not isinstance(best, Solution):
             return np.nan_to_num(np.spacing(np.abs(self.value)))
         return best.state_error
 
@@ -87,7 +88,7 @@ class Optimum:
     def optimal(self) -> Mask:
         """(L,) the optimal pairs; up to the error bound where there is no certificate."""
         best = self.best
-        if not isinstance(best, solvers.Solution):
+        if not isinstance(best, Solution):
             return best.optimal_pairs
         lost = best.value[self.mdp.pair_state] - self.mdp.backup(best.value)
         return np.asarray((-lost if self.mdp.sense == "min" else lost) <= 2 * best.error_bound)
@@ -101,15 +102,15 @@ class Optimum:
     def error_bound(self) -> float:
         """A bound on the error of the start value, and of the value of every state."""
         best = self.best
-        if not isinstance(best, solvers.Solution):
+        if not isinstance(best, Solution):
             rounding = float(np.nan_to_num(np.spacing(abs(self.start_value))))
             return max(float(self.state_error.max()), rounding)
         return max(best.error_bound, best.start.error)
 
     @property
-    def claim(self) -> solvers.Claim:
+    def claim(self) -> Claim:
         """Bounded, or certified where there is a certificate."""
-        return solvers.Claim.BOUNDED if self.certificate is None else solvers.Claim.CERTIFIED
+        return Claim.BOUNDED if self.certificate is None else Claim.CERTIFIED
 
     def stationary(self) -> bool | None:
         """Return whether the optimum depends on the status alone; None where bounds leave it open.
@@ -161,18 +162,18 @@ def optimum(
     solver = _solver(model, method, tol, average=is_average(criterion))
     solution = None
     try:
-        solution = solvers.solve(model, solver, criterion=criterion)
+        solution = solve(model, solver, criterion=criterion)
         if tol is not None and solution.error_bound > tol:
             warn_of_precision(
                 f"the error bound is {solution.error_bound:.2g}, above the tolerance {tol:g}"
             )
         if not certify:
             return Optimum(mdp=model, method=solution.method, solution=solution, certificate=None)
-    except solvers.SolverError as error:
+    except SolverError as error:
         if not certify:
             raise
         warn_of_precision(f"{error} (the exact values stand)")
-    certificate = solvers.certify(model, criterion=criterion)
+    certificate = certified(model, criterion=criterion)
     if faults := certificate.violations():
         raise Contradiction(f"the certificate does not hold: {faults[0]}")
     found = Optimum(mdp=model, method=solver.name, solution=solution, certificate=certificate)
@@ -187,16 +188,16 @@ def optimum(
     return found
 
 
-def _solver(mdp: MDP, method: str, tol: float | None, *, average: bool) -> solvers.Solver:
+def _solver(mdp: MDP, method: str, tol: float | None, *, average: bool) -> Solver:
     """Return a named solver, with the tolerance where it has one to set."""
     if method == "auto" and average:
         method = "policy-iteration"
     elif method == "auto":
         method = "backward-induction" if is_acyclic(mdp) else "modified-policy-iteration"
-    if method not in solvers.SOLVERS:
-        known = [*solvers.SOLVERS, "auto"]
+    if method not in SOLVERS:
+        known = [*SOLVERS, "auto"]
         raise ModelError(f"unknown method {method!r}", where="method", fix=suggest(method, known))
     if tol is not None and not 0 < tol < np.inf:
         raise ModelError(f"the tolerance is {tol}", where="tol", fix="choose a positive number")
-    kind = solvers.SOLVERS[method]
+    kind = SOLVERS[method]
     return kind(**{"tol": tol} if tol is not None and hasattr(kind, "tol") else {})

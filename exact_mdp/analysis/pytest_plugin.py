@@ -85,9 +85,9 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
         **limits: Any,
     ) -> Any:
         __tracebackhide__ = True
-        load_model = import_module("exact_mdp.mdp.io.load").load_model
+        load = import_module("exact_mdp.mdp.io.load").load
         if isinstance(model, str | Path):
-            mdp = load_model(_beside(request.path, model), sets=set, discount=discount)
+            mdp = load(_beside(request.path, model), sets=set, discount=discount)
         else:
             mdp = model if discount is None else model.with_(discount=discount)
         # Not by `record_property`, which warns where pytest's own report is of the family xunit2.

@@ -20,13 +20,11 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
+from scipy import special
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers
-
-special = later("scipy.special")
 
 FAVOURED, IDENTIFIED, EXCLUDED = 3.0, 20.0, 150.0  # Bayes factors
 

@@ -7,7 +7,6 @@ float, the table holds them as floats; else as integers over one denominator for
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -34,9 +33,9 @@ from exact_mdp.mdp.forms.numbers import (
     whole_numbers,
 )
 from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
-from exact_mdp.mdp.lazy import COMPILER, later
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
+    COMPILED,
     LONG,
     Floats,
     Given,
@@ -53,9 +52,6 @@ from exact_mdp.mdp.table import (
 from exact_mdp.mdp.validate import Parts as ModelParts
 from exact_mdp.mdp.validate import as_discount, as_start, check_model, last_action
 
-loops = later("exact_mdp.mdp.forms.rows")
-
-LOADING = 3_000_000  # entries that SciPy puts in order in the time that loading loops takes
 MOST_UNNAMED_ACTIONS = 100_000
 LAYOUTS = {"ass": 1, "sas": 0}
 """Orders of the indices of P, action, state, next state or state, action, next state, and which of
@@ -473,16 +469,18 @@ def _table(
 def _taken(rows: Any) -> tuple[Integers, Numbers, Floats, Floats] | None:
     """Return offsets (L+1,), columns and numbers (N,) of a sparse matrix, copied in one pass.
 
-    The last part is by how much each row's sum exceeds 1. None where compiled loops are not loaded
-    nor worth it, and where rows are not sound as they are.
+    The last part is by how much each row's sum exceeds 1. None where there are too few entries for
+    compiled loops, and where rows are not sound as they are.
     """
-    wide, loaded = rows.shape[1] >= 2**31, COMPILER in sys.modules or rows.nnz >= LOADING
-    if not loaded or rows.dtype != np.float64 or wide or not rows.shape[0]:
+    wide, small = rows.shape[1] >= 2**31, rows.nnz < COMPILED
+    if small or rows.dtype != np.float64 or wide or not rows.shape[0]:
         return None
     offsets = rows.indptr.astype(np.int64)
     columns, data = np.empty(offsets[-1], dtype=rows.indices.dtype), np.empty(offsets[-1])
     ends, given = block_ends(offsets), (rows.shape[1], offsets, rows.indices, rows.data)
     longest, excess = int((offsets[1:] - offsets[:-1]).max()), np.empty(len(offsets) - 1)
+    from exact_mdp.mdp.forms import rows as loops
+
     good, size = [False] * (len(ends) - 1), max(longest, loops.DIGITS)
     if longest >= LONG:
         return None

@@ -23,14 +23,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csgraph
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later, worth_compiling
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import Integers, Numbers, spans
+from exact_mdp.mdp.table import COMPILED, Integers, Numbers, spans
 
-compiling = later("exact_mdp.mdp.forms.compiling")
-csgraph = later("scipy.sparse.csgraph")
 Mask = NDArray[np.bool_]
 SHOWN = 4
 # Rounds by arrays; then states go one by one, if fewer than that joined in each.
@@ -171,7 +169,7 @@ def closure(graph: sp.csr_array, first: Mask) -> Mask:
 
 def _large(graph: sp.csr_array) -> bool:
     """Return whether SciPy's graphs pay: all that is slow to load of them is linear algebra."""
-    return worth_compiling(graph.nnz + graph.shape[0], "scipy.sparse.linalg")
+    return bool(graph.nnz + graph.shape[0] >= COMPILED)
 
 
 def numbered_in_order(mdp: MDP) -> bool:
@@ -277,19 +275,20 @@ class Backward:
         """Return (S,) the round in which each joins the `first` ones, or -1; and (L,) pairs left.
 
         It joins once `waiting` (S,) of its `pairs` (L,) may lead to those before; these are no
-        longer left. Arrays do that as long as many states join in a round, then lists; compiled
-        loops where they are loaded, or pay.
+        longer left. Compiled loops do that where there are many pairs; otherwise arrays as long as
+        many states join in a round, then lists.
         """
         rank, left, waiting = np.where(first, 0, -1), pairs.copy(), waiting.copy()
         frontier, reached, joined = np.flatnonzero(first), 0, 0
         place = np.empty(max(len(rank), len(left)), dtype=np.int64)
         while 0 < len(frontier) < len(rank):
             narrow = reached % FIRST == FIRST - 1 and joined < FIRST * NARROW
-            if narrow or worth_compiling(0):
+            large = len(self.into) >= COMPILED
+            if narrow or large:
                 queue = np.empty_like(rank)
                 queue[: len(frontier)] = frontier
                 parts = (left, waiting, rank, queue)
-                if worth_compiling(len(self.into)):
+                if large:
                     _compiled()(self.before, self.into, self.owner, *parts, len(frontier))
                     return rank, left
                 lists = [*self._listed, *(part.tolist() for part in parts), len(frontier)]
@@ -341,6 +340,8 @@ def join(
 @cache
 def _compiled() -> Any:
     """Return `join` for arrays."""
+    from exact_mdp.mdp.forms import compiling
+
     return compiling.compiled(join)
 
 

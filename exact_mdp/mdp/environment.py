@@ -16,20 +16,17 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import load
+from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 
-if TYPE_CHECKING:
+with extra("models"):
     import gymnasium
-else:
-    gymnasium = load("gymnasium")
 
 YUAN2025 = "exact_mdp/Yuan2025-v0"
 

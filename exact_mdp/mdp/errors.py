@@ -198,3 +198,28 @@ def _check(name: str, what: str, where: str, longest: int) -> None:
 
 def _cut(name: str) -> str:
     return shown_text(name[:SHOWN]) + ("…" if len(name) > SHOWN else "")
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Name the extra that brings a package which an import inside does not find.
+
+    Examples
+    --------
+    >>> try:
+    ...     with extra("lp"):
+    ...         import no_such_package
+    ... except ModelError as error:
+    ...     print(error.fix)
+    install it: pip install "exact-mdp[lp]"
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing == "exact_mdp":
+            raise
+        raise ModelError(
+            f"the package {missing} is not installed",
+            fix=f'install it: pip install "exact-mdp[{name}]"',
+        ) from None

@@ -23,12 +23,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp import build, lazy, questions
+from exact_mdp.mdp import build, questions
 from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.forms import explore
 from exact_mdp.mdp.forms.names import Names, Told, object_key, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
+from exact_mdp.mdp.io import gymnasium, transitions
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
 from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, spans
 from exact_mdp.mdp.validate import (
@@ -44,11 +45,7 @@ from exact_mdp.mdp.validate import (
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-gymnasium = lazy.later("exact_mdp.mdp.io.gymnasium")
-pandas = lazy.later("pandas")
-transitions = lazy.later("exact_mdp.mdp.io.transitions")
 Found = TypeVar("Found")
-LOADER = "exact_mdp.mdp.io.load"  # by name: it knows every kind of model, this one among them
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +199,8 @@ class MDP(ByFields, Parts):
         return self._outcomes(pair for state in chosen for pair in self.pairs_of(state))
 
     def _outcomes(self, pairs: Iterable[int]) -> DataFrame:
+        import pandas
+
         label = self.space.label
         rows = [
             (label(self.pair_state[pair]), self.actions[self.pair_action[pair]], label(after), p, r)
@@ -873,15 +872,18 @@ class MDP(ByFields, Parts):
         ...     MDP.load(f"{folder}/small.npz").table.row(0)
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
-        found: MDP = lazy.load(LOADER).load_model(path, discount=discount, start=start)
-        return found
+        import exact_mdp
+
+        return exact_mdp.load(path, discount=discount, start=start)
 
     def save(self, path: str | Path) -> None:
         """Write all of the model as `.npz`, or as `.umb` for model checkers; whole or not at all.
 
         Raises ModelError for another ending, and where the path cannot be written to.
         """
-        lazy.load(LOADER).save_model(self, path)
+        import exact_mdp
+
+        exact_mdp.save(self, path)
 
     @classmethod
     def from_transitions(

@@ -5,12 +5,10 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from exact_mdp.mdp.lazy import later
+import flint
 
 if TYPE_CHECKING:
     from flint import fmpq
-
-flint = later("flint")
 
 
 def rational(number: Fraction | int) -> fmpq:

@@ -16,11 +16,11 @@ from dataclasses import fields
 from fractions import Fraction
 from html import escape
 from reprlib import Repr
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.mdp.lazy import load
+from exact_mdp.mdp.errors import extra
 from exact_mdp.mdp.table import shown
 
 if TYPE_CHECKING:
@@ -93,12 +93,7 @@ class Result(Brief, ABC):
 
 
 class Pictured(Result):
-    """A result of which there is a picture, drawn by the function that `picture` names.
-
-    It is loaded when a picture is asked for: "package.module:function".
-    """
-
-    picture: ClassVar[str]
+    """A result of which there is a picture."""
 
     def plot(self, ax: Axes | None = None, **settings: Any) -> Axes:
         """Draw the result on axes, or on those of a new figure.
@@ -107,7 +102,7 @@ class Pictured(Result):
         ----------
         ax : Axes, optional
         **settings
-            As the function takes them that draws it.
+            As the function takes them that draws it; see `exact_mdp.analysis.plots.pictures`.
 
         Returns
         -------
@@ -118,8 +113,10 @@ class Pictured(Result):
         ModelError
             Where matplotlib is not installed.
         """
-        module, _, function = self.picture.partition(":")
-        drawn: Axes = getattr(load(module), function)(self, ax=ax, **settings)
+        import exact_mdp
+
+        with extra("plots"):
+            drawn: Axes = exact_mdp.draw(self, ax=ax, **settings)
         return drawn
 
 

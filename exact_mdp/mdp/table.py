@@ -35,6 +35,9 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Numbers = NDArray[Any]
 
+# Transitions from which compiled loops are used. Below, NumPy takes less time than it takes to load
+# the compiler, a third of a second.
+COMPILED = 20_000
 EXACT_IN_FLOAT = 2**53
 EXACT_IN_INT64 = 2**62
 EXPONENT = 0x7FF << 52  # the bits of a double that hold its exponent

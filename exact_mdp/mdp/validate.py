@@ -25,10 +25,10 @@ from exact_mdp.mdp.errors import (
 from exact_mdp.mdp.forms.names import ByNumber, Told, labels_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
-from exact_mdp.mdp.lazy import COMPILER, later
-from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
+    COMPILED,
     FLOAT_ROW_TOLERANCE,
     ROW_TOLERANCE,
     Integers,
@@ -37,8 +37,6 @@ from exact_mdp.mdp.table import (
     exact,
     shown,
 )
-
-loops = later("exact_mdp.mdp.forms.rows")
 
 Flags = NDArray[np.bool_]
 SENSES = ("max", "min")
@@ -289,10 +287,13 @@ def _is_state(given: object, space: StateSpace) -> bool:
 
 
 def last_action(state: Integers, action: Integers) -> int:
-    """Return what `mdp.forms.rows` says of pairs; -1, too, where no compiled loops are loaded."""
-    given = (state, action)
-    plain = all(part.dtype == np.int64 and part.flags.c_contiguous for part in given)
-    return int(loops.last_action(*given)) if plain and COMPILER in sys.modules else -1
+    """Return what `mdp.forms.rows` says of pairs; -1, too, where there are few of them."""
+    plain = all(part.dtype == np.int64 and part.flags.c_contiguous for part in (state, action))
+    if not plain or len(state) < COMPILED:
+        return -1
+    from exact_mdp.mdp.forms import rows as loops
+
+    return int(loops.last_action(state, action))
 
 
 def _check_pairs(model: Parts) -> None:

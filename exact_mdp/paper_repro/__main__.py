@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from exact_mdp.analysis.exit_status import FAILED, Program
-from exact_mdp.mdp import ModelError
-from exact_mdp.mdp.lazy import load
+from exact_mdp.mdp.errors import ModelError, extra
 
 
 @click.command(cls=Program)
@@ -79,7 +78,8 @@ def main(
             fix="give one, such as return.random; claims.json and the report list them",
         )
     try:
-        work = load("exact_mdp.paper_repro.run")  # the help does not wait for it
+        with extra("plots"):
+            from exact_mdp.paper_repro import run as work  # the help does not wait for it
         if summary:
             work.summarise(out, quick=quick)
             failed = False

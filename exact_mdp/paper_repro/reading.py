@@ -19,11 +19,14 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.analysis.readings import option_label
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.load import load_scenario
 from exact_mdp.mdp.io.structured import json_of
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Integers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.completions import LearnedCompletions, counted
@@ -36,10 +39,12 @@ from exact_mdp.paper_repro.readings.training import (
     setting,
     settings_of,
 )
-from exact_mdp.solvers import certify, evaluate, simulate, solve
 from exact_mdp.solvers.learning.schedules import Constant
 from exact_mdp.solvers.proof.certificate import Certificate
-from exact_mdp.solvers.values.evaluate import Evaluation
+from exact_mdp.solvers.proof.certify import certify
+from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
+from exact_mdp.solvers.values.simulate import simulate
 
 SEED = 20250101
 TRAINING = "training."

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import click
+import tqdm
 
 from exact_mdp.analysis.exit_status import warner
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro.claims import Judged, PaperClaim, Verdict, all_claims, chosen, judge
 from exact_mdp.paper_repro.claims.judge import (
     best_supported,
@@ -48,8 +48,6 @@ from exact_mdp.paper_repro.report.output import counted, entry_of
 from exact_mdp.paper_repro.report.report import render, summary
 from exact_mdp.paper_repro.report.tables import all_tables
 
-joblib = later("joblib")
-tqdm = later("tqdm")
 Work = Callable[[], object]
 
 
@@ -247,6 +245,8 @@ def _alike(reading: Reading, claims: Sequence[PaperClaim]) -> Iterator[Reading]:
 @contextmanager
 def _beside(work: Sequence[Work]) -> Iterator[Iterator[object]]:
     """Start work in other processes, one for each core; give what they return, in order."""
+    import joblib
+
     parallel = joblib.Parallel(n_jobs=-1, return_as="generator", batch_size=1)
     with closing(parallel(joblib.delayed(_done)(each) for each in work)) as finished:
         yield finished

@@ -32,7 +32,6 @@ from exact_mdp.mdp.care.laws import chances, warn_of_excess
 from exact_mdp.mdp.care.rules import PLACES, Rules
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
@@ -40,7 +39,6 @@ from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 if TYPE_CHECKING:
     from exact_mdp.solvers.kernels.care import Care, Room
 
-loops = later("exact_mdp.solvers.kernels.care")
 
 MOST_STATUSES = 6
 MOST_ACTIONS = 127  # of which optimal ones can be kept, as int8
@@ -141,6 +139,8 @@ class Batch:
         widest = max(map(len, rows))
         charges = np.array([[*row, *[none] * (widest - len(row))] for row in rows])
         count = len(statuses)
+        from exact_mdp.solvers.kernels import care as loops
+
         self.care: Care = loops.Care(
             terms=found.terms,
             step=np.ascontiguousarray(found.step.transpose(2, 1, 0).reshape(count, -1)),
@@ -254,6 +254,8 @@ class Batch:
         """Return arrays to work in, for one thread."""
         care = self.care
         vectors, rows = len(care.bits), care.step.shape[1]
+        from exact_mdp.solvers.kernels import care as loops
+
         room: Room = loops.Room(
             numbers=np.empty(len(self.base)),
             chance=np.empty(len(care.terms)),
@@ -413,6 +415,8 @@ def optimal(
     shape = (count if actions else 0, len(care.places), care.trials, care.flags, vectors)
     taken = np.empty(shape, dtype=np.int8)
 
+    from exact_mdp.solvers.kernels import care as loops
+
     def block(first: int, last: int, room: Room) -> None:
         drawn = (care, batch.base, batch.positions, batch.draws, first, last)
         loops.optimal_values(*drawn, room, start, kept, taken)
@@ -524,6 +528,8 @@ def _moments(
     mean = np.empty((rows, count, many))
     variance = np.empty((rows, count, many) if second else (rows, 0, 0))
     by_draw = count >= many
+
+    from exact_mdp.solvers.kernels import care as loops
 
     def block(first: int, last: int, room: Room) -> None:
         drawn = (first, last) if by_draw else (0, count)

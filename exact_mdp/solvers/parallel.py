@@ -23,17 +23,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tqdm
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Numbers
-
-joblib, tqdm = later("joblib"), later("tqdm")
-loky = later("joblib.externals.loky.process_executor")
-tracker = later("joblib.externals.loky.backend.resource_tracker")
 
 Arrays = dict[str, Numbers]
 Work = Callable[[Any], Mapping[str, Any]]
@@ -148,6 +144,9 @@ def _as_done(
     work: Work, tasks: Sequence[Task], n_jobs: int | None, threads: bool
 ) -> Generator[tuple[int, Arrays]]:
     """Yield (number, `work(piece)`) as they are finished, in any order."""
+    import joblib
+    from joblib.externals.loky import process_executor as loky
+
     if n_jobs == 1 or not tasks:
         yield from (_one(work, *task) for task in tasks)
         return
@@ -182,6 +181,8 @@ def _track_quietly() -> None:
 
     It outlives the program, and would warn of each semaphore after the program's last word.
     """
+    from joblib.externals.loky.backend import resource_tracker as tracker
+
     before = os.environ.get("PYTHONWARNINGS")
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker"]))
     try:

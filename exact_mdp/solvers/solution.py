@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Pictured
@@ -31,7 +30,6 @@ from exact_mdp.mdp.table import Floats, Integers
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 OWN = (__name__.partition(".")[0], "numpy")  # whose decorators stand between two calls
 
@@ -318,8 +316,6 @@ class Solution(Pictured):
     program: ProgramRun | None = None
     stats: Mapping[str, int] = field(default_factory=dict)
 
-    picture = "exact_mdp.analysis.plots.states:plot_solution"
-
     def __post_init__(self) -> None:
         for array in (self.value, self.pairs, self.state_error, self.gaps, self.occupancy):
             if array is not None:
@@ -395,6 +391,8 @@ class Solution(Pictured):
 
 def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
     """Return columns (S,) beside the states, and `action` by name; by number without a model."""
+    import pandas
+
     names: dict[str, Any] = {"state": range(len(columns["action"]))}
     if mdp is not None:
         done = [mdp.actions[action] for action in columns["action"].tolist()]

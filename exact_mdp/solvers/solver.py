@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, overload
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, numbered_in_order
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import asked, later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import AverageSolution, solve_average
 from exact_mdp.solvers.bounds.bounds import levels
@@ -29,12 +28,12 @@ from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 from exact_mdp.solvers.endless.total import solve_total
+from exact_mdp.solvers.objectives import constrained
 from exact_mdp.solvers.solution import Solution, Status, warn_of_precision
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
 
-constrained = later("exact_mdp.solvers.objectives.constrained")
 
 SOLVERS: dict[str, type[Solver]] = {
     "value-iteration": ValueIteration,
@@ -119,7 +118,6 @@ def solve(
     tol: float | None = ...,
     horizon: int | None = ...,
 ) -> Found: ...
-@asked
 def solve(
     model: object,
     solver: Any = "auto",

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from exact_mdp import MDP, Family, certify, check, evaluate, moving, solve, tradeoff
-from exact_mdp.analysis import best_policy, compare, rationalize, value_function
+from exact_mdp.analysis import best_policy, compare, curve, rationalize
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior
 from exact_mdp.analysis.gate.data.robust import Robust
@@ -165,7 +165,7 @@ def crossings(sign: int) -> Told:
 
 
 def pieces(sign: int) -> Told:
-    found = value_function(family(sign), "p", ("1/100", "99/100"), policy=POLICY)
+    found = curve(family(sign), "p", ("1/100", "99/100"), policy=POLICY)
     at = ["1/100", "1/7", "1/2", "5/6"]
     signed = [found.at(x) for x in at] + [found.fixed_at(x) for x in at]
     ends = [number for each in found.within("1/10") for number in (*each.low, *each.high)]

@@ -37,6 +37,7 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
+from importlib import import_module
 from itertools import groupby
 from math import inf
 from pathlib import Path
@@ -45,8 +46,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 from exact_mdp import MDP, certify, solve
-from exact_mdp.mdp.io.load import load_model
-from exact_mdp.mdp.lazy import load
+from exact_mdp.mdp.io.load import load
 
 LIMIT = 300  # seconds for all properties of one file, and for one command
 Entry = dict[str, Any]
@@ -99,7 +99,7 @@ def work(folder: Path, entries: Iterable[Entry]) -> Iterator[Entry]:
     load_libraries()
     for entry in entries:
         begun = process_time()
-        mdp = load_model(folder / entry["file"]) if mdp is None else mdp
+        mdp = load(folder / entry["file"]) if mdp is None else mdp
         found: Entry = {"reading": process_time() - begun}
         for name, answer in (("float", _bounded), ("exact", _certified)):
             try:
@@ -116,7 +116,7 @@ def work(folder: Path, entries: Iterable[Entry]) -> Iterator[Entry]:
 def load_libraries() -> None:
     """Answer a small model, of a cycle and of states in order, both ways, with compiled loops."""
     for name in ("numba", "scipy.sparse.csgraph"):
-        load(name)
+        import_module(name)
     size, part = 60, Fraction(1, 4)
     rows: list[Any] = [
         (s, a, [(part, (k * s + a + k) % size, 1 + s % 3) for k in (1, 7, 13)] + [(part, size, 0)])

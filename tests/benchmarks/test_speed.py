@@ -25,7 +25,7 @@ from exact_mdp.solvers import certify, solve
 from exact_mdp.solvers.care import optimal, policy_values
 from exact_mdp.solvers.learning.q_learning import QLearning, Trainer
 from exact_mdp.solvers.learning.sampler import child, rows_of
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.proof.exact import solve_exactly
 
 pytestmark = pytest.mark.bench
@@ -278,6 +278,6 @@ def test_steps_a_second(care: MDP, benchmark: Any, show: Callable[..., None]) ->
 def test_seeds_a_second(care: MDP, benchmark: Any, jobs: int) -> None:
     QLearning(epochs=1).train(care, child(0, 0))
     runs = benchmark.pedantic(
-        train_many, args=(care, QLearning(), 64), kwargs={"rng": 0, "n_jobs": jobs}, rounds=2
+        train, args=(care, QLearning(), 64), kwargs={"rng": 0, "n_jobs": jobs}, rounds=2
     )
     benchmark.extra_info["seeds/s"] = len(runs) / benchmark.stats.stats.min

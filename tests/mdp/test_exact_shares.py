@@ -13,7 +13,7 @@ from exact_mdp.analysis.gate.check import check
 from exact_mdp.analysis.gate.regret import regret
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.io.load import save
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.returns import return_distribution
@@ -103,7 +103,7 @@ def test_random_is_written_exactly(tmp_path: Path) -> None:
 def test_the_command_line_keeps_exact_shares(tmp_path: Path) -> None:
     """`check` prints the exact regret and passes at the exact limit."""
     model, policy = tmp_path / "model.npz", tmp_path / "policy.json"
-    save_model(once(5, 0), model)
+    save(once(5, 0), model)
     policy.write_text('{"0": {"0": "9/10", "1": "1/10"}, "1": "0"}')
     found = run("check", model, policy, "--max-regret", "1/2", "--json")
     assert (found.status, found.result["exact_regret"]) == (0, "1/2")

@@ -22,7 +22,7 @@ from exact_mdp.paper_repro.readings.reported_policy import (
 )
 from exact_mdp.paper_repro.readings.training import SETTINGS, combined, learning, to_train
 from exact_mdp.paper_repro.reported import STARTS, compatible, policies
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.values.returns import return_distribution
 
@@ -101,7 +101,7 @@ def test_learning_is_that_of_the_training_module(tmp_path: Path) -> None:
     assert found.readings.tolist() == [0, 0, 8]  # 1 differs from 0 in the evaluation alone
     mdp = search.reading(8).compile()
     for place, settings in enumerate(SETTINGS.values()):
-        runs = train_many(mdp, settings, 3, rng=4)
+        runs = train(mdp, settings, 3, rng=4)
         assert found.unique[2, place].tolist() == outcomes(mdp, runs, bound=False).distinct.tolist()
         assert np.array_equal(found.final[2, place], [run.final for run in runs])
     again = learning(search, [0, 1, 8], seeds=3, seed=4, n_jobs=1, out=tmp_path)

@@ -33,11 +33,11 @@ from exact_mdp import (
 )
 from exact_mdp.analysis import compare, rationalize
 from exact_mdp.analysis.sensitivity import (
+    curve,
     gradient,
     one_way,
     thresholds,
     tornado,
-    value_function,
 )
 
 COPIES: dict[str, Callable[[Any], Any]] = {
@@ -118,7 +118,7 @@ QUESTIONS: dict[str, Callable[[MDP], Any]] = {
     "tornado": tornado,
     "one-way": lambda mdp: one_way(mdp, "discount"),
     "thresholds": lambda mdp: thresholds(mdp, "discount"),
-    "curve": lambda mdp: value_function(mdp, "discount"),
+    "curve": lambda mdp: curve(mdp, "discount"),
 }
 # What not every model answers.
 SOME: dict[str, tuple[list[str], Callable[[MDP], Any]]] = {
@@ -179,10 +179,10 @@ def test_policies_scenarios_and_families(how: str) -> None:
 
 
 def test_a_curve_that_was_copied_still_proves_itself() -> None:
-    curve = value_function(own_family(), "p")
-    again = COPIES["pickle"](curve)
-    assert again.violations() == curve.violations() == []
-    assert [again.at(at) for at in ("1/3", "1/2")] == [curve.at(at) for at in ("1/3", "1/2")]
+    exact = curve(own_family(), "p")
+    again = COPIES["pickle"](exact)
+    assert again.violations() == exact.violations() == []
+    assert [again.at(at) for at in ("1/3", "1/2")] == [exact.at(at) for at in ("1/3", "1/2")]
 
 
 def test_a_pool_of_processes_takes_a_model_that_was_asked() -> None:

@@ -23,9 +23,9 @@ from exact_mdp.analysis import (
     best_policy,
     check,
     compare,
+    curve,
     rationalize,
     tradeoff,
-    value_function,
 )
 from exact_mdp.analysis.gate.check import Audit
 from exact_mdp.analysis.gate.data.posterior import Posterior
@@ -57,7 +57,7 @@ from exact_mdp.mdp.parametric import parametric
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.risk import best_cvar
 from exact_mdp.solvers.robust.robust import solve_robust
 from exact_mdp.solvers.robust.sets import Intervals
@@ -114,7 +114,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Gradient": lambda: gradient(SMALL),
     "LearningCurve": lambda: learning_curve(care(), run(), rng=1),
     "MeanCVaR": lambda: mean_cvar(care(), "1/10", policies={"random": "random"}),
-    "Outcomes": lambda: outcomes(care(), train_many(care(), LEARNER, 3, rng=0)),
+    "Outcomes": lambda: outcomes(care(), train(care(), LEARNER, 3, rng=0)),
     "PSA": lambda: psa(SMALL, 50, rng=0),
     "PosteriorInterval": lambda: (
         check(recorded().mdp, "always:wait", confidence=0.95, by=Posterior(n=80, rng=0)).interval
@@ -137,7 +137,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Tornado": lambda: tornado(SMALL, names=NAMES),
     "TwoWay": lambda: two_way(SMALL, *NAMES, points=3),
     "WorstPoint": lambda: worst_point(SMALL, "optimal", {"base.anger": ("1/25", "3/50")}),
-    "ValueFunction": lambda: value_function(SMALL, "base.anger"),
+    "ValueFunction": lambda: curve(SMALL, "base.anger"),
     "UncertainValue": lambda: value_under_counts(
         care(), "optimal", Counted(counts=50 * np.eye(16, dtype=int), prior=1 / 16), rng=0, n=20
     ),

@@ -17,7 +17,7 @@ from pieces_of_work import KEY, WANTED, contents, draws, failing, same
 
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.parallel import many
 
 
@@ -118,7 +118,7 @@ def test_a_wrong_number_of_processes_is_refused(n_jobs: Any) -> None:
 def test_a_training_by_a_wrong_number_of_threads_is_refused(n_jobs: Any) -> None:
     mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])], 1)
     with pytest.raises(ModelError, match="n_jobs is"):
-        train_many(mdp, QLearning(epochs=1), 2, rng=0, n_jobs=n_jobs)
+        train(mdp, QLearning(epochs=1), 2, rng=0, n_jobs=n_jobs)
 
 
 def process(index: int) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def test_a_dask_cluster_gives_the_same_bytes(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])], 1)
     learner = QLearning(epochs=1)
-    alone = train_many(mdp, learner, 3, rng=0, out=tmp_path / "alone")
+    alone = train(mdp, learner, 3, rng=0, out=tmp_path / "alone")
     with (
         distributed.LocalCluster(
             n_workers=2,
@@ -143,7 +143,7 @@ def test_a_dask_cluster_gives_the_same_bytes(tmp_path: Path) -> None:
         joblib.parallel_config(backend="dask"),
     ):
         found = many(process, range(12), key=KEY, n_jobs=None)
-        runs = train_many(mdp, learner, 3, rng=0, n_jobs=None, out=tmp_path / "cluster")
+        runs = train(mdp, learner, 3, rng=0, n_jobs=None, out=tmp_path / "cluster")
     assert os.getpid() not in {int(each.pop("process")) for each in found}
     assert same(found, WANTED)
     assert [run.q.tobytes() for run in runs] == [run.q.tobytes() for run in alone]

@@ -9,8 +9,8 @@ from exact_mdp import Scenario
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.plots import plot_value_bands
 from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 
 model = Scenario.load("yuan2025").compile()
-runs = train_many(model, QLearning(epochs=60), 4, rng=0)
+runs = train(model, QLearning(epochs=60), 4, rng=0)
 plot_value_bands({"Q-learning": np.array([learning_curve(model, r, rng=1).exact for r in runs])})

@@ -4,9 +4,9 @@ A ratio of polynomials, piece by piece; the lines are the switching points, all 
 """
 
 from exact_mdp import MDP
-from exact_mdp.analysis import value_function
+from exact_mdp.analysis import curve
 
 wait = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]]
 cut = [[1, 0, 0]] * 3
 forest = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount="4/5")
-value_function(forest, "discount", ("0", "9/10")).plot()
+curve(forest, "discount", ("0", "9/10")).plot()

@@ -19,7 +19,6 @@ from exact_mdp.analysis import github
 from exact_mdp.analysis.cli import commands
 from exact_mdp.analysis.cli.commands import COMMANDS
 from exact_mdp.analysis.exit_status import Told, leave, run
-from exact_mdp.mdp.lazy import as_command
 
 PROGRAM = "exact-mdp"
 GATE = commands.check
@@ -44,8 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         The words after the program's name; those of this process unless given.
     """
-    if arguments is None:
-        as_command()
     words = list(sys.argv[1:] if arguments is None else arguments)
     status = run(cli, PROGRAM, words, told=_reporting(words))
     if arguments is None:

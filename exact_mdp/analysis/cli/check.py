@@ -23,6 +23,7 @@ from exact_mdp.analysis.cli.options import (
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.check import UNEXPLAINED, Audit, share_of
+from exact_mdp.analysis.gate.data import off_policy, posterior, robust
 from exact_mdp.analysis.gate.disagreements import Disagreement, either
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.gate.reasons import Representation
@@ -30,13 +31,8 @@ from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.solution import Certified
-
-posterior = later("exact_mdp.analysis.gate.data.posterior")
-off_policy = later("exact_mdp.analysis.gate.data.off_policy")
-robust = later("exact_mdp.analysis.gate.data.robust")
 
 PASSED, FAILED = 0, 1
 DRAWN = ("draws", "seed", "n_jobs")
@@ -149,7 +145,7 @@ def _interval_of(confidence: str | None, by: str | None, **settings: Any) -> dic
         stated["n_jobs"] = whole_of(stated["n_jobs"], "--n-jobs", 1, 10**6)
     if kind == "off-policy":
         stated["columns"] = dict(map(renamed, stated.get("columns", ())))
-        evidence = off_policy.OffPolicy(progress=True, **stated)
+        evidence: object = off_policy.OffPolicy(progress=True, **stated)
     else:
         evidence = posterior.Posterior(progress=True, **stated)
     return {"confidence": confidence, "by": evidence}

@@ -7,10 +7,10 @@ from fractions import Fraction
 from itertools import accumulate
 from typing import Any
 
-from exact_mdp import solvers
 from exact_mdp.analysis.cli.options import Given, given, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, at_most, between, decimal, number
 from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.values.evaluate import evaluate as evaluate_model
 from exact_mdp.solvers.values.returns import return_distribution
 from exact_mdp.solvers.values.simulate import simulate as sample
 
@@ -25,7 +25,7 @@ def evaluate(*, quantiles: bool, **shared: Any) -> Report:
     asked = given(**shared)
     if asked.average:
         return _average(asked)
-    found = solvers.evaluate(asked.mdp, asked.policy)
+    found = evaluate_model(asked.mdp, asked.policy)
     shares = found.quantiles if quantiles else None
     missing = "left out" if not quantiles else found.quantiles_missing
     numbers = found.numbers
@@ -71,7 +71,7 @@ def evaluate(*, quantiles: bool, **shared: Any) -> Report:
 
 def _average(asked: Given) -> Report:
     """Evaluate the average reward per step of a policy."""
-    found = solvers.evaluate(asked.mdp, asked.policy, criterion="average")
+    found = evaluate_model(asked.mdp, asked.policy, criterion="average")
     frame, few = found.frame(), asked.mdp.n_states <= LISTED_STATES
     result = {
         "claim": found.claim,
@@ -99,7 +99,7 @@ def returns(*, exact: bool, **shared: Any) -> Report:
     """Compute the distribution of a policy's return."""
     asked = given(**shared)
     found = return_distribution(asked.mdp, asked.policy, exact=exact)
-    moments = solvers.evaluate(asked.mdp, asked.policy)
+    moments = evaluate_model(asked.mdp, asked.policy)
     mean, sd = moments.numbers["mean"], moments.numbers["sd"]
     law = found.as_dict()
     values, chances = [decimal(value) for value in law], [*law.values()]

@@ -14,11 +14,9 @@ from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.io.load import load, save_model
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io import transitions
+from exact_mdp.mdp.io.load import read_model, save
 from exact_mdp.mdp.model import MDP
-
-transitions = later("exact_mdp.mdp.io.transitions")
 
 NAMED = 1000  # pairs that nobody took, in JSON
 RARE, MOST_RARE = "5", 20  # observations; rows of the table
@@ -137,7 +135,7 @@ def data(
         raise ModelError(f"{out!r} is not named .npz", where="--out", fix="name it MODEL.npz")
     record = transitions.counted(file, dict(map(renamed, columns)), progress=True)
     mdp = MDP(**record.parts(discount or 1, unseen or transitions.UNAVAILABLE))
-    save_model(mdp, out)
+    save(mdp, out)
     seen = mdp.observations
     assert seen is not None
     few = np.flatnonzero((seen > 0) & (seen < least))
@@ -173,7 +171,7 @@ def data(
     if len(never):
         named = [f"{mdp.space.label(s)}: {mdp.actions[a]}" for s, a in never[:NAMED].tolist()]
         result |= {"never_taken": named, "n_never_taken": len(never)}
-        facts["never taken"] = _some(named[:SHOWN], never)
+        facts["never taken"] = _some(named[:SHOWN], never.tolist())
     if ends:
         facts["ends"] = f"{_some(list(ends[:SHOWN]), ends)} (entered, never left)"
     notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
@@ -214,8 +212,8 @@ def convert(
 ) -> Report:
     """Write a model in another format."""
     check_outputs((target, (".npz", ".umb")))
-    loaded = load(source, sets=sets, discount=discount, constants=constants)
-    save_model(loaded.mdp, target)
+    loaded = read_model(source, sets=sets, discount=discount, constants=constants)
+    save(loaded.mdp, target)
     result = {
         "written": target,
         "model": loaded.name,

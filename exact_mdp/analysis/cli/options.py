@@ -10,16 +10,14 @@ from typing import Any
 
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.pages.page import ADVICE
+from exact_mdp.mdp.care import perception as seeing
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.load import Loaded, load
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import exact
 from exact_mdp.solvers.solver import is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
-
-seeing = later("exact_mdp.mdp.care.perception")
 
 MOST_STEPS = 10**9
 OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is no scenario
@@ -180,7 +178,7 @@ def given(
     """
     asked = Question(**asking)
     question = None if asked == Question() else asked
-    endless = load(model, sets=sets, discount=discount, start=asking.get("start"))
+    endless = read_model(model, sets=sets, discount=discount, start=asking.get("start"))
     loaded, steps = endless, None
     if question is not None:
         loaded = replace(endless, mdp=question(endless.mdp), scenario=None)

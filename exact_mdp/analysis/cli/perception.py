@@ -20,8 +20,8 @@ from exact_mdp.mdp.care.perception import (
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 SHOWN = 12  # confusions listed for people

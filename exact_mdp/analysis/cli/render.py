@@ -33,13 +33,7 @@ from typing import Any, Literal
 from exact_mdp.analysis import github
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.errors import ModelError, shown_text
-from exact_mdp.mdp.lazy import later
 from exact_mdp.solvers.solution import Bounded, Certified, Estimated
-
-box = later("rich.box")
-console = later("rich.console")
-table = later("rich.table")
-text = later("rich.text")
 
 Row = Mapping[str, Any]
 DIGITS = 10  # significant digits of a number in a table
@@ -147,6 +141,8 @@ class Report:
 
 def show(report: Report, *, as_json: bool, as_markdown: bool = False) -> int:
     """Print a report, as JSON or for people, and return its exit status."""
+    from rich import box, console, table
+
     advice = [ADVICE] * (ADVICE in report.notes)
     for note in (each for each in report.notes if each != ADVICE):
         print(f"note: {note}", file=sys.stderr)
@@ -212,6 +208,8 @@ def _escaped(said: str) -> str:
 
 def _text(said: str) -> Any:
     """Return a text as it is: the name of a file may hold what steers a terminal."""
+    from rich import text
+
     return text.Text(shown_text(said, lines=True), overflow="fold")
 
 

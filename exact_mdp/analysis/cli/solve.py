@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from exact_mdp import solvers
 from exact_mdp.analysis.cli.options import (
     Given,
     check_outputs,
@@ -31,7 +30,9 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.solve import AverageSolution
 from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.solver import solve as solve_model
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.objectives.checker import Limit
@@ -165,7 +166,7 @@ def _under_limits(
     """Find the optimum under limits."""
     asked = _limited(refused, **shared)
     mdp = asked.mdp
-    found = solvers.solve(mdp, subject_to=limits_from(texts))
+    found = solve_model(mdp, subject_to=limits_from(texts))
     _sound(found)
     drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]
     if policy_out:
@@ -298,7 +299,7 @@ def _write(
         return []
     mdp = loaded.mdp
     if certificate:
-        proof = found.certificate or solvers.certify(mdp, bounded=True, solution=found.solution)
+        proof = found.certificate or certify(mdp, bounded=True, solution=found.solution)
         proof.save(certificate)
     if policy_out:
         Policy.from_choices(mdp, found.policy).write(policy_out)

@@ -28,7 +28,7 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import as_discount
-from exact_mdp.solvers import evaluate, solve
+from exact_mdp.solvers.learning import training
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.sampler import as_policy
 from exact_mdp.solvers.learning.schedules import (
@@ -37,7 +37,8 @@ from exact_mdp.solvers.learning.schedules import (
     Constant,
     Schedule,
 )
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_values import policy_values
 
 LISTED_ROWS = 1000  # policies over more rows are left to the files of --out
@@ -61,7 +62,7 @@ def train(
     count = whole_of(seeds, "--seeds", 1, 10**7)
     workers = None if jobs is None else whole_of(jobs, "--jobs", 1, 1024)
     solve(asked.mdp)  # a model that cannot be judged is refused before the work
-    runs = train_many(
+    runs = training.train(
         asked.mdp,
         settings,
         count,

@@ -35,7 +35,6 @@ from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.exact import bellman_rows, per_step
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Numbers, common
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.chain import ExactAverages
 from exact_mdp.solvers.average.checker import Rationals, surplus
@@ -45,6 +44,7 @@ from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.proof.checker import policy_pairs
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

@@ -33,9 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.average import average_regret
+from exact_mdp.analysis.gate.data import off_policy, posterior, robust
 from exact_mdp.analysis.gate.data.interval import Evidence, RegretInterval, confidence_of
 from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, either, findings
-from exact_mdp.analysis.gate.limits import UnderLimits
+from exact_mdp.analysis.gate.limits import UnderLimits, limit_of
 from exact_mdp.analysis.gate.reasons import (
     QError,
     Representation,
@@ -46,11 +47,10 @@ from exact_mdp.analysis.gate.reasons import (
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, regret
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import asked, later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.mdp.table import LARGEST, Floats, exact, shown
+from exact_mdp.mdp.table import Floats, shown
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.solver import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -59,11 +59,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-pandas = later("pandas")
 # Loaded where an audit asks for an interval.
-off_policy = later("exact_mdp.analysis.gate.data.off_policy")
-posterior = later("exact_mdp.analysis.gate.data.posterior")
-robust = later("exact_mdp.analysis.gate.data.robust")
 
 SHOWN = 5
 AT_A_GLANCE = 3  # of them in `print(audit)`
@@ -148,8 +144,6 @@ class Audit(Pictured):
     limits: UnderLimits | None = None
     interval: RegretInterval | None = None
 
-    picture = "exact_mdp.analysis.plots.states:plot_audit"
-
     def __repr__(self) -> str:
         lost = f"regret {_number(self.value)}"
         if self.interval is not None:
@@ -210,6 +204,8 @@ class Audit(Pictured):
         `cost` is the value lost in the state, and `share` its share of all that is lost; `full`
         adds expected visits, what one correction gains, and what one mistake costs alone.
         """
+        import pandas
+
         lost = sum(each.cost for each in self.disagreements)
         names = ["label", "learned", "optimal", "cost", "share", "gap"]
         if full:
@@ -525,7 +521,6 @@ def _below(number: Fraction) -> str:
 # ---- the two verbs -----------------------------------------------------------------------------
 
 
-@asked
 def check(
     model: MDP | Scenario,
     policy: PolicyLike,
@@ -767,27 +762,12 @@ def _evidence(by: object, confidence: object | None) -> Evidence | None:
                 fix='give "robust", "posterior" or "off-policy", or one of their classes',
             )
         return by
-    kinds = {
-        "robust": lambda: robust.Robust(),
-        "posterior": lambda: posterior.Posterior(),
-        "off-policy": lambda: off_policy.OffPolicy(),
+    kinds: dict[str, Any] = {
+        "robust": robust.Robust,
+        "posterior": posterior.Posterior,
+        "off-policy": off_policy.OffPolicy,
     }
     if by not in kinds:
         raise ModelError(f"unknown kind of interval {by!r}", where="by", fix=suggest(by, kinds))
     chosen: Evidence = kinds[by]()
     return chosen
-
-
-def limit_of(name: str, limit: object) -> Fraction:
-    """Return a limit of the regret, checked."""
-    try:
-        found = exact(limit)
-    except ModelError as error:
-        raise ModelError(error.what, where=name, fix=error.fix) from error
-    if found < 0:
-        raise ModelError(f"{name} is {shown(found)}", where=name, fix="choose 0 or more")
-    if found > LARGEST:
-        raise ModelError(
-            f"{name} is {shown(found)}, beyond the floats", where=name, fix="choose less"
-        )
-    return found

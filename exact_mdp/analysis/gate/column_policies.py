@@ -24,12 +24,12 @@ from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import tqdm as progress
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.relaxation import Expansion, Flags, Relaxations, Rows, one_hot
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
@@ -40,7 +40,6 @@ from exact_mdp.solvers.solver import mdp_of
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas, progress = later("pandas"), later("tqdm")
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 PROVEN = 1e-9  # of |value|; see `is_proven`
@@ -88,6 +87,8 @@ class BestPolicy(Result):
 
     def frame(self) -> DataFrame:
         """Return the policy, one row for each combination of values of the columns."""
+        import pandas
+
         space, names = self.policy.space, self.policy.actions
         taken = [row for row, chances in enumerate(self.policy.table) if chances.max() > 0]
         return pandas.DataFrame(

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from exact_mdp.analysis.gate.regret import Regret, regret
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from exact_mdp.mdp.model import MDP
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -39,8 +36,6 @@ class PolicyComparison(Pictured):
 
     regrets: dict[str, Regret]
 
-    picture = "exact_mdp.analysis.plots.states:plot_comparison"
-
     @property
     def value(self) -> Certified | Bounded:
         """The optimal value at the start."""
@@ -53,6 +48,8 @@ class PolicyComparison(Pictured):
 
     def frame(self) -> DataFrame:
         """Return a row for each policy; where values are certified, `exact` is the rational."""
+        import pandas
+
         return pandas.DataFrame(
             [
                 {

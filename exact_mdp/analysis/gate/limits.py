@@ -22,9 +22,10 @@ from typing import Any
 from exact_mdp.analysis.gate.exact_policy import exact_policy
 from exact_mdp.analysis.gate.forgiveness import Forgiveness
 from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.table import common, integers
+from exact_mdp.mdp.table import LARGEST, common, exact, integers, shown
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.basis import combined
 from exact_mdp.solvers.objectives.checker import Limit, Point
@@ -119,3 +120,18 @@ def totals_under(of: Objectives, policy: Policy) -> Point:
         ]
         found.append(exact_policy(chain, earned).start_value)
     return tuple(found)
+
+
+def limit_of(name: str, limit: object) -> Fraction:
+    """Return a limit of the regret, checked."""
+    try:
+        found = exact(limit)
+    except ModelError as error:
+        raise ModelError(error.what, where=name, fix=error.fix) from error
+    if found < 0:
+        raise ModelError(f"{name} is {shown(found)}", where=name, fix="choose 0 or more")
+    if found > LARGEST:
+        raise ModelError(
+            f"{name} is {shown(found)}, beyond the floats", where=name, fix="choose less"
+        )
+    return found

@@ -53,7 +53,6 @@ from exact_mdp.mdp.exact import divided
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.bounds.bounds import Bounds, bounds, lower
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
@@ -62,6 +61,7 @@ from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.proof.margins import Values
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import model_of

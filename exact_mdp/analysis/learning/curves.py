@@ -15,19 +15,17 @@ import numpy as np
 
 from exact_mdp.analysis.learning.outcomes import common_rows
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, stream, tables
+from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_values import policy_values
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-kernels, pandas = later("exact_mdp.solvers.kernels"), later("pandas")
 
 EXPERIMENTS = 40
 MAX_STEPS = 10_000  # an experiment is cut short after this many timesteps
@@ -48,8 +46,6 @@ class LearningCurve(Pictured):
         Experiments that did not end; they are counted as far as they went.
     """
 
-    picture = "exact_mdp.analysis.plots.learning:plot_learning_curves"
-
     sampled: Floats
     standard_error: Floats
     exact: Floats
@@ -64,6 +60,8 @@ class LearningCurve(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each epoch."""
+        import pandas
+
         return pandas.DataFrame(
             {
                 "exact value (reward)": self.exact,
@@ -151,6 +149,8 @@ def _curve(
     if n < 2:
         raise ModelError(f"n is {n} experiments", where="learning curve", fix="make two or more")
     returns = np.zeros((len(which), n))
+    from exact_mdp.solvers import kernels
+
     cut_short = kernels.rollouts(
         tables(model, rows_of(model, columns)),
         stream(child(rng, 0)),

@@ -20,19 +20,18 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers, Numbers
-from exact_mdp.solvers import Bounded, solve
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Rows, rows_of
+from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_values import policy_values
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas, stats = later("pandas"), later("scipy.stats")
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CANDIDATES = 5
@@ -63,8 +62,6 @@ class Outcomes(Pictured):
     best : BestPolicy or None
         The best policy that reads what the learner reads; None where that is everything.
     """
-
-    picture = "exact_mdp.analysis.plots.learning:plot_regrets"
 
     mdp: MDP
     rows: Rows
@@ -155,6 +152,8 @@ class Outcomes(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each final policy, the most frequent first."""
+        import pandas
+
         shown = np.flatnonzero(self.counts)
         return pandas.DataFrame(
             {
@@ -189,9 +188,9 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     --------
     >>> from exact_mdp import Scenario
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
-    >>> from exact_mdp.solvers.learning.training import train_many
+    >>> from exact_mdp.solvers.learning.training import train
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = outcomes(mdp, train_many(mdp, QLearning(epochs=300), 12, rng=0))
+    >>> found = outcomes(mdp, train(mdp, QLearning(epochs=300), 12, rng=0))
     >>> found.counts.sum(), bool((found.learning_error <= found.regret).all())
     (np.int64(12), True)
     """
@@ -239,12 +238,16 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
 
 def share_interval(count: int, total: int) -> Interval:
     """Return Wilson's 95 % interval of a share."""
+    from scipy import stats
+
     found = stats.binomtest(int(count), int(total)).proportion_ci(method="wilson")
     return float(found.low), float(found.high)
 
 
 def mean_interval(values: Floats) -> Interval | None:
     """Return the BCa bootstrap 95 % interval of a mean; None for fewer than ten values."""
+    from scipy import stats
+
     if len(values) < 10:
         return None
     if np.ptp(values) == 0:

@@ -29,7 +29,6 @@ from exact_mdp.analysis.gate.check import Audit, check
 from exact_mdp.analysis.learning.anytime import excluded, fewest, share_intervals
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
@@ -41,7 +40,6 @@ from exact_mdp.solvers.solver import mdp_of
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 Interval = tuple[Fraction, Fraction]
 
@@ -83,7 +81,6 @@ class TrainerAudit(Pictured):
     prove: bool = False
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
-    picture = "exact_mdp.analysis.plots.learning:plot_trainer"
 
     @property
     def within(self) -> int:
@@ -117,6 +114,8 @@ class TrainerAudit(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each run: its regret, and the interval of the share after it."""
+        import pandas
+
         return pandas.DataFrame(
             {
                 "run": self.names,

@@ -24,15 +24,15 @@ from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.layout import Layout, arrange
 from exact_mdp.analysis.pages.page import render
 from exact_mdp.analysis.sensitivity.base_case import held_at
+from exact_mdp.analysis.sensitivity.curves import curve as exact_curves
 from exact_mdp.analysis.sensitivity.curves.checker import RationalFunction
-from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction, value_function
+from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.ranges import Range, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import shown
@@ -40,7 +40,6 @@ from exact_mdp.mdp.table import shown
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 MOST_CELLS = 4000  # of the map; a larger model shows the states that change
 GRID = 11  # values of the second parameter
 MOST_GRID = 101
@@ -81,6 +80,8 @@ class Explorer(Result):
 
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
+        import pandas
+
         frames = [curve.frame() for curve in self.curves]
         if self.second is not None:
             values = map(float, self.grid)
@@ -176,7 +177,7 @@ def explore(
         if second is not None and value is not None:
             here, where = held_at(family, second.name, value), f"{second.name} = {shown(value)}"
         with located(where) if where else located(f"explorer of {name}"):
-            curve = value_function(here, name, spans[name], policy=policy)
+            curve = exact_curves.curve(here, name, spans[name], policy=policy)
             _prove(here, curve)
         curves.append(curve)
     if said is None and policy is not None:

@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from exact_mdp.mdp.errors import shown_text
-from exact_mdp.mdp.lazy import later
-
-jinja2 = later("jinja2")
 
 ADVICE = "this is research software and no medical advice"
 TEMPLATES = Path(__file__).parent / "templates"
@@ -32,6 +29,8 @@ def render(template: str, **data: Any) -> str:
 
 def environment(*folders: Path, escape: bool = True) -> Any:
     """Return what makes pages from the templates of this folder and others; `escape` for HTML."""
+    import jinja2
+
     found = jinja2.Environment(
         loader=jinja2.FileSystemLoader([*folders, TEMPLATES]),
         undefined=jinja2.StrictUndefined,

@@ -16,7 +16,6 @@ import numpy as np
 from exact_mdp.analysis.perception.values import Passes
 from exact_mdp.mdp.care.perception import status_names
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
@@ -25,7 +24,6 @@ from exact_mdp.mdp.table import Floats
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 ALL = "all"
 
@@ -59,14 +57,14 @@ class AccuracyCurves(Pictured):
         No value is off by more than this.
     """
 
-    picture = "exact_mdp.analysis.plots.perception:plot_accuracy_curves"
-
     levels: Floats
     values: dict[str, Floats]
     error: float
 
     def frame(self) -> DataFrame:
         """Return one row for each accuracy, one column for each status and for all."""
+        import pandas
+
         return pandas.DataFrame({"accuracy": self.levels} | self.values)
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from exact_mdp.analysis.perception.values import Passes
 from exact_mdp.mdp.care.perception import LEVEL, Counted
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
@@ -26,7 +25,6 @@ from exact_mdp.solvers.solution import Bounded, Estimated
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 BATCH = 256  # matrices evaluated at once
 
@@ -61,6 +59,8 @@ class UncertainValue(Result):
 
     def frame(self) -> DataFrame:
         """Return one row for each draw."""
+        import pandas
+
         return pandas.DataFrame({"value (reward)": self.draws})
 
 

@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.perception.values import Passes
 from exact_mdp.mdp.care.perception import by_place, checked, status_names
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
@@ -36,8 +35,6 @@ from exact_mdp.solvers.solution import Bounded
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -60,8 +57,6 @@ class ErrorCosts(Pictured):
     error : float
         No entry of `derivative` or `loss`, and no rate, is off by more than this.
     """
-
-    picture = "exact_mdp.analysis.plots.perception:plot_error_costs"
 
     statuses: tuple[str, ...]
     value: Bounded
@@ -98,6 +93,8 @@ class ErrorCosts(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each pair of statuses that is confused, the costliest first."""
+        import pandas
+
         bits = len(self.statuses)
         rows = [
             (

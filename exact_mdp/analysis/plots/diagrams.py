@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from exact_mdp.analysis.plots.style import Look, axes_or_new, plain_text
-from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.table import Floats
 
 RADIUS = 0.36  # of a status, where the statuses lie on a circle of radius 1

@@ -132,9 +132,9 @@ def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = 
     >>> from exact_mdp import Scenario
     >>> from exact_mdp.analysis.learning.outcomes import outcomes
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
-    >>> from exact_mdp.solvers.learning.training import train_many
+    >>> from exact_mdp.solvers.learning.training import train
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = outcomes(mdp, train_many(mdp, QLearning(epochs=20), 2, rng=0))
+    >>> found = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
     >>> plot_regrets(found).get_xlabel()
     'exact regret of the final policy'
     """
@@ -214,9 +214,9 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
     >>> from exact_mdp import Scenario
     >>> from exact_mdp.analysis.learning.outcomes import outcomes
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
-    >>> from exact_mdp.solvers.learning.training import train_many
+    >>> from exact_mdp.solvers.learning.training import train
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = outcomes(mdp, train_many(mdp, QLearning(epochs=20), 2, rng=0))
+    >>> found = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
     >>> plot_distinct({"20 epochs": found}).get_ylabel()
     'share of runs'
     """

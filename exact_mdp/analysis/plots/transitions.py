@@ -9,13 +9,12 @@ from matplotlib.axes import Axes
 
 from exact_mdp.analysis.graph import moves
 from exact_mdp.analysis.plots.style import plain_text, titled
-from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import extra
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
-
-nx = later("networkx")
 
 MOST = 40  # states
 FEW = 8  # states up to which all actions are drawn beside the policy's
@@ -55,6 +54,8 @@ def plot_transitions(
     >>> sorted(text.get_text() for text in plot_transitions(mdp).texts)
     ['0', '0', '1', '1/3', '2/3, 5']
     """
+    with extra("plots"):
+        import networkx as nx
     model = mdp_of(model)
     found, graph = moves(model, policy, most=MOST), nx.DiGraph()
     plain = not any(move.taken for move in found)

@@ -7,7 +7,7 @@
 1 (certified)
 """
 
-from exact_mdp.analysis.sensitivity.curves.curve import value_function
+from exact_mdp.analysis.sensitivity.curves.curve import curve
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 from exact_mdp.analysis.sensitivity.gradient import gradient
@@ -29,6 +29,7 @@ __all__ = [
     "Range",
     "Uncertain",
     "Uncertainty",
+    "curve",
     "gradient",
     "load_ranges",
     "load_uncertainty",
@@ -41,6 +42,5 @@ __all__ = [
     "tornado",
     "two_way",
     "uncertainty",
-    "value_function",
     "worst_point",
 ]

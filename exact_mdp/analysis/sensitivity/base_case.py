@@ -25,8 +25,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Family, Parametric, Posed
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.solution import Bounded, Solution
+from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 

@@ -35,10 +35,11 @@ from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.parametric.row_change import RowChange
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
-from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.visits import visits
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import flint
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.polynomial_rows import ratios
@@ -26,7 +26,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 if TYPE_CHECKING:
     from flint import fmpq
 
-flint = later("flint")
 
 LARGEST = 300  # states of a model with cycles
 

@@ -25,20 +25,18 @@ from exact_mdp.analysis.sensitivity.derivatives import BoundedPass, Checked, Exa
 from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, is_acyclic
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.row_change import pieces, row_change
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
+from exact_mdp.solvers.solver import solve
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 EXACT_TRANSITIONS = 100_000
 EXACT_CYCLIC_STATES = 64
@@ -108,8 +106,6 @@ class Gradient(Pictured):
     steps: dict[str, tuple[Number | None, Number]]
     reoptimised: bool
 
-    picture = "exact_mdp.analysis.plots.sensitivity:plot_gradient"
-
     def __repr__(self) -> str:
         how = "re-optimised" if self.reoptimised else "held fixed"
         return f"Gradient({len(self.derivatives)} parameters, policy {how}, value {self.start})"
@@ -146,6 +142,8 @@ class Gradient(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each parameter, the largest elasticity first."""
+        import pandas
+
         rows: list[dict[str, Any]] = [
             {
                 "parameter": name,

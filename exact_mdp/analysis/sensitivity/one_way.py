@@ -21,10 +21,9 @@ from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, f
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
@@ -32,8 +31,6 @@ from exact_mdp.solvers.solution import Bounded
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,8 +90,6 @@ class Tornado(Pictured):
     bars : tuple of Bar
     """
 
-    picture = "exact_mdp.analysis.plots.sensitivity:plot_tornado"
-
     today: Values
     bars: tuple[Bar, ...]
 
@@ -114,6 +109,8 @@ class Tornado(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each bar; values and regrets in units of reward."""
+        import pandas
+
         return pandas.DataFrame(
             [
                 {
@@ -141,13 +138,13 @@ class Tornado(Pictured):
 class Curve(Pictured):
     """Values along one parameter's range."""
 
-    picture = "exact_mdp.analysis.plots.sensitivity:plot_value_curves"
-
     parameter: Parameter
     points: tuple[Point, ...]
 
     def frame(self) -> DataFrame:
         """Return one row for each value of the parameter."""
+        import pandas
+
         return pandas.DataFrame(
             {
                 "parameter": self.parameter.name,

@@ -16,9 +16,9 @@ from exact_mdp.mdp.chain import termination
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of, unposed
 from exact_mdp.mdp.parametric.family import place_of
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.table import beside, exact, shown
 
 RELATIVE = Fraction(1, 5)

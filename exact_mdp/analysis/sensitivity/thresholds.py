@@ -28,10 +28,9 @@ from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, reachable
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, RowChange, row_change, transition_entries
 from exact_mdp.mdp.result import Pictured
@@ -42,7 +41,6 @@ from exact_mdp.solvers.solution import Claim
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 NEARLY_ONE = 1 - Fraction(1, 2**40)
 COLUMNS = ("parameter", "unit", "today", "threshold", "state", "before", "after", "reached")
@@ -110,8 +108,6 @@ class Thresholds(Pictured):
         be more thresholds. None where a proof says that there are no others.
     """
 
-    picture = "exact_mdp.analysis.plots.sensitivity:plot_thresholds"
-
     parameter: Parameter
     range: Range
     found: tuple[Threshold, ...]
@@ -129,6 +125,8 @@ class Thresholds(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each state that changes at a threshold."""
+        import pandas
+
         rows = [
             {
                 "parameter": self.parameter.name,

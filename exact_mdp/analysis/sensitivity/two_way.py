@@ -12,6 +12,7 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
+import tqdm
 
 from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
 from exact_mdp.analysis.sensitivity.one_way import grid
@@ -19,19 +20,15 @@ from exact_mdp.analysis.sensitivity.ranges import ranges_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
-tqdm = later("tqdm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -52,8 +49,6 @@ class TwoWay(Pictured):
         Number of the policy on the states that it reaches, in order of appearance.
     """
 
-    picture = "exact_mdp.analysis.plots.sensitivity:plot_two_way"
-
     mdp: MDP
     x: Parameter
     y: Parameter
@@ -67,6 +62,8 @@ class TwoWay(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each point of the grid."""
+        import pandas
+
         across, along = np.meshgrid(self.x_values, self.y_values)
         lost = self.value - self.fixed_value
         lost = lost if self.mdp.sense == "max" else -lost

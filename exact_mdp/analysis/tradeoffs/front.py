@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from exact_mdp.analysis.gate.limits import totals_under
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
@@ -59,7 +58,6 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 Weights = tuple[int, ...]
 LONGEST = 200  # states that lead to each other: a front of two totals takes a minute or two
 
@@ -119,7 +117,6 @@ class Front(Pictured):
     objectives: Objectives
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
-    picture: ClassVar[str] = "exact_mdp.analysis.plots.tradeoffs:draw_front"
 
     def __repr__(self) -> str:
         return f"Front({' and '.join(self.names)}: {len(self.attained)} vertices, certified)"
@@ -189,6 +186,8 @@ class Front(Pictured):
 
     def frame(self) -> DataFrame:
         """Return the vertices, one in each row, and what the step from the one before costs."""
+        import pandas
+
         frame = pandas.DataFrame(self.vertices, columns=list(self.names))
         if len(self.names) == 2:
             frame["rate"] = [None, *(edge.rate for edge in self.edges)]

@@ -29,7 +29,6 @@ import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import mixed_rows
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
@@ -55,7 +54,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 ZERO, ONE = Fraction(0), Fraction(1)
 
 
@@ -121,6 +119,8 @@ class Rationalization(Result):
 
     def frame(self) -> DataFrame:
         """Return a row for each component: its multiplier, and the interval that does it alone."""
+        import pandas
+
         rows = [
             (name, weight, *(self.alone[name] or (None, None)))
             for name, weight in self.weights.items()

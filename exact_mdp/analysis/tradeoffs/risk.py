@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
@@ -28,7 +27,6 @@ from exact_mdp.solvers.values.returns import return_distribution
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 WEIGHTS = (Fraction(0), Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(99, 100))
 
@@ -52,7 +50,6 @@ class MeanCVaR(Pictured):
     optima: tuple[CVaROptimum, ...]
     policies: Mapping[str, tuple[Fraction, Fraction]]
 
-    picture = "exact_mdp.analysis.plots.tradeoffs:plot_mean_cvar"
     claim = Claim.CERTIFIED
 
     def __repr__(self) -> str:
@@ -61,6 +58,8 @@ class MeanCVaR(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each best policy, and for each given one."""
+        import pandas
+
         best = [
             (f"best, weight {shown(o.weight)} of the mean", o.mean, o.value) for o in self.optima
         ]

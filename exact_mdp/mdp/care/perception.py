@@ -37,13 +37,10 @@ from numpy.typing import ArrayLike, NDArray
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.space import Column
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, beside, exact, float_array
-
-stats = later("scipy.stats")
 
 LEVEL = 0.95
 PAIRS = ["true", "perceived"]
@@ -285,6 +282,8 @@ class Counted:
 
 def interval(right: int, total: int, level: float = LEVEL) -> tuple[float, float]:
     """Return the Clopper-Pearson interval of a proportion."""
+    from scipy import stats
+
     tail, beta = (1 - level) / 2, stats.beta
     low = 0.0 if right == 0 else float(beta.ppf(tail, right, total - right + 1))
     high = 1.0 if right == total else float(beta.ppf(1 - tail, right + 1, total - right))

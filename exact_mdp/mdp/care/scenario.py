@@ -23,8 +23,8 @@ from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import excess, influence, warn_of_excess
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, placed
-from exact_mdp.mdp.parametric.parameter import Parameter
 
 
 class Scenario(Tables):

@@ -24,8 +24,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
-from exact_mdp.mdp.lazy import later
-from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import as_html
 from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
 from exact_mdp.mdp.validate import as_discount
@@ -33,7 +32,6 @@ from exact_mdp.mdp.validate import as_discount
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -125,6 +123,8 @@ class Tables:
         base.forgetfulness,3/10,0,1
         base.confusion,3/10,0,1
         """
+        import pandas
+
         rows = [(each.name, each.value, each.low, each.high) for each in self.parameters]
         return pandas.DataFrame(rows, columns=["parameter", "value", "low", "high"], dtype=object)
 

@@ -31,7 +31,7 @@ from exact_mdp.mdp.care.tables import (
 from exact_mdp.mdp.errors import LONGEST, ModelError, check_names, shown_text, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
-from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.validate import as_discount
 
 T = TypeVar("T", bound=Tables)

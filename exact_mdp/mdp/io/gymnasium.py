@@ -33,15 +33,12 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, shown_text, suggest
+from exact_mdp.mdp.errors import ModelError, ShapeError, extra, located, shown_text, suggest
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import as_start
-
-gymnasium = later("gymnasium")
 
 END = "end"
 NOWHERE = -1  # a next state that some tables write where the episode is over
@@ -379,6 +376,8 @@ def _name(env: Any) -> str:
 
 
 def _make(name: str) -> Any:
+    with extra("models"):
+        import gymnasium
     with located(f"gymnasium:{name}", instead=True):
         make, errors = gymnasium.make, (gymnasium.error.Error, ImportError)
     try:

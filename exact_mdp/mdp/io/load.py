@@ -15,12 +15,8 @@ from pathlib import Path
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io import npz, storm, umb
 from exact_mdp.mdp.model import MDP
-
-npz = later("exact_mdp.mdp.io.npz")
-storm = later("exact_mdp.mdp.io.storm")
-umb = later("exact_mdp.mdp.io.umb")
 
 GYMNASIUM = "gymnasium:"
 SOURCES = (".prism", ".nm", ".pm", ".jani")
@@ -36,7 +32,7 @@ class Loaded:
     scenario: Scenario | None
 
 
-def load(
+def read_model(
     spec: str | Path,
     *,
     sets: Sequence[str] = (),
@@ -68,7 +64,7 @@ def load(
 
     Examples
     --------
-    >>> load("yuan2025", sets=["tasks=[1]"], discount="9/10").mdp
+    >>> read_model("yuan2025", sets=["tasks=[1]"], discount="9/10").mdp
     MDP(yuan2025: 81 states, 4 actions, 321 pairs, 2273 transitions, discount 9/10)
     """
     text = str(spec)
@@ -105,7 +101,7 @@ def load(
     return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=None)
 
 
-def load_model(
+def load(
     spec: str | Path,
     *,
     sets: Sequence[str] = (),
@@ -113,7 +109,7 @@ def load_model(
     start: object | None = None,
 ) -> MDP:
     """Return the model that `spec` names, without its scenario; see `load`."""
-    return load(spec, sets=sets, discount=discount, start=start).mdp
+    return read_model(spec, sets=sets, discount=discount, start=start).mdp
 
 
 def load_scenario(
@@ -133,7 +129,7 @@ def load_scenario(
     return scenario if discount is None else scenario.with_(discount=discount)
 
 
-def save_model(model: MDP, path: str | Path) -> None:
+def save(model: MDP, path: str | Path) -> None:
     """Write a model as `.npz`, or as `.umb` for model checkers, by its ending."""
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":

@@ -57,7 +57,7 @@ from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers, OutcomeTable, exact, ones
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located, shown_text
+from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
 from exact_mdp.mdp.io.explicit import (
     INITIAL,
     Explicit,
@@ -30,10 +30,7 @@ from exact_mdp.mdp.io.explicit import (
     ratios,
 )
 from exact_mdp.mdp.io.files import LARGE, read_bytes
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
-
-stormpy = later("stormpy")
 
 KINDS = ("DTMC", "MDP")
 
@@ -67,6 +64,8 @@ def load(
 
 def _built(path: Path, constants: str) -> Any:
     """Return Storm's sparse model, with all that the program names."""
+    with extra("models"):
+        import stormpy
     if path.suffix.lower() == ".jani":
         program = stormpy.parse_jani_model(str(path))[0]
     else:

@@ -32,11 +32,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import tqdm
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, extra, suggest
 from exact_mdp.mdp.forms.numbers import grouped
 from exact_mdp.mdp.io.files import opened
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, exact
 from exact_mdp.mdp.validate import Flags, as_discount
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
     from exact_mdp.mdp.model import MDP
 
-pandas, tqdm = later("pandas"), later("tqdm")
 
 COLUMNS = ("episode", "state", "action", "reward", "next_state")
 TRUNCATED = "truncated"  # the column that a table may have besides
@@ -148,6 +147,8 @@ def _named(columns: Mapping[str, str] | None) -> dict[str, str]:
 
 def _chunks(frame: Any, wanted: Iterable[str]) -> Generator[DataFrame]:
     """Yield tables of rows: of a file by the million, of everything else as they come."""
+    import pandas
+
     if not isinstance(frame, str | Path):
         tables = [frame] if isinstance(frame, pandas.DataFrame) else frame
         for table in tables if isinstance(tables, Iterable) else [tables]:
@@ -168,6 +169,8 @@ def _chunks(frame: Any, wanted: Iterable[str]) -> Generator[DataFrame]:
 
 
 def _csv(file: Any, path: str) -> Generator[DataFrame]:
+    import pandas
+
     errors = pandas.errors
     try:
         header = next(csv.reader([file.readline().decode("utf-8-sig", "replace")]), [])
@@ -229,7 +232,8 @@ def _check_widths(file: Any, path: str, width: int) -> None:
 
 
 def _parquet(file: Any, path: str, used: list[str]) -> Generator[DataFrame]:
-    parquet = later("pyarrow.parquet")
+    with extra("models"):
+        from pyarrow import parquet
     try:
         table = parquet.ParquetFile(file)
         _check_once(table.schema_arrow.names, path)
@@ -274,6 +278,8 @@ class _Names:
 
     def of(self, column: Series) -> Integers:
         """Return the number of each value; -1 where there is none."""
+        import pandas
+
         try:
             codes, values = pandas.factorize(column)
         except TypeError as error:
@@ -395,6 +401,8 @@ class Record:
 
     def _cut(self, chunk: DataFrame) -> Flags:
         """Return (R,) whether an episode was cut off after a row; nowhere without such a column."""
+        import pandas
+
         name = self.columns.get(TRUNCATED, TRUNCATED)
         if list(chunk.columns).count(name) > 1:
             raise ModelError(

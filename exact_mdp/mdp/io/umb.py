@@ -42,7 +42,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from exact_mdp.mdp.errors import located, shown_text
+from exact_mdp.mdp.errors import extra, located, shown_text
 from exact_mdp.mdp.io.explicit import (
     REWARD,
     model_of,
@@ -60,18 +60,10 @@ from exact_mdp.mdp.io.own import (
     restored,
 )
 from exact_mdp.mdp.io.umb_read import read
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     Numbers,
 )
-
-binary = later("umbi.binary")
-datatypes = later("umbi.datatypes")
-description = later("umbi.umb.index")
-encoding = later("umbi.umb.umb_to_tar")
-umb_package = later("umbi.umb")
-version = later("umbi.version")
 
 TERMINAL = "terminal"
 T = TypeVar("T")
@@ -125,6 +117,8 @@ def load(
 
 def _archive_of(model: MDP) -> bytes:
     """Return the gzipped archive; the same model gives the same bytes."""
+    with extra("models"):
+        from umbi.umb import umb_to_tar as encoding
     encoder, umb = encoding.UmbEncoder(), _umb_of(model)
     encoder.add_index_file(umb)
     encoder.add_state_files(umb)
@@ -145,6 +139,10 @@ def _archive_of(model: MDP) -> bytes:
 
 
 def _umb_of(model: MDP) -> Any:
+    with extra("models"):
+        from umbi import umb as umb_package
+        from umbi import version
+        from umbi.umb import index as description
     table = model.table
     start = {state: weight for state, weight in model.start if weight > 0}
     kind, numbers = _typed(_ratios(table.weight, table.denominator, table.offsets))
@@ -216,6 +214,8 @@ def _annotate(
     about: str = "",
 ) -> None:
     """Add an annotation; an alias is its description too, and as an identifier its name."""
+    with extra("models"):
+        from umbi.umb import index as description
     kind, numbers = _typed(values)
     # The query language of PRISM and Storm knows no dots or hyphens in names.
     word = re.sub(r"\W", "_", alias) if alias else None
@@ -230,6 +230,8 @@ def _annotate(
 
 def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
     """Return values with their type: truth values, small integers, doubles, or wide rationals."""
+    with extra("models"):
+        from umbi import binary, datatypes
     kinds, numeric = set(map(type, values)), datatypes.NumericPrimitiveType
     if kinds <= {bool}:
         return binary.SizedType(datatypes.PrimitiveType.BOOL, 1), list(values)
@@ -264,6 +266,9 @@ def _expected(model: MDP) -> list[Any]:
 
 def _valuations(model: MDP) -> dict[str, Any] | None:
     """Return the columns of the states as 32-bit variables; a lone column is the state's number."""
+    with extra("models"):
+        from umbi import binary, datatypes
+        from umbi.umb import index as description
     names = model.space.names
     if len(names) < 2 or len(set(names)) < len(names):
         return None

@@ -19,16 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.io.explicit import Explicit, actions_of, named_by, ratios
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
 from exact_mdp.mdp.io.own import CARRIER, GROUP
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers
-
-datatypes = later("umbi.datatypes")
-decoding = later("umbi.umb.umb_to_tar")
-umb_package = later("umbi.umb")
 
 PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzma.decompress}
 """Kinds of compression, which umbi does not read to the end."""
@@ -39,6 +34,9 @@ ANY_SIZE = 10**6
 
 def read(path: str | Path) -> Explicit:
     """Return what a file says of the model; raises ModelError."""
+    with extra("models"):
+        from umbi import umb as umb_package
+        from umbi.umb import umb_to_tar as decoding
     packed = read_bytes(path, most=LARGEST)  # a regular file, and not too large
     try:
         for begin, unpacked in PACKED.items():
@@ -120,6 +118,8 @@ def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
 
 def _numbers(values: Sequence[Any], where: str) -> Any:
     """Return numbers as arrays; raises ModelError for intervals."""
+    with extra("models"):
+        from umbi import datatypes
     if any(isinstance(value, datatypes.Interval) for value in values):
         raise ModelError(
             "an interval is not a single number",

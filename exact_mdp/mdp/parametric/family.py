@@ -27,7 +27,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, located, suggest
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.parameter import Parameter
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.table import Given, Numbers, OutcomeTable, beside, exact, shown
 
 DISCOUNT = "discount"

@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from exact_mdp.mdp.lazy import later
+import flint
+
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.row_change import (
@@ -24,8 +25,6 @@ from exact_mdp.mdp.parametric.row_change import (
 
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_poly
-
-flint = later("flint")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -23,7 +23,6 @@ from exact_mdp.mdp.errors import ModelError, check_names, located
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.arrays import read_array
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import files
 from exact_mdp.mdp.policies.arrays import (
@@ -57,7 +56,6 @@ from exact_mdp.mdp.table import (
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 ReadAs = Literal["q", "policy"]
 
 
@@ -291,6 +289,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return self._rows(len(self))
 
     def _rows(self, first: int) -> DataFrame:
+        import pandas
+
         rows = pandas.DataFrame([dict(self.space.as_dict(row)) for row in range(first)]).fillna("")
         if self.deterministic:
             chosen = self.rule[:first].tolist()

@@ -14,9 +14,13 @@ from itertools import product
 
 import numpy as np
 
-from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.mdp.care.perception import perceived
-from exact_mdp.solvers import certify, evaluate, solve
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.solvers.proof.certify import certify
+from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.evaluate import evaluate
 
 EXACT, MODEL, PEOPLE = "decided here", "needs the authors' model", "needs people to judge"
 PARTLY = "needs the authors' records; its cost is computed here"

@@ -14,7 +14,7 @@ import click
 from exact_mdp.analysis.cli.commands import together
 from exact_mdp.analysis.exit_status import Programs
 from exact_mdp.analysis.record import run_record
-from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.space import Column

@@ -26,11 +26,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp import MDP, Policy, Scenario
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import check_action
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.agents import DISCLAIMER
 from exact_mdp.paper_repro.agents.prompts import (
@@ -46,7 +48,7 @@ from exact_mdp.paper_repro.agents.prompts import (
 from exact_mdp.paper_repro.agents.protocol import PURPOSES, Backend, Reply, Request
 from exact_mdp.paper_repro.agents.recording import FORMAT
 from exact_mdp.paper_repro.readings.search import averages
-from exact_mdp.solvers import solve
+from exact_mdp.solvers.solver import solve
 
 DRAWS = ("start", "policy", "transition", *PURPOSES)
 

@@ -25,16 +25,13 @@ from urllib.request import getproxies_environment, proxy_bypass
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.paper_repro.agents.chat import Malformed, Style, ask, decoded
 from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, plain
 
 if TYPE_CHECKING:
     from exact_mdp.paper_repro.agents.transport import Address, Answer, Route
 
-certifi = later("certifi")
-transport = later("exact_mdp.paper_repro.agents.transport")
 
 AGAIN = (408, 409, 429, 500, 502, 503, 504)
 LONGEST_WAIT = 60.0
@@ -110,6 +107,8 @@ class Endpoint:
     sleep: Callable[[float], None] = time.sleep
 
     def __post_init__(self) -> None:
+        from exact_mdp.paper_repro.agents import transport
+
         if not 0 < self.timeout <= LONGEST_TIMEOUT:
             raise ModelError(
                 f"the time limit is {self.timeout:g} s",
@@ -172,6 +171,8 @@ class Endpoint:
 
     def _post(self, body: dict[str, Any]) -> tuple[dict[str, Any], int]:
         """Send a body until there is an answer; return it with the number of attempts."""
+        from exact_mdp.paper_repro.agents import transport
+
         jitter = np.random.default_rng(body.get("seed", 0))
         for attempt in range(1, self.style.tries + 1):
             try:
@@ -188,6 +189,8 @@ class Endpoint:
         raise AssertionError("tries is at least 1")
 
     def _once(self, body: dict[str, Any]) -> dict[str, Any]:
+        from exact_mdp.paper_repro.agents import transport
+
         address: Address = self.__dict__["_address"]
         key = self._secret()
         try:
@@ -254,6 +257,8 @@ def _key(variable: str) -> Key:
 
 def _route(address: Address, key: bool, trust: bool) -> Route:
     """Return how an address is reached: directly, unless the environment is to be trusted."""
+    from exact_mdp.paper_repro.agents import transport
+
     proxy, user = None, None
     proxies = getproxies_environment() if trust and not address.loopback else {}
     named = next((name for name in (address.scheme, "all") if proxies.get(name)), None)
@@ -268,6 +273,8 @@ def _route(address: Address, key: bool, trust: bool) -> Route:
 
 def _proxy(text: str, variable: str) -> tuple[Address, tuple[str, str] | None]:
     """Return a proxy's address, and the name and password for it."""
+    from exact_mdp.paper_repro.agents import transport
+
     scheme, _, rest = text.partition("://")
     words, at, place = rest.rpartition("@")
     address = transport.Address.of(f"{scheme}://{place}")
@@ -287,6 +294,8 @@ def _context(trust: bool) -> ssl.SSLContext:
     Made without `ssl.create_default_context`, which would write the secrets of each connection to
     the file that SSLKEYLOGFILE names.
     """
+    with extra("agents"):
+        import certifi
     file = os.environ.get("SSL_CERT_FILE") if trust else None
     folder = os.environ.get("SSL_CERT_DIR") if trust else None
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

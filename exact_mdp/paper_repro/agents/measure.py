@@ -33,11 +33,12 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.analysis.record import run_record
-from exact_mdp.mdp import MDP, Policy
 from exact_mdp.mdp.care.perception import LEVEL, Counted, perceived
 from exact_mdp.mdp.care.perception import counted as counted_perception
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import read_bytes, write_atomically
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.paper_repro.agents import DISCLAIMER, recording
 from exact_mdp.paper_repro.agents.conversation import seed_of
 from exact_mdp.paper_repro.agents.prompts import VARIANTS, Modules, Place
@@ -48,7 +49,7 @@ from exact_mdp.paper_repro.agents.protocol import (
     violations,
     whole,
 )
-from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.values.evaluate import evaluate
 
 
 def counted(paths: Sequence[Path], statuses: Sequence[str]) -> Iterator[tuple[int, int]]:

@@ -12,11 +12,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro.agents.protocol import plain
 from exact_mdp.paper_repro.agents.recording import Recording
-
-jinja2 = later("jinja2")
 
 PAGE = Path(__file__).parent / "page.html"
 OUTCOMES = {
@@ -113,6 +110,8 @@ def text(told: Recording) -> str:
 
 def page(told: Recording) -> str:
     """Return the page of a recording, finished or not."""
+    import jinja2
+
     header, end = told.header, told.end
     about = {
         "Scenario": header["scenario"],

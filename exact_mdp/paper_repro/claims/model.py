@@ -15,8 +15,8 @@ from math import prod
 
 import numpy as np
 
-from exact_mdp.mdp import MDP
 from exact_mdp.mdp.chain import is_acyclic
+from exact_mdp.mdp.model import MDP
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims.claim import Claims, Finding, entry, statement, undecided
 from exact_mdp.paper_repro.reading import Reading

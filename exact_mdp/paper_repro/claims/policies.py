@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from exact_mdp.analysis import check
+from exact_mdp.analysis.gate.check import check
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims.claim import Claims, Finding, statement
 from exact_mdp.paper_repro.reading import Reading

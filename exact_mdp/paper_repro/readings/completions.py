@@ -31,14 +31,12 @@ from math import erfc, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.reported import ACTIONS, COMPLETIONS, NUMBER, ORDERS, UNSTATED
-
-special, stats = later("scipy.special"), later("scipy.stats")
 
 STANDARD_ERRORS = 3.0
 LEFT_OUT = erfc(STANDARD_ERRORS / sqrt(2))  # chance of a normal number further off than that
@@ -123,6 +121,8 @@ class LearnedCompletions:
     @property
     def intervals(self) -> Floats:
         """(2, 5, 4, 2) 95 % intervals of the shares by their posterior: low, high."""
+        from scipy import stats
+
         alpha = np.where(MEANT, self.posterior, 1.0)
         rest = np.where(MEANT, self.posterior.sum(axis=-1, keepdims=True) - alpha, 1.0)
         return np.stack([stats.beta.ppf(at, alpha, rest) for at in (0.025, 0.975)], axis=-1)

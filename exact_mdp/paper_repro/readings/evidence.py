@@ -33,6 +33,7 @@ from math import log, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from exact_mdp.analysis.readings import (
     OptionSupport,
@@ -43,13 +44,11 @@ from exact_mdp.analysis.readings import (
     support,
 )
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.search import REPORTED, ReadingSearch
 from exact_mdp.paper_repro.reported import AVERAGE_RETURN, NUMBER, ORDERS, STARTS
 
-special = later("scipy.special")
 ROUNDING = 0.05  # the averages are reported with one decimal
 TOLERANCE = 5.0  # standard deviation of a number read off a plot
 EXPERIMENTS = (reported.EXPERIMENTS, 10_000)  # Section 4.1 says 1,000, Section 3.2 10,000

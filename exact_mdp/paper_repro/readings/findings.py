@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import special
 
 from exact_mdp.analysis.readings import (
     EXCLUDED,
@@ -28,7 +29,6 @@ from exact_mdp.analysis.readings import (
     OptionSupport,
     ReadingSpace,
 )
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.evidence import (
@@ -65,7 +65,6 @@ from exact_mdp.paper_repro.readings.training import (
 )
 from exact_mdp.paper_repro.readings.wording import changes, said, title
 
-special = later("scipy.special")
 QUICK = {"sampled": 6, "trained": 5, "seeds": 20, "judged": 2}
 FULL = {"sampled": 16, "trained": TRAINED, "seeds": SEEDS, "judged": 5}
 WITHOUT_RANDOM = "without the random strategy"  # the variant that leaves that curve out

@@ -32,25 +32,23 @@ from fractions import Fraction
 from math import ceil, floor, log, log2, sqrt
 
 import numpy as np
+from scipy import special
 
 from exact_mdp.analysis.gate.check import Audit, check
-from exact_mdp.mdp import MDP, Policy
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
 from exact_mdp.paper_repro.readings.evidence import EXPERIMENTS, Evidence
 from exact_mdp.paper_repro.readings.search import ReadingSearch
 from exact_mdp.paper_repro.readings.wording import changes
 from exact_mdp.paper_repro.reported import FINAL, STARTS
-from exact_mdp.solvers import evaluate
 from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.solution import Bounded, Certified
-from exact_mdp.solvers.values.evaluate import Evaluation
+from exact_mdp.solvers.values.evaluate import Evaluation, evaluate
 from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
 
-fft = later("scipy.fft")
-special = later("scipy.special")
 OUTSIDE = 1e-18  # probability that may be left out
 
 
@@ -166,6 +164,8 @@ def sums(distribution: ReturnDistribution, runs: int) -> Sums:
     >>> sums(coin, 2).probability.round(12).tolist()
     [0.25, 0.5, 0.25]
     """
+    from scipy import fft
+
     low, high = int(distribution.multiples[0]), int(distribution.multiples[-1])
     single = np.zeros(high - low + 1)
     single[distribution.multiples.astype(np.int64) - low] = distribution.probabilities

@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.readings import ReadingSpace, equivalent
-from exact_mdp.mdp import ModelError, Scenario
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.tables import READINGS
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.mdp.validate import as_discount
 from exact_mdp.paper_repro import reported
@@ -42,7 +42,6 @@ from exact_mdp.paper_repro.reported import COMPLETIONS, NUMBER, STARTS
 from exact_mdp.solvers.care import optimal, policy_values, policy_values_of_last
 from exact_mdp.solvers.parallel import many
 
-stats = later("scipy.stats")
 REPORTED = np.array(list(reported.AVERAGE_RETURN.values()))
 TASKS = ((3,), (3, 1), (2,), (4,), (1, 1, 1), (6,))
 DISCOUNTS = (Fraction(1), Fraction(19, 20))
@@ -101,6 +100,8 @@ class Averages:
     @cached_property
     def probabilities(self) -> Floats:
         """(…, C) chance of a χ² on three degrees of freedom above that of each completion."""
+        from scipy import stats
+
         return np.asarray(stats.chi2.sf(self.chi_squared, len(STARTS)))
 
     @cached_property

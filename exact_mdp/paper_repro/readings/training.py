@@ -33,8 +33,9 @@ from exact_mdp.analysis.learning.curves import (
 )
 from exact_mdp.analysis.learning.outcomes import Interval, Outcomes, outcomes, share_interval
 from exact_mdp.analysis.readings import ReadingSpace, posterior
-from exact_mdp.mdp import MDP, Scenario
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.readings.completions import by_reading, counted
@@ -49,7 +50,7 @@ from exact_mdp.solvers.learning.schedules import (
     Constant,
     Exponential,
 )
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.parallel import many
 
 SETTINGS = {
@@ -173,7 +174,7 @@ def learn(
     """
     source = child(seed, list(SETTINGS).index(schedule))
     settings = settings_of(schedule, changes)
-    trained = train_many(mdp, settings, runs, rng=source, n_jobs=None, out=folder)
+    trained = train(mdp, settings, runs, rng=source, n_jobs=None, out=folder)
     if changes.get("counted") == "epochs":
         trained = [_by_epochs(run, settings.last) for run in trained]
     found = outcomes(mdp, trained, bound=False)

@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 
 from exact_mdp.analysis.readings import ReadingSpace, option_label
-from exact_mdp.mdp import Scenario
+from exact_mdp.mdp.care.scenario import Scenario
 
 WORDS = tomllib.loads((Path(__file__).parent / "wording.toml").read_text("utf-8"))
 

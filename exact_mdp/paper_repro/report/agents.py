@@ -26,8 +26,10 @@ from exact_mdp.analysis.plots.perception import (
     plot_error_costs,
 )
 from exact_mdp.analysis.plots.style import titled
-from exact_mdp.mdp import MDP, Policy, Scenario
 from exact_mdp.mdp.care.perception import Counted, counted
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.paper_repro.agents.claims import statements
 from exact_mdp.paper_repro.agents.conversation import conversation, modules_of
 from exact_mdp.paper_repro.agents.measure import labelled
@@ -40,7 +42,7 @@ from exact_mdp.paper_repro.report.drawings import plot_boxes
 from exact_mdp.paper_repro.report.figures import Pictures
 from exact_mdp.paper_repro.report.report import Part, Text
 from exact_mdp.paper_repro.report.tables import Table
-from exact_mdp.solvers import solve
+from exact_mdp.solvers.solver import solve
 
 SCENARIO = "yuan2025"
 NOISE = 0.05  # of the scripted agent whose perception is measured

@@ -27,7 +27,8 @@ from exact_mdp.analysis.plots import (
     save,
     style,
 )
-from exact_mdp.mdp import MDP, Policy, PolicyLike
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.table import Floats
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims.learning import gap_first
@@ -44,7 +45,7 @@ from exact_mdp.paper_repro.report.drawings import (
     plot_trials,
 )
 from exact_mdp.paper_repro.reported import ACTIONS, FINAL, NUMBER, STARTS, STATUS_WORDS, STATUSES
-from exact_mdp.solvers import evaluate
+from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.returns import return_distribution
 
 ROUNDING = 1e-9

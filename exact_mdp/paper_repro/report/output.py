@@ -8,15 +8,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
-from exact_mdp.mdp.lazy import later
 from exact_mdp.paper_repro import reported
 from exact_mdp.paper_repro.claims import Judged, Verdict
 from exact_mdp.paper_repro.claims.claim import READ_OFF_A_PLOT, Kind
 from exact_mdp.paper_repro.readings.completions import STANDARD_ERRORS
 from exact_mdp.solvers.solution import Bounded, Certified, Estimated
-
-console = later("rich.console")
-rich = later("rich.table")
 
 
 def number(value: float | None, *, unit: str = "") -> str:
@@ -160,6 +156,8 @@ LINES = {
 
 def _console(width: int) -> Any:
     """Return a console as wide as the terminal, or so wide where there is none."""
+    from rich import console
+
     shown = None if sys.stdout.isatty() else width
     return console.Console(width=shown, highlight=False, markup=False)
 
@@ -169,6 +167,8 @@ def print_table(judged: Sequence[Judged]) -> None:
 
     Where something else than the difference decides, a line below the table says what.
     """
+    from rich import table as rich
+
     screen = _console(132)
     for kind in ("input", "finding"):
         listed = [each for each in judged if each.claim.kind == kind]
@@ -224,6 +224,8 @@ def print_claim(each: Judged) -> None:
 
 def print_changes(label: str, pairs: Sequence[tuple[Judged, Judged]], compared: int) -> None:
     """Print the claims whose verdict differs: under the default reading, and under another."""
+    from rich import table as rich
+
     screen = _console(132)
     table = rich.Table(title=label, title_justify="left", box=None, pad_edge=False)
     for heading in ("claim", "default", "changed", "why"):

@@ -9,15 +9,15 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from exact_mdp.analysis import tradeoff
+from exact_mdp.analysis.tradeoffs.front import tradeoff
 from exact_mdp.paper_repro.reading import Reading
 from exact_mdp.paper_repro.report.figures import Pictures
 from exact_mdp.paper_repro.report.output import number
 from exact_mdp.paper_repro.report.report import Part
 from exact_mdp.paper_repro.report.tables import Table
 from exact_mdp.paper_repro.reported import FINAL, STARTS
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
+from exact_mdp.solvers.solver import solve
 
 ANGER, DONE = "anger", "subtask-complete"
 LIMITS = ("-1", "-3/4", "-1/2", "-1/4", "0")

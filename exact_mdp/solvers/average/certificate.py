@@ -52,7 +52,6 @@ class AverageCertificate(AverageClaims, Pictured):
     mdp: MDP | None = None
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
-    picture = "exact_mdp.analysis.plots.states:plot_solution"
 
     def __repr__(self) -> str:
         return f"AverageCertificate({len(self.policy)} states, gain at the start {self.start})"

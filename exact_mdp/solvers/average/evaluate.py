@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.result import Result
@@ -32,8 +31,6 @@ from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -162,6 +159,8 @@ class AverageEvaluation(Result):
 
     def frame(self) -> DataFrame:
         """Return gain, bias and share of time of each state, with their error bounds."""
+        import pandas
+
         return pandas.DataFrame(
             {
                 "state": self.mdp.space.labels(range(len(self.gain))),

@@ -25,9 +25,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.exact import per_step
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.average.evaluate import evaluated
@@ -40,8 +39,6 @@ from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 from exact_mdp.solvers.endless.derived import derived
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
-
-cvxpy = later("cvxpy")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -186,6 +183,8 @@ def _by_values(step: MDP, solver: Any) -> Improved:
 
 def _by_program(step: MDP, solver: Any) -> Improved:
     """Take the pairs with the greatest duals, and improve them by policy iteration."""
+    with extra("lp"):
+        import cvxpy
     scale, first, state = (
         float(np.abs(step.reward).max()) or 1.0,
         step.pair_offsets[:-1],
@@ -196,7 +195,7 @@ def _by_program(step: MDP, solver: Any) -> Improved:
     stays = own - sp.csc_array(step.transition)
     gain, bias = cvxpy.Variable(step.n_states), cvxpy.Variable(step.n_states)
     keeps, earns = stays @ gain >= 0, own @ gain + stays @ bias >= step.reward / scale
-    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(gain)), [keeps, earns])
+    problem = cvxpy.Problem(cvxpy.Minimize(gain.sum()), [keeps, earns])
     steps = optimised(problem, solver.solver)
     used, passed = (np.maximum(np.asarray(each.dual_value), 0.0) for each in (earns, keeps))
     recurrent = np.maximum.reduceat(used, first) > AGREEMENT / step.n_states

@@ -22,17 +22,13 @@ and the margins are verified. Every d and m comes with a bound on its rounding e
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 
 from exact_mdp.mdp.chain import require_termination, topological_levels
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
@@ -48,10 +44,6 @@ from exact_mdp.solvers.bounds.gains import (
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.bounds.sweeps import sweeps_of
 from exact_mdp.solvers.solution import SolverError, Status
-
-bellman = later("exact_mdp.solvers.kernels.bellman")
-compiling = later("exact_mdp.solvers.kernels.compiling")
-layered = later("exact_mdp.solvers.kernels.layered")
 
 WEIGHT_ITERATIONS = 1000
 LONGEST_WALK = 1000
@@ -217,15 +209,9 @@ def _why_not(mdp: MDP, weight: Floats, margin: Floats) -> str:
     )
 
 
-def ladder(levels: int) -> Callable[[Floats, float, Floats], None]:
-    """Return the function that adds errors up: see `solvers.kernels.layered.ladder`."""
-    if "numba" in sys.modules and levels >= 1000:
-        return cast("Callable[[Floats, float, Floats], None]", layered.ladder)
-
-    def climb(step: Floats, rate: float, total: Floats) -> None:
-        before = 0.0
-        for k, more in enumerate(step.tolist()[1:], start=1):
-            before = max(before, rate * before + more)
-            total[k] = before
-
-    return climb
+def ladder(step: Floats, rate: float, total: Floats) -> None:
+    """Write into `total` what errors add up to: t_k = max(t_(k-1), rate t_(k-1) + step_k)."""
+    before = 0.0
+    for k, more in enumerate(step.tolist()[1:], start=1):
+        before = max(before, rate * before + more)
+        total[k] = before

@@ -20,16 +20,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import lapack
+from scipy.sparse import csgraph, linalg
 
-from exact_mdp.mdp.lazy import COMPILED, later
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import COMPILED, Floats, Integers, Numbers
 from exact_mdp.solvers.solution import SolverError, Status
-
-compiling = later("exact_mdp.solvers.kernels.compiling")
-csgraph = later("scipy.sparse.csgraph")
-kernel = later("exact_mdp.solvers.kernels.linear")
-lapack = later("scipy.linalg.lapack")
-linalg = later("scipy.sparse.linalg")
 
 MOST_ENTRIES = 100_000_000  # in each factor: 1.2 GB with their places, 2.4 GB for both
 MOST_OPERATIONS = 1e11  # about a minute or two
@@ -61,6 +56,8 @@ def reach(chain: sp.csr_array, order: Numbers | None = None) -> tuple[int, int]:
         return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
     if chain.nnz >= COMPILED:
         ends, ended = (chain.indptr[:-1], chain.indptr[1:]), np.zeros(chain.shape[0], dtype=bool)
+        from exact_mdp.solvers.kernels import linear as kernel
+
         down, up, _ = kernel.reach(*ends, chain.indices, ended)
         return int(down), int(up)
     row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
@@ -80,8 +77,12 @@ def substitution(chain: sp.csr_array, discount: float, order: Integers) -> Solve
     """
     sequence = np.argsort(order, kind="stable")
     if chain.nnz >= COMPILED:
+        from exact_mdp.solvers.kernels import linear as kernel
+
         if not kernel.falls(chain.indptr, chain.indices, order):
             raise ValueError(NO_FALL)
+
+        from exact_mdp.solvers.kernels import compiling
 
         def substituted(constant: Floats) -> Floats:
             value = np.empty(len(constant))
@@ -192,6 +193,8 @@ def fill(matrix: sp.csc_array) -> int | None:
     pattern = sp.csr_array((np.ones(len(row), dtype=np.int8), ends), matrix.shape)
     room = np.empty((3, states), dtype=np.int64)
     limits = (MOST_ENTRIES, float(MOST_OPERATIONS))
+    from exact_mdp.solvers.kernels import linear as kernel
+
     found = int(kernel.fill(pattern.indptr, pattern.indices, *limits, room[0], room[1], room[2]))
     return None if found < 0 else found
 

@@ -31,14 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.forms import threads
-from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import COARSE, Floats, Integers, fine_unit
+from exact_mdp.mdp.table import COARSE, COMPILED, Floats, Integers, fine_unit
 from exact_mdp.solvers.solution import SolverError, Status
-
-bellman = later("exact_mdp.solvers.kernels.bellman")
-rows_loops = later("exact_mdp.mdp.forms.rows")
-compiling = later("exact_mdp.solvers.kernels.compiling")
 
 UNIT = 2.0**-53
 TINY = 2.0**-1000
@@ -230,8 +225,10 @@ def _leak(mdp: MDP) -> tuple[Floats, float]:
 
 def _excess(offsets: Integers, weight: Floats, fine: float) -> Floats:
     """Return Σ p - 1 of each row (L,), as `mdp.forms.rows` has it."""
-    found, loaded = np.empty(len(offsets) - 1), loops_pay(len(weight), COMPILED)
+    found, loaded = np.empty(len(offsets) - 1), len(weight) >= COMPILED
     ends = threads.block_ends(offsets, most=None if loaded else threads.IN_CACHE)
+
+    from exact_mdp.mdp.forms import rows as rows_loops
 
     def work(_: int, first: int, last: int) -> None:
         if loaded:
@@ -277,8 +274,12 @@ def _differences(
     if still:
         found[:2, first:last] = 0.0
         return
-    if loops_pay(mdp.n_transitions, COMPILED):
+    if mdp.n_transitions >= COMPILED:
+        from exact_mdp.solvers.kernels import compiling
+
         rows = compiling.Rows(matrix.indptr, matrix.indices, matrix.data)
+        from exact_mdp.solvers.kernels import bellman
+
         bellman.gains(first, last, mdp.pair_state, rows, value, found[0], found[1])
         return
     begin, end = matrix.indptr[first], matrix.indptr[last]

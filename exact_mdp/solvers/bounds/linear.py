@@ -38,19 +38,15 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse import linalg as scipy
 
-from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import ByFields
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import COMPILED, Floats, Integers, Numbers
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import Solve, TooLarge
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import Bounded, SolverError, Status
-
-compiling = later("exact_mdp.solvers.kernels.compiling")
-loops = later("exact_mdp.solvers.kernels.linear")
-scipy = later("scipy.sparse.linalg")
 
 DIRECT_STATES = 500
 IN_ROOM = 2000  # states: factors with limited fill may take minutes of some larger chains
@@ -350,6 +346,8 @@ class Banded:
         None where a band does not pay. The rows of states that have `ended` (S,) count as empty.
         """
         places, states = (rows.slots, rows.ends, rows.indices), len(ended)
+        from exact_mdp.solvers.kernels import linear as loops
+
         lower, upper, entries = loops.reach(*places, ended)
         work = _work(states, entries, (lower, upper))
         if not work:
@@ -425,10 +423,14 @@ def sweeping(
 
     See `solvers.kernels.linear.swept`, which this is in NumPy for small chains.
     """
-    if loops_pay(chain.nnz, COMPILED):
+    if chain.nnz >= COMPILED:
         value, room = np.empty((2, len(constant)))
+        from exact_mdp.solvers.kernels import compiling
+
         rows = compiling.Rows(chain.indptr, chain.indices, chain.data)
         limits = (enough, fine, SWEEPS, TRIED, CLOSE)
+        from exact_mdp.solvers.kernels import linear as loops
+
         done = loops.swept(rows, float(discount), constant, *limits, value, room)
     else:
         value, done = _swept(chain, discount, constant, enough, fine)
@@ -482,6 +484,8 @@ def patiently(chain: sp.csr_array, discount: float, constant: Floats, rtol: floa
         rows, shape = _rows(chain), chain.shape
         value, through = np.empty(len(constant)), np.empty(len(constant))
 
+        from exact_mdp.solvers.kernels import linear as loops
+
         def applied(given: Floats) -> Floats:
             loops.applied(rows, float(discount), np.ascontiguousarray(given), value, through)
             return through.copy()
@@ -499,6 +503,8 @@ def patiently(chain: sp.csr_array, discount: float, constant: Floats, rtol: floa
 def _rows(chain: sp.csr_array) -> Any:
     """Return the rows of a chain, their columns sorted, as compiled loops take them."""
     chain = chain if chain.has_sorted_indices else chain.sorted_indices()
+    from exact_mdp.solvers.kernels import compiling
+
     return compiling.Rows(chain.indptr, chain.indices, chain.data)
 
 
@@ -507,5 +513,7 @@ def _bicgstab(
 ) -> Floats | None:
     value, room = np.empty(len(constant)), np.empty((6, len(constant)))
     rows = _rows(chain)
+    from exact_mdp.solvers.kernels import linear as loops
+
     failed = loops.bicgstab(rows, float(discount), constant, rtol, steps, value, room) < 0
     return None if failed or not np.all(np.isfinite(value)) else value

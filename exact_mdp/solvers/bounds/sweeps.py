@@ -35,14 +35,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
-from exact_mdp.mdp.lazy import COMPILED, later, loops_pay
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers
+from exact_mdp.mdp.table import COMPILED, FLOAT_ROW_TOLERANCE, Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
     TINY,
     UNIT,
@@ -57,10 +56,6 @@ from exact_mdp.solvers.bounds.gains import (
 )
 from exact_mdp.solvers.bounds.sizes import Greatest, Sizes, dropped, risen, sizes
 from exact_mdp.solvers.solution import SolverError, Status
-
-bellman = later("exact_mdp.solvers.kernels.bellman")
-loops = later("exact_mdp.solvers.kernels.rounds")
-
 
 ASIDE = 8_000_000  # transitions of a model at most whose policies have their rows copied
 FIRST_SWEEPS, APART, LEAST = 12, 6, 1e-12  # after which to ask how fast errors fall, and to where
@@ -132,6 +127,8 @@ class Sweeps:
     def model(self) -> Any:
         """The model as compiled loops take it."""
         mdp, matrix = self.mdp, self.mdp.transition
+        from exact_mdp.solvers.kernels import bellman
+
         return bellman.Model(
             offsets=mdp.pair_offsets,
             indptr=matrix.indptr,
@@ -224,6 +221,8 @@ class Sweeps:
 
         Returns the greatest change. Compiled for models of any size.
         """
+        from exact_mdp.solvers.kernels import bellman
+
         return float(bellman.relax(backward, self.model, value, shift))
 
     def _judge(self, value: Floats, shift: float, kept: Integers | None) -> Judged:
@@ -272,8 +271,7 @@ def finite(found: Found) -> Found:
 def sweeps_of(mdp: MDP, weights: Weights, *, strict: bool = False) -> Sweeps:
     """Return the sweeps for a model; what they find depends on its size alone."""
     if mdp.n_transitions < COMPILED:
-        kind = LoadedSweeps if loops_pay(mdp.n_transitions, COMPILED) else Sweeps
-        return kind(mdp, weights, strict)
+        return Sweeps(mdp, weights, strict)
     return CompiledSweeps(mdp, weights, strict)
 
 
@@ -305,6 +303,8 @@ class Remembered:
         if len(room):
             indices, data = columns.view(), room.view()
             indices.flags.writeable = data.flags.writeable = False  # as the model's are
+        from exact_mdp.solvers.kernels import bellman
+
         return cls(
             margin=(weights.extremes[0] - weights.error, weights.extremes[1] + weights.error),
             policy=bellman.Known(
@@ -334,6 +334,8 @@ class Remembered:
 
     def move(self, value: Floats, greatest: Greatest) -> None:
         """Go on to h = `value` (S,)."""
+        from exact_mdp.solvers.kernels import bellman
+
         climb = float(bellman.climb(value, self.before))
         rise = risen(self.policy.rise, climb, greatest)
         self.policy = self.policy._replace(rise=rise)
@@ -341,8 +343,6 @@ class Remembered:
 
 class CompiledSweeps(Sweeps):
     """As `Sweeps`, for large models."""
-
-    whole: ClassVar[bool] = False  # Whether every pass looks at all pairs, and is a judging one
 
     @property
     def alone(self) -> bool:
@@ -362,6 +362,8 @@ class CompiledSweeps(Sweeps):
         policy = memory.policy
         error = of.error + 8 * UNIT * (abs(policy.rise) + of.value + of.gain + of.error)
         what = policy, value, shift, error, memory.drop(shift), step
+        from exact_mdp.solvers.kernels import bellman
+
         found = self._blocks(2, bellman.improve, self.model, *what)
         self._pairs, memory.policy = policy.pairs, policy._replace(known=True)
         low, high = float(found[:, 0].min()), float(found[:, 1].max())
@@ -406,6 +408,8 @@ class CompiledSweeps(Sweeps):
         what = (self.model, facts, memory.policy, value, shift, self.strict, still)
         most, held = self._widest, pairs[:0] if kept is None else kept
 
+        from exact_mdp.solvers.kernels import bellman
+
         def judge(first: int, last: int, extremes: Floats) -> None:
             room = np.empty((2, most))
             bellman.judge(
@@ -434,11 +438,11 @@ class CompiledSweeps(Sweeps):
             "least_margin": self.least_margin,
             "most_margin": memory.margin[1],
             "blur": self.blur,
-            "whole": self.whole,
         }
         step, extremes, pairs = np.empty(states), np.empty(3), memory.policy.pairs
-        if self.whole:
-            pairs = np.empty(states, dtype=np.int64) if self._pairs is None else self._pairs.copy()
+        from exact_mdp.solvers.kernels import bellman
+        from exact_mdp.solvers.kernels import rounds as loops
+
         reached, stopped, found, due, swept, left = loops.rounds(
             count,
             self.model,
@@ -458,18 +462,18 @@ class CompiledSweeps(Sweeps):
             extremes,
         )
         memory.policy = memory.policy._replace(rise=reached.rise, known=reached.known)
-        if self.whole or reached.known:
+        if reached.known:
             self._pairs, self._rows = pairs, (None,)
         if not found:
             return reached, None, stopped, due, swept, left
         low, high, floor = extremes.tolist()
         ahead = Pass(step=step, low=low, high=high, floor=floor)
-        if self.whole:
-            ahead = Judged(step=step, low=low, high=high, floor=floor, pairs=pairs)
         return reached, finite(ahead), stopped, due, swept, left
 
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
         step, policy = self._step, self._memory.policy
+        from exact_mdp.solvers.kernels import bellman
+
         found = self._blocks(2, bellman.follow, self.model, policy, value, shift, step)
         return step, float(found[:, 0].min()), float(found[:, 1].max())
 
@@ -479,6 +483,8 @@ class CompiledSweeps(Sweeps):
         if self._pairs is None or not self.alone:
             return super().settle(value, shift, goal, most)
         self._hold(self._pairs)
+        from exact_mdp.solvers.kernels import bellman
+
         limits = bellman.Slow(FIRST_SWEEPS, APART, LEAST)
         what = (shift, float(goal), most, limits, self.uniform, self._step, np.empty(most + 2))
         known = self.model, self._memory.policy, self.weights.value
@@ -531,6 +537,8 @@ class CompiledSweeps(Sweeps):
     @cached_property
     def _known(self) -> Any:
         """Rounding errors as the judging loop takes them."""
+        from exact_mdp.solvers.kernels import bellman
+
         return bellman.Facts(
             reward_error=self._reward_error,
             leak_error=self.facts.leak_error,
@@ -557,34 +565,3 @@ class CompiledSweeps(Sweeps):
     @cached_property
     def _step(self) -> Floats:
         return np.empty(self.mdp.n_states)
-
-
-class LoadedSweeps(CompiledSweeps):
-    """As `Sweeps`, bit for bit: every pass of a small model looks at all pairs."""
-
-    improve = Sweeps.improve
-    whole = True
-
-    @cached_property
-    def _reward_error(self) -> Floats:
-        return self.facts.reward_errors(self.mdp, 0, self.mdp.n_pairs)
-
-    @cached_property
-    def _memory(self) -> Remembered:
-        found = Remembered.nothing(self.mdp, self.weights, self.facts)
-        found.policy.ceilings[:] = np.inf
-        return found
-
-    def _judge(self, value: Floats, shift: float, kept: Integers | None) -> Judged:
-        low, high = float(value.min()), float(value.max())
-        size = max(abs(low), abs(high))
-        return self._judged(value, shift, size, 0.0, kept, still=low == high)
-
-    def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
-        self._hold(pairs)
-        return super()._follow(value, shift, pairs)
-
-    def _hold(self, pairs: Integers) -> None:
-        if self._rows[0] is not pairs:
-            bellman.hold(self.model, pairs, self._memory.policy)
-            self._rows = (pairs,)

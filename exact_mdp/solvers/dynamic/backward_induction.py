@@ -18,7 +18,7 @@ Where rows are known to sum to 1, q is computed from differences r + γ (b + Σ 
 value of the first successor: its error is set by how values differ, not by how large they are.
 
 Two forms give the same bits: a loop in NumPy over runs of states that do not lead to each other,
-and a compiled one (`solvers.kernels.layered`), once the model is large or the compiler is loaded.
+and a compiled one (`solvers.kernels.layered`), once the model is large.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ import numpy as np
 
 from exact_mdp.mdp.chain import numbered_in_order, runs_in_order
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later, loops_pay
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.bounds import bounds, ladder, levels
@@ -40,12 +39,9 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
-layered = later("exact_mdp.solvers.kernels.layered")
-
 # NumPy takes as long as loading the compiled loop for four million transitions of the care model;
 # the loop needs 6 ms a million.
 COMPILED_FROM = 500_000
-LOADED_FROM = 2**14  # below, NumPy takes a millisecond or two
 ROW_EXCESS = 2.0**-29  # rows of floats may sum to a little more than 1; see mdp.validate
 UNITS = UNIT * (1 + 2.0**-10)
 SMALLEST = float(np.finfo(np.float64).tiny)  # of those floats that have all their digits
@@ -123,9 +119,9 @@ class Pass:
         longest = int(np.diff(mdp.table.offsets).max())
         lost = size > 0 or _underflows(mdp)
         tiny = TINY * (longest + 2) * (1 + size) * lost
-        climb, (above, below) = ladder(len(self.above)), np.zeros((2, len(self.above)))
-        climb(self.above + tiny, rate, above)
-        climb(self.below + tiny, rate, below)
+        above, below = np.zeros((2, len(self.above)))
+        ladder(self.above + tiny, rate, above)
+        ladder(self.below + tiny, rate, below)
         above, below = above * SLACK, below * SLACK
         if not np.isfinite(above[-1] + below[-1] + size):
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
@@ -147,7 +143,7 @@ def _underflows(mdp: MDP) -> bool:
 
 def one_pass(mdp: MDP, level: Integers | None = None) -> Pass:
     """Return values of an acyclic model, with their rounding errors by level."""
-    pays = mdp.n_transitions >= LOADED_FROM and loops_pay(mdp.n_transitions, COMPILED_FROM)
+    pays = mdp.n_transitions >= COMPILED_FROM
     return _compiled_pass(mdp, level) if pays else _array_pass(mdp, level)
 
 
@@ -165,6 +161,8 @@ def _compiled_pass(mdp: MDP, level: Integers | None) -> Pass:
     height = np.empty(states, dtype=np.int32)
     above, below = np.zeros(states + 1), np.zeros(states + 1)
     widest = int(np.diff(mdp.pair_offsets).max())
+    from exact_mdp.solvers.kernels import layered
+
     depth = layered.backward(
         order,
         mdp.pair_offsets,

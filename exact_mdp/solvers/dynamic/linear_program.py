@@ -45,9 +45,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse import csgraph
 
-from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.errors import ModelError, extra, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, spans
@@ -58,9 +58,6 @@ from exact_mdp.solvers.dynamic.known import pairs_of
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
-
-cvxpy = later("cvxpy")
-csgraph = later("scipy.sparse.csgraph")
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
 IMPROVEMENTS = 1000
@@ -154,6 +151,8 @@ class LinearProgram:
 
     def _optimised(self, mdp: MDP) -> tuple[Integers, float | None, int]:
         """Return the pairs (S,) that the optimiser's values imply, their mean, and its steps."""
+        with extra("lp"):
+            import cvxpy
         live, scale = ~mdp.terminal, float(np.abs(mdp.reward).max())
         if scale == 0.0:
             return mdp.pair_offsets[:-1], None, 0
@@ -180,6 +179,8 @@ class LinearProgram:
 
 def optimised(problem: Any, solver: str) -> int:
     """Solve a program of cvxpy, and return the steps; SolverError where it finds no optimum."""
+    with extra("lp"):
+        import cvxpy
     try:
         # What cvxpy would warn of, an inaccurate solution, is an error here.
         with warnings.catch_warnings():

@@ -29,9 +29,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import COMPILED, asked
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import COMPILED, Floats, Integers
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import Banded, LinearSystem, policy_chain, relatively
@@ -63,7 +62,6 @@ class Solver(Protocol):
 def of_costs(solve: Callable[[S, MDP], Solution]) -> Callable[[S, MDP], Solution]:
     """Return a solver's method that takes models of costs too, whose negation it maximises."""
 
-    @asked
     @wraps(solve)
     def door(self: S, model: MDP) -> Solution:
         if isinstance(model, MDP) and model.sense == "min":
@@ -144,7 +142,7 @@ class Run:
         sweeps, values = self.values.sweeps, self.values
         if not (self._most and isinstance(sweeps, CompiledSweeps) and sweeps.alone):
             return
-        alike = self._blank and self.iteration == 0 and not sweeps.whole
+        alike = self._blank and self.iteration == 0
         if alike or sweeps.mdp.terminal.all():
             return  # nothing for there: values that are all the same need no transition
         count = max(1, ROUNDS * COMPILED // max(COMPILED, sweeps.mdp.n_transitions))

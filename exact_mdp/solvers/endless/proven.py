@@ -15,10 +15,10 @@ from fractions import Fraction
 from math import inf
 from typing import NamedTuple
 
+import flint
 import numpy as np
 
 from exact_mdp.mdp.exact import bellman_rows, fingerprint, per_step
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.endless.derived import Derived
@@ -38,8 +38,6 @@ from exact_mdp.solvers.proof.endless import EndlessClaims, optimal_infinite
 from exact_mdp.solvers.proof.equations import judged
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.solution import SolverError
-
-flint = later("flint")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

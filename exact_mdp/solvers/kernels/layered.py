@@ -138,12 +138,3 @@ def backward(
         below[height] = max(below[height], doubt[taken] + (best - q[taken]))
         deepest = max(deepest, height)
     return deepest
-
-
-@compiled
-def ladder(step: Floats, rate: float, total: Floats) -> None:
-    """Fill total (K,) with total[k] = max(total[k-1], rate · total[k-1] + step[k]), 0 first."""
-    total[0] = 0.0
-    for k in range(1, len(step)):
-        before = total[k - 1]
-        total[k] = max(before, rate * before + step[k])

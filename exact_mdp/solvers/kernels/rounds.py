@@ -22,9 +22,7 @@ from exact_mdp.solvers.kernels.bellman import (
     Model,
     Slow,
     climb,
-    hold,
     improve,
-    judge,
     settle,
 )
 from exact_mdp.solvers.kernels.compiling import compiled, inlined
@@ -37,7 +35,7 @@ sizes_of, risen, dropped = inlined(sizes.sizes), inlined(sizes.risen), inlined(s
 class Settings(NamedTuple):
     """Of a run: what does not change on the way.
 
-    Where a pass looks at the `whole` model it is a judging one, else an improving one. `tol` is 0
+    `tol` is 0
     where the tolerance is `relative` to the greatest value; `most` sweeps are too many for one
     policy; a run in which nothing is gained ends a `spell` after its `patience`; `last` is the
     number of the last pass; `work` is that of a pass.
@@ -55,7 +53,6 @@ class Settings(NamedTuple):
     least_margin: float
     most_margin: float
     blur: float
-    whole: bool
     most: int
     last: int
     work: float
@@ -149,28 +146,19 @@ def rounds(
             bottom, top, some = extent(value, model.ended)
         if some:
             bottom, top = min(bottom, 0.0), max(top, 0.0)
-        still, keep = bottom == top, since >= pace.SHORT
-        if settings.whole:
-            size = max(abs(bottom), abs(top))
-            tiny = TINY * (1 + size) if size != 0 else 0.0
-            judge(
-                0, states, model, sharp(facts, tiny), policy, value, shift, settings.strict, still,
-                0.0, 0.0, pairs if keep else pairs[:0], step, pairs, room, extremes,
-            )  # fmt: skip
-            noise = extremes[2]
-        else:
-            if still:
-                stopped = True
-                break
-            rise = risen(rise, climb(value, before), greatest)
-            size, gain, error, noise = sizes_of(bottom, top, model.discount, greatest)
-            error += 8 * UNIT * (abs(rise) + size + gain + error)
-            spare = dropped(shift, settings.least_margin, settings.most_margin)
-            improve(
-                0, states, model, remembered(policy, rise, known), value, shift, error, spare,
-                step, extremes,
-            )  # fmt: skip
-            known = True
+        still = bottom == top
+        if still:
+            stopped = True
+            break
+        rise = risen(rise, climb(value, before), greatest)
+        size, gain, error, noise = sizes_of(bottom, top, model.discount, greatest)
+        error += 8 * UNIT * (abs(rise) + size + gain + error)
+        spare = dropped(shift, settings.least_margin, settings.most_margin)
+        improve(
+            0, states, model, remembered(policy, rise, known), value, shift, error, spare,
+            step, extremes,
+        )  # fmt: skip
+        known = True
         low, high = extremes[0], extremes[1]
         floor = noise / settings.least_margin + max(abs(low), abs(high)) * settings.blur
         extremes[2] = floor
@@ -201,8 +189,6 @@ def rounds(
         if iteration == 1:
             continue
         if not slow:
-            if settings.whole:
-                hold(model, pairs, policy)
             goal = 0.0 if ready else goal_of(best, idle, weight, settings.tol)
             enough, shift = settle(
                 model, policy, weights, value, shift, goal, settings.most, limits, uniform, step,

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Brief
@@ -34,8 +33,6 @@ from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import as_discount
 from exact_mdp.solvers.learning.sampler import Seed, as_policy, rows_of, stream, tables
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_RATE, Schedule, checked
-
-kernels = later("exact_mdp.solvers.kernels")
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
@@ -211,6 +208,8 @@ class Trainer:
         last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int16)
         returns = np.zeros(own.epochs)
         random = stream(rng)
+        from exact_mdp.solvers import kernels
+
         steps, cut_short = kernels.learn(
             self.tables,
             random,

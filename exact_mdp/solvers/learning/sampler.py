@@ -16,7 +16,6 @@ from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.randomness import RNG, seed_of
@@ -26,7 +25,6 @@ from exact_mdp.mdp.table import Integers, Numbers
 if TYPE_CHECKING:
     from exact_mdp.solvers.kernels import Tables
 
-kernels = later("exact_mdp.solvers.kernels")
 
 Seed: TypeAlias = RNG | SeedSequence
 
@@ -91,6 +89,8 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
     cut = np.empty(len(table.next))
     alias, small, large = np.empty((3, len(table.next)), dtype=np.int64)
     offsets = np.ascontiguousarray(table.offsets, dtype=np.int64)
+    from exact_mdp.solvers import kernels
+
     kernels.alias_tables(offsets, table.probabilities(), cut, alias, small, large)
     sides = np.stack([np.arange(len(alias)), alias], axis=1).reshape(-1)
     low, high = mdp.pair_offsets[:-1].copy(), mdp.pair_offsets[1:].copy()

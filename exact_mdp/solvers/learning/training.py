@@ -28,7 +28,7 @@ ARRAYS = ("q", "policies", "snapshots", "last", "returns")
 NUMBERS = ("steps", "cut_short")
 
 
-def train_many(
+def train(
     model: MDP,
     settings: QLearning,
     n: int,
@@ -70,12 +70,12 @@ def train_many(
     --------
     >>> from exact_mdp import Scenario
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> runs = train_many(mdp, QLearning(epochs=5), 3, rng=0)
+    >>> runs = train(mdp, QLearning(epochs=5), 3, rng=0)
     >>> len(runs), runs[0].q.shape
     (3, (16, 4))
     """
     if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        raise ModelError(f"n is {n!r} runs", where="train_many", fix="give a whole number > 0")
+        raise ModelError(f"n is {n!r} runs", where="train", fix="give a whole number > 0")
     trainer, root = Trainer(settings, model), as_sequence(rng)
     found = many(
         partial(_run, trainer, root),

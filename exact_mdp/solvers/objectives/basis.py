@@ -27,10 +27,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
+import flint
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Limit, Values, Visits, room, totals_of, wrong_bound
@@ -40,8 +40,6 @@ from exact_mdp.solvers.proof.rationals import fraction
 if TYPE_CHECKING:
     from flint import fmpz
 
-flint = later("flint")
-optimize = later("scipy.optimize")
 
 PIVOTS = 10  # for each state: the simplex method may go round in circles
 SOLVED = 0  # what SciPy says of a program
@@ -97,6 +95,8 @@ def combined(
 
 def _proposed(of: Objectives, limits: Sequence[Limit], feasible: bool) -> _Basis | None:
     """Return the basis that floats find; None where they find none."""
+    from scipy import optimize
+
     state, size = of.mdp.pair_state, of.mdp.n_states
     moves, amounts = of.in_floats
     live = ~of.rows.terminal[state]

@@ -32,10 +32,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import flint
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.policies.policy import Policy
@@ -66,8 +66,6 @@ from exact_mdp.solvers.solution import Certified, Claim
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-flint = later("flint")
-pandas = later("pandas")
 ZERO, ONE = Fraction(0), Fraction(1)
 
 
@@ -214,6 +212,8 @@ class ConstrainedSolution(Result):
 
     def frame(self) -> DataFrame:
         """Return one row for each limit: the total, the price, and the closest limit."""
+        import pandas
+
         rows = [
             (str(limit), self.totals[limit.name], price, self.closest[limit.name])
             for limit, price in zip(self.limits, self.price, strict=True)

@@ -15,9 +15,11 @@ from fractions import Fraction
 from math import lcm
 from typing import TYPE_CHECKING, Any
 
+import flint
 import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
 
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.table import Integers, Numbers, common, spans
 from exact_mdp.solvers.objectives.amounts import Objectives
@@ -30,9 +32,6 @@ from exact_mdp.solvers.proof.uniqueness import uniqueness
 if TYPE_CHECKING:
     from flint import fmpq
 
-flint = later("flint")
-linalg = later("scipy.sparse.linalg")
-sparse = later("scipy.sparse")
 
 STEPS = 100  # of policy iteration in floats
 NOISE = 2.0**-40  # relative, far above the rounding of a few operations

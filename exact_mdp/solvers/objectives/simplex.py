@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from exact_mdp.mdp.lazy import later
+import flint
+
 from exact_mdp.mdp.numbers import fraction, rational
 
 if TYPE_CHECKING:
     from flint import fmpq
-
-flint = later("flint")
 
 
 @dataclass(frozen=True, kw_only=True)

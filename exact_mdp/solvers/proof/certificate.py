@@ -84,7 +84,6 @@ class Certificate(ExactClaims, Pictured):
     mdp: MDP | None = None
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
-    picture = "exact_mdp.analysis.plots.states:plot_solution"
 
     def __repr__(self) -> str:
         unique = "the only optimal policy" if self.unique else "not the only optimal policy"
@@ -252,7 +251,6 @@ class BoundedCertificate(BoundedClaims, Pictured):
     mdp: MDP | None = None
 
     claim: ClassVar[Claim] = Claim.BOUNDED
-    picture = "exact_mdp.analysis.plots.states:plot_solution"
 
     def __repr__(self) -> str:
         return f"BoundedCertificate({len(self.lower)} states, error ≤ {self.error_bound:.2g})"

@@ -24,20 +24,19 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import flint
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse import linalg
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, Numbers, magnitude, spans
 from exact_mdp.solvers.proof.linear import Equations
 
 if TYPE_CHECKING:
     from flint import fmpz, fmpz_mat
 
-flint = later("flint")
-linalg = later("scipy.sparse.linalg")
 
 STEPS = 100  # of policy iteration, before the exact ones
 PRECISE = 256  # bits of fixed-point values

@@ -28,13 +28,13 @@ from math import gcd, lcm
 from operator import mul
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import flint
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
-from exact_mdp.mdp.lazy import later, worth_compiling
-from exact_mdp.mdp.table import Floats, Integers, magnitude, spans
+from exact_mdp.mdp.table import COMPILED, Floats, Integers, magnitude, spans
 from exact_mdp.solvers.proof.cycle import CHUNK, LARGEST, Cycle, Product, RightSides, endless
 from exact_mdp.solvers.proof.equations import judged
 from exact_mdp.solvers.proof.margins import quotient
@@ -43,9 +43,6 @@ from exact_mdp.solvers.proof.stages import Kind, stages
 if TYPE_CHECKING:
     from flint import fmpz
 
-flint = later("flint")
-bellman = later("exact_mdp.solvers.kernels.bellman")
-compiling = later("exact_mdp.solvers.kernels.compiling")
 SHORT = 2**31  # numbers of which two products add up to a 64-bit integer
 NONE = np.iinfo(np.int64).max
 MANY = 32  # states with a choice from which on floats choose first
@@ -267,7 +264,7 @@ class _Solver:
         """Return the pairs that floats choose, by state; None where few have a choice."""
         rows = self.sides.rows
         choosing = states[np.diff(rows.pair_offsets)[states] > 1]
-        pays = len(choosing) >= MANY and worth_compiling(len(rows.next))
+        pays = len(choosing) >= MANY and len(rows.next) >= COMPILED
         if not (self._guessing and pays) or self._floats is None:
             return None
         about, (matrix, constant, pivot) = self._about, self._floats
@@ -279,6 +276,8 @@ class _Solver:
             below = self.denominator[self.group[state]]
             about[state] = quotient(int(self.value[state]), int(below))
         best = np.empty(len(about), dtype=np.int64)
+        from exact_mdp.solvers.kernels import bellman
+
         bellman.best_pairs(states, rows.pair_offsets, matrix, constant, pivot, about, best)
         self.best[choosing] = best[choosing]
         found: list[int] = best.tolist()
@@ -300,6 +299,8 @@ class _Solver:
             )
         except OverflowError:
             return None
+        from exact_mdp.solvers.kernels import compiling
+
         return compiling.Rows(rows.offsets, rows.next, weight), constant, pivot
 
     def _losses(self, choice: _Choice, number: Any, times: int) -> tuple[list[Any], int]:

@@ -30,20 +30,17 @@ from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
 from typing import TYPE_CHECKING, Any
 
+import flint
 import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later, worth_compiling
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import COMPILED, Integers, Numbers
 from exact_mdp.solvers.bounds.elimination import fill_order
 
 if TYPE_CHECKING:
     from flint import fmpz
 
-flint = later("flint")
-linear = later("exact_mdp.solvers.kernels.linear")
-modular = later("exact_mdp.solvers.kernels.modular")
 
 LARGEST_PRIME = 2**31 - 1
 PRIMES = 4  # tried before A is taken to be singular
@@ -82,7 +79,7 @@ class Equations:
         """
         found = None
         if len(self.pivot) > FEW:
-            most = THIN * len(self.row) if worth_compiling(len(self.row)) else SLOW
+            most = THIN * len(self.row) if len(self.row) >= COMPILED else SLOW
             found = self.eliminated(right, most) or self.lifting(right, below)
         return found or self.dense(right)
 
@@ -183,6 +180,8 @@ class Equations:
         indptr = np.searchsorted(row, np.arange(size + 1))
         pattern = _pattern(row, column, size)
         entries = len(pattern.column)
+        from exact_mdp.solvers.kernels import modular
+
         factors = modular.Factors(*(np.zeros(n, np.uint64) for n in (entries, entries, size)))
         residue, scratch = (entry % prime).astype(np.uint64), np.zeros(size, dtype=np.uint64)
         if modular.eliminate(indptr, column, residue, prime, pattern, factors, scratch) >= 0:
@@ -246,10 +245,14 @@ def _pattern(row: Integers, column: Integers, size: int) -> Any:
     ends = (np.maximum(row, column), np.minimum(row, column))
     below = sp.csr_array((np.ones(len(row), dtype=np.int8), ends), (size, size))
     parent, seen, count = np.empty((3, size), dtype=np.int64)
+    from exact_mdp.solvers.kernels import linear
+
     entries = linear.fill(below.indptr, below.indices, 2**62, np.inf, parent, seen, count) - size
     first = np.concatenate([[0], np.cumsum(count - 1)])
     found = np.empty(entries, dtype=np.int32)
     seen[:] = -1
+    from exact_mdp.solvers.kernels import modular
+
     modular.structure(below.indptr, below.indices, parent, seen, first[:-1].copy(), found)
     owner = np.repeat(np.arange(size, dtype=np.int32), np.diff(first))
     back = np.concatenate([[0], np.cumsum(np.bincount(found, minlength=size))])

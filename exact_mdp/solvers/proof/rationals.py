@@ -15,12 +15,10 @@ from math import gcd, lcm
 from numbers import Rational
 from typing import cast
 
+import flint
 import numpy as np
 
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Integers, Numbers
-
-flint = later("flint")
 
 SMALL = 512  # bits: products of primes that are longer do not pay
 

@@ -29,7 +29,6 @@ import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, Numbers, exact, shown
@@ -40,8 +39,6 @@ from exact_mdp.solvers.solver import mdp_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -127,6 +124,8 @@ class CVaROptimum(Result):
 
     def frame(self) -> DataFrame:
         """Return the distribution of the return."""
+        import pandas
+
         found = self.distribution()
         returns, probability = [*map(float, found)], [*map(float, found.values())]
         return pandas.DataFrame({"return": returns, "probability": probability})

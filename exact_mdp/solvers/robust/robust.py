@@ -21,7 +21,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.result import Result
@@ -37,7 +36,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 Nature = Literal["worst", "best"]
 Objective = Literal["max", "min"]
@@ -160,6 +158,8 @@ class RobustSolution(Result):
 
     def frame(self) -> DataFrame:
         """Return the value, its error bound and the action of each state."""
+        import pandas
+
         mdp, policy = self.mdp, self.policy
         states = [mdp.space.label(state) for state in range(mdp.n_states)]
         found = {"state": states, "value": self.value, "error": self.state_error}

@@ -24,11 +24,10 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import per_step
-from exact_mdp.mdp.lazy import COMPILED, asked, later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
@@ -43,7 +42,6 @@ from exact_mdp.solvers.values.visits import ever, pair_visits, steps, visits
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 UNKNOWN = Bounded(value=nan, error=inf)
@@ -83,7 +81,6 @@ class Evaluation(Pictured):
     settled: bool = True
 
     claim: ClassVar[Claim] = Claim.BOUNDED
-    picture = "exact_mdp.analysis.plots.states:plot_evaluation"
 
     @property
     def mdp(self) -> MDP:
@@ -118,6 +115,8 @@ class Evaluation(Pictured):
 
     def frame(self) -> DataFrame:
         """Return every number from the start with its error bound."""
+        import pandas
+
         rows = [(name, number.value, number.error) for name, number in self.numbers.items()]
         return pandas.DataFrame(rows, columns=["number", "value", "error"])
 
@@ -418,7 +417,6 @@ def evaluate(
 def evaluate(
     model: MDP | Scenario, policy: PolicyLike, *, kind: str = ..., criterion: Literal["average"]
 ) -> AverageEvaluation: ...
-@asked
 def evaluate(
     model: MDP | Scenario,
     policy: PolicyLike,

@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 
 from exact_mdp.mdp.chain import reachable
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.bounds.bounds import levels
@@ -21,8 +20,6 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.learning.sampler import Rows, as_policy
 from exact_mdp.solvers.values.evaluate import evaluate
-
-kernels = later("exact_mdp.solvers.kernels")
 
 
 def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
@@ -38,6 +35,8 @@ def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
     order = asked[np.argsort(level[asked], kind="stable")]
     matrix = mdp.transition
     value, size = np.empty(len(policies)), np.empty(len(policies))
+    from exact_mdp.solvers import kernels
+
     kernels.policy_values(
         order,
         rows.key,

@@ -23,15 +23,13 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+import tqdm
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats, Integers, Numbers, integers
 from exact_mdp.solvers.bounds.gains import TINY
 from exact_mdp.solvers.bounds.layers import layers, strong_components
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
-
-tqdm = later("tqdm")
 
 REMAINING = 1e-12
 # Of what may be left in a cycle anyway: without it, a slow one would drag long tails along.

@@ -27,7 +27,6 @@ import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
@@ -43,7 +42,6 @@ from exact_mdp.solvers.values.unending import parted
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 DENSE_RANGE = 10_000
 NEGLIGIBLE = 1e-280
@@ -80,8 +78,6 @@ class ReturnDistribution(Pictured):
     >>> found.mean, found.cdf(1), found.quantile(0.5)
     (1.25, 0.5, Fraction(1, 2))
     """
-
-    picture = "exact_mdp.analysis.plots.returns:plot_return_distribution"
 
     multiples: Numbers
     unit: Fraction
@@ -182,6 +178,8 @@ class ReturnDistribution(Pictured):
 
     def frame(self) -> DataFrame:
         """Return the probability of every return, infinite ones included, and its error bound."""
+        import pandas
+
         law = self.as_dict()
         errors: dict[Fraction | float, float] = {}
         errors |= zip(self.values, self.error.tolist(), strict=True)

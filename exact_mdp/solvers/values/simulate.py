@@ -14,11 +14,11 @@ from math import ceil, inf, log, log1p, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+import tqdm
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
@@ -35,8 +35,6 @@ from exact_mdp.solvers.values.unending import parted
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
-tqdm = later("tqdm")
 
 NEGLIGIBLE = 1e-12
 
@@ -82,7 +80,6 @@ class Simulation(Pictured):
     infinite_mean: float = 0.0
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
-    picture = "exact_mdp.analysis.plots.returns:plot_simulation"
 
     def __post_init__(self) -> None:
         self.returns.setflags(write=False)
@@ -139,6 +136,8 @@ class Simulation(Pictured):
 
     def frame(self) -> DataFrame:
         """Return the return and the steps of each episode."""
+        import pandas
+
         return pandas.DataFrame({"return": self.returns, "steps": self.steps})
 
     def __repr__(self) -> str:

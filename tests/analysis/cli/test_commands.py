@@ -15,7 +15,7 @@ from oracle import ACTIONS, END, Oracle, State, oracle_of
 
 from exact_mdp.mdp import Policy, Scenario
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.io.load import load_model
+from exact_mdp.mdp.io.load import load
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 COLUMN_TO_ROW = ("--set", "readings.influence_orientation=column-to-row")
@@ -50,7 +50,7 @@ def test_info_describes_the_care_model() -> None:
     }
     assert found.items() >= expected.items()
     assert found["action_names"] == list(ACTIONS)
-    assert found["model_hash"] == fingerprint(load_model("yuan2025"))
+    assert found["model_hash"] == fingerprint(load("yuan2025"))
 
 
 def test_info_names_a_policy_that_never_ends() -> None:
@@ -183,7 +183,7 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
     words = ("yuan2025", *COLUMN_TO_ROW)
     solved = run("solve", *words, "--policy-out", policy, "--out", arrays, "--json").result
     assert solved["written"] == [str(policy), str(arrays)]
-    mdp = load_model("yuan2025", sets=COLUMN_TO_ROW[1:])
+    mdp = load("yuan2025", sets=COLUMN_TO_ROW[1:])
     for path in (policy, arrays):
         found = run("evaluate", *words, path, "--json").result
         assert abs(found["mean"] - solved["start_value"]) <= (
@@ -291,8 +291,8 @@ def test_convert_keeps_the_model(tmp_path: Path) -> None:
     path = tmp_path / "tea.npz"
     found = run("convert", "tea", path, "--set", "max_trial=2", "--json").result
     assert found["written"] == str(path)
-    saved = load_model("tea", sets=["max_trial=2"])
-    assert fingerprint(load_model(path)) == fingerprint(saved)
+    saved = load("tea", sets=["max_trial=2"])
+    assert fingerprint(load(path)) == fingerprint(saved)
     first = run("solve", "tea", "--set", "max_trial=2", "--json", "--certify").result
     again = run("solve", path, "--json", "--certify").result
     for key in ("exact_start_value", "policy", "stationary", "unique"):

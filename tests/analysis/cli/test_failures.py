@@ -18,7 +18,7 @@ from cli_runner import PROGRAM, launch, run
 from click.testing import CliRunner
 
 from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.io.load import load_model, save_model
+from exact_mdp.mdp.io.load import load, save
 from exact_mdp.mdp.table import beside
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
@@ -285,7 +285,7 @@ def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "action.json").write_text(json.dumps(dict.fromkeys(STATUSES, "hug")), "utf-8")
     (tmp_path / "status.json").write_text('{"00000": "none"}', "utf-8")
     (tmp_path / "unknown.xyz").write_text("", "utf-8")
-    save_model(load_model("yuan2025"), tmp_path / "whole.npz")
+    save(load("yuan2025"), tmp_path / "whole.npz")
     content = (tmp_path / "whole.npz").read_bytes()
     (tmp_path / "truncated.npz").write_bytes(content[: len(content) // 2])
     (tmp_path / "truncated.json").write_text('{"format": "exact-mdp certificate",', "utf-8")

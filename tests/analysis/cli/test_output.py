@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from exact_mdp.analysis.cli import COMMANDS
 from exact_mdp.analysis.cli.render import at_most, decimal, digits_of, number, ratio, to_json
 from exact_mdp.mdp import MDP
-from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.io.load import save
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -54,7 +54,7 @@ def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
     names = ["[bold]no markup[/bold]", "Zustand β :smile:"]
     mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0], states=names, actions=["[red]go"])
     path = tmp_path / "model.npz"
-    save_model(mdp, path)
+    save(mdp, path)
     found = run("solve", path, "--json").result
     assert found["policy_by_state"] == dict.fromkeys(names, "[red]go")
     assert all(name in run("solve", path).out for name in [*names, "[red]go"])
@@ -65,7 +65,7 @@ def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
 
 def test_states_of_the_same_name_are_told_apart(tmp_path: Path) -> None:
     mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0], states=["x", "x"])
-    save_model(mdp, tmp_path / "model.npz")
+    save(mdp, tmp_path / "model.npz")
     found = run("solve", tmp_path / "model.npz", "--json").result
     assert list(found["policy_by_state"]) == ["x (state 0)", "x (state 1)"]
 

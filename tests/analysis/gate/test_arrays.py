@@ -12,7 +12,7 @@ from cli_runner import run
 
 from exact_mdp.analysis import assert_policy_optimal, check
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.io.load import save
 from exact_mdp.solvers import certify, evaluate, solve
 from exact_mdp.solvers.values.returns import return_distribution
 from exact_mdp.solvers.values.simulate import simulate
@@ -38,7 +38,7 @@ def test_an_array_that_fits_both_readings_is_refused_everywhere(mdp: MDP, tmp_pa
     table = whole(BOTH)
     np.save(tmp_path / "q.npy", table)
     np.savez(tmp_path / "q.npz", q=table)
-    save_model(mdp, tmp_path / "m.npz")
+    save(mdp, tmp_path / "m.npz")
     forms: list[Any] = [table, table.tolist(), tmp_path / "q.npy", str(tmp_path / "q.npz")]
     for form in forms:
         for reader in (
@@ -108,7 +108,7 @@ def test_rows_that_say_nothing_are_refused_by_state(
     mdp: MDP, number: float, tmp_path: Path
 ) -> None:
     """NaN or +inf on an action offered, or -inf on all of them, chooses nothing."""
-    save_model(mdp, tmp_path / "m.npz")
+    save(mdp, tmp_path / "m.npz")
     for row in ([number, 1], [-np.inf, -np.inf], [number, number]):
         table = whole([[3.0, 1], row])
         np.save(tmp_path / "q.npy", table)

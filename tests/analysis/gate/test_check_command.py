@@ -16,7 +16,7 @@ from exact_mdp.analysis import assert_policy_optimal, best_policy, check
 from exact_mdp.analysis.cli import main
 from exact_mdp.analysis.gate.junit import Case, junit, write_junit
 from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.io.load import save
 from exact_mdp.solvers import solve
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.schedules import Constant
@@ -139,7 +139,7 @@ def test_text_for_people(mdp: MDP, tmp_path: Path) -> None:
 
 
 def test_models_that_are_no_scenarios(tmp_path: Path) -> None:
-    save_model(forest("24/25"), tmp_path / "forest.npz")
+    save(forest("24/25"), tmp_path / "forest.npz")
     np.save(tmp_path / "q.npy", np.array([[1.0, 0], [0, 1], [0, 1]]) * 11.2)
     done = run("check", tmp_path / "forest.npz", tmp_path / "q.npy", "--json")
     assert done.status == 1

@@ -18,7 +18,7 @@ from exact_mdp.analysis.layout import arrange, symbols
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import render
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.io.load import save
 
 NASTY = [
     "<script>alert(1)</script>", "$x^$", "::error::x", "##[add-mask]x", "a | b", "`|` *b* _c_",
@@ -51,7 +51,7 @@ class Seen(HTMLParser):
 
 @pytest.fixture
 def nasty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    save_model(corridor(NASTY), tmp_path / "m.npz")
+    save(corridor(NASTY), tmp_path / "m.npz")
     np.save(tmp_path / "lazy.npy", np.ones(len(NASTY), dtype=int) * ([1] * 8 + [0]))
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -99,7 +99,7 @@ def test_a_policy_that_never_ends_is_shown_with_its_infinite_loss(tmp_path: Path
     stays = MDP.from_outcomes(
         [(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, -3)]), (1, 0, [(1, 1, 0)])], discount=1
     )
-    save_model(stays, tmp_path / "m.npz")
+    save(stays, tmp_path / "m.npz")
     (tmp_path / "p.csv").write_text("state,action\n0,0\n1,0\n")
     done = run(
         "check", tmp_path / "m.npz", tmp_path / "p.csv", "--html", tmp_path / "p.html", "--json"

@@ -19,7 +19,7 @@ from exact_mdp.analysis.gate import regret as regret_module
 from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.forgiveness import of_floats
 from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.io.load import save
 from exact_mdp.solvers import Bounded, Certified, Claim
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -472,7 +472,7 @@ def test_limits_that_are_none_are_refused(limit: object, tmp_path: Path) -> None
         with pytest.raises(ModelError) as error:
             check(choice(1, 0), [0, 0], **{name: limit})
         assert error.value.where == name
-        save_model(choice(1, 0), tmp_path / "m.npz")
+        save(choice(1, 0), tmp_path / "m.npz")
         option = f"--{name.replace('_', '-')}={limit}"
         done = run("check", tmp_path / "m.npz", "always:0", option)
         assert (done.status, done.out) == (2, "")
@@ -489,7 +489,7 @@ def test_a_relative_regret_of_nothing_is_undefined(
         assert (audit.passed, audit.relative_regret) == (False, None)
         assert "undefined" in audit.message()
     assert check(mdp, [0, 0], max_regret=0).passed
-    save_model(mdp, tmp_path / "m.npz")
+    save(mdp, tmp_path / "m.npz")
     np.save(tmp_path / "q.npy", [[2.0, 0.0], [0.0, 0.0]])
     done = run("check", tmp_path / "m.npz", tmp_path / "q.npy", "--json")
     assert (done.status, done.result["relative_regret"]) == (0, None)
@@ -563,7 +563,7 @@ def test_the_command_line_gives_the_verdict(
     tmp_path: Path, words: tuple[str, ...], policy: str
 ) -> None:
     """`check` ends with 0 or 1, the regret in full, and strict JSON."""
-    save_model(loop(), tmp_path / "model.npz")
+    save(loop(), tmp_path / "model.npz")
     (tmp_path / "p.json").write_text('{"0": "0", "1": "0"}')
     named = tmp_path / policy if policy.endswith("json") else policy
     asked = ["check", tmp_path / "model.npz", named, *words, "--json"]

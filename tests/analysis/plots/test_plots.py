@@ -38,7 +38,7 @@ from exact_mdp.mdp.care.perception import independent
 from exact_mdp.mdp.parametric import parametric
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 
 mpl.use("Agg")
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
@@ -166,7 +166,7 @@ def care() -> MDP:
 
 @pytest.fixture(scope="module")
 def found(care: MDP) -> Outcomes:
-    return outcomes(care, train_many(care, LEARNER, 12, rng=0))
+    return outcomes(care, train(care, LEARNER, 12, rng=0))
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from random_models import dense
 
 from exact_mdp import MDP, Scenario, certify, check, evaluate, solve
-from exact_mdp.analysis import compare, dot, value_function
+from exact_mdp.analysis import compare, curve, dot
 from exact_mdp.analysis.gate.cells import cells
 from exact_mdp.analysis.layout import arrange
 from exact_mdp.analysis.plots import (
@@ -309,7 +309,7 @@ def test_bounds_of_a_large_comparison_hold() -> None:
 
 def test_a_value_function_is_drawn_by_its_exact_values() -> None:
     mdp = forest("24/25")
-    found = value_function(mdp, "discount", ("1/2", "9/10"), policy=[0, 1, 1])
+    found = curve(mdp, "discount", ("1/2", "9/10"), policy=[0, 1, 1])
     ax = found.plot(n=5)
     for line in ax.lines:
         fixed = line.get_linestyle() == "--"
@@ -320,7 +320,7 @@ def test_a_value_function_is_drawn_by_its_exact_values() -> None:
     assert [line.get_linestyle() for line in ax.lines].count(":") == len(found.pieces) - 1
     assert "certified" in ax.get_ylabel()
     assert ax.get_legend().get_texts()[-1].get_text() == "today: 0.96, outside"
-    inside = value_function(forest("4/5"), "discount", ("1/2", "9/10")).plot()
+    inside = curve(forest("4/5"), "discount", ("1/2", "9/10")).plot()
     assert inside.lines[-1].get_xdata()[0] == 0.8
 
 

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp.analysis import explore
-from exact_mdp.analysis.sensitivity import gradient, thresholds, value_function
+from exact_mdp.analysis.sensitivity import curve, gradient, thresholds
 from exact_mdp.analysis.sensitivity.curves import checker, gap_polynomials, signs
 from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.curves.signs import nonnegative, positive
@@ -52,7 +52,7 @@ def agrees(found: ValueFunction, family: Parametric, at: Fraction, policy: objec
 def test_puterman_in_closed_form() -> None:
     # Puterman (1994), section 3.1; QuantEcon.py, quantecon/markov/tests/test_ddp.py
     rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
-    found = value_function(MDP.from_outcomes(rows, "1/2"), "discount", (0, "99/100"))
+    found = curve(MDP.from_outcomes(rows, "1/2"), "discount", (0, "99/100"))
     low, high = found.pieces
     assert (low.value.numerator, low.value.denominator) == ((10, -11), (1, -1))
     assert (high.value.numerator, high.value.denominator) == (
@@ -88,7 +88,7 @@ def test_random_models_with_cycles(
     family = moving(mdp, {"p": [(0, 1)]}, gains)
     if name not in [parameter.name for parameter in family.parameters]:
         return
-    found = value_function(family, name, policy="random")
+    found = curve(family, name, policy="random")
     assert found.violations() == []
     span = found.range
     agrees(found, family, span.low + (span.high - span.low) * place, "random")
@@ -110,17 +110,17 @@ def test_the_limit_that_was_hit_is_named(
 ) -> None:
     rows = [(s, a, [("1/2", 0, 1), ("1/2", 1, a)]) for s in (0, 1) for a in (0, 1)]
     family = moving(MDP.from_outcomes(rows, "9/10"), {"p": [(0, 1)]}, {"gain": 1})
-    assert value_function(family, name).pieces
+    assert curve(family, name).pieces
     monkeypatch.setattr(gap_polynomials, limit, most)
     with pytest.raises(ModelError, match=message):
-        value_function(family, name)
+        curve(family, name)
 
 
 @pytest.mark.parametrize("name", ["base.anxiety", "reward.assist.prompt", "discount"])
 def test_scenarios(name: str) -> None:
     family = parametric(SMALL)
     span = (F(1, 10), F(9, 10)) if name != "reward.assist.prompt" else (-6, 1)
-    found = value_function(SMALL, name, span, policy="always:prompt")
+    found = curve(SMALL, name, span, policy="always:prompt")
     crossed = [t for t in thresholds(SMALL, name, span).found if not t.touch]
     ends = {(t.low, t.high) for t in crossed}
     assert ends <= {piece.high for piece in found.pieces[:-1]}
@@ -142,7 +142,7 @@ def broken(found: ValueFunction, piece: int, **changes: object) -> list[str]:
 
 def test_what_is_false_between_breakpoints_is_found() -> None:
     """Each claim is changed alone; samples at ends and in the middle would see few of these."""
-    found = value_function(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
+    found = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
     assert found.violations() == []
     low, high = found.pieces
     wider = (low.high[0] + F(1, 10**9), low.high[1] + F(1, 10**9))
@@ -160,7 +160,7 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
 
 def test_nothing_is_claimed_in_an_open_bracket() -> None:
     """Policies are proven between brackets: one that is wide, and not checked, proves nothing."""
-    found = value_function(PUTERMAN, "discount", (0, "99/100"))
+    found = curve(PUTERMAN, "discount", (0, "99/100"))
     low, high = found.pieces
     whole = replace(low, high=(found.range.low, found.range.high))
     assert "no piece covers" in replace(found, pieces=(whole,)).violations()[0]
@@ -240,7 +240,7 @@ def test_where_a_policy_keeps_a_limit(
         for s, each in enumerate(weights)
     ]
     mdp = MDP.from_outcomes(rows, discount="1/2", sense=sense)
-    found = value_function(mdp, "discount", (0, "19/20"), policy=[0, 0, 0])
+    found = curve(mdp, "discount", (0, "19/20"), policy=[0, 0, 0])
     kept = found.within(**{"max_relative_regret" if relative else "max_regret": limit})
     tests = [F(19 * k, 20 * 24) for k in range(25)]
     tests += [e for each in kept for e in (*each.low, *each.high)]
@@ -257,10 +257,10 @@ def test_where_a_policy_keeps_a_limit(
 
 
 def test_limits_that_say_nothing_are_refused() -> None:
-    found = value_function(PUTERMAN, "discount", (0, "99/100"))
+    found = curve(PUTERMAN, "discount", (0, "99/100"))
     with pytest.raises(ModelError, match="no policy"):
         found.within(1)
-    held = value_function(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
+    held = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
     with pytest.raises(ModelError, match="two limits"):
         held.within(1, 1)
     with pytest.raises(ModelError, match="0 or more"):
@@ -284,7 +284,7 @@ def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
     words = ("sensitivity", "tea", "curve", "--set", "tasks=[1]", "--set", "max_trial=2")
     asked = (*words, "--parameter", "base.anxiety", "--max-relative-regret", "1/100", "--json")
     result = run(*asked, "--policy", "always:prompt").result
-    found = value_function(SMALL, "base.anxiety", policy="always:prompt")
+    found = curve(SMALL, "base.anxiety", policy="always:prompt")
     kept = found.within(max_relative_regret="1/100")
     brackets = [(*each["from_bracket"], *each["to_bracket"]) for each in result["within"]]
     assert [tuple(map(F, each)) for each in brackets] == [(*e.low, *e.high) for e in kept]
@@ -308,7 +308,7 @@ def test_a_table_is_followed_where_nothing_is_earned_today(sense: str) -> None:
 
     family = Family(parameters=(parameter,), build=build)
     table = np.array([[0.0, 2.0], [1.0, 3.0], [0.0, 0.0]]) * (1 if sense == "max" else -1)
-    found = value_function(family, "t", (-1, 1), policy=table)
+    found = curve(family, "t", (-1, 1), policy=table)
     for t in (F(-1), F(-1, 2), F(0), F(1)):
         assert found.fixed_at(t) == t  # action 1 in state 0, and nothing after that
     [kept] = found.within(0)  # what it earns in state 0 has to be good, and in state 1 to be bad
@@ -323,12 +323,12 @@ def test_a_policy_that_is_silent_where_it_matters_elsewhere_is_refused() -> None
         build=lambda at: MDP.from_outcomes([(0, 0, [(1, 0, at["t"])]), (0, 1, [(1, 0, 0)])], "1/2"),
     )
     for policy in ([[1.0, 2.0]], [1], {0: 1}, [[0.0, 1.0]]):
-        found = value_function(family, "t", (-1, 1), policy=policy)
+        found = curve(family, "t", (-1, 1), policy=policy)
         assert (found.fixed_at(-1), found.fixed_at(1)) == (0, 0)
         assert found.within(0)[0].low[0] == -1
         assert found.within(0)[-1].high[1] == pytest.approx(0)
     with pytest.raises(ModelError, match="says nothing of a state"):
-        value_function(family, "t", (-1, 1), policy=lambda state: 1)
+        curve(family, "t", (-1, 1), policy=lambda state: 1)
 
 
 # ---- discount 1, where some policy never ends ----------------------------------------------------
@@ -338,7 +338,7 @@ WAIT = MDP.from_outcomes(
 )
 
 
-@pytest.mark.parametrize("engine", [thresholds, value_function, explore])
+@pytest.mark.parametrize("engine", [thresholds, curve, explore])
 def test_where_some_policy_never_ends_curves_are_refused(engine: Callable[..., object]) -> None:
     with pytest.raises(ModelError, match="some policy never ends") as refused:
         engine(WAIT, "reward.5")
@@ -372,14 +372,14 @@ def test_a_policy_that_never_ends_at_one_value_alone_is_found() -> None:
         (lambda x: 1 - (2 * x - 1) ** 2, (F(1, 8), F(3, 4)), (F(1, 8), F(3, 8))),
     ):
         with pytest.raises(ModelError, match="some policy never ends"):
-            value_function(family(stays), "x", wrong)
-        found = value_function(family(stays), "x", right)
+            curve(family(stays), "x", wrong)
+        found = curve(family(stays), "x", right)
         assert found.at("1/4") == 1 / (1 - stays(F(1, 4)))
         assert found.violations() == []
 
 
 def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -> None:
-    for engine in (thresholds, value_function):
+    for engine in (thresholds, curve):
         assert engine(WAIT, "discount").range.high < 1
     thirds = [0.1, 0.2, 0.3]
     row = [(p, to, 0.0) for to, p in enumerate([*thirds, 1 - sum(thirds)])]
@@ -388,6 +388,6 @@ def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -
     floats = MDP.from_outcomes(
         [(0, 0, row), *ends[:1], (2, 0, rest), (2, 1, [(1, 2, 0)]), *ends[1:]]
     )
-    curve = value_function(floats, "discount")
-    assert curve.violations() == []
-    assert curve.at("1/2") == certify(floats.with_(discount="1/2")).start_value
+    by_discount = curve(floats, "discount")
+    assert by_discount.violations() == []
+    assert by_discount.at("1/2") == certify(floats.with_(discount="1/2")).start_value

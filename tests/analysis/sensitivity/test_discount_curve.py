@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from strategies import Rows, models
 
 from exact_mdp import evaluate, solve
-from exact_mdp.analysis.sensitivity import value_function
+from exact_mdp.analysis.sensitivity import curve
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots
 from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.numbers import rational
@@ -27,13 +27,13 @@ ROWS = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1
 
 
 def test_the_curve_of_a_discount_goes_up_to_1() -> None:
-    found = value_function(MDP.from_outcomes(ROWS, "1/2"), "discount")
+    found = curve(MDP.from_outcomes(ROWS, "1/2"), "discount")
     assert found.at("999/1000") == (5 - F(11, 2) * F(999, 1000)) / ((1 - F(999, 2000)) * F(1, 1000))
     assert found.violations() == []
 
 
 def test_the_curve_covers_all_that_a_parameter_may_be() -> None:
-    found = value_function(Scenario.load("tea").with_(tasks=[1], max_trial=2), "base.anxiety")
+    found = curve(Scenario.load("tea").with_(tasks=[1], max_trial=2), "base.anxiety")
     assert (found.range.low, found.range.high) == (0, 1)
     assert found.violations() == []
     assert found.at(0) != found.at(1)
@@ -52,7 +52,7 @@ def test_the_command(tmp_path: object) -> None:
     top = sum(F(c) * at**k for k, c in enumerate(first["numerator"]))
     below = sum(F(c) * at**k for k, c in enumerate(first["denominator"]))
     scenario = Scenario.load("tea").with_(tasks=[1], max_trial=2)
-    assert top / below == value_function(scenario, "base.anxiety").at(at)
+    assert top / below == curve(scenario, "base.anxiety").at(at)
     mdp = scenario.with_(parameters={"base.anxiety": at}).compile()
     assert evaluate(mdp, first["policy"]).mean == pytest.approx(float(top / below))
     far = run(*words, "--parameter", "discount", "--json").result["pieces"][-1]
@@ -74,7 +74,7 @@ def test_one_parameter_is_named(more: tuple[str, ...]) -> None:
 def test_the_last_piece_has_the_best_gain_and_of_these_the_best_bias(rows: Rows) -> None:
     """V = g / (1 - γ) + h + …: its first two terms (Puterman 1994, theorem 10.1.5)."""
     mdp = rows.model()
-    optimal = value_function(mdp, "discount").pieces[-1].optimal
+    optimal = curve(mdp, "discount").pieces[-1].optimal
     pairs = [next(p for p in mdp.pairs_of(s) if optimal[p]) for s in range(mdp.n_states)]
     actions = mdp.pair_action[pairs].tolist()
     chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(actions)]
@@ -89,17 +89,17 @@ def test_howards_taxicab_at_every_discount() -> None:
     """Howard (1960), chapter 4: the stand in every town, at discount 1 and at those near to it."""
     case = BY_NAME["howard-taxicab"]
     mdp = Rows(n_states=3, pairs=case.pairs, discount=case.discount).model()
-    curve = value_function(mdp, "discount")
-    assert curve.violations() == []
-    assert curve.pieces[-1].optimal[[mdp.pair(s, 1) for s in range(3)]].all()
-    last = curve.pieces[-1].value
+    by_discount = curve(mdp, "discount")
+    assert by_discount.violations() == []
+    assert by_discount.pieces[-1].optimal[[mdp.pair(s, 1) for s in range(3)]].all()
+    last = by_discount.pieces[-1].value
     gain = sum(c for c in last.numerator) / -sum(k * c for k, c in enumerate(last.denominator))
     assert gain == certify(mdp, criterion="average").gain[0]  # the residue at 1
 
 
 def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
     # pymdptoolbox src/tests/test_PolicyIteration.py: values at 0.9 and 0.96, never cut
-    found = value_function(forest("1/2"), "discount", (0, "99/100"))
+    found = curve(forest("1/2"), "discount", (0, "99/100"))
     assert (found.at("9/10"), found.at("24/25")) == (F("26.244"), F("74.6496"))
     assert found.violations() == []
     last, before = found.pieces[-1], found.pieces[-2]

@@ -20,7 +20,7 @@ from exact_mdp.analysis.pages.explorer import Explorer, explore
 from exact_mdp.analysis.sensitivity import gradient
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io.load import save_model
+from exact_mdp.mdp.io.load import save
 from exact_mdp.mdp.parametric import moving, parametric
 from exact_mdp.solvers import certify
 
@@ -133,7 +133,7 @@ def cliff(names: list[str]) -> MDP:
 
 def test_names_are_text(tmp_path: Path) -> None:
     model, html = tmp_path / "m.npz", tmp_path / "p.html"
-    save_model(cliff(NASTY), model)
+    save(cliff(NASTY), model)
     done = run("explore", model, "--parameter", "discount", "--html", html, "--json")
     assert done.result["written"] == str(html)
     page = html.read_text(encoding="utf-8")

@@ -21,7 +21,7 @@ from exact_mdp.mdp.care.perception import read_counts
 from exact_mdp.mdp.io import npz, umb
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomically
-from exact_mdp.mdp.io.load import load
+from exact_mdp.mdp.io.load import read_model
 from exact_mdp.paper_repro.agents import recording
 from exact_mdp.solvers import Certificate
 from exact_mdp.solvers.parallel import read_piece
@@ -35,9 +35,9 @@ READERS: dict[str, Callable[[Path], object]] = {
     "bytes": read_bytes,
     "model.npz": npz.load,
     "model.umb": umb.load,
-    "load.npz": load,
-    "load.umb": load,
-    "load.toml": load,
+    "load.npz": read_model,
+    "load.umb": read_model,
+    "load.toml": read_model,
     "scenario.toml": Scenario.load,
     "policy.csv": lambda path: Policy.read(path, MODEL),
     "policy.json": lambda path: Policy.read(path, MODEL),

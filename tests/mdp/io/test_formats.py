@@ -21,7 +21,7 @@ from saved_models import MODELS
 from exact_mdp.analysis.cli import cli
 from exact_mdp.mdp import MDP, Column, ModelError, StateSpace
 from exact_mdp.mdp.io import umb
-from exact_mdp.mdp.io.load import load, load_model, save_model
+from exact_mdp.mdp.io.load import load, read_model, save
 from exact_mdp.mdp.table import OutcomeTable
 
 FORMATS = ("npz", "umb")
@@ -61,16 +61,16 @@ def assert_whole(ours: MDP, theirs: MDP) -> None:
 def test_every_field_comes_back(tmp_path: Path, name: str, ending: str) -> None:
     """No format drops anything of a model, the discount of a .umb file least of all."""
     path = tmp_path / f"m.{ending}"
-    save_model(MODELS[name], path)
+    save(MODELS[name], path)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        again = load_model(path)
+        again = load(path)
     assert_whole(MODELS[name], again)
     if ending == "npz":
         assert_same(MODELS[name], again)
     first = path.read_bytes()
-    save_model(MODELS[name], path)
+    save(MODELS[name], path)
     assert path.read_bytes() == first
 
 
@@ -81,8 +81,8 @@ def test_there_and_back_on_the_command_line(tmp_path: Path) -> None:
     for words in (["yuan2025", first, *small], [first, second], [second, third]):
         done = CliRunner().invoke(cli, ["convert", *words], standalone_mode=False)
         assert done.exception is None, done.output
-    assert load_model(second).discount_exact == Fraction(19, 20)
-    assert_whole(load_model(first), load_model(third))
+    assert load(second).discount_exact == Fraction(19, 20)
+    assert_whole(load(first), load(third))
 
 
 @settings(max_examples=40, deadline=None)
@@ -92,8 +92,8 @@ def test_any_model_comes_back(
 ) -> None:
     """Exact numbers, floats, mixtures, denormal numbers and -0 beside 0 all survive."""
     path = tmp_path_factory.mktemp("formats") / f"m.{ending}"
-    save_model(mdp, path)
-    assert_whole(mdp, load_model(path))
+    save(mdp, path)
+    assert_whole(mdp, load(path))
 
 
 def test_denormal_rewards_are_no_contradiction(tmp_path: Path) -> None:
@@ -120,8 +120,8 @@ def test_minus_zero_beside_zero(tmp_path: Path) -> None:
         events=("fall",), discount_exact=Fraction(1, 2),
     )  # fmt: skip
     for ending in FORMATS:
-        save_model(mdp, tmp_path / f"m.{ending}")
-        assert_whole(mdp, load_model(tmp_path / f"m.{ending}"))
+        save(mdp, tmp_path / f"m.{ending}")
+        assert_whole(mdp, load(tmp_path / f"m.{ending}"))
 
 
 def test_names_of_500_characters(tmp_path: Path) -> None:
@@ -133,8 +133,8 @@ def test_names_of_500_characters(tmp_path: Path) -> None:
         component_names=(long, long + "2"), components=parts, name=long,
     )  # fmt: skip
     for ending in FORMATS:
-        save_model(mdp, tmp_path / f"m.{ending}")
-        assert_whole(mdp, load_model(tmp_path / f"m.{ending}"))
+        save(mdp, tmp_path / f"m.{ending}")
+        assert_whole(mdp, load(tmp_path / f"m.{ending}"))
 
 
 def test_columns_of_one_name(tmp_path: Path) -> None:
@@ -150,10 +150,10 @@ def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
     content = foreign_umb([[[(0, 1.0)]]], {"reward": {"choices": [1.0]}})
     path = written(content, tmp_path)
     with pytest.warns(UserWarning, match="no discount, and 1 is used"):
-        assert load(path).mdp.discount_exact == 1
+        assert read_model(path).mdp.discount_exact == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert load(path, discount="1/2").mdp.discount_exact == Fraction(1, 2)
+        assert read_model(path, discount="1/2").mdp.discount_exact == Fraction(1, 2)
 
 
 def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_another_reward_of_our_own_file(tmp_path: Path) -> None:
     """A component is read as a model of its own, with the discount and the names of the whole."""
     mdp = MODELS["care"].with_(discount="9/10")
     umb.save(mdp, tmp_path / "m.umb")
-    again = load(f"{tmp_path}/m.umb#anger").mdp
+    again = read_model(f"{tmp_path}/m.umb#anger").mdp
     assert (again.discount_exact, again.space, again.events) == (
         mdp.discount_exact, mdp.space, mdp.events,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exact_mdp.mdp import MDP, ModelError, Policy, ShapeError
-from exact_mdp.mdp.io.load import load
+from exact_mdp.mdp.io.load import read_model
 from exact_mdp.mdp.lazy import later
 from exact_mdp.solvers import certify, evaluate, solve
 
@@ -122,7 +122,7 @@ def test_wrapped_environments_and_ids_are_the_same() -> None:
     assert models[0].transition.toarray().tolist() == models[1].transition.toarray().tolist()
     slippery = MDP.from_gymnasium("FrozenLake-v1", 0.9)
     assert slippery.n_transitions > models[0].n_transitions
-    assert load("gymnasium:FrozenLake-v1", discount="0.9").mdp.reward.tolist() == (
+    assert read_model("gymnasium:FrozenLake-v1", discount="0.9").mdp.reward.tolist() == (
         slippery.reward.tolist()
     )
 
@@ -335,9 +335,9 @@ def test_an_environment_of_ones_own_module(tmp_path: Path, monkeypatch: pytest.M
         'gymnasium.register("Walk-v0", entry_point="my_walk:Walk")\n'
     )
     with pytest.raises(ModelError, match=r"no module my_walk(.|\n)*PYTHONPATH"):
-        load("gymnasium:my_walk:Walk-v0")
+        read_model("gymnasium:my_walk:Walk-v0")
     monkeypatch.syspath_prepend(tmp_path)
-    mdp = load("gymnasium:my_walk:Walk-v0", discount="1/2").mdp
+    mdp = read_model("gymnasium:my_walk:Walk-v0", discount="1/2").mdp
     assert (mdp.reward.tolist(), mdp.space.extra) == ([-1, 5, 9, 0], ("end",))
 
 
@@ -411,7 +411,7 @@ def test_tables_that_are_no_model(table: Any, start: Any, message: str) -> None:
 )
 def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
     with pytest.raises(ModelError) as caught:
-        load(f"gymnasium:{name}")
+        read_model(f"gymnasium:{name}")
     assert what in caught.value.what
     assert fix in caught.value.fix
     assert "Blackjack" not in caught.value.fix

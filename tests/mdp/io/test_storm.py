@@ -18,7 +18,7 @@ from oracle import Oracle
 from exact_mdp import certify
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.io import umb
-from exact_mdp.mdp.io.load import load_model
+from exact_mdp.mdp.io.load import load
 
 pytestmark = [pytest.mark.bench, pytest.mark.storm]
 
@@ -111,7 +111,7 @@ def test_a_program_becomes_an_exact_model(stormpy: Any, tmp_path: Path) -> None:
     """Rationals, rewards of states and choices, actions, labels, and names by variables."""
     (tmp_path / "walk.prism").write_text(PRISM, encoding="utf-8")
     with pytest.warns(UserWarning, match="are added up"):
-        mdp = load_model(tmp_path / "walk.prism")
+        mdp = load(tmp_path / "walk.prism")
     assert (mdp.name, mdp.discount_exact, sorted(mdp.actions)) == (
         "walk",
         1,
@@ -148,12 +148,12 @@ def test_a_program_becomes_an_exact_model(stormpy: Any, tmp_path: Path) -> None:
 def test_programs_that_are_refused(stormpy: Any, tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "m.prism").write_text(text, encoding="utf-8")
     with pytest.raises(ModelError, match=said):
-        load_model(tmp_path / "m.prism")
+        load(tmp_path / "m.prism")
 
 
 def test_a_chain_without_names_of_actions(stormpy: Any, tmp_path: Path) -> None:
     (tmp_path / "c.prism").write_text(CHAIN, encoding="utf-8")
-    mdp = load_model(tmp_path / "c.prism", discount="1/2")
+    mdp = load(tmp_path / "c.prism", discount="1/2")
     assert (mdp.n_pairs, mdp.actions) == (3, ("0",))
     assert certify(mdp).start_value == 5
 

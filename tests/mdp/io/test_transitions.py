@@ -18,7 +18,7 @@ from pyarrow import parquet
 from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io import transitions
-from exact_mdp.mdp.io.load import load_model, save_model
+from exact_mdp.mdp.io.load import load, save
 from exact_mdp.solvers import certify
 
 NAMES = list(transitions.COLUMNS)
@@ -90,8 +90,8 @@ def test_a_file_gives_the_same_model_and_keeps_its_decimals(tmp_path: Path) -> N
     assert {row[2] for row in written.table.row(home[0])} == {F(1, 10)}
     assert {row[2] for row in held.table.row(home[1])} == {F(0.1)}
     assert written.observations.tolist() == held.observations.tolist()  # type: ignore[union-attr]
-    save_model(written, tmp_path / "model.npz")
-    again = load_model(tmp_path / "model.npz")
+    save(written, tmp_path / "model.npz")
+    again = load(tmp_path / "model.npz")
     assert (again.counts != written.counts).nnz == 0
     assert fingerprint(again) == fingerprint(written)
     table(rows).to_parquet(tmp_path / "log.parquet")
@@ -322,7 +322,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert told["written"] == str(tmp_path / "m.npz")
     assert told["rare"] == [{"state": "state a", "action": "y", "observations": 1}]
     assert told["ends"] == ["state b"]
-    mdp = load_model(tmp_path / "m.npz")
+    mdp = load(tmp_path / "m.npz")
     assert mdp.counts is not None
     assert mdp.episodes == 8
     assert mdp.counts.toarray().tolist() == [[0, 7], [1, 0], [0, 0]]
@@ -420,12 +420,12 @@ def test_where_episodes_were_cut_off_is_no_end(
     assert (told["cut_off"], told["n_never_taken"]) == (5, 2)
     assert told["cut_off_states"] == ["state trap", "cut off"]
     assert told["never_taken"] == ["state b: x", "state new: y"]
-    assert load_model(model).labels["cut off"].sum() == 2
+    assert load(model).labels["cut off"].sum() == 2
     plain = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2")
     assert "no medical advice" in plain.out
     assert "nobody knows what follows where episodes were cut off" in plain.err
-    save_model(found[0], tmp_path / "m.umb")
-    assert load_model(tmp_path / "m.umb").labels["cut off"].sum() == 2
+    save(found[0], tmp_path / "m.umb")
+    assert load(tmp_path / "m.umb").labels["cut off"].sum() == 2
 
 
 @pytest.mark.parametrize(

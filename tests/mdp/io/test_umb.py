@@ -22,7 +22,7 @@ from saved_models import MODELS
 from exact_mdp import certify
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.io import umb, umb_read
-from exact_mdp.mdp.io.load import load
+from exact_mdp.mdp.io.load import read_model
 from exact_mdp.mdp.lazy import later
 
 F = Fraction
@@ -126,9 +126,9 @@ def test_a_reward_model_is_chosen_by_name(tmp_path: Path) -> None:
     path = written_with_two_rewards(tmp_path)
     for name, value in (("time", 1), ("cost", 7), ("a long name", 7)):
         assert umb.load(path, discount=1, reward=name).reward[0] == value
-        assert load(f"{path}#{name}", discount=1).mdp.reward[0] == value
+        assert read_model(f"{path}#{name}", discount=1).mdp.reward[0] == value
     with pytest.raises(ModelError, match=r"no reward model 'tim'(.|\n)*did you mean time"):
-        load(f"{path}#tim", discount=1)
+        read_model(f"{path}#tim", discount=1)
 
 
 def test_several_reward_models_and_none(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.sampler import rows_of
 from exact_mdp.solvers.learning.schedules import Exponential
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 
 SHORT = QLearning(epochs=150)
 
@@ -26,7 +26,7 @@ def care() -> MDP:
 
 @pytest.fixture(scope="module")
 def runs(care: MDP) -> list[TrainingRun]:
-    return train_many(care, SHORT, 24, rng=3, n_jobs=2)
+    return train(care, SHORT, 24, rng=3, n_jobs=2)
 
 
 # ---- outcomes ------------------------------------------------------------------------------------
@@ -77,7 +77,7 @@ def test_an_optimal_policy_has_no_regret() -> None:
     """Two actions that are equally good: whatever is learned is optimal."""
     rows = [(0, a, [("1/3", 1, 3), ("2/3", 1, 0)]) for a in range(2)]
     mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
-    found = outcomes(mdp, train_many(mdp, QLearning(epochs=10), 10, rng=0))
+    found = outcomes(mdp, train(mdp, QLearning(epochs=10), 10, rng=0))
     assert found.regret.tolist() == [0.0] * 10
     assert found.optimal_fraction == found.best_fraction == 1.0
     assert found.best is None
@@ -88,7 +88,7 @@ def test_reading_less_is_told_from_learning_badly() -> None:
     """One action for all states cannot be optimal; the learner is not to blame for that."""
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 2, 0)]), (1, 1, [(1, 2, 3)])]
     mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
-    found = outcomes(mdp, train_many(mdp, QLearning(epochs=50, columns=()), 10, rng=0))
+    found = outcomes(mdp, train(mdp, QLearning(epochs=50, columns=()), 10, rng=0))
     assert found.optimum.value == 4
     assert found.best_value.value == 3
     assert found.regret.tolist() == [1.0] * 10
@@ -228,7 +228,7 @@ def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, s
     learner = QLearning(epochs=40, exploration=Exponential(minimum=0.05, decay=0.1))
     count = 24
     scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=[1, 1])
-    ours = train_many(scenario.compile(), learner, 8 * count, rng=90210)
+    ours = train(scenario.compile(), learner, 8 * count, rng=90210)
     care = oracle.Oracle(readings, tasks=[1, 1])
     theirs = [learn_alone(care, learner, 77_000 + number) for number in range(count)]
 

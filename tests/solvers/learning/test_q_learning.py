@@ -23,7 +23,7 @@ from exact_mdp.solvers.learning.schedules import (
     Constant,
     Exponential,
 )
-from exact_mdp.solvers.learning.training import train_many
+from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.values.policy_values import policy_values
 
 CARE = Scenario.load("yuan2025")
@@ -214,7 +214,7 @@ def test_a_bad_seed_is_refused(care: MDP, seed: object) -> None:
 @pytest.mark.parametrize("runs", [0, -1, 1.5, True])
 def test_a_bad_number_of_runs_is_refused(care: MDP, runs: object) -> None:
     with pytest.raises(ModelError, match="runs"):
-        train_many(care, SMALL, runs, rng=0)
+        train(care, SMALL, runs, rng=0)
 
 
 def test_too_many_policies_to_keep_are_refused() -> None:
@@ -333,10 +333,10 @@ SMALL = QLearning(epochs=4)
 
 
 def test_workers_and_number_of_runs_change_nothing(care: MDP, tmp_path: Path) -> None:
-    alone = train_many(care, SMALL, 7, rng=0, n_jobs=1, out=tmp_path / "one")
-    many = train_many(care, SMALL, 7, rng=0, n_jobs=3, out=tmp_path / "three")
+    alone = train(care, SMALL, 7, rng=0, n_jobs=1, out=tmp_path / "one")
+    many = train(care, SMALL, 7, rng=0, n_jobs=3, out=tmp_path / "three")
     assert contents(tmp_path / "one") == contents(tmp_path / "three")
-    few = train_many(care, SMALL, 2, rng=0)
+    few = train(care, SMALL, 2, rng=0)
     for a, b in [*zip(alone, many, strict=True), *zip(alone, few, strict=False)]:
         assert a.q.tobytes() == b.q.tobytes()
         assert np.array_equal(a.policies[a.snapshots], b.policies[b.snapshots])
@@ -348,14 +348,14 @@ def test_workers_and_number_of_runs_change_nothing(care: MDP, tmp_path: Path) ->
 def test_finished_runs_are_kept_and_used_again(
     care: MDP, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fresh = train_many(care, SMALL, 8, rng=1)
-    train_many(care, SMALL, 5, rng=1, out=tmp_path)
+    fresh = train(care, SMALL, 8, rng=1)
+    train(care, SMALL, 5, rng=1, out=tmp_path)
     assert sorted(path.name for path in tmp_path.glob("*.npz")) == [
         f"runs-{number:06d}.npz" for number in range(5)
     ]
     done, once = [], Trainer.run
     monkeypatch.setattr(Trainer, "run", lambda self, seed: done.append(seed) or once(self, seed))
-    runs = train_many(care, SMALL, 8, rng=1, out=tmp_path)
+    runs = train(care, SMALL, 8, rng=1, out=tmp_path)
     assert len(done) == 3
     for a, b in zip(runs, fresh, strict=True):
         assert (a.steps, a.cut_short, a.space) == (b.steps, b.cut_short, b.space)
@@ -376,17 +376,17 @@ def test_a_folder_of_another_training_is_refused(
     care: MDP, tmp_path: Path, changes: dict[str, object], named: str
 ) -> None:
     given = {"model": care, "settings": SMALL, "n": 1, "rng": 1, "out": tmp_path}
-    train_many(**given)
+    train(**given)
     with pytest.raises(ModelError, match=named):
-        train_many(**given | changes)
+        train(**given | changes)
 
 
 def test_a_damaged_file_is_named(care: MDP, tmp_path: Path) -> None:
-    train_many(care, SMALL, 1, rng=1, out=tmp_path)
+    train(care, SMALL, 1, rng=1, out=tmp_path)
     path = tmp_path / "runs-000000.npz"
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(ModelError, match="damaged") as refused:
-        train_many(care, SMALL, 1, rng=1, out=tmp_path)
+        train(care, SMALL, 1, rng=1, out=tmp_path)
     assert refused.value.where == str(path)
 
 

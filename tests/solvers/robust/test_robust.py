@@ -267,9 +267,9 @@ def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
 
 
 def test_a_box_needs_a_parameter_that_moves(tmp_path) -> None:
-    from exact_mdp.mdp.io.load import save_model
+    from exact_mdp.mdp.io.load import save
 
-    save_model(risky(), tmp_path / "model.npz")
+    save(risky(), tmp_path / "model.npz")
     loaded = options.given(str(tmp_path / "model.npz"), (), None)
     with pytest.raises(ModelError, match="no parameter moves"):
         robust_report(Asked(given=loaded, options={"set_kind": "box"}))

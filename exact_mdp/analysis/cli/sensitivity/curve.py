@@ -11,7 +11,7 @@ from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, stated_ranges
 from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece, RationalFunction
-from exact_mdp.analysis.sensitivity.curves.curve import value_function
+from exact_mdp.analysis.sensitivity.curves.curve import curve
 from exact_mdp.analysis.sensitivity.curves.regret_limits import Interval
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -29,7 +29,7 @@ def curve_report(asked: Asked) -> Report:
     ranges = stated_ranges(asked.model, asked.options) if stated else None
     limits = {limit: asked[limit] for limit in ("max_regret", "max_relative_regret")}
     held = asked.policy if asked["policy"] or asked["perception"] or any(limits.values()) else None
-    found = value_function(asked.model, name, ranges, policy=held)
+    found = curve(asked.model, name, ranges, policy=held)
     mdp = found.mdp
     pieces = [_piece(mdp, piece) for piece in found.pieces]
     result: dict[str, Any] = {"parameter": name, "claim": found.claim, "pieces": pieces}

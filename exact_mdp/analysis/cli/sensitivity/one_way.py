@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import tqdm as progress
+
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed
 from exact_mdp.analysis.cli.sensitivity.options import ROUNDED, Asked
 from exact_mdp.analysis.sensitivity.gradient import Derivative, gradient
 from exact_mdp.analysis.sensitivity.one_way import Bar, tornado
 from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.analysis.sensitivity.thresholds import Threshold, Thresholds, thresholds
-from exact_mdp.mdp.lazy import later
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
-
-progress = later("tqdm")
-
+from exact_mdp.solvers.solver import solve
 
 # ---- derivatives -------------------------------------------------------------------------------
 

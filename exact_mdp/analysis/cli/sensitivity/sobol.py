@@ -13,7 +13,7 @@ from exact_mdp.analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
 from exact_mdp.analysis.sensitivity.ranges import Ranges, usual
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.parametric import DISCOUNT
-from exact_mdp.solvers import solve
+from exact_mdp.solvers.solver import solve
 
 OUTPUTS = {
     "optimal": "the start value, policy re-optimised",

@@ -27,15 +27,13 @@ from typing import Unpack
 
 import numpy as np
 from numpy.random import SeedSequence
+from scipy import special
 
 from exact_mdp.analysis.gate.data.interval import Ends
 from exact_mdp.analysis.sensitivity.base_case import digest
 from exact_mdp.analysis.sensitivity.draws.blocks import How, joined, seeded
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.parallel import Arrays, many
-
-special = later("scipy.special")
 
 BLOCK = 250  # draws in a piece of work
 

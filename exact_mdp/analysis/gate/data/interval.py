@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, exact
@@ -26,8 +26,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
-transitions = later("exact_mdp.mdp.io.transitions")
 
 SHOWN = 5  # states that are named
 
@@ -82,6 +80,8 @@ class RegretInterval(Result):
 
     def frame(self) -> DataFrame:
         """Return the interval, and what else was found, in one row."""
+        import pandas
+
         ends = {"low": self.low, "high": self.high, "confidence": self.confidence, "by": self.by}
         return pandas.DataFrame([ends | dict(self.found)])
 
@@ -141,8 +141,8 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
     ends, never = transitions.entered(mdp), transitions.never_taken(mdp)
     # Where actions that nobody took are offered all the same, `Robust.assumptions` says so.
     offered = set(zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True))
-    never = [pair for pair in map(tuple, never.tolist()) if pair not in offered]
-    untaken = [f"{mdp.space.label(state)}: {mdp.actions[action]}" for state, action in never]
+    pairs = [pair for pair in map(tuple, never.tolist()) if pair not in offered]
+    untaken = [f"{mdp.space.label(state)}: {mdp.actions[action]}" for state, action in pairs]
     return (
         "the process has the states and actions that were recorded, and what follows a state and "
         "an action depends on these alone",

@@ -41,7 +41,7 @@ from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.analysis.sensitivity.draws.blocks import whole_number
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import by_time
@@ -49,8 +49,6 @@ from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-transitions = later("exact_mdp.mdp.io.transitions")
 
 DRAWS = 2000
 HELD_OUT = 20  # one part in so many chooses the threshold

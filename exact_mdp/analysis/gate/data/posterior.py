@@ -51,17 +51,15 @@ from exact_mdp.analysis.sensitivity.psa.intervals import (
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.table import Floats, Integers, exact
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.parallel import Arrays, many
 from exact_mdp.solvers.solution import Estimated
+from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-transitions = later("exact_mdp.mdp.io.transitions")
 
 DRAWS = 2000
 BLOCK = 250  # draws in a piece of work

@@ -19,6 +19,7 @@ from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
+import tqdm
 
 from exact_mdp.analysis.gate.data.bounds import RobustBounds
 from exact_mdp.analysis.gate.data.interval import (
@@ -31,17 +32,13 @@ from exact_mdp.analysis.gate.data.interval import (
 )
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-tqdm = later("tqdm")
-
-transitions = later("exact_mdp.mdp.io.transitions")
 
 
 @dataclass(frozen=True, kw_only=True)

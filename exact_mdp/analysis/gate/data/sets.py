@@ -43,19 +43,17 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
+from scipy import special
 
 from exact_mdp.analysis.gate.data.interval import Ends, observations_of, range_of
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
+from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.robust.divergence import Likelihood
 from exact_mdp.solvers.robust.sets import Block, Inner, entries, inner
-
-special = later("scipy.special")
-transitions = later("exact_mdp.mdp.io.transitions")
 
 KNOWN = "known"
 HALVINGS = 60

@@ -21,6 +21,7 @@ from functools import cached_property
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
+import flint
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,7 +33,6 @@ from exact_mdp.analysis.sensitivity.curves.signs import (
     roots_on,
     vanishes,
 )
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
@@ -42,7 +42,6 @@ from exact_mdp.mdp.table import shown
 if TYPE_CHECKING:
     from flint import fmpq_poly
 
-flint = later("flint")
 
 Bracket = tuple[Fraction, Fraction]
 Values = tuple[Sequence["fmpq_poly"], "fmpq_poly"]
@@ -324,7 +323,7 @@ class _Equations:
             yield f"the denominator of the policy held fixed from {at} on is not positive"
         for state in self.states:
             mix = (rational(share) * self.gap(values, pair) for pair, share in shares[state])
-            if sum(mix, flint.fmpq_poly()) != 0:
+            if sum(mix, flint.fmpq_poly()):
                 yield f"the policy held fixed has another value in state {state} from {at} on"
         yield from self._not_the_start(values, value, at)
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.check import limit_of
+from exact_mdp.analysis.gate.limits import limit_of
 from exact_mdp.analysis.sensitivity.base_case import maximised
 from exact_mdp.analysis.sensitivity.curves.checker import (
     CurvePiece,
@@ -36,11 +36,10 @@ from exact_mdp.analysis.sensitivity.thresholds import (
 )
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import rational
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
@@ -49,8 +48,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -80,8 +77,6 @@ class ValueFunction(Pictured):
     family: Parametric
     chain: PolicyChain | None = None
     checked: int | None = None
-
-    picture = "exact_mdp.analysis.plots.sensitivity:plot_value_function"
 
     def __repr__(self) -> str:
         low, high = shown(self.range.low), shown(self.range.high)
@@ -157,7 +152,7 @@ class ValueFunction(Pictured):
         --------
         >>> rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])]
         >>> mdp = MDP.from_outcomes(rows, "1/2")  # max(5, 1 / (1 - γ)) from the start
-        >>> found = value_function(mdp, "discount", (0, "99/100"), policy=[1, 0])
+        >>> found = curve(mdp, "discount", (0, "99/100"), policy=[1, 0])
         >>> [(str(each.low[0]), str(each.high[1])) for each in found.within(5)]
         [('0', '9/10')]
         """
@@ -195,6 +190,8 @@ class ValueFunction(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
+        import pandas
+
         return pandas.DataFrame(
             {
                 "parameter": self.parameter.name,
@@ -209,7 +206,7 @@ class ValueFunction(Pictured):
         )
 
 
-def value_function(
+def curve(
     model: Scenario | MDP | Parametric,
     name: str,
     ranges: Any = None,
@@ -244,7 +241,7 @@ def value_function(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
-    >>> found = value_function(MDP.from_outcomes(rows, "1/2"), "discount", (0, "99/100"))
+    >>> found = curve(MDP.from_outcomes(rows, "1/2"), "discount", (0, "99/100"))
     >>> len(found.pieces), found.at("1/2"), found.at("19/20")  # Puterman (1994), section 3.1
     (2, Fraction(9, 1), Fraction(-60, 7))
     """
@@ -252,7 +249,7 @@ def value_function(
     if family.at({}).sense == "min":
         rewards, held = maximised(family, "optimal" if policy is None else policy)
         given = None if policy is None else held
-        found = value_function(rewards, name, ranges, relative=relative, policy=given)
+        found = curve(rewards, name, ranges, relative=relative, policy=given)
         return found.negated(family.at({}))
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
     if name == DISCOUNT and ranges is None and relative is None and span.high < 1:

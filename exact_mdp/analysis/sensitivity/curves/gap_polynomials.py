@@ -22,11 +22,11 @@ from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import flint
 import numpy as np
 
 from exact_mdp.analysis.sensitivity.exact_chain import LARGEST
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
@@ -37,7 +37,6 @@ from exact_mdp.solvers.bounds.bounds import levels
 if TYPE_CHECKING:
     from flint import fmpq, fmpq_poly
 
-flint = later("flint")
 
 CYCLIC_DEGREE = 200
 

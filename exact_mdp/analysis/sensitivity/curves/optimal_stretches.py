@@ -14,13 +14,13 @@ from fractions import Fraction
 from math import ceil, floor
 from typing import TYPE_CHECKING
 
+import flint
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Gaps, Ratio, Rows, Values
 from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple, variations
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.table import Integers
@@ -28,7 +28,6 @@ from exact_mdp.mdp.table import Integers
 if TYPE_CHECKING:
     from flint import fmpq_poly
 
-flint = later("flint")
 
 WIDTH = Fraction(1, 10**12)
 GRID = 10**13

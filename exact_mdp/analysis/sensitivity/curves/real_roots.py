@@ -15,13 +15,12 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from exact_mdp.mdp.lazy import later
+import flint
+
 from exact_mdp.mdp.numbers import fraction, rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
-
-flint = later("flint")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,15 +17,15 @@ from itertools import pairwise
 from math import prod
 from typing import TYPE_CHECKING
 
+import flint
+
 from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.numbers import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
 
-flint = later("flint")
 
 WIDTH = Fraction(1, 10**12)
 

@@ -11,13 +11,12 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from exact_mdp.mdp.lazy import later
+import flint
+
 from exact_mdp.mdp.numbers import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
-
-flint = later("flint")
 
 
 def nonnegative(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:

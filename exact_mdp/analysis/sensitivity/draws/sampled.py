@@ -26,7 +26,6 @@ from exact_mdp.analysis.sensitivity.draws.solver import (
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.parametric import Parametric, parameter_of
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
@@ -37,7 +36,6 @@ from exact_mdp.solvers.parallel import Arrays
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 NOISE = 1e-9  # share of the values below which a spread is called rounding
 
@@ -77,6 +75,8 @@ class Sampled(Result):
 
     def frame(self) -> DataFrame:
         """Return one row for each draw: the optimum's value and each policy's (reward)."""
+        import pandas
+
         policies = [f"policy {n} (reward)" for n in range(self.fixed.shape[1])]
         table = pandas.DataFrame(self.fixed, columns=policies)
         table.insert(0, "optimum (reward)", self.optimal)

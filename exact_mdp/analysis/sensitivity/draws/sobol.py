@@ -34,10 +34,9 @@ from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 from exact_mdp.analysis.sensitivity.ranges import Range, spans_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
@@ -47,8 +46,6 @@ from exact_mdp.solvers.learning.sampler import child
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
-qmc = later("scipy.stats.qmc")
 
 OUTPUTS = ("optimal", "fixed", "regret")
 RESAMPLES = 200
@@ -108,8 +105,6 @@ class Sobol(Pictured):
     confidence: float
     seed: int
 
-    picture = "exact_mdp.analysis.plots.sensitivity:plot_sobol"
-
     @property
     def draws(self) -> int:
         """Number of models that were solved."""
@@ -140,6 +135,8 @@ class Sobol(Pictured):
         -------
         pandas.DataFrame
         """
+        import pandas
+
         found = self.of(output)
         spans = [self.ranges[name] for name in self.names]
         table = pandas.DataFrame(
@@ -251,6 +248,8 @@ def sobol(
 
 def _design(spans: Sequence[Range], n: int, rng: np.random.Generator) -> Floats:
     """Return (n (P + 2), P) draws: for each point its rows of A, of AB_1 … AB_P, and of B."""
+    from scipy.stats import qmc
+
     count = len(spans)
     points = qmc.Sobol(2 * count, rng=rng).random_base2(n.bit_length() - 1)
     unit = np.repeat(points[:, None, :count], count + 2, axis=1)

@@ -47,9 +47,9 @@ from exact_mdp.analysis.sensitivity.ranges import unit_of
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of
 from exact_mdp.mdp.parametric.family import place_of
-from exact_mdp.mdp.parametric.parameter import Parameter
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
 

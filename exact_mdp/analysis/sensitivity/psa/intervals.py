@@ -22,13 +22,11 @@ from math import ceil, log
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import special
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.solution import Estimated
-
-special = later("scipy.special")
 
 NORMAL = 1.959963984540054
 SURE = 0.975  # that an end of order statistics is beyond the quantile

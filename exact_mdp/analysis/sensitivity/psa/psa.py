@@ -53,7 +53,6 @@ from exact_mdp.analysis.sensitivity.psa.value_of_information import PartialInfor
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -66,7 +65,6 @@ from exact_mdp.solvers.solution import Bounded, Estimated
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-pandas = later("pandas")
 
 POOL = 24  # policies that are considered as candidates
 CANDIDATES = 6  # of them kept, beside the policy held and today's optimum
@@ -145,8 +143,6 @@ class PSA(Pictured):
     sign : int
         -1 where values are costs, of which the least is best.
     """
-
-    picture = "exact_mdp.analysis.plots.psa:plot_acceptability"
 
     model: str
     start: Bounded
@@ -270,6 +266,8 @@ class PSA(Pictured):
 
     def frame(self) -> DataFrame:
         """Return a table: the drawn parameters, V*, each candidate's value (units of reward)."""
+        import pandas
+
         table = pandas.DataFrame(self.draws, columns=list(self.names))
         table["V* (reward)"] = self.optimal
         for number, candidate in enumerate(self.candidates):

@@ -22,7 +22,6 @@ from exact_mdp.analysis.sensitivity.base_case import finite_optimum, finite_wort
 from exact_mdp.analysis.sensitivity.draws.solver import solver_of
 from exact_mdp.analysis.sensitivity.ranges import spans_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -32,8 +31,6 @@ from exact_mdp.solvers.solution import Bounded, Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -64,6 +61,8 @@ class WorstPoint(Result):
 
     def frame(self) -> DataFrame:
         """Return where each parameter is."""
+        import pandas
+
         at = [float(each) for each in self.point.values()]
         return pandas.DataFrame({"parameter": list(self.point), "at": at})
 

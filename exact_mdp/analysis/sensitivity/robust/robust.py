@@ -26,7 +26,6 @@ import numpy as np
 from exact_mdp.analysis.sensitivity.base_case import finite_worth
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.lazy import later
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured, Result
@@ -39,8 +38,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-pandas = later("pandas")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -99,6 +96,8 @@ class Robust(Result):
 
     def frame(self) -> DataFrame:
         """Return values at the start (reward), one row for each policy and law."""
+        import pandas
+
         rows = [
             ("nominal", "nominal", self.value),
             ("nominal", "worst", self.worst),
@@ -138,13 +137,13 @@ class RobustCurve(Pictured):
     points : tuple of (radius, Robust)
     """
 
-    picture = "exact_mdp.analysis.plots.sensitivity:plot_robust_curve"
-
     kind: str
     points: tuple[tuple[float, Robust], ...]
 
     def frame(self) -> DataFrame:
         """Return values at the start (reward), one row for each radius."""
+        import pandas
+
         return pandas.DataFrame(
             [
                 {

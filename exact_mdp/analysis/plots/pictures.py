@@ -1,0 +1,83 @@
+"""The picture of each kind of result."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from matplotlib.axes import Axes
+
+from exact_mdp.analysis.plots import (
+    learning,
+    perception,
+    psa,
+    returns,
+    sensitivity,
+    states,
+    tradeoffs,
+)
+from exact_mdp.mdp.errors import ModelError
+
+PICTURES: dict[str, Any] = {
+    "AccuracyCurves": perception.plot_accuracy_curves,
+    "Audit": states.plot_audit,
+    "AverageCertificate": states.plot_solution,
+    "BoundedCertificate": states.plot_solution,
+    "Certificate": states.plot_solution,
+    "Curve": sensitivity.plot_value_curves,
+    "ErrorCosts": perception.plot_error_costs,
+    "Evaluation": states.plot_evaluation,
+    "Front": tradeoffs.draw_front,
+    "Gradient": sensitivity.plot_gradient,
+    "LearningCurve": learning.plot_learning_curves,
+    "MeanCVaR": tradeoffs.plot_mean_cvar,
+    "Outcomes": learning.plot_regrets,
+    "PSA": psa.plot_acceptability,
+    "PolicyComparison": states.plot_comparison,
+    "ReturnDistribution": returns.plot_return_distribution,
+    "RobustCurve": sensitivity.plot_robust_curve,
+    "Simulation": returns.plot_simulation,
+    "Sobol": sensitivity.plot_sobol,
+    "Solution": states.plot_solution,
+    "Thresholds": sensitivity.plot_thresholds,
+    "Tornado": sensitivity.plot_tornado,
+    "TrainerAudit": learning.plot_trainer,
+    "TwoWay": sensitivity.plot_two_way,
+    "ValueFunction": sensitivity.plot_value_function,
+}
+
+
+def draw(result: object, ax: Axes | None = None, **settings: Any) -> Axes:
+    """Draw a result, as its `plot` does.
+
+    Parameters
+    ----------
+    result : a solution, certificate, audit, curve or another result of which there is a picture
+    ax : Axes, optional
+        Those of a new figure unless given.
+    **settings
+        As the function takes them that draws this kind of result: see `PICTURES`.
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    ModelError
+        Where there is no picture of such a result.
+
+    Examples
+    --------
+    >>> from exact_mdp import MDP, draw, solve
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [[1], [0]])
+    >>> draw(solve(mdp)).get_xlabel() != ""
+    True
+    """
+    kinds = [kind.__name__ for kind in type(result).__mro__ if kind.__name__ in PICTURES]
+    if not kinds:
+        raise ModelError(
+            f"there is no picture of {type(result).__name__}",
+            fix=f"draw one of {', '.join(PICTURES)}",
+        )
+    drawn: Axes = PICTURES[kinds[0]](result, ax=ax, **settings)
+    return drawn
