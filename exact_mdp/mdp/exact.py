@@ -245,7 +245,23 @@ def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
 
 @once
 def fingerprint(model: MDP) -> str:
-    """Return the SHA-256 of the model's exact content in hexadecimal."""
+    """Return the SHA-256 of the model's exact content in hexadecimal.
+
+    Parameters
+    ----------
+    model : MDP
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> from exact_mdp import MDP, fingerprint
+    >>> one, other = (MDP.from_arrays([[[1]]], [r], discount="1/2") for r in ("1/2", 0.5))
+    >>> fingerprint(one) == fingerprint(other)
+    True
+    """
     digest = sha256(b"exact-mdp model 1\n")
     start = sorted((state, weight) for state, weight in model.start if weight)
     digest.update(f"{model.n_states} {model.n_pairs} {_text(model.discount_exact)}\n".encode())

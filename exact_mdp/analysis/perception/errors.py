@@ -113,13 +113,27 @@ class ErrorCosts(Pictured):
 def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCosts:
     """Return which errors of perception cost a policy most, at the margin and in all.
 
-    The policy reads the perceived status; the confusion (Z, Z) has its probabilities (columns)
-    given the true one (row).
+    Parameters
+    ----------
+    model : MDP
+        Compiled from a scenario.
+    policy : policy
+        It reads the perceived status.
+    confusion : (Z, Z) array
+        The probabilities of the perceived status (columns) given the true one (row).
+
+    Returns
+    -------
+    ErrorCosts
+
+    Raises
+    ------
+    ModelError
+        Where the model has no statuses, or the matrix does not fit them.
 
     Examples
     --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.mdp.care.perception import independent
+    >>> from exact_mdp import Scenario, error_costs, independent
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> found = error_costs(mdp, "optimal", independent([0.9] * 4, [0.9] * 4))
     >>> whole = found.perfect.value - found.value.value

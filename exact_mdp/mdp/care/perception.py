@@ -95,6 +95,10 @@ def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> F
     sensitivity, specificity : (n,)
         Probability that a status is seen where it is present, and not seen where it is absent.
 
+    Returns
+    -------
+    (2^n, 2^n) array
+
     Examples
     --------
     >>> independent([0.75], [0.5]).tolist()
@@ -302,10 +306,20 @@ def counted(
     size : number of status vectors, Z
     prior : pseudo-count of every cell
 
+    Returns
+    -------
+    Counted
+
     Raises
     ------
     ModelError
         For unknown statuses, and for counts that are not whole numbers of at least 0.
+
+    Examples
+    --------
+    >>> from exact_mdp import counted
+    >>> counted([("0", "0"), ("0", "1"), ("1", "1")], size=2).mean.tolist()
+    [[0.5, 0.5], [0.0, 1.0]]
     """
     if isinstance(source, np.ndarray) and source.shape == (size, size):
         return Counted(counts=source, prior=prior)

@@ -108,7 +108,34 @@ def load(
     discount: object | None = None,
     start: object | None = None,
 ) -> MDP:
-    """Return the model that `spec` names, without its scenario; see `load`."""
+    """Return the model that `spec` names.
+
+    Parameters
+    ----------
+    spec : str or path
+        A shipped scenario, or a file: see `MDP.load`.
+    sets : sequence of "KEY=VALUE"
+        Changes to a scenario, in order.
+    discount : number or "p/q", optional
+        Instead of the model's own.
+    start : state, {state: probability} or (S,) vector, optional
+        Instead of the model's own.
+
+    Returns
+    -------
+    MDP
+
+    Raises
+    ------
+    ModelError
+        Where there is no such model (the nearest name is suggested), or it is damaged.
+
+    Examples
+    --------
+    >>> from exact_mdp import load
+    >>> load("yuan2025", sets=["tasks=[1]"]).n_states
+    81
+    """
     return read_model(spec, sets=sets, discount=discount, start=start).mdp
 
 
@@ -130,7 +157,27 @@ def load_scenario(
 
 
 def save(model: MDP, path: str | Path) -> None:
-    """Write a model as `.npz`, or as `.umb` for model checkers, by its ending."""
+    """Write a model as `.npz`, or as `.umb` for model checkers, by its ending.
+
+    Parameters
+    ----------
+    model : MDP
+    path : str or path
+
+    Raises
+    ------
+    ModelError
+        For another ending, and where the path cannot be written to.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from exact_mdp import MDP, load, save
+    >>> with TemporaryDirectory() as folder:
+    ...     save(MDP.from_arrays([[[1]]], ["1/2"], discount="1/2"), f"{folder}/one.npz")
+    ...     load(f"{folder}/one.npz").n_states
+    1
+    """
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":
         npz.save(model, path)

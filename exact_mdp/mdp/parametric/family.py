@@ -234,6 +234,15 @@ def unposed(model: Parametric) -> Parametric:
 def parametric(source: Source | MDP | Parametric) -> Parametric:
     """Return what a scenario, or a plain model with its rewards and its discount, may vary.
 
+    Parameters
+    ----------
+    source : Scenario, MDP or Family
+
+    Returns
+    -------
+    Family
+        Or the family that was given.
+
     Examples
     --------
     >>> [p.name for p in parametric(MDP.from_arrays([[[1]]], ["5/2"], "1/2")).parameters]

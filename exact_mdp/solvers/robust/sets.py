@@ -110,14 +110,50 @@ class Intervals:
 
     @classmethod
     def relative(cls, model: MDP, share: object) -> Intervals:
-        """Return p (1 ± share) within [0, 1]; below a share of 1 every outcome stays possible."""
+        """Return p (1 ± share) within [0, 1]; below a share of 1 every outcome stays possible.
+
+        Parameters
+        ----------
+        model : MDP
+        share : number
+            0.1 for ± 10 %.
+
+        Returns
+        -------
+        Intervals
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP, Intervals
+        >>> mdp = MDP.from_arrays([[[0.5, 0.5], [0, 1]]], [[1], [0]])
+        >>> Intervals.relative(mdp, 0.1).lower[:2].round(3).tolist()
+        [0.45, 0.45]
+        """
         part = radius_of(share, "a relative radius")
         p = model.table.probabilities()
         return cls(lower=np.maximum(p * (1 - part), 0.0), upper=np.minimum(p * (1 + part), 1.0))
 
     @classmethod
     def absolute(cls, model: MDP, width: object) -> Intervals:
-        """Return p ± width within [0, 1]."""
+        """Return p ± width within [0, 1].
+
+        Parameters
+        ----------
+        model : MDP
+        width : number
+            0.1 for ± 0.1.
+
+        Returns
+        -------
+        Intervals
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP, Intervals
+        >>> mdp = MDP.from_arrays([[[0.5, 0.5], [0, 1]]], [[1], [0]])
+        >>> Intervals.absolute(mdp, 0.1).upper[:2].round(3).tolist()
+        [0.6, 0.6]
+        """
         part = radius_of(width, "a radius")
         p = model.table.probabilities()
         return cls(lower=np.maximum(p - part, 0.0), upper=np.minimum(p + part, 1.0))
