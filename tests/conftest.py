@@ -22,4 +22,4 @@ settings.load_profile("explore" if os.environ.get("EXPLORE") else "fixed")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Let chances be cut off at 1 in tests of other readings: verdict/ tests that it is said."""
     for item in items:
-        item.add_marker(pytest.mark.filterwarnings("ignore::exact_mdp.mdp.errors.ScenarioWarning"))
+        item.add_marker(pytest.mark.filterwarnings("ignore::exact_mdp.ScenarioWarning"))

@@ -22,11 +22,10 @@ from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.learning.curves import learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes
 from exact_mdp.analysis.learning.trainers import check_trainer
-from exact_mdp.analysis.sensitivity.draws.global_ import morris, sobol
+from exact_mdp.analysis.sensitivity.draws.sobol import sobol
 from exact_mdp.analysis.sensitivity.gradient import gradient
 from exact_mdp.analysis.sensitivity.one_way import one_way, tornado
 from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.robust.box import box_extreme, box_optimum
 from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
 from exact_mdp.analysis.sensitivity.thresholds import thresholds
 from exact_mdp.analysis.sensitivity.two_way import two_way
@@ -189,13 +188,6 @@ def indices(sign: int) -> Told:
     return [], [number for each in outputs for number in (*each.first, *each.total)]
 
 
-def effects(sign: int) -> Told:
-    found = morris(family(sign), policy=POLICY, n=4, rng=0)
-    signed = [*found.optimal.mu, *found.fixed.mu]
-    same = [*found.optimal.mu_star, *found.fixed.sigma, *found.regret.mu, *found.regret.mu_star]
-    return signed, same
-
-
 def against_nature(sign: int) -> Told:
     found = robust(model(sign), policy=POLICY)
     starts = (found.value, found.worst, found.robust.start, found.optimistic.start)
@@ -205,17 +197,6 @@ def against_nature(sign: int) -> Told:
 def along_radii(sign: int) -> Told:
     found = robust_curve(model(sign), "l1", [0, 0.1], policy=POLICY)
     return [n for _, each in found.points for n in (each.worst.value, each.robust.start.value)], []
-
-
-def over_a_box(sign: int) -> Told:
-    worst = box_extreme(family(sign), POLICY, {"p": ("1/4", "3/4")})
-    best = box_extreme(family(sign), POLICY, {"p": ("1/4", "3/4")}, side="best")
-    return [worst.reached, best.reached], [*worst.point.values(), worst.proven]
-
-
-def sure_of(sign: int) -> Told:
-    found = box_optimum(family(sign), {"p": ("1/4", "3/4")})
-    return [found.worst.reached], [found.saddle, *found.policy]
 
 
 def learned(sign: int) -> Told:
@@ -337,11 +318,8 @@ TABLE: dict[str, Callable[[int], Told]] = {
     "curve": pieces,
     "psa": drawn,
     "sobol": indices,
-    "morris": effects,
     "robust": against_nature,
     "robust curve": along_radii,
-    "box": over_a_box,
-    "box optimum": sure_of,
     "Q-learning": learned,
     "learning curve": over_epochs,
     "check trainer": trainers,

@@ -241,7 +241,7 @@ def test_rounds_are_the_same_by_arrays_in_lists_and_compiled(
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(chain, "FIRST", 1 if narrow else 2)
             patch.setattr(chain, "NARROW", narrow)
-            patch.setattr(chain, "worth_compiling", lambda _, loaded=compiled: loaded)
+            patch.setattr(chain, "COMPILED", 0 if compiled else 10**9)
             found = backward.rounds(first, some, waiting)
         assert found[0].tolist() == rank.tolist()
         if (rank < 0).any():  # otherwise a search may end early

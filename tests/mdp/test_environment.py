@@ -66,7 +66,7 @@ def test_without_gymnasium_the_error_names_the_extra() -> None:
         "except ModelError as error:\n    print(error.fix)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert "exact-mdp[gymnasium]" in done.stdout, done.stderr
+    assert "exact-mdp[models]" in done.stdout, done.stderr
 
 
 @pytest.mark.parametrize("number", range(4))

@@ -68,6 +68,7 @@ def floats() -> MDP:
     return MDP.from_arrays(
         [[[0.3, 0.7], [0, 1]], [[0.9, 0.1], [0, 1]]],
         [[1.1, 0.3], [0, 0]],
+        layout="ass",
         discount="9/10",
         sense="min",
         components={"effort": [[0.5, 0.1], [0, 0]]},
@@ -82,7 +83,9 @@ def scenario() -> MDP:
 def built(at: Any) -> MDP:
     p = at["p"]
     rows = [[[p, 1 - p], [0, 1]], [[0, 1], [0, 1]]]
-    return MDP.from_arrays(rows, [[1, 2], [0, 0]], "1/2", labels={"goal": [False, True]})
+    return MDP.from_arrays(
+        rows, [[1, 2], [0, 0]], "1/2", layout="ass", labels={"goal": [False, True]}
+    )
 
 
 def own_family() -> Family:

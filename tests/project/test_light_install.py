@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from exact_mdp.mdp.lazy import EXTRAS
+from extras import EXTRAS
 
 ROOT = Path(__file__).resolve().parents[2]
 

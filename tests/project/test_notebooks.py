@@ -15,9 +15,8 @@ from pathlib import Path
 import jupytext
 import nbformat
 import pytest
+from extras import EXTRAS
 from nbclient import NotebookClient
-
-from exact_mdp.mdp.lazy import EXTRAS
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted((ROOT / "notebooks").glob("*.py"))

@@ -238,6 +238,7 @@ def test_a_table_has_names_and_decimals() -> None:
         [rows, [[0, 1], [1, 0]]],
         [[0, "1/3"], [1, 0]],
         F(10**9 - 1, 10**9),
+        layout="ass",
         actions=["wait", "cut"],
         states=["young", "old"],
     )

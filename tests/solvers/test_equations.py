@@ -514,7 +514,6 @@ def test_sweeps_are_the_same_compiled_and_not(
     for threshold in (0, 10**6):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(linear, "COMPILED", threshold)
-            patch.setattr(linear, "loops_pay", lambda _, least: least == 0)
             found.append(sweeping(matrix, rate, constant, 1e-9, fine))
     assert (found[0] is None) == (found[1] is None)
     if found[0] is not None and found[1] is not None:

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers import (
     GaussSeidel,
     ModifiedPolicyIteration,
@@ -174,14 +175,14 @@ TIED = [
 ]
 
 
-@pytest.mark.parametrize("loaded", [True, False])
+@pytest.mark.parametrize("least", [0, COMPILED])
 @pytest.mark.parametrize(("model", "tol"), TIED)
 def test_ties_do_not_make_policies_alternate(
-    model: MDP, tol: Any, loaded: bool, monkeypatch: pytest.MonkeyPatch
+    model: MDP, tol: Any, least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By rounding, the first pair that ties loses more in all than another state gains."""
     for module in (gains_module, sweeps_module):
-        monkeypatch.setattr(module, "loops_pay", lambda *_: loaded)
+        monkeypatch.setattr(module, "COMPILED", least)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found, other = solve(model, tol=tol), howard(model)
@@ -213,12 +214,12 @@ def beside_an_end(exponent: int) -> MDP:
 
 @pytest.mark.parametrize("kind", [ModifiedPolicyIteration, GaussSeidel, ValueIteration])
 @pytest.mark.parametrize("exponent", [25, 30, 40, 51])
-@pytest.mark.parametrize("loaded", [True, False])
+@pytest.mark.parametrize("least", [0, COMPILED])
 def test_an_end_that_nothing_leads_to_costs_no_digits(
-    kind: Any, exponent: int, loaded: bool, monkeypatch: pytest.MonkeyPatch
+    kind: Any, exponent: int, least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (gains_module, sweeps_module):
-        monkeypatch.setattr(module, "loops_pay", lambda *_: loaded)
+        monkeypatch.setattr(module, "COMPILED", least)
     model = beside_an_end(exponent)
     found = kind().solve(model)
     assert found.status is Status.CONVERGED
@@ -314,7 +315,7 @@ def test_a_mixed_policy_earns_its_pairs_rewards_in_full(rate: float, seed: int) 
     chances = rng.dirichlet(np.ones(2), (2, 2))
     chances[0, :, 0] -= 1e-10 * (chances[0, :, 0] > 0.1)
     rewards = rng.integers(0, 4, (2, 2)) * 1.0
-    model = MDP.from_arrays(chances, rewards, discount=rate)
+    model = MDP.from_arrays(chances, rewards, discount=rate, layout="ass")
     a, b, c, d = (sum(map(F, map(float, chances[:, s, t])), F(0)) / 2 for s, t in np.ndindex(2, 2))
     r, q = (sum(map(F, map(float, row)), F(0)) / 2 for row in rewards)
     g = F(rate)

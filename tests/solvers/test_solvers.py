@@ -79,7 +79,7 @@ def outcome(mdp: MDP, solver: Solver) -> Solution | SolverError | ModelError:
         return error
 
 
-@pytest.mark.filterwarnings("ignore::solvers.solution.PrecisionWarning")
+@pytest.mark.filterwarnings("ignore::exact_mdp.PrecisionWarning")
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_published_answers(case: Case, name: str) -> None:

@@ -23,7 +23,7 @@ from workloads import queue
 from exact_mdp.mdp import MDP
 from exact_mdp.mdp import build as build_module
 from exact_mdp.mdp.forms import threads as blocks
-from exact_mdp.mdp.lazy import COMPILED
+from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers import (
     Certificate,
     ModifiedPolicyIteration,
@@ -41,7 +41,6 @@ from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.bounds.sweeps import (
     CompiledSweeps,
     Judged,
-    LoadedSweeps,
     Sweeps,
     sweeps_of,
 )
@@ -237,9 +236,9 @@ def test_the_leak_of_floats_is_known_to_its_error(
     rows[:20, :entries], rows[20:, 1:] = weight, np.eye(entries)
     pairs = ([0] * 20 + [*range(1, states)], [*range(20)] + [0] * entries)
     found = []
-    for taken, loaded in ((True, True), (False, True), (False, False)):
-        monkeypatch.setattr(build_module, "COMPILER", "sys" if taken else "not loaded")
-        monkeypatch.setattr(gains_module, "loops_pay", lambda *_, loaded=loaded: loaded)
+    for taken, compiled in ((True, True), (False, True), (False, False)):
+        monkeypatch.setattr(build_module, "COMPILED", 0 if taken else 10**9)
+        monkeypatch.setattr(gains_module, "COMPILED", 0 if compiled else 10**9)
         mdp = MDP.from_pairs(*pairs, sp.csr_array(rows), np.zeros(20 + entries), rate)
         assert ("excess" in vars(mdp.table)) == taken
         found.append(rounding_facts(mdp))
@@ -389,21 +388,19 @@ SMALL = [
 
 @pytest.mark.parametrize("make", SMALL)
 @pytest.mark.parametrize("solver", [*SOLVED, PolicyIteration()], ids=repr)
-def test_small_models_are_solved_with_the_same_bits_whatever_is_loaded(
+def test_small_models_are_solved_alike_compiled_and_not(
     make: Callable[[], MDP], solver: Any
 ) -> None:
     found = []
-    for loaded in (True, False):
+    for least in (0, COMPILED):
         with pytest.MonkeyPatch.context() as patch:
             for module in (gains_module, sweeps_module):
-                patch.setattr(module, "loops_pay", lambda *_, loaded=loaded: loaded)
+                patch.setattr(module, "COMPILED", least)
             mdp = make()
-            assert mdp.n_transitions < COMPILED
-            assert isinstance(sweeps_of(mdp, margin_weights(mdp)), LoadedSweeps) == loaded
-            one = solve(mdp, solver)
-        found.append((one.iterations, one.regret_bound, one.value.tobytes(), one.pairs.tobytes()))
-        found[-1] += (one.state_error.tobytes(),)
-    assert found[0] == found[1]
+            assert isinstance(sweeps_of(mdp, margin_weights(mdp)), CompiledSweeps) == (not least)
+            found.append(solve(mdp, solver))
+    one, two = found
+    assert (np.abs(one.value - two.value) <= one.state_error + two.state_error).all()
 
 
 @settings(max_examples=60, deadline=None)
@@ -418,7 +415,7 @@ def test_small_models_are_solved_with_the_same_bits_whatever_is_loaded(
     sweeps=st.sampled_from([1, 5, 100]),
     most=st.sampled_from([10_000, 3, 1]),
 )
-def test_rounds_end_alike_whatever_is_loaded(
+def test_rounds_in_one_call_are_rounds_in_python(
     seed: int,
     discount: float,
     ring: bool,
@@ -442,11 +439,12 @@ def test_rounds_end_alike_whatever_is_loaded(
         chances[:, -1], reward[-1] = np.eye(states)[-1], 0.0
     solver = ModifiedPolicyIteration(tol=tol, sweeps=sweeps, max_iterations=most)
     found = []
-    for loaded in (True, False):
+    for alone in (True, False):
         with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             for module in (gains_module, sweeps_module):
-                patch.setattr(module, "loops_pay", lambda *_, loaded=loaded: loaded)
+                patch.setattr(module, "COMPILED", 0)
+            patch.setattr(CompiledSweeps, "alone", alone)
             mdp = MDP.from_arrays(chances, reward, discount=discount, layout="ass")
             status: Any = None
             try:
@@ -544,16 +542,16 @@ def proof(number: int) -> Certificate:
     return certify(NEAR_ONE[number])
 
 
-@pytest.mark.parametrize("loaded", [True, False])
+@pytest.mark.parametrize("least", [0, COMPILED])
 @pytest.mark.parametrize("kind", [ModifiedPolicyIteration, ValueIteration])
 @pytest.mark.parametrize("tol", [None, 1e-3])
 @pytest.mark.parametrize("number", range(len(NEAR_ONE)))
 def test_a_run_in_which_nothing_is_gained_ends(
-    number: int, tol: Any, kind: Any, loaded: bool, monkeypatch: pytest.MonkeyPatch
+    number: int, tol: Any, kind: Any, least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With bounds around the values that rational arithmetic proves."""
     for module in (gains_module, sweeps_module):
-        monkeypatch.setattr(module, "loops_pay", lambda *_: loaded)
+        monkeypatch.setattr(module, "COMPILED", least)
     monkeypatch.setattr(stopping_module, "MANY", 50)
     mdp = NEAR_ONE[number]
     with warnings.catch_warnings():
@@ -566,11 +564,11 @@ def test_a_run_in_which_nothing_is_gained_ends(
         assert one.error_bound <= 1e-9 * np.abs(one.value).max()
 
 
-@pytest.mark.parametrize("loaded", [True, False])
-def test_patience_is_as_long_as_news_takes(loaded: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("least", [0, COMPILED])
+def test_patience_is_as_long_as_news_takes(least: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a corridor each round brings one state on, and bounds fall by a thousandth."""
     for module in (gains_module, sweeps_module):
-        monkeypatch.setattr(module, "loops_pay", lambda *_: loaded)
+        monkeypatch.setattr(module, "COMPILED", least)
     go = np.eye(60)[[*range(1, 60), 59]]
     mdp = MDP.from_arrays([np.eye(60), go], [0.0] * 59 + [1.0], discount=0.999)
     whole = solve(mdp)
@@ -594,7 +592,7 @@ def test_too_few_iterations_name_all_that_goes_on() -> None:
 def test_compiled_rounds_may_be_cut_anywhere(
     make: Callable[[], MDP], count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sweeps_module, "loops_pay", lambda *_: True)
+    monkeypatch.setattr(sweeps_module, "COMPILED", 0)
     mdp = make()
     whole = solve(mdp, ModifiedPolicyIteration())
     with pytest.raises(SolverError) as stopped:
@@ -688,7 +686,7 @@ def test_a_policy_counts_as_evaluated_only_once_its_values_are_near(data: st.Dat
     equations = np.eye(living) - mdp.discount * mdp.transition.toarray()[:living, :living]
     exact = np.append(np.linalg.solve(equations, reward[:living]), 0.0)
     goal = data.draw(st.sampled_from([1e-1, 1e-3])) * np.abs(exact).max()
-    for kind in (Sweeps, LoadedSweeps, CompiledSweeps):
+    for kind in (Sweeps, CompiledSweeps):
         sweeps = kind(mdp, margin_weights(mdp))
         value = np.append(1.0 + np.arange(living), 0.0)
         sweeps.improve(value)

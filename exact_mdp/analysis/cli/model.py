@@ -17,6 +17,7 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.load import read_model, save
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.records import cut_off, entered, never_taken
 
 NAMED = 1000  # pairs that nobody took, in JSON
 RARE, MOST_RARE = "5", 20  # observations; rows of the table
@@ -139,7 +140,7 @@ def data(
     seen = mdp.observations
     assert seen is not None
     few = np.flatnonzero((seen > 0) & (seen < least))
-    ends = transitions.entered(mdp)
+    ends = entered(mdp)
     rows = [
         {
             "state": mdp.space.label(int(mdp.pair_state[pair])),
@@ -167,7 +168,7 @@ def data(
     }
     offered = mdp.n_actions * len(np.unique(mdp.pair_state[seen > 0]))
     facts["pairs"] = f"{result['pairs']:,} observed of {offered:,}, {len(rows):,} of them rare"
-    never = transitions.never_taken(mdp)
+    never = never_taken(mdp)
     if len(never):
         named = [f"{mdp.space.label(s)}: {mdp.actions[a]}" for s, a in never[:NAMED].tolist()]
         result |= {"never_taken": named, "n_never_taken": len(never)}
@@ -180,7 +181,7 @@ def data(
         f"off, add --column truncated={name}; where it marks the ends, leave next_state empty there"
         for name in record.ignored
     ]
-    unknown = [mdp.space.label(s) for s in np.flatnonzero(transitions.cut_off(mdp)).tolist()]
+    unknown = [mdp.space.label(s) for s in np.flatnonzero(cut_off(mdp)).tolist()]
     stopped = record.n_cut_off
     result |= {"cut_off": stopped, "cut_off_states": unknown}
     if stopped:

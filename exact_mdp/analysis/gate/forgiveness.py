@@ -28,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from itertools import pairwise
 from math import fsum, inf, isfinite
 
@@ -404,12 +405,12 @@ def exact_forgiveness(
         sides.append(
             Side(chain=of, found=FixedPoint(value=worth, error=UNIT * np.abs(worth) + TINY))
         )
-
-    def make() -> Fraction:
-        mine, most = (
-            np.array([x if isinstance(x, Fraction) else Fraction(0) for x in each.value], object)
-            for each in (own, best)
-        )
-        return _exactly_at_start(mdp, (chain, mine), (ideal, most))
-
-    return Forgiveness(most=inf, narrow=lambda: moved_at_start(mdp, *sides), make=make)
+    finite = [
+        np.array([x if isinstance(x, Fraction) else Fraction(0) for x in each.value], object)
+        for each in (own, best)
+    ]
+    return Forgiveness(
+        most=inf,
+        narrow=partial(moved_at_start, mdp, *sides),
+        make=partial(_exactly_at_start, mdp, (chain, finite[0]), (ideal, finite[1])),
+    )

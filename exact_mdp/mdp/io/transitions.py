@@ -44,8 +44,6 @@ from exact_mdp.mdp.validate import Flags, as_discount
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-    from exact_mdp.mdp.model import MDP
-
 
 COLUMNS = ("episode", "state", "action", "reward", "next_state")
 TRUNCATED = "truncated"  # the column that a table may have besides
@@ -584,35 +582,6 @@ class Record:
             )
         worst = max if costs else min
         return worst(Fraction(0), *map(exact, self.values)) / (1 - discount)
-
-
-def entered(mdp: MDP) -> tuple[str, ...]:
-    """Return the states of a model with counts that were entered and never left.
-
-    It takes them for ends, which the records do not say: they may have been cut off there.
-    """
-    assert mdp.observations is not None
-    left = np.logical_or.reduceat(mdp.observations > 0, mdp.pair_offsets[:-1])
-    states = np.flatnonzero(mdp.terminal & ~left & ~cut_off(mdp))
-    own = states[states < mdp.n_states - len(mdp.space.extra)]
-    return tuple(mdp.space.label(state) for state in own.tolist())
-
-
-def cut_off(mdp: MDP) -> Flags:
-    """Return (S,) states of a model with counts that nobody left, and where episodes were cut off.
-
-    It takes them for ends, too; nobody knows what they are worth.
-    """
-    return mdp.labels.get(CUT_OFF, np.zeros(mdp.n_states, dtype=bool))
-
-
-def never_taken(mdp: MDP) -> Integers:
-    """Return (N, 2) the states that were left, and the actions that nobody took there."""
-    assert mdp.observations is not None
-    seen = mdp.observations > 0
-    taken = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
-    taken[mdp.pair_state[seen], mdp.pair_action[seen]] = True
-    return np.argwhere(taken.any(axis=1, keepdims=True) & ~taken)
 
 
 def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:

@@ -225,14 +225,14 @@ def _leak(mdp: MDP) -> tuple[Floats, float]:
 
 def _excess(offsets: Integers, weight: Floats, fine: float) -> Floats:
     """Return Σ p - 1 of each row (L,), as `mdp.forms.rows` has it."""
-    found, loaded = np.empty(len(offsets) - 1), len(weight) >= COMPILED
-    ends = threads.block_ends(offsets, most=None if loaded else threads.IN_CACHE)
-
-    from exact_mdp.mdp.forms import rows as rows_loops
+    found, large = np.empty(len(offsets) - 1), len(weight) >= COMPILED
+    ends = threads.block_ends(offsets, most=None if large else threads.IN_CACHE)
+    if large:
+        from exact_mdp.mdp.forms import rows
 
     def work(_: int, first: int, last: int) -> None:
-        if loaded:
-            rows_loops.exceed(first, last, offsets, weight, fine, found)
+        if large:
+            rows.exceed(first, last, offsets, weight, fine, found)
             return
         begins = offsets[first:last]
         share, row = weight[begins[0] : offsets[last]], begins - begins[0]

@@ -130,7 +130,7 @@ def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
     monkeypatch: pytest.MonkeyPatch, fault: Exception
 ) -> None:
     """A crash is not 1, which says that the policy is bad."""
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", Mock(side_effect=fault))
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", Mock(side_effect=fault))
     done = run("check", "yuan2025", "optimal")
     assert (done.status, done.out) == (3, "")
     told(done.err)
@@ -410,7 +410,7 @@ def test_what_was_refused_leaves_no_file(bad: Path) -> None:
 
 def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = Mock(side_effect=ValueError("a mistake"))
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", broken)
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", broken)
     done = run("info", "yuan2025")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("ValueError: an error in the program, not in your input: a mis")
@@ -424,7 +424,7 @@ def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> 
     from exact_mdp.solvers import SolverError, Status
 
     give_up = Mock(side_effect=SolverError(Status.NO_BOUND))
-    monkeypatch.setattr("exact_mdp.solvers.solve", give_up)
+    monkeypatch.setattr("exact_mdp.analysis.optimum.solve", give_up)
     done = run("solve", "yuan2025", "--json")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("SolverError: double precision cannot bound")
@@ -440,7 +440,7 @@ def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.Mon
         found = solve(*words, **settings)
         return replace(found, value=found.value + 1e-6)
 
-    monkeypatch.setattr("exact_mdp.solvers.solve", wrong)
+    monkeypatch.setattr("exact_mdp.analysis.optimum.solve", wrong)
     done = run("solve", "yuan2025", "--certify", "--json")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("Contradiction: exact values differ")
@@ -448,7 +448,7 @@ def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.Mon
 
 def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     stop = Mock(side_effect=KeyboardInterrupt)
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", stop)
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", stop)
     done = run("info", "yuan2025")
     assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")
 

@@ -343,7 +343,7 @@ def test_so_does_whatever_else_ends_the_check(
         assert "did not end" in str(before.get("message"))
         raise fault
 
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.load", fail)
+    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", fail)
     assert run("check", "tea", "optimal", "--junit", path).status in (3, 130)
     found = ElementTree.parse(path).find(".//error")
     assert found is not None

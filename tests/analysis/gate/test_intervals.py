@@ -201,7 +201,7 @@ def test_the_start_is_a_row_of_its_own() -> None:
     other = MDP.from_transitions(first, discount="1/2")
     value = np.array([0.2, 0.9, -1.0])
     for most in (False, True):
-        pair = other.pair(other.space.number("first"), "0")
+        pair = other.pair("first", "0")
         states = [other.space.number(name) for name in ("0", "1", "end")]
         values = np.zeros(4)
         values[states], values[other.space.number("first")] = value, 0.5
@@ -670,7 +670,7 @@ def test_no_model_of_the_sets_has_another_regret_within_a_horizon(
     weights = np.zeros((3, mdp.n_pairs))
     for time, actions in enumerate(own):
         for state in range(4):
-            weights[time, mdp.pair(state, actions[state] if state < 3 else 0)] = 1
+            weights[time, mdp.pair(*((state, actions[state]) if state < 3 else ("end", 0)))] = 1
     sets = RowSets.of(mdp, 0.05, (0, 1))
     low, high = staged(sets, weights).regret
     models = [edge(sets, rng.dirichlet(np.full(4, 0.1), size=7), rng.random(7) < 0.5)]

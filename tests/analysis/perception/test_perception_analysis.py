@@ -11,10 +11,9 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, Oracle
 
-from exact_mdp.analysis.perception.accuracy import accuracy_curves
+from exact_mdp.analysis.perception.accuracy import accuracy_curves, confusion_at
 from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.perception.needed import confusion_at
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.care.perception import Counted, independent, perceived
 from exact_mdp.mdp.space import Column, StateSpace
@@ -170,7 +169,6 @@ def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
         (("--accuracy", "2"), "accuracy is 2"),
         (("--accuracy", "1.5"), "where: --accuracy"),
         (("--accuracy", "0.9", "--prior", "1"), "takes no prior"),
-        (("--accuracy", "0.9", "--share", "2"), "share is"),
         (("--accuracy", "0.9", "--draws", "x"), "not a whole number"),
     ],
 )

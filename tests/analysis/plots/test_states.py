@@ -20,8 +20,9 @@ from matplotlib.axes import Axes
 from random_models import dense
 
 from exact_mdp import MDP, Scenario, certify, check, evaluate, solve
-from exact_mdp.analysis import compare, curve, dot
+from exact_mdp.analysis import compare, curve
 from exact_mdp.analysis.gate.cells import cells
+from exact_mdp.analysis.graph import dot
 from exact_mdp.analysis.layout import arrange
 from exact_mdp.analysis.plots import (
     plot_policy,

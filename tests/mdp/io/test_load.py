@@ -12,9 +12,8 @@ from cli_runner import run
 from model_equality import assert_same
 
 from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io import npz, storm
+from exact_mdp.mdp.io import npz
 from exact_mdp.mdp.io.load import load, load_scenario, read_model, save
-from exact_mdp.mdp.lazy import later
 
 SMALL = ["tasks=[1]", "max_trial=1"]
 
@@ -138,15 +137,14 @@ def test_without_storm_the_error_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "stormpy", None)
-    monkeypatch.setattr(storm, "stormpy", later("stormpy"))
     (tmp_path / "m.prism").write_text("mdp", encoding="utf-8")
-    with pytest.raises(ModelError, match=r"exact-mdp\[storm\]"):
+    with pytest.raises(ModelError, match=r"exact-mdp\[models\]"):
         load(tmp_path / "m.prism")
     failed = run(
         "convert", str(tmp_path / "m.prism"), str(tmp_path / "m.umb"), "--constants", "N=4"
     )
     assert (failed.status, failed.out) == (2, "")
-    assert "exact-mdp[storm]" in failed.err
+    assert "exact-mdp[models]" in failed.err
     with pytest.raises(ModelError, match="has no constants"):
         read_model("yuan2025", constants="N=4")
 

@@ -19,6 +19,7 @@ from exact_mdp.mdp import MDP, ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.load import load, save
+from exact_mdp.mdp.records import entered
 from exact_mdp.solvers import certify
 
 NAMES = list(transitions.COLUMNS)
@@ -403,7 +404,7 @@ def test_where_episodes_were_cut_off_is_no_end(
             "trap",
             "cut off",
         ]
-        assert transitions.entered(mdp) == ("state home",)
+        assert entered(mdp) == ("state home",)
         seen = {
             (names[s], mdp.actions[a]): n
             for s, a, n in zip(mdp.pair_state, mdp.pair_action, mdp.observations, strict=True)

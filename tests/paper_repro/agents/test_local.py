@@ -13,8 +13,6 @@ from typing import Any
 import pytest
 
 from exact_mdp.mdp import ModelError, Scenario
-from exact_mdp.mdp.lazy import later
-from exact_mdp.paper_repro.agents import local
 from exact_mdp.paper_repro.agents.conversation import modules_of
 from exact_mdp.paper_repro.agents.local import LONGEST, MEMBER, Local, unpack
 from exact_mdp.paper_repro.agents.prompts import Place
@@ -125,8 +123,7 @@ def test_without_the_package_the_extra_is_named(
     monkeypatch: pytest.MonkeyPatch, model: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "xllamacpp", None)
-    monkeypatch.setattr(local, "xllamacpp", later("xllamacpp"))
-    with pytest.raises(ModelError, match=r"exact-mdp\[agents-local\]"):
+    with pytest.raises(ModelError, match=r"exact-mdp\[agents\]"):
         Local(path=model)
 
 

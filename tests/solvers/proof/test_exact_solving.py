@@ -16,6 +16,7 @@ from strategies import Rows, model_of, models
 from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.solvers import certify
+from exact_mdp.solvers.kernels import modular
 from exact_mdp.solvers.proof import exact
 from exact_mdp.solvers.proof import linear as exact_linear
 from exact_mdp.solvers.proof.certificate import Certificate
@@ -273,13 +274,13 @@ def test_a_guess_of_the_denominator_may_lack_a_factor(monkeypatch: pytest.Monkey
     wanted = system.lifting(right)
     assert wanted is not None
     assert system.eliminated(right, 60) is None
-    counts, lift = list[int](), exact_linear.modular.lift
+    counts, lift = list[int](), modular.lift
 
     def counted(*given: Any) -> Any:
         counts.append(len(given[4]))
         return lift(*given)
 
-    monkeypatch.setattr(exact_linear.modular, "lift", counted)
+    monkeypatch.setattr(modular, "lift", counted)
     factor = max(n for n in range(2, 10**5) if wanted[1] % n == 0)
     for guess, calls in ((wanted[1], 1), (wanted[1] // factor, 1), (wanted[1] * 6, 1), (1, None)):
         counts.clear()
@@ -428,7 +429,7 @@ def test_what_floats_cannot_tell_apart_is_chosen_exactly(
 
     Of integers beyond the range of floats none is asked to choose.
     """
-    monkeypatch.setattr(exact, "worth_compiling", lambda steps: True)
+    monkeypatch.setattr(exact, "COMPILED", 0)
     size, more = 40, F(1, 2**bits)
     rows: list[Any] = [
         (s, a, [(1, s + 1, 1 + more * a if s % 2 else 1 + more * (1 - a))])

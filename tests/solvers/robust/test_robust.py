@@ -96,7 +96,7 @@ def solved(mdp: MDP, kind, **choices) -> RobustSolution | None:
         return None
 
 
-@pytest.mark.filterwarnings("ignore::solvers.PrecisionWarning")
+@pytest.mark.filterwarnings("ignore::exact_mdp.PrecisionWarning")
 @moderate
 @given(models(), st.sampled_from(SHARES))
 def test_order_of_values(rows: Rows, share: Fraction) -> None:
@@ -120,7 +120,7 @@ def test_order_of_values(rows: Rows, share: Fraction) -> None:
             assert (np.abs(worst.value - nominal.value) <= room + 1e-9 * np.abs(worst.value)).all()
 
 
-@pytest.mark.filterwarnings("ignore::solvers.PrecisionWarning")
+@pytest.mark.filterwarnings("ignore::exact_mdp.PrecisionWarning")
 @moderate
 @given(models(discounts=[F(1, 2), F(9, 10), F(1)]), st.sampled_from(GAMES))
 def test_bellman_equations_by_linear_programs(rows: Rows, game: tuple[str, str]) -> None:

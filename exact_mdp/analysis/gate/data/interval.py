@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.records import entered, never_taken
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, exact
 from exact_mdp.mdp.validate import Flags
@@ -138,7 +138,7 @@ def observations_of(mdp: MDP) -> Integers:
 
 def of_process(mdp: MDP) -> tuple[str, ...]:
     """Return what every interval takes for true of the process behind a model's counts."""
-    ends, never = transitions.entered(mdp), transitions.never_taken(mdp)
+    ends, never = entered(mdp), never_taken(mdp)
     # Where actions that nobody took are offered all the same, `Robust.assumptions` says so.
     offered = set(zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True))
     pairs = [pair for pair in map(tuple, never.tolist()) if pair not in offered]

@@ -46,6 +46,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -287,7 +288,7 @@ def _trajectories(
     weight, total, steps = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
     end, last = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
     begun = mdp.start_distribution
-    over = mdp.terminal & ~transitions.cut_off(mdp)
+    over = mdp.terminal & ~cut_off(mdp)
     over = np.append(over, [False, True])  # the last two: cut off, or over, without a next state
     for episode, keys in transitions.read(record, records):
         states = _known(record.states.numbers, mdp.space.number, "state", record)

@@ -51,10 +51,10 @@ from exact_mdp.analysis.sensitivity.psa.intervals import (
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.randomness import RNG, seed_of
+from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers, exact
 from exact_mdp.solvers.parallel import Arrays, many
 from exact_mdp.solvers.solution import Estimated
@@ -153,7 +153,7 @@ class Posterior:
         self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
     ) -> PosteriorInterval:
         """Return the interval; raises ModelError without counts, for a bad prior or few draws."""
-        unknown = transitions.cut_off(mdp)
+        unknown = cut_off(mdp)
         # By the prior an episode may begin in any state, and go to any: after one step from a start
         # that is known it is over, and nothing of them matters.
         over = horizon == 1 and mdp.episodes is None and not mdp.start_distribution[unknown].any()

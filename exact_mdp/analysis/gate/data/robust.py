@@ -32,9 +32,9 @@ from exact_mdp.analysis.gate.data.interval import (
 )
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
+from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.solution import Claim
@@ -143,7 +143,7 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
     table = mdp.table
     pair = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))
     kept = observations_of(mdp)[pair] > 0
-    over = mdp.terminal & ~transitions.cut_off(mdp)
+    over = mdp.terminal & ~cut_off(mdp)
     gain, after = table.gains(), np.where(over[table.next], 0.0, mdp.discount)
     low, high = (gain + after * end for end in returns)
     outside = kept & ((low > returns[1]) | (high < returns[0]))

@@ -47,8 +47,8 @@ from scipy import special
 
 from exact_mdp.analysis.gate.data.interval import Ends, observations_of, range_of
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
@@ -131,7 +131,7 @@ class RowSets:
     @cached_property
     def unknown(self) -> Flags:
         """(S,) states of which nobody knows what follows: episodes were cut off there."""
-        found: Flags = transitions.cut_off(self.mdp)
+        found: Flags = cut_off(self.mdp)
         return found
 
     @cached_property
