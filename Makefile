@@ -47,7 +47,7 @@ setup: $(STAMP) ## make .venv with the locked packages and the project itself
 
 .PHONY: reproduce
 reproduce: $(STAMP) ## reproduce the paper's results (OUT=results; ARGS=--quick: a first look)
-	$(PY) -m paper_repro --out $(OUT) $(ARGS)
+	$(PY) -m paper_repro --out $(OUT) $(if $(findstring --quick,$(ARGS)),,--readme paper_repro) $(ARGS)
 
 .PHONY: notebooks
 notebooks: $(STAMP) ## open the notebooks in JupyterLab

@@ -27,11 +27,11 @@
 
 # %%
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 
 from exact_mdp.analysis.plots import plot_influence, plot_status_transitions, style
 from exact_mdp.mdp import Scenario
-from exact_mdp.paper_repro.report.figures import status_law
 
 scenario = Scenario.load("yuan2025")
 mdp = scenario.compile()
@@ -90,13 +90,17 @@ print(f"{mdp.n_transitions} transitions, {mdp.n_transitions / mdp.transition.sha
 # cent.
 
 # %%
+law = np.zeros((16, 16))
+for now in range(16):
+    row = mdp.pair(mdp.space.index(status=now), mdp.action("directive"))
+    for chance, state, _ in mdp.table.row(row):  # the end counts as status 0000
+        law[now, max(mdp.space.values("status")[state], 0)] += chance
+
 with style():
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.8))
     plot_influence(scenario, ax=left)
     left.set_title("influence without assistance, percentage points")
-    plot_status_transitions(
-        status_law(mdp, mdp.actions.index("directive")), scenario.statuses, ax=right
-    )
+    plot_status_transitions(law, scenario.statuses, ax=right)
     right.set_title("after directive assistance")
     plt.show()
 

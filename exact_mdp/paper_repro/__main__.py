@@ -1,96 +1,103 @@
-"""`python -m paper_repro`: reproduce the paper and print paper, exact and difference."""
+"""`python -m paper_repro`: reproduce the paper; list its claims, work one out, draw one figure."""
 
 from __future__ import annotations
 
-import time
+import sys
 from pathlib import Path
 
 import click
 
-from exact_mdp.analysis.exit_status import FAILED, Program
-from exact_mdp.mdp.errors import ModelError, extra
+from exact_mdp.analysis.exit_status import FAILED, Programs
 
-
-@click.command(cls=Program)
-@click.option(
-    "--quick",
-    is_flag=True,
-    help="Fewer training runs and simulated episodes; with --claim, fewer readings tried.",
+OUT = click.Path(file_okay=False, path_type=Path)
+RUNS = click.option(
+    "--runs",
+    default=100,
+    type=click.IntRange(1),
+    show_default=True,
+    help="Training runs of each exploration schedule, where it takes any.",
 )
+
+
+@click.group(cls=Programs, invoke_without_command=True)
+@click.option("--quick", is_flag=True, help="Fewer training runs; ends within two minutes.")
 @click.option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=OUT,
     default=Path("results"),
     show_default=True,
     help="Folder for report, numbers, figures and run.json; an interrupted run continues there.",
 )
 @click.option(
-    "--summary",
-    is_flag=True,
-    help="Write only summary.html, one page of A4 with what was found; no figures are drawn.",
+    "--readme",
+    type=OUT,
+    metavar="FOLDER",
+    help="Also write README.md, results.json and the figures of a full run there.",
 )
-@click.option("--claim", "name", metavar="ID", help="Work out only this claim, and print it.")
+@click.pass_context
+def main(context: click.Context, quick: bool, out: Path, readme: Path | None) -> int | None:
+    """Reproduce Yuan et al. (2025): every claim beside the exact answer.
+
+    Exit status: 0 done, 1 a number differs from the pinned one, 2 bad input, 3 anything else.
+    """
+    if context.invoked_subcommand is not None:
+        return None
+    if quick and readme is not None:
+        raise click.UsageError("--readme is for a full run; leave --quick out.", context)
+    if sys.stderr.isatty():
+        print("loading …", end="", file=sys.stderr, flush=True)
+    from exact_mdp.paper_repro import run  # the help does not wait for it
+
+    try:
+        results = run.run(out, quick=quick, readme=readme)
+    except KeyboardInterrupt as stop:
+        if not getattr(stop, "__notes__", ()):
+            stop.add_note(f"what is finished is kept in {out}, and the same command goes on")
+        raise
+    click.echo(run.table(results))
+    click.echo(f"\nReport: {out / 'report.md'}; figures: {out / 'figures'} (SVG and PNG)")
+    off = run.disagreements(results["claims"])
+    for line in off:
+        click.echo(f"differs from expected.toml: {line}", err=True)
+    return FAILED if off else None
+
+
+@main.command("list")
+def listed() -> None:
+    """List all claims with their places in the paper."""
+    from exact_mdp.paper_repro import run
+
+    click.echo(run.listed())
+
+
+@main.command()
+@click.argument("name", metavar="ID")
 @click.option(
     "--set",
     "sets",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Print which verdicts change under another reading (readings.skip_timestep=own), "
-    "parameter (base.anger=1/10) or setting of the learner (training.rate=0.1); repeatable. With "
-    "--quick without the claims that take training runs.",
+    help="Another reading (readings.skip_timestep=own), parameter (base.anger=1/10) or setting of "
+    "the learner (training.ties=random); repeatable.",
 )
-@click.option("--candidates", is_flag=True, help="Print the results in the form of expected.toml.")
-def main(
-    quick: bool,
-    out: Path,
-    summary: bool,
-    name: str | None,
-    sets: tuple[str, ...],
-    candidates: bool,
-) -> int | None:
-    """Reproduce Yuan et al. (2025): every claim beside the exact answer.
+@RUNS
+def claim(name: str, sets: tuple[str, ...], runs: int) -> None:
+    """Work out one claim; `list` shows their names."""
+    from exact_mdp.paper_repro import run
 
-    Exit status: 0 done, 1 a number differs from the pinned one, 2 bad input, 3 anything else.
-    """
-    started = time.perf_counter()
-    if name is not None and candidates:
-        raise ModelError(
-            "--claim prints one claim and --candidates all of them",
-            where="--candidates",
-            fix="leave one of the two out",
-        )
-    if sets and (name is not None or candidates):
-        raise ModelError(
-            "--set compares all verdicts with those of the default reading",
-            where="--set",
-            fix=f"leave {'--candidates' if candidates else '--claim'} out",
-        )
-    if summary and (sets or name is not None or candidates):
-        raise ModelError(
-            "--summary is about all claims under the default reading",
-            where="--summary",
-            fix="leave --claim, --set and --candidates out",
-        )
-    if name is not None and not name.strip():
-        raise ModelError(
-            "the name of the claim is empty",
-            where="--claim",
-            fix="give one, such as return.random; claims.json and the report list them",
-        )
-    try:
-        with extra("plots"):
-            from exact_mdp.paper_repro import run as work  # the help does not wait for it
-        if summary:
-            work.summarise(out, quick=quick)
-            failed = False
-        else:
-            failed = work.reproduce(out, quick, name, candidates, sets)
-    except KeyboardInterrupt as stop:
-        if not getattr(stop, "__notes__", ()):
-            stop.add_note(f"what is finished is kept in {out}, and the same command goes on")
-        raise
-    click.echo(f"done in {time.perf_counter() - started:.1f} s", err=True)
-    return FAILED if failed else None
+    click.echo(run.one(name, sets, runs))
+
+
+@main.command()
+@click.argument("name")
+@click.option("--out", type=OUT, default=Path("results/figures"), show_default=True)
+@RUNS
+def figure(name: str, out: Path, runs: int) -> None:
+    """Draw one figure as SVG and PNG, such as trials."""
+    from exact_mdp.paper_repro import run
+
+    for path in run.draw(name, out, runs):
+        click.echo(path)
 
 
 if __name__ == "__main__":

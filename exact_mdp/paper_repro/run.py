@@ -1,291 +1,232 @@
-"""The main job: work out every claim, draw, and write everything beside a run record."""
+"""The main job: work out every claim, draw, and write everything beside a run record.
+
+results.json   everything that the report is written from
+numbers.json   the claims with a number
+report.md      the report
+figures/       each figure as SVG and PNG
+run.json       versions, commit and date
+
+Finished training runs are kept in OUT/work until the job is done, so that an interrupted one goes
+on where it stopped. `expected.toml` pins what each claim comes to; it is written by hand.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import time
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import chain
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-import click
-import tqdm
-
-from exact_mdp.analysis.exit_status import warner
+from exact_mdp import ModelError, Scenario
 from exact_mdp.analysis.record import run_record
-from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.paper_repro.claims import Judged, PaperClaim, Verdict, all_claims, chosen, judge
-from exact_mdp.paper_repro.claims.judge import (
-    best_supported,
-    candidates,
-    disagreements,
-    expected,
-    tried_again,
-    verdicts,
-)
-from exact_mdp.paper_repro.reading import (
-    FULL,
-    QUICK,
-    SEED,
-    Reading,
-    Sizes,
-    Store,
-    alternatives,
-    changed,
-    default,
-)
-from exact_mdp.paper_repro.readings.evidence import Evidence
-from exact_mdp.paper_repro.readings.findings import reading_study, weighed, weighed_before
-from exact_mdp.paper_repro.report import agents, learner, output, readings, tradeoffs
-from exact_mdp.paper_repro.report.figures import PICTURES, draw_all
-from exact_mdp.paper_repro.report.output import counted, entry_of
-from exact_mdp.paper_repro.report.report import render, summary
-from exact_mdp.paper_repro.report.tables import all_tables
+from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
+from exact_mdp.paper_repro.claim import CLAIMS, Claim, judged
+from exact_mdp.paper_repro.drawing import FIGURES, save
+from exact_mdp.paper_repro.learner import SEED, settings
+from exact_mdp.paper_repro.paper import AVERAGES, ORDERS, write
+from exact_mdp.paper_repro.readme import exact, paper, render
+from exact_mdp.paper_repro.silent_points import Reading, default, facts, one_change, support
 
-Work = Callable[[], object]
+PARTS = (section_4_1_learning, section_4_1_policies, section_4_2)  # importing them fills CLAIMS
+FULL, QUICK = 400, 100  # training runs of each schedule
+HERE = Path(__file__).parent
+EXPECTED = HERE / "expected.toml"
 
 
-def reproduce(
-    out: Path,
-    quick: bool,
-    name: str | None,
-    form: bool,
-    sets: Sequence[str] = (),
-) -> bool:
-    """Print one claim or all of them, perhaps in the `form` of expected.toml, or what changes.
-
-    Returns whether a number differs from the pinned one.
-    """
-    sizes = QUICK if quick else FULL
-    if sets:
-        changed(default(sizes), sets)  # a wrong name leaves no folder
-        compare(sets, sizes, Store.under(out), quick=quick)
-        return False
-    if name is not None:
-        claims = [chosen(name)]  # a wrong name leaves no folder
-        store = Store.under(out)
-        (found,) = run_claims(claims, sizes, store, quick=quick)
-        output.print_claim(found)
-        return False
-    judged, off = run(out, sizes=sizes, quick=quick)
-    if form:
-        click.echo(candidates(judged))
-        return False
-    output.print_table(judged)
-    output.print_places(out)
-    for line in off:
-        click.echo(f"differs from expected.toml: {line}", err=True)
-    return bool(off)
+def say(text: str) -> None:
+    """Show what is worked on, where standard error is a terminal."""
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{text:.78}", end="", file=sys.stderr, flush=True)
 
 
-def run(out: Path, *, sizes: Sizes, quick: bool) -> tuple[list[Judged], list[str]]:
-    """Write numbers, report, figures and run record into `out`.
-
-    What an interrupted run left there is used. Returns every claim, and what differs from the
-    pinned values.
-    """
-    started = time.perf_counter()
-    store = Store.under(out)
-    store.clear_others()
-    reused, reading, claims = store.used, default(sizes, store), all_claims()
-    with tqdm.tqdm(disable=not sys.stderr.isatty(), leave=False) as bar:
-        tick = partial(_tick, bar)
-        tick("all readings of the text")
-        study = reading_study(seed=SEED, out=store.folder("readings"), quick=quick, progress=True)
-        others = list(_others(reading, sizes, study.main))
-        bar.total = bar.n + len(claims) + len(others) + len(readings.PICTURES) + len(PICTURES)
-        again, draw = tried_again(claims, study.main), partial(draw_all, folder=out / "figures")
-        draw = partial(draw, dpi=sizes.dpi)
-        # Other processes take what needs no training: other readings, and most of the figures.
-        # The figures of the agents share what they show.
-        apart = replace(reading)
-        still: dict[str, Callable[[], Any]] = {
-            p.name: partial(p.draw, apart) for p in (*PICTURES, *tradeoffs.PICTURES) if not p.learns
-        }
-        work: list[Work] = [
-            partial(draw, {p.name: p.draw for p in agents.PICTURES}),
-            partial(draw, still),
-            *(partial(verdicts, other, again) for other in others),
-        ]
-        with _beside(work) as finished:
-            judged = judge(
-                claims,
-                reading,
-                others=_after(finished, others),
-                learners=reading.learners,
-                evidence=study.main,
-                progress=tick,
-            )
-        draw({p.name: partial(p.draw, study) for p in readings.PICTURES}, progress=tick)
-        draw({p.name: partial(p.draw, reading) for p in PICTURES if p.learns}, progress=tick)
-    off = disagreements(judged, expected())
-    record = _record(reading, sizes, quick)
-    record |= {
-        "seconds": round(time.perf_counter() - started, 2),
-        "reused": "with finished parts of an earlier run" if reused else "from nothing",
-    }
-    markdown, page = render(
-        out,
-        judged=judged,
-        reading=reading,
-        tables=all_tables(reading),
-        figures=PICTURES,
-        parts=[
-            learner.learner_part(judged, reading),
-            readings.readings_part(study, reading),
-            tradeoffs.tradeoffs_part(reading),
-            agents.agents_part(),
-        ],
-        record=record,
-        pinned=off,
-        main=study.main,
-    )
-    entries = [entry_of(each) for each in judged]
-    _write(out / "numbers.json", [each for each in entries if each["exact"] is not None])
-    _write(out / "claims.json", entries)
-    write_atomically(out / "report.md", markdown)
-    write_atomically(out / "report.html", page)
-    write_atomically(out / "summary.html", summary(judged, reading, study.main, record))
-    _write(out / "run.json", record)
-    return judged, off
+def as_json(data: object) -> str:
+    """Return data as JSON text."""
+    return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
 
 
-def summarise(out: Path, *, quick: bool) -> None:
-    """Write the page for those who read no more: every claim is worked out, nothing is drawn."""
-    sizes, store = QUICK if quick else FULL, Store.under(out)
-    reading, folder = default(sizes, store), store.folder("readings")
-    found, *_ = weighed(seed=SEED, out=folder, quick=quick, progress=True)
-    others = _others(reading, sizes, found)
-    judged = judge(
-        all_claims(),
-        reading,
-        others=others,
-        learners=reading.learners,
-        evidence=found,
-        progress=_say,
-    )
-    page = out / "summary.html"
-    write_atomically(page, summary(judged, reading, found, _record(reading, sizes, quick)))
-    click.echo(counted(judged))
-    click.echo(f"One page: {page}")
-
-
-def run_claims(
-    claims: Sequence[PaperClaim],
-    sizes: Sizes,
-    store: Store,
-    *,
-    quick: bool,
-) -> list[Judged]:
-    """Work some claims out, with as little else as they need.
-
-    Open claims are tried under the readings that differ from the default in one point; under all
-    of them where `store` holds the search over these and the training that weighs it, as the main
-    job leaves them.
-    """
-    reading = default(sizes, store)
-    folder = store.folder("readings")
-    known = [size for size in (False, True) if weighed_before(folder, quick=size)]
-    if quick or not any(claim.open for claim in claims) or not known:
-        others, learners = _alike(reading, claims), [] if quick else reading.learners
-        return judge(claims, reading, others=others, learners=learners, progress=_say)
-    found, *_ = weighed(seed=SEED, out=folder, quick=known[0], progress=True)
-    others = _others(reading, sizes, found)
-    return judge(claims, reading, others=others, evidence=found, progress=_say)
-
-
-def compare(sets: Sequence[str], sizes: Sizes, store: Store, *, quick: bool) -> None:
-    """Print which verdicts change under KEY=VALUE changes; a quick run leaves learning out.
-
-    A default verdict that changes is shown as the page has it, other readings tried.
-    """
-    reading = default(sizes, store)
-    other = changed(reading, sets)
-    claims = [claim for claim in all_claims() if not (quick and claim.learns)]
-    if quick:
-        left = len(all_claims()) - len(claims)
-        click.echo(f"{left} claims take training runs; --quick leaves them out, all of them")
-        if other.training:
-            click.echo("so no claim about training is compared: leave --quick out for these")
-    before = judge(claims, reading, progress=_say)
-    after = judge(claims, other, progress=_say)
-    pairs = [
-        (was, now)
-        for was, now in zip(before, after, strict=True)
-        if was.finding.verdict is not now.finding.verdict
-    ]
-    unsure = [was.claim for was, _ in pairs if was.finding.verdict is Verdict.NOT_REPRODUCED]
-    again = run_claims(unsure, sizes, store, quick=quick) if unsure else []
-    page = {each.claim.id: each for each in again}
-    shown = [(page.get(was.claim.id, was), now) for was, now in pairs]
-    output.print_changes(other.label, shown, len(claims))
-
-
-def _say(what: str) -> None:
-    """Say on standard error what is worked out, where no bar shows it."""
-    click.echo(f"{what} …", err=True)
-
-
-def _others(reading: Reading, sizes: Sizes, found: Evidence) -> Iterator[Reading]:
-    return chain(alternatives(reading), best_supported(found, reading, sizes))
-
-
-def _alike(reading: Reading, claims: Sequence[PaperClaim]) -> Iterator[Reading]:
-    """Yield the readings with one change; training is taken to end with the completions as here."""
-    learns = any(claim.learns for claim in claims)
-    yield from alternatives(replace(reading, ends=reading.completions) if learns else reading)
-
-
-@contextmanager
-def _beside(work: Sequence[Work]) -> Iterator[Iterator[object]]:
-    """Start work in other processes, one for each core; give what they return, in order."""
-    import joblib
-
-    parallel = joblib.Parallel(n_jobs=-1, return_as="generator", batch_size=1)
-    with closing(parallel(joblib.delayed(_done)(each) for each in work)) as finished:
-        yield finished
-
-
-_WARN = warner()  # tells each text once in a process
-
-
-def _done(work: Work) -> object:
-    """Do what is worked on in another process, which tells warnings as the command does."""
-    warnings.showwarning = _WARN
-    return work()
-
-
-def _after(finished: Iterator[object], others: Sequence[Reading]) -> Iterator[Reading]:
-    """Yield readings once the work on them is done, so that it is found in the store."""
-    for _ in finished:
-        pass
-    yield from others
-
-
-def _tick(bar: Any, what: str) -> None:
-    bar.set_description(f"{what:36.36}")
-    bar.update()
-
-
-def _write(path: Path, data: object) -> None:
-    write_atomically(path, json.dumps(data, indent=1, ensure_ascii=False) + "\n")
-
-
-def _record(reading: Reading, sizes: Sizes, quick: bool) -> dict[str, Any]:
-    scenario = reading.scenario
-    record = run_record(reading.mdp, model=scenario.name, solver="auto", seed=SEED)
-    return record | {
+def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]:
+    """Write everything into `out`, and the report with its figures into `readme`, too."""
+    started, runs = time.perf_counter(), QUICK if quick else FULL
+    needs_matplotlib()
+    write(out / "run.json", as_json({"started": True}))  # a folder that cannot be written to
+    reading = default(runs=runs, folder=out / "work")
+    found = support(reading, say)
+    changed = one_change(reading)
+    best = replace(found.best, runs=runs // 4)
+    claims = []
+    for entry in judged(list(CLAIMS.values()), reading, changed, best):
+        claims.append(entry)
+        say(f"{len(claims)} of {len(CLAIMS)} claims: {entry['name']}")
+    results = {
         "quick": quick,
-        "episodes": sizes.episodes,
-        "training_runs": sizes.runs,
+        "runs": runs,
+        "values": values(reading),
+        "readings": facts(found, [reading, *changed]),
+        "claims": claims,
+    }
+    write(out / "results.json", as_json(results))
+    write(out / "numbers.json", as_json([e for e in claims if e["exact"] is not None]))
+    write(out / "report.md", render(results))
+    for picture in FIGURES.values():
+        say(f"figure {picture.name}")
+        save(picture, reading, out / "figures")
+        if readme is not None:
+            drawn = out / "figures" / f"{picture.name}.png"
+            write(readme / "figures" / drawn.name, drawn.read_bytes())
+    if readme is not None:
+        write(readme / "results.json", as_json(results))
+        write(readme / "README.md", render(results, code="./"))
+    record = run_record(reading.mdp, model="yuan2025", solver="auto", seed=SEED)
+    scenario = reading.scenario
+    record |= {
+        "quick": quick,
+        "training_runs": runs,
         "readings": dict(scenario.readings),
         "tasks": list(scenario.tasks),
         "max_trial": scenario.max_trial,
         "discount": str(scenario.discount),
+        "seconds": round(time.perf_counter() - started, 2),
     }
+    write(out / "run.json", as_json(record))
+    shutil.rmtree(out / "work", ignore_errors=True)
+    say("")
+    return results
+
+
+def needs_matplotlib() -> None:
+    """Raise ModelError, before anything is worked out, where no figure could be drawn."""
+    try:
+        import matplotlib.pyplot as plt
+    except ImportError:
+        raise ModelError(
+            "the package matplotlib is missing",
+            where="figures",
+            fix='pip install "exact-mdp[plots]"',
+        ) from None
+    del plt
+
+
+def values(reading: Reading) -> dict[str, Any]:
+    """Return the exact values that the report names: each reported policy in both orders."""
+    named = {name: reading.value(name).mean for name in ("optimal", "random")}
+    orders = {o: {start: reading.value(start, o).mean for start in AVERAGES} for o in ORDERS}
+    return {**named, **orders}
+
+
+def chosen(name: str) -> Claim:
+    """Return a claim by its name; raises ModelError for an unknown one."""
+    found: Claim = _named(name, CLAIMS, "claim")
+    return found
+
+
+def _named(name: str, known: Mapping[str, Any], what: str) -> Any:
+    if name not in known:
+        near = get_close_matches(name, known, n=1, cutoff=0.3) or list(known)
+        raise ModelError(f"unknown {what} {name!r}", where=what, fix=f"such as {near[0]}")
+    return known[name]
+
+
+def draw(name: str, out: Path, runs: int) -> list[Path]:
+    """Draw one figure into a folder; raises ModelError for an unknown one."""
+    picture = _named(name, FIGURES, "figure")
+    needs_matplotlib()
+    return save(picture, default(runs=runs), out)
+
+
+def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
+    """Return a reading with KEY=VALUE changes: of the scenario, or training.KEY of the learner.
+
+    >>> changed = changed_reading(default(), ["readings.status_cost=current", "training.rate=0.1"])
+    >>> changed.scenario.readings["status_cost"], changed.training
+    ('current', {'rate': 0.1})
+    """
+    scenario: Scenario = base.scenario
+    training: dict[str, Any] = {}
+    for each in sets:
+        name, _, text = each.partition("=")
+        if name.startswith("training."):
+            try:
+                value = json.loads(text)
+            except ValueError:
+                value = text
+            training[name.removeprefix("training.")] = value
+        else:
+            scenario = scenario.set(each)
+    label = ", ".join(sets) or base.label
+    reading = replace(base, scenario=scenario, training=training, label=label)
+    if training:
+        settings("decaying", training)  # refuses what does not fit
+    return reading
+
+
+def one(name: str, sets: Sequence[str], runs: int) -> str:
+    """Return one claim with all that is found of it, as text.
+
+    An open claim is tried under the readings with one change, too.
+    """
+    claim = chosen(name)
+    reading = changed_reading(default(runs=runs), sets)
+    found = claim.find(reading)
+    lines = {
+        "paper": "" if found.paper is None else f"{float(found.paper):g}",
+        "exact": "" if found.exact is None else f"{float(found.exact):.10g} ({found.kind})",
+        "verdict": found.says,
+        "why": found.why,
+        "reading": reading.label,
+        "code": f"paper_repro/{claim.code}",
+    }
+    if claim.learns:
+        lines["runs"] = f"{runs} of each exploration schedule"
+    if claim.open and not sets:
+        others = [(each.label, claim.find(each).says) for each in one_change(reading)]
+        differing = [f"{says}: {label}" for label, says in others if says != found.says]
+        lines["other readings"] = "; ".join(differing) or f"the same in all {len(others)}"
+    width = max(map(len, lines)) + 2
+    body = [f"  {key + ':':{width}}{text}" for key, text in lines.items() if text]
+    return "\n".join([f"{claim.id} ({', '.join(claim.places)})", claim.says, *body])
+
+
+def listed() -> str:
+    """Return all claims with their places, one below the other."""
+    return "\n".join(
+        f"{claim.id:42} {', '.join(claim.places):32} {claim.says}" for claim in CLAIMS.values()
+    )
+
+
+def table(results: Mapping[str, Any]) -> str:
+    """Return all claims as a table: paper, exact, difference, verdict."""
+    lines = [f"{'claim':40}{'paper':>10}{'exact':>16}{'difference':>12}  verdict"]
+    for each in results["claims"]:
+        apart = each["difference"]
+        gap = "" if apart is None else f"{apart:+.4g}".replace("-", "−")
+        lines.append(
+            f"{each['name']:40}{paper(each):>10}{exact(each):>16}{gap:>12}  {each['verdict_says']}"
+        )
+    return "\n".join(lines)
+
+
+def disagreements(claims: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return where claims differ from the pinned values."""
+    pinned = tomllib.loads(EXPECTED.read_text("utf-8"))
+    names = {entry["name"] for entry in claims}
+    off = [f"{name} is pinned, and no claim" for name in sorted(pinned.keys() - names)]
+    for entry in claims:
+        name, found = entry["name"], entry["verdict_of_default_reading"]
+        wanted = pinned.get(name)
+        if wanted is None:
+            off.append(f"{name} is not pinned")
+            continue
+        verdicts = wanted["verdict"] if isinstance(wanted["verdict"], list) else [wanted["verdict"]]
+        if found not in verdicts:
+            off.append(f"{name} is {found}, not {' or '.join(verdicts)}")
+        if ("value" in wanted) != (entry["exact"] is not None):
+            off.append(f"{name} has {'no' if 'value' in wanted else 'a'} number")
+        elif "value" in wanted and abs(entry["exact"] - wanted["value"]) > wanted["tolerance"]:
+            off.append(f"{name} is {entry['exact']!r}, not {wanted['value']!r}")
+    return off

@@ -132,19 +132,19 @@ def test_pinned_claims_are_what_the_commands_answer(tmp_path: Path) -> None:
         found: dict[str, Any] = json.loads(run(line, tmp_path).out)
         return found
 
+    results = json.loads((ROOT / "paper_repro" / "results.json").read_text("utf-8"))
+    entries = {each["name"]: each.get("entries", {}) for each in results["claims"]}
+    claimed = entries["table3"] | {f"reward.{k}": v for k, v in entries["table4"].items()}
     tables = asked("info yuan2025")["parameters"]
-    claimed = {name.removeprefix("table3."): entry for name, entry in pinned.items()}
     shared = claimed.keys() & tables.keys()
-    assert len(shared) > 25
+    assert len(shared) == 33
     for name in shared:
-        assert float(Fraction(tables[name])) == claimed[name]["value"], name
-    for name, line, key in (
-        ("return.optimal", "solve yuan2025 --certify", "start_value"),
-        ("return.random", "evaluate yuan2025 random", "mean"),
-    ):
-        found, entry = asked(line), pinned[name]
-        allowed = entry["tolerance"] + found["error_bound"]
-        assert abs(found[key] - entry["value"]) <= allowed, name
+        assert Fraction(tables[name]) == Fraction(claimed[name]), name
+    found = asked("evaluate yuan2025 random")
+    allowed = pinned["return.random"]["tolerance"] + found["error_bound"]
+    assert abs(found["mean"] - pinned["return.random"]["value"]) <= allowed
+    found = asked("solve yuan2025 --certify")
+    assert abs(found["start_value"] - results["values"]["optimal"]) <= 1e-9
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""`python -m paper_repro.agents`: conversations of the paper's two agents, and what they show."""
+"""`python -m paper_repro.agents`."""
 
 from exact_mdp.paper_repro.agents.cli import main
 

@@ -1,147 +1,84 @@
-"""The openai backend: any endpoint that speaks chat completions, by its base URL.
+"""Any endpoint that speaks chat completions (the OpenAI protocol), by its address.
 
-The key is read from the environment when the backend is made, goes into one request header, and
-nowhere else: not into a recording, a message, a `repr` or a pickle. What an endpoint writes beside
-an error is not shown where a key was sent, since it may hold the key in any disguise. Too many
-requests (429), server errors, dropped connections and time-outs are tried again after 1, 2, 4 …
-seconds, or as long as the endpoint asks for; every other status stops the run with a message.
+The key is read from the environment, goes into one request header, and nowhere else: not into a
+recording, a message or a `repr`. Addresses are https, or http on this machine. Nothing else is
+taken from the environment: no proxy, no .netrc, no certificates. One deadline bounds an attempt,
+from the look-up of the name to the last byte, and an answer has at most 4 MB. Too many requests,
+server errors, dropped connections and time-outs are tried again after 1, 2, 4 … seconds, or as long
+as the endpoint asks for; an answer in another form than asked is asked for again, with its fault
+named; every other status stops the run.
 """
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 import os
+import queue
 import re
-import ssl
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
-from urllib.parse import unquote
-from urllib.request import getproxies_environment, proxy_bypass
+from typing import Any, cast
+from urllib.parse import urlsplit
 
-import numpy as np
-
-from exact_mdp.mdp.errors import ModelError, extra
-from exact_mdp.paper_repro.agents.chat import Malformed, Style, ask, decoded
-from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, plain
-
-if TYPE_CHECKING:
-    from exact_mdp.paper_repro.agents.transport import Address, Answer, Route
-
+from exact_mdp import ModelError
+from exact_mdp.paper_repro.agents.texts import Request
 
 AGAIN = (408, 409, 429, 500, 502, 503, 504)
 LONGEST_WAIT = 60.0
-LONGEST_TIMEOUT = 86_400.0
-SECRET = 16  # characters from which on a key is taken for a secret, not for a word such as "none"
-RUN = 8  # characters of a key that an answer may not hold in a row
+MOST_BYTES = 4_000_000
+LONGEST_TEXT = 1200  # characters of a text in an answer
+SHAPES = ("json_schema", "json_object", "none")
 
 
-class Key:
-    """A key that is never shown and never written to a file."""
-
-    __slots__ = ("text",)
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-
-    def __bool__(self) -> bool:
-        return bool(self.text)
-
-    def __repr__(self) -> str:
-        return "Key(…)"
-
-    def __reduce__(self) -> tuple[object, ...]:
-        raise TypeError("a key is not pickled")
-
-    def told_by(self, texts: Mapping[str, Any]) -> bool:
-        """Return whether texts hold a part of the key, as it is, reversed, in base64 or in hex.
-
-        Examples
-        --------
-        >>> key = Key("sk-test-0123456789abcdef")
-        >>> key.told_by({"speech": "It is fedcba9876543210."}), key.told_by({"speech": "Good day."})
-        (True, False)
-        """
-        if len(self.text) < SECRET:
-            return False
-        raw = self.text.encode("ascii")
-        forms = [self.text, raw.hex()]
-        for skipped in range(3):  # where the key begins within a group of three bytes
-            forms += [base64.b64encode(raw[skipped:]).decode(), _urlsafe(raw[skipped:])]
-        forms += [form[::-1] for form in forms]
-        runs = {form[i : i + RUN].lower() for form in forms for i in range(len(form) - RUN + 1)}
-        whole = "\n".join(f"{name}\n{text}" for name, text in texts.items()).lower()
-        return any(run in whole for run in runs)
+class BackendError(ModelError):
+    """A backend that could not answer: unreachable, refusing, or never in the asked form."""
 
 
-def _urlsafe(raw: bytes) -> str:
-    return base64.urlsafe_b64encode(raw).decode()
+class Transient(Exception):
+    """A failure that may pass; `wait` is how long the endpoint asks to wait."""
+
+    def __init__(self, what: str, wait: float = 0.0) -> None:
+        super().__init__(what)
+        self.wait = wait
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+class Malformed(Exception):
+    """An answer that is not in the asked form; the text says how."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Endpoint:
-    """A model behind an endpoint.
+    """A model behind an endpoint."""
 
-    Attributes
-    ----------
-    model : the model's name there
-    base_url : such as http://127.0.0.1:8080/v1
-    key_variable : the environment variable that holds the key
-    style : how it is asked
-    timeout : seconds for a whole answer, from the look-up of the name to the last byte
-    trust_environment : whether proxies and certificates are taken from the environment; this
-        machine is never asked through a proxy
-    sleep : waits between attempts
-    """
-
-    model: str
-    base_url: str
-    key_variable: str = "OPENAI_API_KEY"
-    style: Style = field(default_factory=Style)
-    timeout: float = 60.0
-    trust_environment: bool = False
-    sleep: Callable[[float], None] = time.sleep
+    model: str  # its name there
+    base_url: str  # such as http://127.0.0.1:8080/v1
+    key_variable: str = "OPENAI_API_KEY"  # the environment variable that holds the key
+    temperature: float = 0.7
+    max_tokens: int = 400
+    shape: str = "json_schema"  # how the form is requested; it is checked in any case
+    tries: int = 4  # attempts for each request before the run stops
+    timeout: float = 60.0  # seconds for a whole attempt
+    sleep: Callable[[float], None] = field(default=time.sleep, repr=False)
 
     def __post_init__(self) -> None:
-        from exact_mdp.paper_repro.agents import transport
-
-        if not 0 < self.timeout <= LONGEST_TIMEOUT:
+        if not 0 < self.timeout < math.inf:
             raise ModelError(
-                f"the time limit is {self.timeout:g} s",
-                where="--timeout",
-                fix=f"give seconds above 0, up to {LONGEST_TIMEOUT:g}",
+                f"the time limit is {self.timeout:g} s", where="--timeout", fix="give seconds > 0"
             )
-        key = _key(self.key_variable)
-        address = transport.Address.of(self.base_url)
-        if address is None:
-            if re.search(r"[@?#]", self.base_url):
-                raise ModelError(
-                    "the base URL holds credentials, a query or a fragment, which would be "
-                    "recorded",
-                    where="--base-url",
-                    fix=f"put the key into the environment as {self.key_variable}",
-                )
+        _checked_address(self.base_url)
+        try:
+            import httpx
+        except ImportError:
             raise ModelError(
-                "the base URL is not an http or https address",
-                where="--base-url",
-                fix="write https://…",
-            )
-        if address.scheme == "http" and not address.loopback and key:
-            raise ModelError(
-                "a key would travel unencrypted",
-                where="--base-url",
-                fix=f"use https, or unset {self.key_variable}",
-            )
-        route = _route(address, bool(key), self.trust_environment)
-        for name, value in (("_key", key), ("_address", address), ("_route", route)):
-            object.__setattr__(self, name, value)
-
-    def __repr__(self) -> str:
-        return f"Endpoint(model={self.model!r}, base_url={self.base_url!r})"
+                "the package httpx is missing",
+                where="--backend openai",
+                fix='pip install "exact-mdp[agents]"',
+            ) from None
+        del httpx
+        self._key()
 
     def describe(self) -> dict[str, Any]:
         """Return the endpoint and how it is asked; the key is no part of it."""
@@ -149,209 +86,256 @@ class Endpoint:
             "backend": "openai",
             "model": self.model,
             "base_url": self.base_url,
-            "temperature": self.style.temperature,
-            "max_tokens": self.style.max_tokens,
-            "response_format": self.style.shape,
+            "temperature": self.temperature,
+            "max_tokens": self.max_tokens,
+            "response_format": self.shape,
         }
 
-    def answer(self, request: Request) -> Reply:
-        """Return an answer that fits the schema; raises BackendError."""
-        reply = ask(request, self.style, self._post, self.base_url)
-        if self._secret().told_by(reply.data):
+    def answer(self, request: Request) -> dict[str, Any]:
+        """Return an answer in the asked form; raises BackendError where there is none."""
+        fault = ""
+        for attempt in range(self.tries):
+            try:
+                return self._once(request, fault, attempt)
+            except Malformed as error:
+                fault = str(error)
+                last = f"it was not in the asked form: {fault}"
+            except Transient as error:
+                last = str(error)
+                if attempt + 1 < self.tries:
+                    self.sleep(min(max(2.0**attempt, error.wait), LONGEST_WAIT))
+        raise BackendError(
+            f"no answer in {self.tries} attempts; the last one: {last}",
+            where=f"{self.base_url}, {request.purpose}",
+            fix="--resume goes on once the endpoint is back; or take another model, or another "
+            "--response-format",
+        )
+
+    def _once(self, request: Request, fault: str, attempt: int) -> dict[str, Any]:
+        key = self._key()
+        status, wait, data = self._sent(self._body(request, fault, attempt), key)
+        if status in AGAIN:
+            raise Transient(f"HTTP status {status}", wait)
+        if status != 200:
+            raise BackendError(f"HTTP status {status}", where=self.base_url, fix=_remedy(status))
+        found = checked(_content(data, self.base_url), request.fields)
+        if len(key) > 8 and key in json.dumps(found, ensure_ascii=False):
             raise BackendError(
-                "the answer holds a part of the key that was sent; nothing of it is kept",
+                "the answer holds the key that was sent; nothing of it is kept",
                 where=self.base_url,
                 fix="take another endpoint, and another key: this one was given away",
             )
-        return reply
+        return found
 
-    def _secret(self) -> Key:
-        key: Key = self.__dict__["_key"]
+    def _body(self, request: Request, fault: str, attempt: int) -> dict[str, Any]:
+        """Return the body of a chat completion."""
+        messages = [{"role": role, "content": content} for role, content in request.messages]
+        if fault:
+            messages[-1]["content"] += (
+                f"\n\nAn earlier answer could not be used: {fault}. "
+                "Answer with the JSON object alone."
+            )
+        body: dict[str, Any] = {
+            "model": self.model,
+            "messages": messages,
+            "max_tokens": self.max_tokens,
+            "temperature": self.temperature,
+            "seed": (request.seed + attempt) % 2**31,
+        }
+        if self.shape == "json_schema":
+            named = {"name": request.purpose, "strict": True, "schema": schema(request.fields)}
+            body["response_format"] = {"type": "json_schema", "json_schema": named}
+        elif self.shape == "json_object":
+            body["response_format"] = {"type": "json_object"}
+        return body
+
+    def _sent(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
+        """Return status, the wait that is asked for, and the data; one deadline bounds it all.
+
+        It is sent in a thread, since nothing else bounds the look-up of a name.
+        """
+        answers: queue.Queue[Any] = queue.Queue()
+
+        def send() -> None:
+            try:
+                answers.put(self._posted(body, key))
+            except Exception as error:  # handed to the thread that waits
+                answers.put(error)
+
+        threading.Thread(target=send, daemon=True).start()
+        try:
+            answer = answers.get(timeout=self.timeout)
+        except queue.Empty:
+            raise Transient(f"no answer within {self.timeout:g} s") from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer  # type: ignore[no-any-return]
+
+    def _posted(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
+        import httpx
+
+        context = httpx.create_ssl_context(trust_env=False)
+        cast(Any, context).keylog_filename = None  # secrets of a connection go into no file
+        headers = {"Accept-Encoding": "identity"}
+        if key:
+            headers["Authorization"] = f"Bearer {key}"
+        url, data = f"{self.base_url.rstrip('/')}/chat/completions", b""
+        try:
+            with (
+                httpx.Client(trust_env=False, verify=context, timeout=self.timeout) as client,
+                client.stream("POST", url, json=body, headers=headers) as answer,
+            ):
+                if answer.status_code == 200:
+                    for piece in answer.iter_raw():
+                        data += piece
+                        if len(data) > MOST_BYTES:
+                            raise Transient(f"an answer of over {MOST_BYTES:,} bytes")
+                return answer.status_code, _seconds(answer.headers.get("retry-after")), data
+        except httpx.HTTPError as error:
+            if "CERTIFICATE_VERIFY_FAILED" in str(error):
+                raise BackendError(
+                    "the certificate of the endpoint is not trusted",
+                    where=self.base_url,
+                    fix="check --base-url",
+                ) from None
+            raise Transient(f"{type(error).__name__}, the connection failed") from None
+
+    def _key(self) -> str:
+        """Return the key; none where the usual variable is not set."""
+        name = self.key_variable
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or (
+            name != Endpoint.key_variable and name not in os.environ
+        ):
+            raise ModelError(
+                "the environment has no variable of the given name, which is not shown, since it "
+                "may be a key",
+                where="--key-variable",
+                fix="put the key into the environment, and give the name of the variable",
+            )
+        key = os.environ.get(name, "").strip()
+        if not key.isascii() or not key.isprintable():
+            raise ModelError(
+                "the key holds characters that a key cannot have", where=name, fix="set it again"
+            )
         return key
 
-    def _post(self, body: dict[str, Any]) -> tuple[dict[str, Any], int]:
-        """Send a body until there is an answer; return it with the number of attempts."""
-        from exact_mdp.paper_repro.agents import transport
 
-        jitter = np.random.default_rng(body.get("seed", 0))
-        for attempt in range(1, self.style.tries + 1):
-            try:
-                return self._once({"model": self.model, **body}), attempt
-            except transport.Transient as failure:
-                if attempt == self.style.tries:
-                    raise BackendError(
-                        f"no answer in {attempt} attempts; the last one: {failure}",
-                        where=self.base_url,
-                        fix="resume once the endpoint is back",
-                    ) from None
-                wait = 2.0 ** (attempt - 1) * (1 + 0.25 * jitter.random())
-                self.sleep(min(max(wait, failure.wait or 0.0), LONGEST_WAIT))
-        raise AssertionError("tries is at least 1")
-
-    def _once(self, body: dict[str, Any]) -> dict[str, Any]:
-        from exact_mdp.paper_repro.agents import transport
-
-        address: Address = self.__dict__["_address"]
-        key = self._secret()
-        try:
-            answer = transport.post(
-                address,
-                "/chat/completions",
-                json.dumps(body, allow_nan=False).encode("ascii"),
-                {"Authorization": f"Bearer {key.text}"} if key else {},
-                route=self.__dict__["_route"],
-                seconds=self.timeout,
-                wanted=lambda status: status == 200 or (status not in AGAIN and not key),
-            )
-        except transport.Unsafe as risk:
-            raise BackendError(
-                str(risk),
-                where=self.base_url,
-                fix="check --base-url; a certificate of your own is named by SSL_CERT_FILE "
-                "together with --trust-environment",
-            ) from None
-        status = answer.status
-        if status in AGAIN:
-            raise transport.Transient(f"HTTP status {status}", _seconds(answer.retry_after))
-        if status != 200:
-            raise BackendError(
-                f"HTTP status {_phrase(status)}{_said(answer, bool(key))}",
-                where=self.base_url,
-                fix=_remedy(status, self.key_variable),
-            )
-        if answer.encoded:
-            raise BackendError(
-                "the answer is compressed or otherwise encoded, which was not asked for",
-                where=self.base_url,
-                fix="make the endpoint, or what stands before it, answer with the plain text",
-            )
-        try:
-            found = decoded(answer.data)
-        except Malformed as fault:
-            raise transport.Transient(f"an answer that {fault}") from None
-        return found if isinstance(found, dict) else {}
-
-
-def _key(variable: str) -> Key:
-    """Return the key in an environment variable; none where the usual one is not set."""
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", variable):
-        raise ModelError(
-            "this is not the name of a variable; it is not shown, since it may be a key",
-            where="--key-variable",
-            fix="put the key into the environment, and give the name of the variable",
-        )
-    if variable != Endpoint.key_variable and variable not in os.environ:
-        raise ModelError(
-            "the environment has no variable of the given name; it is not shown, since it may be "
-            "a key",
-            where="--key-variable",
-            fix="set the variable; leave it empty for an endpoint without a key",
-        )
-    key = os.environ.get(variable, "").strip()
-    if not key.isascii() or not key.isprintable():
-        raise ModelError(
-            "the key holds characters that a key cannot have", where=variable, fix="set it again"
-        )
-    return Key(key)
-
-
-def _route(address: Address, key: bool, trust: bool) -> Route:
-    """Return how an address is reached: directly, unless the environment is to be trusted."""
-    from exact_mdp.paper_repro.agents import transport
-
-    proxy, user = None, None
-    proxies = getproxies_environment() if trust and not address.loopback else {}
-    named = next((name for name in (address.scheme, "all") if proxies.get(name)), None)
-    if named and not proxy_bypass(f"{address.host}:{address.port}"):
-        text = proxies[named] if "://" in proxies[named] else f"http://{proxies[named]}"
-        proxy, user = _proxy(text, f"{named.upper()}_PROXY")
-    near = key and address.scheme == "http"
-    context = _context(trust) if address.scheme == "https" else None
-    route: Route = transport.Route(context=context, proxy=proxy, proxy_user=user, near=near)
-    return route
-
-
-def _proxy(text: str, variable: str) -> tuple[Address, tuple[str, str] | None]:
-    """Return a proxy's address, and the name and password for it."""
-    from exact_mdp.paper_repro.agents import transport
-
-    scheme, _, rest = text.partition("://")
-    words, at, place = rest.rpartition("@")
-    address = transport.Address.of(f"{scheme}://{place}")
-    if address is None or address.scheme != "http" or address.path:
-        raise ModelError(
-            "the proxy is not an address such as http://host:port",
-            where=f"{variable}, by --trust-environment",
-            fix="correct it, or leave out --trust-environment",
-        )
-    name, _, password = words.partition(":")
-    return address, (unquote(name), unquote(password)) if at else None
-
-
-def _context(trust: bool) -> ssl.SSLContext:
-    """Return what certificates are checked by: certifi's list, or the environment's where trusted.
-
-    Made without `ssl.create_default_context`, which would write the secrets of each connection to
-    the file that SSLKEYLOGFILE names.
-    """
-    with extra("agents"):
-        import certifi
-    file = os.environ.get("SSL_CERT_FILE") if trust else None
-    folder = os.environ.get("SSL_CERT_DIR") if trust else None
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+def _checked_address(url: str) -> None:
+    """Raise ModelError for an address that is neither https nor on this machine."""
     try:
-        context.load_verify_locations(file or (None if folder else certifi.where()), folder or None)
-    except OSError as error:
-        raise ModelError(
-            f"the certificates cannot be read: {error.strerror or 'not in PEM form'}",
-            where="SSL_CERT_FILE, by --trust-environment" if file else "certifi",
-            fix="correct the variable" if file else "install the package certifi again",
-        ) from error
-    return context
-
-
-def _phrase(status: int) -> str:
-    """Return a status with the standard's words for it; an endpoint's own words are not taken.
-
-    Examples
-    --------
-    >>> _phrase(401), _phrase(799)
-    ('401 (Unauthorized)', '799')
-    """
-    try:
-        return f"{status} ({HTTPStatus(status).phrase})"
+        parts = urlsplit(url)
+        host, _ = parts.hostname or "", parts.port
     except ValueError:
-        return str(status)
+        host, parts = "", urlsplit("")
+    loopback = host == "localhost" or host == "::1" or re.fullmatch(r"127(\.\d+){3}", host)
+    if re.search(r"[@?#]", url):
+        raise ModelError(
+            "the address holds credentials, a query or a fragment, which would be recorded",
+            where="--base-url",
+            fix="put the key into the environment",
+        )
+    if not host or parts.scheme not in ("http", "https"):
+        raise ModelError("not an http or https address", where="--base-url", fix="write https://…")
+    if parts.scheme == "http" and not loopback:
+        raise ModelError(
+            "what is sent would travel unencrypted",
+            where="--base-url",
+            fix="use https; http is for this machine",
+        )
 
 
-def _said(answer: Answer, key: bool) -> str:
-    """Return the endpoint's own message, shortened; nothing of it where a key was sent."""
-    if key:
-        return "; what it says is not shown, since a key was sent with the question"
-    if answer.encoded:
-        return ""
+def schema(fields: Mapping[str, str]) -> dict[str, Any]:
+    """Return the JSON schema of an answer.
+
+    >>> schema({"anger": "bit"})["properties"]
+    {'anger': {'type': 'integer', 'enum': [0, 1]}}
+    """
+    forms = {
+        "text": {"type": "string", "maxLength": LONGEST_TEXT},
+        "bit": {"type": "integer", "enum": [0, 1]},
+    }
+    return {
+        "type": "object",
+        "properties": {name: forms[form] for name, form in fields.items()},
+        "required": list(fields),
+        "additionalProperties": False,
+    }
+
+
+def checked(value: object, fields: Mapping[str, str]) -> dict[str, Any]:
+    """Return an answer that has the asked form; raises Malformed.
+
+    >>> checked({"anger": 1}, {"anger": "bit"})
+    {'anger': 1}
+    """
+    if not isinstance(value, dict) or value.keys() != fields.keys():
+        raise Malformed(f"it is not an object with exactly the keys {', '.join(fields)}")
+    for name, form in fields.items():
+        found = value[name]
+        if form == "bit" and (type(found) is not int or found not in (0, 1)):
+            raise Malformed(f"{name} is not 0 or 1")
+        if form == "text":
+            if not isinstance(found, str) or len(found) > LONGEST_TEXT:
+                raise Malformed(f"{name} is not a text of at most {LONGEST_TEXT} characters")
+            if any("\ud800" <= c <= "\udfff" for c in found):
+                raise Malformed(f"{name} holds half a surrogate pair")
+    return value
+
+
+def _content(data: bytes, where: str) -> object:
+    """Return the object in a completion; raises Malformed, or BackendError for a refusal."""
     try:
-        text = str(decoded(answer.data)["error"]["message"])
-    except (Malformed, KeyError, TypeError):
-        text = answer.data[:300].decode("utf-8", errors="replace")
-    shown = plain(text)[:200]
-    return f": {shown}" if shown else ""
+        choice = decoded(data)["choices"][0]
+        message, why = choice["message"], choice.get("finish_reason")
+        refusal, content = message.get("refusal"), message["content"]
+    except (KeyError, IndexError, TypeError, AttributeError):
+        raise Malformed("it held no choice with a message") from None
+    if refusal or why == "content_filter":
+        raise BackendError(
+            "the model refused to answer",
+            where=where,
+            fix="--resume to try again, or take another model",
+        )
+    if why == "length":
+        raise Malformed("it was cut off at the greatest length")
+    if not isinstance(content, str):
+        raise Malformed("its content was not text")
+    text = content.strip()
+    if text.startswith("```") and text.endswith("```") and "\n" in text:
+        text = text[text.index("\n") + 1 : -3]
+    return decoded(text.encode("utf-8", "surrogatepass"))
 
 
-def _seconds(text: str | None) -> float | None:
-    """Return the seconds of a Retry-After header, where it states some."""
+def decoded(data: bytes) -> Any:
+    """Return the value of JSON text; raises Malformed, also where a key is named twice.
+
+    >>> decoded(b'{"anger": 1}')
+    {'anger': 1}
+    """
+
+    def once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(dict(pairs)) < len(pairs):
+            raise Malformed("it names a key twice")
+        return dict(pairs)
+
     try:
-        value = float(text or "")
+        return json.loads(data.decode("utf-8-sig"), object_pairs_hook=once_each)
+    except (ValueError, RecursionError):
+        raise Malformed("it is not JSON") from None
+
+
+def _seconds(text: str | None) -> float:
+    """Return the seconds of a Retry-After header; 0 where it states none."""
+    try:
+        value = float(text or 0)
     except ValueError:
-        return None
-    return value if math.isfinite(value) and value >= 0 else None
+        return 0.0
+    return value if 0 <= value < math.inf else 0.0
 
 
-def _remedy(status: int, variable: str) -> str:
+def _remedy(status: int) -> str:
     if status in (401, 403):
-        return f"set {variable} to a key that the endpoint takes"
+        return "set the key to one that the endpoint takes"
     if 300 <= status < 400:
         return "redirects are not followed: give the address that it leads to as --base-url"
-    if status == 404:
-        return "check --base-url (it mostly ends in /v1) and --model"
-    return "check --model and --response-format"
+    return "check --base-url (it mostly ends in /v1), --model and --response-format"

@@ -1,65 +1,37 @@
 """The scripted backend: seeded templates in place of a language model, the same on every machine.
 
-A behaviour joins one phrase for each status that is present; perception looks for the cues of
-`phrases/perception.toml` in what was done and said, and with `noise` ε reads each status wrongly
-with probability ε, independently. So its confusion matrix is known:
+A behaviour joins one phrase for each status that is present; perception looks for these phrases in
+what was done and said, and with `noise` ε reads each status wrongly with probability ε,
+independently. So its confusion matrix is known:
 
     C(s, p) = Π_i (1 - ε)^[s_i = p_i] ε^[s_i ≠ p_i]
 
-Nobody says a line twice in a conversation: phrases that were not heard yet come first, and once all
-were, no two lines are put together of the same ones.
-It shows that the parts work together. It is no evidence about language models.
+Phrases that were not heard yet in a conversation come first. It shows that the parts work together.
+It is no evidence about language models.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from string import Template
 from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.paper_repro.agents.prompts import look_up, read_toml
-from exact_mdp.paper_repro.agents.protocol import BackendError, Reply, Request, violations
+from exact_mdp import ModelError
+from exact_mdp.paper_repro.agents.texts import HERE, Request
 
-FOLDER = Path(__file__).parent / "phrases"
-
-
-def _phrases(name: str) -> Any:
-    return field(default_factory=lambda: read_toml(FOLDER / f"{name}.toml"), repr=False)
+PHRASES: dict[str, Any] = tomllib.loads((HERE / "phrases.toml").read_text("utf-8"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scripted:
-    """Answers from templates; `noise` is the probability that perception errs in one status.
-
-    Examples
-    --------
-    >>> backend = Scripted()
-    >>> request = Request(
-    ...     purpose="perception",
-    ...     messages=(),
-    ...     schema={
-    ...         "type": "object",
-    ...         "properties": {"anger": {"type": "integer", "enum": [0, 1]}},
-    ...         "required": ["anger"],
-    ...         "additionalProperties": False,
-    ...     },
-    ...     facts={"nonverbal": "Glares at the shelf, jaw tight.", "verbal": ""},
-    ...     seed=0,
-    ... )
-    >>> backend.answer(request).data
-    {'anger': 1}
-    """
+    """Answers from templates; `noise` is the probability that perception errs in one status."""
 
     noise: float = 0.0
-    behaviours: Mapping[str, Any] = _phrases("behaviour")
-    cues: Mapping[str, Any] = _phrases("perception")
-    speeches: Mapping[str, Any] = _phrases("execution")
 
     def __post_init__(self) -> None:
         if not 0 <= self.noise <= 1:
@@ -73,72 +45,51 @@ class Scripted:
         """Return name and noise."""
         return {"backend": "scripted", "noise": self.noise}
 
-    def answer(self, request: Request) -> Reply:
+    def answer(self, request: Request) -> dict[str, Any]:
         """Return the answer that the request's seed chooses."""
-        rng = np.random.default_rng(request.seed)
-        makers: dict[str, Callable[[Request, np.random.Generator], dict[str, Any]]] = {
-            "behaviour": self._behaviour,
-            "perception": self._perception,
-            "execution": self._execution,
-        }
-        data = makers[request.purpose](request, rng)
-        wrong = violations(data, request.schema)
-        if wrong:
-            raise BackendError(
-                f"a scripted answer does not fit: {wrong[0]}",
-                where=request.purpose,
-                fix="correct the phrases",
-            )
-        return Reply(data=data)
+        rng, facts = np.random.default_rng(request.seed), request.facts
+        if request.purpose == "perception":
+            seen = self._seen(facts, request.fields)
+            return {name: int(seen[name] != (rng.random() < self.noise)) for name in seen}
+        if request.purpose == "behaviour":
+            present = [name for name, value in facts["status"].items() if value]
+            tables = [PHRASES["behaviour"][n] for n in present or ["calm"]]
+            answers = facts["latest"] and not present and rng.random() < 0.6
+            spoken = "answering" if answers else "verbal"
+            return {
+                "nonverbal": _line([table["nonverbal"] for table in tables], facts, rng),
+                "verbal": _line([table[spoken] for table in tables], facts, rng),
+            }
+        return {"speech": self._speech(facts, rng)}
 
-    def _behaviour(self, request: Request, rng: np.random.Generator) -> dict[str, str]:
-        facts = request.facts
-        present = [name for name, value in facts["status"].items() if value]
-        kinds = present or ["calm"]
-        tables = [look_up(self.behaviours, kind, "status") for kind in kinds]
-        spoken = "verbal"
-        if facts["latest"] and not present and rng.random() < 0.6:
-            spoken = "answering"
+    def _seen(self, facts: Mapping[str, Any], names: Any) -> dict[str, bool]:
+        text, tables = f"{facts['nonverbal']} {facts['verbal']}", PHRASES["behaviour"]
         return {
-            "nonverbal": _line([table["nonverbal"] for table in tables], facts, rng),
-            "verbal": _line([table[spoken] for table in tables], facts, rng),
+            name: any(phrase in text for part in tables[name].values() for phrase in part)
+            for name in names
         }
 
-    def _perception(self, request: Request, rng: np.random.Generator) -> dict[str, int]:
-        return {
-            status: int(self._cued(request.facts, status) != (rng.random() < self.noise))
-            for status in request.schema["properties"]
-        }
-
-    def _cued(self, facts: Mapping[str, Any], status: str) -> bool:
-        text = f"{facts['nonverbal']} {facts['verbal']}".lower()
-        return any(cue in text for cue in look_up(self.cues, status, "status"))
-
-    def _execution(self, request: Request, rng: np.random.Generator) -> dict[str, str]:
-        facts = request.facts
-        table = look_up(self.speeches, facts["action"], "assistance")
+    def _speech(self, facts: Mapping[str, Any], rng: np.random.Generator) -> str:
+        table = PHRASES["speech"][facts["action"]]
         told = facts.get("status", {})
-        opening = [texts for name, texts in self.speeches["status"].items() if told.get(name)]
-        heard = [name for name in self.cues if told.get(name) or self._cued(facts, name)]
-        mood = "anger" if "anger" in heard else "other" if heard else "calm"
-        said = [*opening[:1], table.get(mood, table)["first"]]
-        if facts["detailed"]:
-            said.append(table["more"])
-        return {"speech": _line(said, facts, rng)}
+        opening = [texts for name, texts in PHRASES["opening"].items() if told.get(name)]
+        heard = self._seen(facts, list(PHRASES["opening"]))
+        angry = heard.get("anger") or told.get("anger")
+        mood = "anger" if angry else "first" if any(heard.values()) else "calm"
+        said = [*opening[:1], table.get(mood, table["first"])]
+        return _line(said + [table["more"]] * facts["detailed"], facts, rng)
 
 
 def _line(parts: list[list[str]], facts: Mapping[str, Any], rng: np.random.Generator) -> str:
-    """Return one text of each part, in a line that was not said before."""
+    """Return one text of each part, in a line that was not said before where there is one."""
     said = facts.get("said", ())
-    filled = [[_fill(text, facts) for text in texts] for texts in parts]
     heard = " ".join(said)
+    filled = [[_fill(text, facts) for text in texts] for texts in parts]
     fresh = [[t for t in texts if not t or t not in heard] or texts for texts in filled]
     drawn = [texts[int(rng.integers(len(texts)))] for texts in fresh]
-    # The drawn texts come first; after them, all others in the order of a shuffle.
     orders = [[one, *rng.permutation(texts)] for one, texts in zip(drawn, filled, strict=True)]
-    lines = (" ".join(filter(None, chosen)) for chosen in product(*orders))
-    line = next((line for line in lines if not line or line not in said), None)
-    return _line([*parts, parts[-1]], facts, rng) if line is None else line
+    lines = [" ".join(filter(None, chosen)) for chosen in product(*orders)]
+    return next((line for line in lines if line not in said), lines[0])
 
 
 def _fill(text: str, facts: Mapping[str, Any]) -> str:

@@ -192,13 +192,11 @@ def test_the_other_programs_end_in_the_same_way(
     done = CliRunner().invoke(reproduce, ["--quick", "--out", str(tmp_path)])
     assert (done.exit_code, done.stdout) == (3, "")
     told(done.stderr)
-    monkeypatch.setattr("exact_mdp.paper_repro.agents.recording.read", fail)
-    recording = tmp_path / "recording.jsonl"
-    recording.write_text("{}", "utf-8")
-    done = CliRunner().invoke(agents, ["replay", str(recording)])
+    monkeypatch.setattr("exact_mdp.paper_repro.agents.log.read", fail)
+    done = CliRunner().invoke(agents, ["run", "--out", str(tmp_path)])
     assert (done.exit_code, done.stdout) == (3, "")
     told(done.stderr)
-    done = CliRunner().invoke(agents, ["repaly"])
+    done = CliRunner().invoke(agents, ["rnu"])
     assert (done.exit_code, done.stdout) == (2, "")
     told(done.stderr)
 

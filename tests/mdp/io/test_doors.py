@@ -22,7 +22,6 @@ from exact_mdp.mdp.io import npz, umb
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
-from exact_mdp.paper_repro.agents import recording
 from exact_mdp.solvers import Certificate
 from exact_mdp.solvers.parallel import read_piece
 from exact_mdp.solvers.proof.certificate import BoundedCertificate
@@ -50,7 +49,6 @@ READERS: dict[str, Callable[[Path], object]] = {
     "certificate.json": Certificate.load,
     "bounded.json": BoundedCertificate.load,
     "piece.npz": read_piece,
-    "recording.jsonl": recording.read,
     "ranges.toml": lambda path: load_ranges(Scenario.load("yuan2025"), path),
     "uncertainty.toml": load_uncertainty,
 }

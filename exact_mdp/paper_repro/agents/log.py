@@ -1,0 +1,190 @@
+"""A conversation on file: JSON lines, and the same as text (Yuan et al. 2025, Section 4.2).
+
+The first line is the header: everything that the conversation follows from. Then one line for each
+timestep, on the disk before the next begins, and a last one with the totals. A line counts once its
+newline is written. In the text, words that come from a backend stand on one line, without control
+characters, so that none of them can look like a line of the record.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from exact_mdp import ModelError
+
+FORMAT = 2
+OUTCOMES = {
+    "completed": "step completed",
+    "failed": "step not completed, another trial",
+    "skipped": "step skipped after the last trial",
+}
+
+
+@dataclass(kw_only=True)
+class Record:
+    """What a file holds: the header, the steps, the totals where it is finished."""
+
+    header: dict[str, Any]
+    steps: list[dict[str, Any]] = field(default_factory=list)
+    end: dict[str, Any] | None = None
+
+    def add(self, path: Path, entry: dict[str, Any]) -> None:
+        """Add a step or the totals, and write it down."""
+        append(path, entry)
+        if entry["kind"] == "end":
+            self.end = entry
+        else:
+            self.steps.append(entry)
+
+
+def append(path: Path, entry: Mapping[str, Any]) -> None:
+    """Write one entry at the end of a file; raises ModelError where that fails."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8", newline="\n") as file:
+            file.write(json.dumps(entry, ensure_ascii=False) + "\n")
+    except OSError as error:
+        raise ModelError(
+            f"cannot write the recording: {error.strerror}",
+            where=str(path),
+            fix="make room, or name another --out",
+        ) from error
+
+
+def read(path: Path) -> Record | None:
+    """Return a recording, without a last line that is torn; None where there is none.
+
+    Raises
+    ------
+    ModelError
+        For a file that is no recording, or is damaged before its last line.
+    """
+    if not path.exists():
+        return None
+    if not path.is_file():
+        raise ModelError("not a regular file", where=str(path), fix="name another --out")
+    try:
+        *lines, torn = path.read_text("utf-8").split("\n")
+        entries = [json.loads(line) for line in lines]
+        kinds = [entry["kind"] for entry in entries]
+        steps = kinds.count("step")
+        whole = ["header", *["step"] * steps, *["end"] * kinds.count("end")]
+        numbers = [entry.get("timestep") for entry in entries[1 : steps + 1]]
+        if kinds and (kinds != whole or numbers != list(range(steps)) or kinds.count("end") > 1):
+            raise ValueError("its lines are not a header and the timesteps in their order")
+        if entries and entries[0]["format"] != FORMAT:
+            raise ValueError(f"it is of format {entries[0]['format']}, not {FORMAT}")
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ModelError(
+            f"the recording is damaged: {error}", where=str(path), fix="name another --out"
+        ) from error
+    if torn:
+        path.write_text("".join(line + "\n" for line in lines), "utf-8", newline="\n")
+    if not entries:
+        return None
+    end = entries.pop() if kinds[-1] == "end" else None
+    return Record(header=entries[0], steps=entries[1:], end=end)
+
+
+def totals(steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the last entry of a finished recording."""
+    events = [step["event"] for step in steps]
+    return {
+        "kind": "end",
+        "timesteps": len(steps),
+        "return": steps[-1]["return"],
+        "completed": events.count("completed"),
+        "skipped": events.count("skipped"),
+        "misperceived": sum(step["status"] != step["perceived"] for step in steps),
+    }
+
+
+# ---- as text -------------------------------------------------------------------------------------
+
+
+def plain(text: object) -> str:
+    """Return text on one line, without control characters.
+
+    >>> plain("one\\nTimestep 7\\x1b[31m")
+    'one Timestep 7 [31m'
+    """
+    return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
+
+
+def number(text: str) -> str:
+    """Return an exact number for reading: whole where it is whole, else with two decimals.
+
+    >>> number("-8"), number("1/3")
+    ('-8', '0.33')
+    """
+    value = Fraction(text)
+    return str(value) if value.denominator == 1 else f"{float(value):.2f}"
+
+
+def text(record: Record) -> str:
+    """Return the text of a recording, finished or not."""
+    header = record.header
+    backend = ", ".join(f"{key} {value}" for key, value in header["backend"].items())
+    top = f"""{header["disclaimer"]}
+Scenario: {plain(header["scenario"])}{"".join(f", {plain(s)}" for s in header["set"])}; \
+policy: {plain(header["policy"])}; seed {header["seed"]}
+Language: {plain(backend)}; action execution: {header["variant"]}
+Setting: {plain(header["setting"])}
+
+"""
+    blocks = [block(header, step) for step in record.steps]
+    return "".join([top, *blocks, closing(record.end) if record.end else ""])
+
+
+def block(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
+    """Return the lines of one timestep."""
+    place, behaviour = header["steps"][step["subtask"]], step["behaviour"]
+    return f"""Timestep {step["timestep"]}
+  Task: {plain(place["goal"])}
+  Subtask {step["subtask"] + 1} of {len(header["steps"])}: {plain(place["step"])}
+  Trial: {min(step["trial"] + 1, header["trials"])} of {header["trials"]}
+  PLWD status: {step["status"]} ({named(header["statuses"], step["status"])})
+  PLWD nonverbal: {plain(behaviour["nonverbal"])}
+  PLWD verbal: {plain(behaviour["verbal"]) or "(says nothing)"}
+  Perceived status: {step["perceived"]} ({named(header["statuses"], step["perceived"])})
+  Action: a{header["actions"].index(step["action"])} {step["action"]}
+  Robot Caregiver: {plain(step["assistance"]) or "(says nothing)"}
+  Outcome: {OUTCOMES[step["event"]]}; reward {number(step["reward"])}, \
+return so far {number(step["return"])}
+
+"""
+
+
+def named(names: Sequence[str], bits: str) -> str:
+    """Return a status vector with its names.
+
+    >>> named(["anger", "disengagement"], "10")
+    'Anger=1, Disengagement=0'
+    """
+    return ", ".join(f"{plain(n.capitalize())}={b}" for n, b in zip(names, bits, strict=True))
+
+
+def spoken(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
+    """Return one timestep as a dialogue: what was done and said, and what came of it."""
+    behaviour, place = step["behaviour"], header["steps"][step["subtask"]]
+    action = header["actions"].index(step["action"])
+    return f"""{step["timestep"]}. {plain(place["step"])} \
+(trial {min(step["trial"] + 1, header["trials"])} of {header["trials"]})
+   [{plain(behaviour["nonverbal"])}]
+   PLWD:  {plain(behaviour["verbal"]) or "(says nothing)"}
+   Robot: {plain(step["assistance"]) or "(says nothing)"} (a{action} {step["action"]})
+   {OUTCOMES[step["event"]]}"""
+
+
+def closing(end: Mapping[str, Any]) -> str:
+    """Return the last line: how the scenario went."""
+    return (
+        f"End after {end['timesteps']} timesteps: {end['completed']} steps completed, "
+        f"{end['skipped']} skipped, return {number(end['return'])}; "
+        f"the status was misperceived in {end['misperceived']} timesteps.\n"
+    )

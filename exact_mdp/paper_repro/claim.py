@@ -1,0 +1,299 @@
+"""What a claim of the paper is, what can be found of it, and the rules that decide.
+
+A claim is a function of a `Reading`: its docstring says what the paper says, its body checks that.
+An *input* is what the model was built from; that it agrees shows a faithful transcription, no more.
+A *finding* is what the paper concludes. The rules:
+
+entries    every number of a table is the same rational number in the model
+plotted    within 5 of a number that the authors read off a plot
+average    the chance that an average of so many experiments is as far from its exact mean, by the
+           normal law with the exact standard error, is .0027 (three standard errors) or more
+share      in 95 % or more of the training runs; in fewer, the share is stated and no more
+statement  a predicate of the exact model
+open       nothing here can decide it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from fractions import Fraction
+from math import erfc, sqrt
+from typing import TYPE_CHECKING, Any, Literal
+
+from exact_mdp.paper_repro.paper import PLOT
+
+if TYPE_CHECKING:
+    from exact_mdp.paper_repro.silent_points import Reading
+
+CHANCE = 0.0027  # that a normal number is further off than three standard errors
+NEARLY_ALL = 0.95
+
+
+class Verdict(StrEnum):
+    """What is found of a claim."""
+
+    AGREES = "agrees"  # of an input
+    DIFFERS = "differs"
+    REPRODUCED = "reproduced"
+    COMPATIBLE = "compatible"  # an average within chance
+    SEEN = "seen in some runs"
+    DEPENDS = "depends on the reading"  # not under the default one, but under others
+    NOT_REPRODUCED = "not reproduced"
+    NOT_DETERMINED = "not determined"
+
+
+HOLDS = {Verdict.AGREES, Verdict.REPRODUCED, Verdict.COMPATIBLE, Verdict.SEEN}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What is found of a claim under one reading."""
+
+    verdict: Verdict
+    why: str  # in a sentence or two
+    says: str = ""  # the verdict with its number, "seen in 24 % of runs"; else the bare word
+    exact: Fraction | float | None = None  # the exact counterpart of the paper's number
+    kind: str = ""  # how it is known: "certified", "bounded" or "estimated"
+    error: float = 0.0  # its proven bound, or the standard error of an estimate
+    paper: Fraction | float | None = None
+    standard_error: float | None = None  # the exact one of the paper's average
+    details: Mapping[str, Any] = field(default_factory=dict)  # more, for `numbers.json`
+
+    @property
+    def difference(self) -> float | None:
+        """Exact less paper."""
+        if self.exact is None or self.paper is None:
+            return None
+        return float(self.exact - self.paper)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """One claim: its name, its places in the paper, what it says, and the function that checks.
+
+    `open` claims hinge on what the text leaves open and are tried under other readings; those that
+    `learn` take training runs.
+    """
+
+    id: str
+    places: tuple[str, ...]
+    says: str
+    rule: str
+    kind: Literal["input", "finding"]
+    check: Callable[[Reading], Finding]
+    code: str
+    open: bool = False
+    learns: bool = False
+
+    def find(self, reading: Reading) -> Finding:
+        """Check the claim under a reading."""
+        found = self.check(reading)
+        words = {Verdict.REPRODUCED: Verdict.AGREES, Verdict.NOT_REPRODUCED: Verdict.DIFFERS}
+        if self.kind == "input":
+            found = replace(found, verdict=words.get(found.verdict, found.verdict))
+        return found if found.says else replace(found, says=str(found.verdict))
+
+
+CLAIMS: dict[str, Claim] = {}
+"""Every claim by its name, in the order of the paper; filled by the sections."""
+
+
+def claim(
+    name: str,
+    *places: str,
+    rule: str = "statement",
+    kind: Literal["input", "finding"] = "finding",
+    each: Mapping[str, str] | None = None,
+    **more: Any,
+) -> Callable[[Callable[..., Finding]], Callable[..., Finding]]:
+    """Return a decorator that makes a function a claim, or one claim for `each` of some words.
+
+    The function then takes the word too; {word} in the name and the docstring stands for it, and
+    {means} for what it means.
+    """
+
+    def keep(function: Callable[..., Finding]) -> Callable[..., Finding]:
+        where = function.__module__.rpartition(".")[2]
+        text = " ".join((function.__doc__ or "").split())
+        for word, means in (each or {"": ""}).items():
+            one = name.format(word=word)
+            CLAIMS[one] = Claim(
+                id=one,
+                places=places,
+                says=text.format(word=word, means=means),
+                rule=rule,
+                kind=kind,
+                check=_with(function, word) if each else function,
+                code=f"{where}.py, {function.__name__}",
+                **more,
+            )
+        return function
+
+    return keep
+
+
+def _with(function: Callable[..., Finding], word: str) -> Callable[[Reading], Finding]:
+    return lambda reading: function(reading, word)
+
+
+# ---- the rules -----------------------------------------------------------------------------------
+
+
+def statement(holds: bool, why: str, **more: Any) -> Finding:
+    """Judge by a predicate."""
+    verdict = Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED
+    return Finding(verdict=verdict, why=why, **more)
+
+
+def certified(value: Fraction) -> dict[str, Any]:
+    """Return an exact number for a finding."""
+    return {"exact": value, "kind": "certified"}
+
+
+def bounded(value: float, error: float) -> dict[str, Any]:
+    """Return a float with its proven error for a finding."""
+    return {"exact": value, "kind": "bounded", "error": error}
+
+
+def estimated(value: float, standard_error: float) -> dict[str, Any]:
+    """Return an estimate for a finding."""
+    return {"exact": value, "kind": "estimated", "error": standard_error}
+
+
+def entries(
+    paper: Mapping[str, Fraction], model: Mapping[str, Fraction], note: str = ""
+) -> Finding:
+    """Compare the numbers of a table with the model's, all exact.
+
+    >>> entries({"a": Fraction(1, 2)}, {"a": Fraction(1, 2)}).why
+    '1 of 1 entries agree'
+    """
+    off = {name: model[name] for name, number in paper.items() if model[name] != number}
+    why = f"{len(paper) - len(off)} of {len(paper)} entries agree{note}"
+    why += "".join(f"; {name} is {value}" for name, value in off.items())
+    count = {**certified(Fraction(len(paper) - len(off))), "paper": Fraction(len(paper))}
+    details = {"entries": {name: str(value) for name, value in model.items()}}
+    return statement(not off, why, **count, details=details)
+
+
+def plotted(paper: float, why: str = "", **number: Any) -> Finding:
+    """Compare a number that was read off a plot.
+
+    >>> plotted(140, **bounded(143.2, 0)).verdict.value
+    'reproduced'
+    """
+    near = abs(number["exact"] - paper) <= PLOT
+    told = f"{'within' if near else 'more than'} {PLOT:g} {'of' if near else 'from'} {paper:g}"
+    return statement(
+        near,
+        "; ".join(filter(None, [f"{told}, a number read off a plot", why])),
+        paper=paper,
+        **number,
+    )
+
+
+def average(paper: float, mean: float, sd: float, n: int, *, error: float, why: str) -> Finding:
+    """Compare an average of n experiments with its exact mean, by their exact standard error.
+
+    >>> average(11, 10, 10, 100, error=0, why="").says
+    'compatible, p = 0.32'
+    """
+    standard_error = sd / sqrt(n)
+    chance = erfc(abs(mean - paper) / standard_error / sqrt(2))
+    return by_chance(
+        chance, why, paper=paper, standard_error=standard_error, **bounded(mean, error)
+    )
+
+
+def by_chance(chance: float, why: str, **more: Any) -> Finding:
+    """Judge by the chance of what is at least as far off."""
+    within = chance >= CHANCE
+    verdict = Verdict.COMPATIBLE if within else Verdict.NOT_REPRODUCED
+    return Finding(verdict=verdict, why=why, says=f"{verdict}, p = {chance:.2g}", **more)
+
+
+def share(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
+    """Judge by how many of our own runs show it.
+
+    >>> share(24, 100, "runs", "").says, share(99, 100, "runs", "").verdict.value
+    ('seen in 24 % of 100 runs', 'reproduced')
+    """
+    part = count / total
+    shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %" if count else "none"
+    says = f"seen in {shown} of {total:,} {what}"
+    verdict = Verdict.SEEN if count else Verdict.NOT_REPRODUCED
+    if part >= NEARLY_ALL:
+        verdict, says = Verdict.REPRODUCED, f"reproduced, {says}"
+    smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
+    number = estimated(part, sqrt(smooth * (1 - smooth) / total))
+    details = {"count": count, "runs": total, **more.pop("details", {})}
+    return Finding(verdict=verdict, why=why, says=says, details=details, **{**number, **more})
+
+
+def undecided(why: str, **more: Any) -> Finding:
+    """Say why nothing here can decide a claim."""
+    return Finding(verdict=Verdict.NOT_DETERMINED, why=why, **more)
+
+
+# ---- all claims, worked out ----------------------------------------------------------------------
+
+
+def judged(
+    claims: list[Claim], default: Reading, others: list[Reading], best: Reading
+) -> Iterator[dict[str, Any]]:
+    """Yield each claim with what is found of it, as `numbers.json` has it.
+
+    Open claims are tried under `others` and under the best supported reading, too; where they hold
+    under some of these and not under the default, the verdict says so.
+    """
+    for each in claims:
+        found = each.find(default)
+        entry = entry_of(each, found)
+        if each.open or each.learns:
+            there = each.find(best)
+            entry["verdict_under_best_supported_reading"] = there.says
+            if each.open:
+                tried = {other.label: each.find(other).verdict for other in others}
+                tried |= {default.label: found.verdict, best.label: there.verdict}
+                holding = [label for label, verdict in tried.items() if verdict in HOLDS]
+                entry["under_other_readings"] = {
+                    "tried": len(tried),
+                    "reproduced": len(holding),
+                    "example": next(iter(holding), ""),
+                }
+                if holding and found.verdict in (Verdict.NOT_REPRODUCED, Verdict.DIFFERS):
+                    entry["verdict"] = entry["verdict_says"] = str(Verdict.DEPENDS)
+        yield entry
+
+
+def entry_of(each: Claim, found: Finding) -> dict[str, Any]:
+    """Return a claim with a finding, as JSON."""
+    apart, errors = found.difference, found.standard_error
+    return {
+        "name": each.id,
+        "kind": each.kind,
+        "source": ", ".join(each.places),
+        "says": each.says,
+        "paper": None if found.paper is None else float(found.paper),
+        "exact": None if found.exact is None else float(found.exact),
+        "exact_rational": str(found.exact) if isinstance(found.exact, Fraction) else None,
+        "difference": apart,
+        "claim": found.kind or None,
+        "error_bound": found.error if found.kind == "bounded" else None,
+        "estimate_standard_error": found.error if found.kind == "estimated" else None,
+        "standard_error": errors,
+        "difference_in_standard_errors": apart / errors if apart is not None and errors else None,
+        "approximate": each.rule == "plotted",
+        "rule": each.rule,
+        "verdict": str(found.verdict),
+        "verdict_says": found.says,
+        "verdict_of_default_reading": str(found.verdict),
+        "verdict_under_best_supported_reading": None,
+        "why": found.why,
+        "under_other_readings": None,
+        "rerun": f"python -m paper_repro claim {each.id}",
+        "code": each.code,
+        **found.details,
+    }

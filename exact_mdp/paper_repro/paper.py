@@ -1,0 +1,86 @@
+"""What Yuan et al. (2025) say, as numbers; read from `paper.toml`.
+
+Every status with anger gets supportive assistance; 1100 gets directive; 1000 and 0100 get
+"directive or non-directive, respectively", which can be read in two orders; three variants differ
+in status 0000 (Section 4.1). The actions in the four remaining statuses are shown only in a figure
+that the source of the paper does not include.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from fractions import Fraction
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from exact_mdp import ModelError
+
+PAPER: dict[str, Any] = tomllib.loads((Path(__file__).parent / "paper.toml").read_text("utf-8"))
+PLACES: dict[str, str] = PAPER["places"]
+SETTINGS: dict[str, Any] = PAPER["settings"]
+REPORTED: dict[str, Any] = PAPER["reported"]
+TABLE_4: dict[str, int] = PAPER["table4"]
+
+ACTIONS = ("none", "supportive", "non-directive", "directive")  # Table 2: a0 to a3
+STATUSES = tuple(map("".join, product("01", repeat=4)))  # forgetful, confused, angry, disengaged
+BITS = {"forgetfulness": 8, "confusion": 4, "anger": 2, "disengagement": 1}
+ANGRY = tuple(status for status in STATUSES if status[2] == "1")
+OPEN = ("0001", "0101", "1001", "1101")  # nothing is said of these
+
+AVERAGES: dict[str, float] = REPORTED["averages"]  # by the action in status 0000
+FINAL = next(iter(AVERAGES))  # that of the paper's final policy
+EXPERIMENTS: int = REPORTED["experiments"]
+PLOT = 5.0  # how far a number that was read off a plot may be off
+ORDERS = {  # of "directive or non-directive, respectively" for 1000 and 0100
+    "as written": {"1000": "directive", "0100": "non-directive"},
+    "swapped": {"1000": "non-directive", "0100": "directive"},
+}
+
+
+def table_3() -> dict[str, Fraction]:
+    """Return the twenty numbers of Table 3 by name.
+
+    >>> table_3()["influence.disengagement.anger"]
+    Fraction(1, 5)
+    """
+    numbers = {}
+    for row, (base, entries) in PAPER["table3"].items():
+        numbers[f"base.{row}"] = Fraction(base, 100)
+        for column, entry in zip(BITS, entries, strict=True):
+            name = f"persistence.{row}" if row == column else f"influence.{row}.{column}"
+            numbers[name] = Fraction(entry, 100)
+    return numbers
+
+
+def words(status: str) -> str:
+    """Return a status in words.
+
+    >>> words("1100"), words("0000")
+    ('forgetful, confused', 'well')
+    """
+    names = ("forgetful", "confused", "angry", "disengaged")
+    return ", ".join(n for n, bit in zip(names, status, strict=True) if bit == "1") or "well"
+
+
+def fits(policy: dict[str, str], order: str) -> bool:
+    """Return whether a policy takes the actions stated for 1100, 1000 and 0100, in one order.
+
+    >>> fits({"1100": "directive", "1000": "non-directive", "0100": "directive"}, "swapped")
+    True
+    """
+    stated = {"1100": REPORTED["stated"]["1100"], **ORDERS[order]}
+    return all(policy[status] == action for status, action in stated.items())
+
+
+def write(path: Path, content: str | bytes) -> None:
+    """Write a file whole or not at all; raises ModelError where that fails."""
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
+        part.replace(path)
+    except OSError as error:
+        raise ModelError(
+            f"cannot write the file: {error.strerror}", where=str(path), fix="name another folder"
+        ) from error

@@ -1,0 +1,187 @@
+"""The report as Markdown: README.md of this folder, and report.md of a run.
+
+Everything that takes long is in `results.json`, as a run writes it; the tables of the paper, the
+prompts and the scripted conversation are worked out here. So the page can be written again from the
+results in a second, and a test holds the committed page to that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import floor, log10
+from pathlib import Path
+from typing import Any
+
+from exact_mdp.paper_repro.agents.simulate import of_figures
+from exact_mdp.paper_repro.agents.texts import ASSISTANCE
+from exact_mdp.paper_repro.claim import Verdict
+from exact_mdp.paper_repro.drawing import FIGURES
+from exact_mdp.paper_repro.paper import (
+    ACTIONS,
+    AVERAGES,
+    BITS,
+    FINAL,
+    ORDERS,
+    PAPER,
+    PLACES,
+    TABLE_4,
+)
+from exact_mdp.paper_repro.section_2 import chance, effect
+from exact_mdp.paper_repro.section_3 import weights
+from exact_mdp.paper_repro.silent_points import POINTS, Reading, default
+
+TEMPLATE = Path(__file__).parent / "README.md.j2"
+SECTIONS = ("Section 1", "Section 4.1", "Section 4.2")  # those with findings
+
+
+def number(value: float | None, *, digits: int = 4) -> str:
+    """Return a number for reading: few digits, and a true minus sign; nothing for None.
+
+    >>> number(-2.2253931), number(6000.0), number(142.0746), number(None)
+    ('−2.225', '6,000', '142.1', '')
+    """
+    if value is None:
+        return ""
+    if value == int(value) and abs(value) < 1e9:
+        text = f"{int(value):,}"
+    else:
+        text = f"{value:.{digits}g}"
+    return text.replace("-", "−")
+
+
+def signed(value: float) -> str:
+    """Return a number with its sign and one decimal.
+
+    >>> signed(-0.01), signed(-2.66)
+    ('+0.0', '−2.7')
+    """
+    return f"{value:+z.1f}".replace("-", "−")
+
+
+def exact(entry: Mapping[str, Any]) -> str:
+    """Return the exact number of a claim with how it is known."""
+    if entry["exact"] is None:
+        return ""
+    if error := entry["estimate_standard_error"]:
+        places = max(1 - floor(log10(error)), 0)
+        return f"{entry['exact']:.{places}f} ± {error:.{places}f}".replace("-", "−")
+    return number(entry["exact"], digits=5 if abs(entry["exact"]) >= 100 else 4)
+
+
+def paper(entry: Mapping[str, Any]) -> str:
+    """Return the paper's number with the digits that it has there."""
+    if entry["paper"] is None:
+        return ""
+    return ("≈ " if entry["approximate"] else "") + number(entry["paper"], digits=10)
+
+
+def counted(claims: list[Mapping[str, Any]], kind: str) -> str:
+    """Return how many claims of a kind have each verdict, in words."""
+    verdicts = [entry["verdict"] for entry in claims if entry["kind"] == kind]
+    return ", ".join(f"{v} {verdicts.count(v)}" for v in Verdict if v in verdicts)
+
+
+def tables(reading: Reading) -> dict[str, list[list[str]]]:
+    """Return Tables 1 to 4 as the compiled model has them: headings, then rows."""
+    mdp, scenario, held = reading.mdp, reading.scenario, weights(reading)
+    best, random = reading.value("optimal"), reading.value("random")
+
+    def per_cent(share: Any) -> str:
+        return f"{float(100 * share):g} %"
+
+    def table_2(action: int, name: str) -> list[str]:
+        stays = {s: [chance(mdp, b, a, s) for a in (action, 0)] for s, b in BITS.items()}
+        listed = [f"{s} {per_cent(with_)}" for s, (with_, alone) in stays.items() if with_ != alone]
+        said = ASSISTANCE.get(name, {"brief": "the robot keeps silent", "examples": []})
+        weight = number(float(held[f"assist.{name}"]))
+        words = [said["brief"], " ".join(said["examples"]), ", ".join(listed) or "none"]
+        return [f"a{action} {name}", *words, weight]
+
+    def table_3(row: str, bit: int) -> list[str]:
+        base, stays = per_cent(chance(mdp, 0, 0, row)), per_cent(chance(mdp, bit, 0, row))
+        added = {c: "+" + per_cent(effect(mdp, row, c)) for c in BITS if c != row}
+        return [row, base, *({**added, row: stays}[column] for column in BITS)]
+
+    return {
+        "Table 1": [
+            ["term", "in the model"],
+            ["scenario", f"all tasks, from status 0000 to the end; {mdp.n_states} states"],
+            [
+                "task",
+                f"subtasks in a row, with a bonus at the end; {list(scenario.tasks)} subtasks",
+            ],
+            [
+                "subtask",
+                "completed by a trial that ends in status 0000, or skipped, as happens in "
+                f"{random.skip_probability:.1%} of episodes of random actions",
+            ],
+            ["trial", f"one attempt at a subtask; up to {scenario.trials}"],
+            [
+                "timestep",
+                f"one assistance and what follows; {best.steps:.2f} are expected in an episode "
+                f"under the optimal policy, {random.steps:.2f} under random actions",
+            ],
+        ],
+        "Table 2": [
+            ["assistance", "meaning", "example", "statuses that stay with", "w_assist"],
+            *(table_2(action, name) for action, name in enumerate(ACTIONS)),
+        ],
+        "Table 3": [
+            ["status at t", "base", *(f"{name} at t+1" for name in BITS)],
+            *(table_3(row, bit) for row, bit in BITS.items()),
+        ],
+        "Table 4": [
+            ["weight", "value"],
+            *([name, number(float(held[name]))] for name in TABLE_4),
+        ],
+    }
+
+
+def render(results: Mapping[str, Any], *, code: str = "") -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    results : as `results.json` has them
+    code : what links to files of the code begin with; no links where it is empty
+    """
+    import jinja2
+
+    environment = jinja2.Environment(
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"number": number, "exact": exact, "paper": paper, "signed": signed}
+    environment.filters["code"] = _linked(code)
+    claims = results["claims"]
+    by_name = {entry["name"]: entry for entry in claims}
+    groups = {
+        name: [e for e in claims if e["source"].startswith(name) and e["kind"] == "finding"]
+        for name in SECTIONS
+    }
+    return environment.from_string(TEMPLATE.read_text("utf-8")).render(
+        **results,
+        claim=by_name,
+        groups=groups,
+        inputs=[entry for entry in claims if entry["kind"] == "input"],
+        counted={kind: counted(claims, kind) for kind in ("input", "finding")},
+        places=PLACES,
+        document=PAPER,
+        points=POINTS,
+        averages=AVERAGES,
+        orders=list(ORDERS),
+        final=FINAL,
+        tables=tables(default()),
+        figures=list(FIGURES.values()),
+        texts=of_figures(),
+    )
+
+
+def _linked(prefix: str) -> Any:
+    def link(place: str) -> str:
+        file, _, function = place.partition(", ")
+        return f"[{file}]({prefix}{file}) `{function}`" if prefix else f"{file} `{function}`"
+
+    return link

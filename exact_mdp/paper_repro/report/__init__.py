@@ -1,1 +1,0 @@
-"""What the reproduction writes: report, tables, figures."""

@@ -1,0 +1,232 @@
+"""Section 3, the agent Robot Caregiver: states, actions, rewards (Equation 1, Table 4), and the
+settings of learning (Equation 2). Rewards are read from the compiled rows, as exact rationals.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from exact_mdp.analysis.learning.curves import EXPERIMENTS as EXPERIMENTS_OF_A_POINT
+from exact_mdp.analysis.learning.outcomes import CANDIDATES
+from exact_mdp.paper_repro import learner
+from exact_mdp.paper_repro.claim import Finding, certified, claim, entries, statement
+from exact_mdp.paper_repro.paper import ACTIONS, BITS, SETTINGS, STATUSES, TABLE_4
+from exact_mdp.paper_repro.section_2 import outcomes
+from exact_mdp.paper_repro.silent_points import Reading
+
+CHARGED = ("forget", "confuse", "anger", "disengaged")  # the weight of each status, in order
+
+# ---- states and actions --------------------------------------------------------------------------
+
+
+@claim("states", "Section 3.2.1", kind="input")
+def states(reading: Reading) -> Finding:
+    """Four binary statuses make 16 states; an episode starts with none present and ends when every
+    subtask is completed or skipped.
+    """
+    mdp, trials = reading.mdp, reading.scenario.trials
+    statuses = len(set(mdp.space.values("status")[~mdp.terminal].tolist()))
+    start = [mdp.space.label(state) for state, _ in mdp.start]
+    ends = [mdp.space.label(state) for state in np.flatnonzero(mdp.terminal).tolist()]
+    place = mdp.space.values("subtask") * (trials + 1) + mdp.space.values("trial")
+    place[mdp.terminal] = longest = sum(reading.scenario.tasks) * (trials + 1)
+    leads = mdp.transition.tocoo()
+    onwards = bool(
+        (place[leads.col] > place[mdp.pair_state[leads.row]])[
+            ~mdp.terminal[mdp.pair_state[leads.row]]
+        ].all()
+    )
+    return statement(
+        statuses == 16 and len(ends) == 1 and "status 0000" in start[0] and onwards,
+        f"{statuses} statuses; the start is {start[0]}; every timestep leads to a later trial or "
+        f"subtask, so that the only terminal state, “{ends[0]}”, is reached within {longest}",
+    )
+
+
+@claim("policy.status-suffices", "Section 3.2.1", kind="input", open=True)
+def status_suffices(reading: Reading) -> Finding:
+    """A policy may read the 16 statuses alone, without the trial or the subtask."""
+    lacking = [s for s in STATUSES if not set.intersection(*optimal_actions(reading, s))]
+    why = "in every status one action is optimal in all subtasks and trials"
+    if lacking:
+        why = f"no action is optimal throughout in {', '.join(lacking)}"
+    return statement(not lacking, why)
+
+
+def losses(reading: Reading, status: str, action: int) -> list[Fraction]:
+    """Return what an action loses in each state with a status and a choice, taken once.
+
+    All else is optimal: V(s) - Σ p (r + γ V(s')), exactly, V by the certificate.
+    """
+    mdp, value = reading.mdp, reading.certificate.value
+    here = (mdp.space.values("status") == int(status, 2)) & ~mdp.forced & ~mdp.terminal
+    return [
+        value[state]
+        - sum(
+            p * (gain + mdp.discount_exact * value[after])
+            for p, after, gain in outcomes(mdp, state, action)
+        )
+        for state in np.flatnonzero(here).tolist()
+    ]
+
+
+def optimal_actions(reading: Reading, status: str) -> list[set[str]]:
+    """Return the set of optimal actions of every state with a status and a choice."""
+    by_action = [losses(reading, status, action) for action in range(len(ACTIONS))]
+    return [
+        {name for name, lost in zip(ACTIONS, state, strict=True) if lost == 0}
+        for state in zip(*by_action, strict=True)
+    ]
+
+
+@claim("actions.max-trial", "Section 3.2.2", "Section 2.1", kind="input", open=True)
+def max_trial(reading: Reading) -> Finding:
+    """A subtask is skipped after 5 failed trials (MaxTrial)."""
+    mdp, paper = reading.mdp, SETTINGS["max_trial"]
+    trials = int(mdp.space.values("trial")[~mdp.forced & ~mdp.terminal].max()) + 1
+    why = f"a subtask is skipped on failed trial {trials}"
+    return statement(trials == paper, why, paper=Fraction(paper), **certified(Fraction(trials)))
+
+
+# ---- rewards -------------------------------------------------------------------------------------
+
+
+def rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
+    """Return action, next status, subtask, whether it is completed, and reward of outcomes.
+
+    Those with positive probability from a trial before the last one, from which no subtask is
+    skipped, so that the next status is that of the next state.
+    """
+    mdp, found = reading.mdp, []
+    trial, subtask, status = (mdp.space.values(name) for name in ("trial", "subtask", "status"))
+    before = ~mdp.terminal & ~mdp.forced & (trial < reading.scenario.trials - 1)
+    for state in np.flatnonzero(before).tolist():
+        for action in range(len(ACTIONS)):
+            for probability, following, gain in outcomes(mdp, state, action):
+                if probability:
+                    ended = bool(mdp.terminal[following])
+                    done = ended or bool(subtask[following] != subtask[state])
+                    after = 0 if ended else int(status[following])
+                    found.append((action, after, int(subtask[state]), done, gain))
+    return found
+
+
+@claim("equation1", "Equation 1", "Section 3.2.3", kind="input")
+def equation_1(reading: Reading) -> Finding:
+    """The immediate reward is the weighted sum of statuses, trial, completion, assistance, timestep
+    and task completion.
+    """
+    last = (np.cumsum(reading.scenario.tasks) - 1).tolist()
+    wrong, found = 0, rewards(reading)
+    for action, after, subtask, done, gain in found:
+        present = zip(CHARGED, BITS.values(), strict=True)
+        total = sum(TABLE_4[weight] for weight, bit in present if after & bit)
+        total += TABLE_4["trial"] + TABLE_4["timestep"]
+        if done:
+            total += TABLE_4["subtask-complete"] + TABLE_4[f"assist.{ACTIONS[action]}"]
+            total += TABLE_4["task-complete"] if subtask in last else 0
+        wrong += gain != total
+    why = f"{len(found) - wrong:,} of {len(found):,} outcomes earn what the equation gives"
+    return statement(wrong == 0, why)
+
+
+def weights(reading: Reading) -> dict[str, Fraction]:
+    """Return the weights of Table 4 as differences of rewards in compiled rows.
+
+    A trial is told from a timestep by the reading in which only failed trials cost, a skip by the
+    one in which it takes a timestep of its own. The weight of a completed subtask shows only
+    together with that of the assistance: as in the table, no assistance weighs nothing.
+    """
+    free = Reading(scenario=reading.scenario.with_(readings={"trial_cost": "failed-trials"}))
+    failed: dict[int, Fraction] = {}
+    completed: dict[tuple[int, bool], Fraction] = {}
+    for action, after, subtask, done, gain in rewards(reading):
+        if done:
+            completed[action, subtask == reading.scenario.tasks[0] - 1] = gain
+        else:
+            failed[after] = gain
+    trial = completed[0, False] - next(
+        gain
+        for action, _, subtask, done, gain in rewards(free)
+        if done and (action, subtask) == (0, 0)
+    )
+    two = {"forget": (12, 4), "confuse": (12, 8), "anger": (6, 4), "disengaged": (5, 4)}
+    found = {name: failed[both] - failed[one] for name, (both, one) in two.items()}
+    found["trial"] = trial
+    found["timestep"] = timestep = failed[8] - found["forget"] - trial
+    found["subtask-complete"] = completed[0, False] - timestep - trial
+    found["task-complete"] = completed[0, True] - completed[0, False]
+    mdp = reading.skip_model
+    state = mdp.space.index(subtask=0, trial=reading.scenario.trials, status=8)
+    gain = next(
+        gain
+        for p, after, gain in outcomes(mdp, state, 0)
+        if p and not mdp.space.values("status", np.array([after]))[0]
+    )
+    found["subtask-skip"] = gain - timestep
+    for action, name in enumerate(ACTIONS):
+        found[f"assist.{name}"] = completed[action, False] - completed[0, False]
+    return found
+
+
+@claim("table4", "Table 4", kind="input", rule="entries")
+def table_4(reading: Reading) -> Finding:
+    """The reward has the thirteen weights of the table."""
+    paper = {name: Fraction(weight) for name, weight in TABLE_4.items()}
+    return entries(paper, weights(reading), ", each a difference of rewards in compiled rows")
+
+
+@claim("prose.weights", "Section 3.2.3", kind="input")
+def weights_in_words(reading: Reading) -> Finding:
+    """Anger is charged most of the four statuses, and completing a subtask costs more, the more
+    intrusive the assistance.
+    """
+    found = weights(reading)
+    anger, others = found["anger"], [found[name] for name in CHARGED if name != "anger"]
+    assist = [found[f"assist.{name}"] for name in ACTIONS]
+    return statement(
+        anger < min(others) and assist == sorted(set(assist), reverse=True),
+        f"anger {anger}, the others {', '.join(map(str, others))}; a0 to a3 "
+        f"{', '.join(map(str, assist))}",
+    )
+
+
+# ---- learning ------------------------------------------------------------------------------------
+
+
+@claim("training.settings", "Section 3.2.4", "Section 3.2.5", kind="input", rule="entries")
+def training_settings(reading: Reading) -> Finding:
+    """Q-learning has rate 0.05, discount 0.95, 6,000 epochs of 30 episodes, ε = 0.1; each epoch's
+    policy is that of its 10th episode, a point of a curve is the average of 40 experiments, and the
+    final policy is chosen among the five suggested most often.
+    """
+    code = learner.settings("constant", reading.training)
+    held = {
+        "rate": code.rate.values(1)[0],
+        "discount": code.discount,
+        "epochs": code.epochs,
+        "episodes": code.episodes,
+        "constant_epsilon": code.exploration.values(1)[0],
+        "snapshot_episode": code.snapshot_episode,
+        "experiments_of_a_point": EXPERIMENTS_OF_A_POINT,
+        "candidates": CANDIDATES,
+    }
+    model = {name: Fraction(str(value)) for name, value in held.items()}
+    return entries({name: Fraction(str(SETTINGS[name])) for name in model}, model)
+
+
+@claim("equation2", "Equation 2", kind="input")
+def equation_2(reading: Reading) -> Finding:
+    """The decaying ε is 1 at epoch 0 and 0.8 at epoch 300, and comes down to 0.03."""
+    code = learner.settings("decaying", reading.training)
+    values, far = code.exploration.values(code.epochs), code.exploration.values(100_000)[-1]
+    wanted = {int(epoch): float(value) for epoch, value in SETTINGS["epsilon_at"].items()}
+    least = float(Fraction(SETTINGS["epsilon_minimum"]))
+    close = all(abs(values[epoch] - value) <= 1e-12 for epoch, value in wanted.items())
+    return statement(
+        close and abs(far - least) <= 1e-12,
+        ", ".join(f"ε({epoch}) = {values[epoch]:.12g}" for epoch in wanted)
+        + f", ε({code.epochs - 1:,}) = {values[-1]:.4f}, in the limit {far:.12g}",
+    )

@@ -1,0 +1,370 @@
+"""Section 4.1, what learning ends with: Figures 9 and 10.
+
+The paper trains once with each exploration schedule; here many seeds are trained, so that what it
+shows of its runs has a frequency. Policies are judged by exact values instead of experiments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from exact_mdp.analysis.learning.curves import random_curve
+from exact_mdp.paper_repro import drawing
+from exact_mdp.paper_repro.claim import (
+    NEARLY_ALL,
+    Finding,
+    claim,
+    estimated,
+    plotted,
+    share,
+    statement,
+)
+from exact_mdp.paper_repro.drawing import BLUE, FILLS, GREEN, RED, figure
+from exact_mdp.paper_repro.learner import CONVERGED, CURVES, SHOWN, child
+from exact_mdp.paper_repro.paper import ACTIONS, ANGRY, AVERAGES, ORDERS, REPORTED, STATUSES, fits
+from exact_mdp.paper_repro.section_3 import optimal_actions
+from exact_mdp.paper_repro.silent_points import Reading
+from exact_mdp.solvers.learning.q_learning import QLearning
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FEW = 40  # experiments behind one point of the paper's curves
+NUMBER = {action: number for number, action in enumerate(ACTIONS)}
+
+# ---- learning curves -----------------------------------------------------------------------------
+
+
+@claim(
+    "learning.converged.{word}", "Section 4.1", "Figure 9", rule="plotted", each=SHOWN, learns=True
+)
+def converged(reading: Reading, schedule: str) -> Finding:
+    """With {means} the average return after convergence is about 140."""
+    tails = reading.learned(schedule).converged
+    low, high = np.quantile(tails, [0.05, 0.95]).tolist()
+    why = (
+        f"exact values of the greedy policies of the last {CONVERGED:,} epochs, mean of "
+        f"{len(tails)} runs; nine runs in ten lie between {low:.1f} and {high:.1f}, the optimum is "
+        f"{reading.value('optimal').mean:.1f}"
+    )
+    return plotted(REPORTED["converged"], why, **mean_of(tails))
+
+
+def mean_of(values: np.ndarray) -> dict[str, Any]:
+    """Return a mean over runs with its standard error, for a finding."""
+    return estimated(float(values.mean()), float(values.std(ddof=1)) / sqrt(len(values)))
+
+
+@claim("learning.similar", "Section 4.1", "Figure 9", learns=True)
+def similar(reading: Reading) -> Finding:
+    """Both exploration schedules perform alike."""
+    constant, decaying = (reading.learned(schedule).converged for schedule in SHOWN)
+    apart = float(decaying.mean() - constant.mean())
+    error = sqrt(constant.var(ddof=1) / len(constant) + decaying.var(ddof=1) / len(decaying))
+    point = reading.value("optimal").sd / sqrt(FEW)
+    return statement(
+        abs(apart) <= 2 * point,
+        f"decaying less constant: {apart:+.2f}; the standard error of one point of the plot "
+        f"({FEW} experiments) is {point:.1f}, and alike means within twice that",
+        **estimated(apart, error),
+    )
+
+
+@claim("learning.superior", "Section 4.1", "Figure 9", rule="share", learns=True)
+def learned_superior(reading: Reading) -> Finding:
+    """After convergence both are above the random strategy."""
+    random = reading.value("random").mean
+    runs = np.concatenate([reading.learned(schedule).converged for schedule in SHOWN])
+    why = f"random actions earn {random:.1f}, the lowest of the runs ends at {runs.min():.1f}"
+    return share(int((runs > random).sum()), len(runs), "runs", why)
+
+
+@figure("learning_curves", "Figure 9", title="Learning curves of three strategies")
+def learning_curves(reading: Reading) -> Figure:
+    """Above, as the paper draws it: one run of each strategy, the average return of 40 experiments
+    with the greedy policy of each epoch; pale the range within 20 epochs, heavy the mean of 100.
+    Below, exact values of the same policies over all runs: the mean, and the band of nine runs in
+    ten.
+    """
+    fig, panels = drawing.axes(6.8, 6.2, nrows=2, ncols=2)
+    grid = panels[0, 0].get_gridspec()
+    for old in panels[0]:
+        old.remove()
+    top = fig.add_subplot(grid[0, :])
+    optimum = reading.value("optimal").mean
+    curves = {shown: reading.learned(name).drawn.sampled for name, shown in SHOWN.items()}
+    source = child(CURVES, len(SHOWN))
+    curves["random"] = random_curve(reading.mdp, QLearning().epochs, rng=source).sampled
+    looks = ((BLUE, "-"), (RED, "--"), (GREEN, "-."))
+    for (label, values), (colour, line) in zip(curves.items(), looks, strict=True):
+        drawing.strip(top, values, colour)
+        top.plot(*drawing.smoothed(values, 100), color=colour, ls=line, lw=1.6, label=label)
+    top.axhline(optimum, color="black", ls=":", lw=1, label=f"optimum {optimum:.1f}")
+    top.legend(ncols=4, loc="lower center")
+    top.set(ylim=(0, None), xlabel="epoch", ylabel="average return (points)")
+    top.set_title("One run of each: average of 40 experiments at each epoch")
+    for ax, (name, shown), (colour, line) in zip(panels[1], SHOWN.items(), looks, strict=False):
+        values = reading.learned(name).values
+        low, high = np.quantile(values, [0.05, 0.95], axis=0)
+        at, middle = drawing.smoothed(values.mean(axis=0), 25)
+        band = (drawing.smoothed(each, 25)[1] for each in (low, high))
+        ax.fill_between(at, *band, color=colour, alpha=0.25, lw=0, label="nine runs in ten")
+        ax.plot(at, middle, color=colour, ls=line, label="mean")
+        ax.axhline(optimum, color="black", ls=":", lw=1, label="optimum")
+        ax.legend(loc="lower right")
+        ax.set(ylim=(120, None), xlabel="epoch", ylabel="exact value (points)")
+        ax.set_title(f"{shown}: {len(values)} runs")
+    return fig
+
+
+# ---- learned policies ----------------------------------------------------------------------------
+
+
+def named(policy: np.ndarray) -> dict[str, str]:
+    """Return a policy (16,) by status."""
+    return {status: ACTIONS[int(action)] for status, action in zip(STATUSES, policy, strict=True)}
+
+
+UNIQUE = {s: f"{SHOWN[s]} the run suggests {n}" for s, n in REPORTED["unique_policies"].items()}
+
+
+@claim(
+    "learning.unique.{word}", "Section 4.1", "Section 3.2.5", rule="share", each=UNIQUE, learns=True
+)
+def unique(reading: Reading, schedule: str) -> Finding:
+    """With {means} unique policies in its last 100 episodes."""
+    distinct = reading.learned(schedule).outcomes.distinct
+    paper = REPORTED["unique_policies"][schedule]
+    number = mean_of(distinct)
+    return share(
+        int((distinct == paper).sum()),
+        len(distinct),
+        "runs",
+        f"the runs end with {number['exact']:.2f} on average, {distinct.min()} to {distinct.max()}",
+        paper=float(paper),
+        details={"share": float((distinct == paper).mean())},
+        **number,
+    )
+
+
+@claim("learning.anger.{word}", "Section 4.1", "Figure 10", rule="share", each=SHOWN, learns=True)
+def learned_anger(reading: Reading, schedule: str) -> Finding:
+    """The run with {means} learns supportive assistance in all eight statuses with anger."""
+    final = reading.learned(schedule).final
+    supportive = final[:, [int(status, 2) for status in ANGRY]] == NUMBER["supportive"]
+    each = supportive.mean(axis=0)
+    why = (
+        f"status by status it is learned by {each.min():.0%} ({ANGRY[int(each.argmin())]}) to "
+        f"{each.max():.0%} of the runs"
+    )
+    return share(int(supportive.all(axis=1).sum()), len(final), "runs", why)
+
+
+@claim("learning.stated.{word}", "Section 4.1", "Figure 10", rule="share", each=SHOWN, learns=True)
+def learned_stated(reading: Reading, schedule: str) -> Finding:
+    """The run with {means} learns the stated actions of 1100, 1000 and 0100."""
+    final = [named(policy) for policy in reading.learned(schedule).final]
+    orders = {order: sum(fits(policy, order) for policy in final) for order in ORDERS}
+    whole = sum(describes([policy]) for policy in final)
+    shares = ", ".join(f"{order} {count / len(final):.1%}" for order, count in orders.items())
+    why = (
+        f"by the order of 1000 and 0100: {shares} of the runs; all that the text says of a policy, "
+        f"anger and 0000 included, holds for {whole / len(final):.1%}"
+    )
+    return share(sum(orders.values()), len(final), "runs", why, details={"orders": orders})
+
+
+def describes(policies: Iterable[dict[str, str]]) -> bool:
+    """Return whether what the text says of statuses holds for all of some policies."""
+    return all(
+        all(policy[status] == "supportive" for status in ANGRY)
+        and any(fits(policy, order) for order in ORDERS)
+        and policy["0000"] in AVERAGES
+        for policy in policies
+    )
+
+
+@claim("learning.same-but-first", "Section 4.1", "Figure 10", rule="share", learns=True)
+def same_but_first(reading: Reading) -> Finding:
+    """The policies of the two runs, one of each schedule, differ in status 0000 alone."""
+    constant, decaying = (reading.learned(schedule).final for schedule in SHOWN)
+    apart = constant != decaying
+    rest = apart[:, 1:].sum(axis=1)
+    why = (
+        f"{int((rest == 0).sum())} pairs agree outside 0000, and the mean pair differs in "
+        f"{rest.mean():.1f} of the other 15 statuses"
+    )
+    return share(int(((rest == 0) & apart[:, 0]).sum()), len(apart), "pairs of runs", why)
+
+
+@claim("learning.together", "Section 4.1", "Figure 10", rule="share", learns=True)
+def together(reading: Reading) -> Finding:
+    """All that is told of the two runs at once: their numbers of policies, that these differ in
+    0000 alone, the three actions there, the agreement elsewhere, and the stated actions.
+    """
+    parts = told_together(reading)
+    held, kept = np.array(True), []
+    for name, each in parts.items():
+        held = held & each
+        kept.append(f"{name} {each.mean():.1%}, with all before {100 * held.mean():.2g} %")
+    why = f"of all pairs of one run with each schedule: {'; '.join(kept)}"
+    return share(int(held.sum()), int(held.size), "pairs of runs", why)
+
+
+def told_together(reading: Reading) -> dict[str, np.ndarray]:
+    """Return by what is told of the two runs (R, R) the pairs, one of each schedule, that show it.
+
+    Of a run the policies of its last 100 episodes count.
+    """
+    runs = [reading.learned(schedule) for schedule in SHOWN]
+    places = [int(status, 2) for status in ANGRY]
+
+    def both(first: Iterable[bool], second: Iterable[bool]) -> np.ndarray:
+        return np.logical_and.outer(list(first), list(second))
+
+    def alone(policies: np.ndarray) -> bool:
+        return bool((policies[:, 1:] == policies[0, 1:]).all())
+
+    def angry(policies: np.ndarray) -> bool:
+        return bool((policies[:, places] == NUMBER["supportive"]).all())
+
+    def stated(policies: np.ndarray) -> bool:
+        return all(any(fits(named(policy), order) for order in ORDERS) for policy in policies)
+
+    starts = [[sum(1 << a for a in set(p[:, 0].tolist())) for p in run.last] for run in runs]
+    three = sum(1 << NUMBER[start] for start in AVERAGES)
+    one, two = runs[0].final, runs[1].final
+    numbers = REPORTED["unique_policies"]
+    return {
+        "three and two policies": both(
+            *([len(p) == numbers[run.schedule] for p in run.last] for run in runs)
+        ),
+        "each run's differ in 0000 alone": both(*(map(alone, run.last) for run in runs)),
+        "a1, a2 and a3 there": np.bitwise_or.outer(*map(np.array, starts)) == three,
+        "the final ones differ there": one[:, None, 0] != two[None, :, 0],
+        "and agree elsewhere": (one[:, None, 1:] == two[None, :, 1:]).all(axis=2),
+        "supportive with anger": both(*(map(angry, run.last) for run in runs)),
+        "1100, 1000 and 0100 as stated": both(*(map(stated, run.last) for run in runs)),
+    }
+
+
+@claim("learning.one-run-all-three", "Section 4.1", rule="share", learns=True)
+def one_run_all_three(reading: Reading) -> Finding:
+    """The policies of a run's last 100 episodes differ in status 0000 alone."""
+    changed = np.concatenate([reading.learned(s).outcomes.changed for s in SHOWN])
+    only = changed[:, 0] & ~changed[:, 1:].any(axis=1)
+    why = f"in {int(changed.any(axis=1).sum())} runs of both schedules they differ anywhere"
+    return share(int(only.sum()), len(changed), "runs", why)
+
+
+@claim("learning.selection", "Section 4.1", "Section 3.2.5", rule="share", learns=True)
+def selection(reading: Reading) -> Finding:
+    """Choosing among the five most frequent policies gives the final, optimal policy."""
+    outcomes = [reading.learned(schedule).outcomes for schedule in SHOWN]
+    kept = np.concatenate([each.selected_regret for each in outcomes])
+    last = np.concatenate([each.regret for each in outcomes])
+    why = (
+        "the choice is made by exact value here, the best that any choice among the five can do; "
+        f"the mean regret is {kept.mean():.2f} after it and {last.mean():.2f} before"
+    )
+    return share(int((kept == 0).sum()), len(kept), "runs", why)
+
+
+@claim("learning.first-status-unsettled", "Section 4.1", "Section 4.3", learns=True)
+def first_status_unsettled(reading: Reading) -> Finding:
+    """The best assistance in status 0000 is hard to tell because of the model's chance."""
+    # The same model, the same chance and exploration: only the step falls.
+    kept, fallen = first_actions(reading), first_actions(reading.falling)
+    total, settled = int(fallen.sum()), int(fallen.max())
+    best = set.intersection(*optimal_actions(reading, "0000"))
+    kind = "an optimal" if ACTIONS[int(fallen.argmax())] in best else "no optimal"
+    return statement(
+        settled < NEARLY_ALL * total,
+        f"with the paper's constant learning rate {shares(kept)}, over {kept.sum()} runs; with "
+        f"a step of 0.5 n^-0.7 {shares(fallen)}, over {total}: {kind} action. Model, chance and "
+        "exploration are the same, so that the learning rate is the cause",
+        **estimated(settled / total, sqrt((settled + 0.5) * (total - settled + 0.5) / total**3)),
+        details={"constant_step": kept.tolist(), "falling_step": fallen.tolist()},
+    )
+
+
+def first_actions(reading: Reading) -> np.ndarray:
+    """Return (A,) how many runs of both schedules end with each action in status 0000."""
+    return np.asarray(sum(reading.learned(s).outcomes.choices(0)[: len(ACTIONS)] for s in SHOWN))
+
+
+def shares(counts: np.ndarray) -> str:
+    """Return which actions runs end with, the most frequent first."""
+    order = [int(a) for a in np.argsort(-counts, kind="stable") if counts[a]]
+    return ", ".join(f"{ACTIONS[a]} {counts[a] / counts.sum():.0%}" for a in order)
+
+
+@figure(
+    "learned_policies",
+    "Figure 10",
+    title="Learned policies of the two exploration schedules, and the optimal one",
+)
+def learned_policies(reading: Reading) -> Figure:
+    """The commonest final action in each status, and the share of runs that end with it; a star
+    where it is not optimal. On the right the optimal policy, which is the same in every subtask and
+    trial.
+    """
+    best = [ACTIONS[action] for action in reading.optimum[: len(STATUSES)]]
+    fig, panels = drawing.axes(9.6, 3.6, ncols=3, sharey=True)
+    for ax, (name, shown) in zip(panels, SHOWN.items(), strict=False):
+        choices, often = reading.learned(name).common()
+        chosen = [ACTIONS[action] for action in choices]
+        same = [a == b for a, b in zip(chosen, best, strict=True)]
+        notes = [f"{s:.0%}{'' if b else ' *'}" for s, b in zip(often, same, strict=True)]
+        drawing.status_map(ax, chosen, notes)
+        runs = len(reading.learned(name).runs)
+        ax.set_title(f"{shown}: the commonest action\nat the end of {runs} runs")
+    drawing.status_map(panels[2], best, [""] * len(best))
+    panels[2].set_title("optimal action\n")
+    return fig
+
+
+@figure("first_status", title="Why the first status does not settle")
+def first_status(reading: Reading) -> Figure:
+    """Above, the action in 0000 that runs end with, under the paper's constant learning rate and
+    with a step of 0.5 n^-0.7 at the n-th update; model, chance and exploration are the same. Below,
+    what the runs have learned of the difference between the two best actions, one dot for each run:
+    right of the line non-directive assistance is preferred.
+    """
+    from matplotlib.patches import Patch
+
+    fig, (above, below) = drawing.axes(7.6, 5.0, nrows=2)
+    rows = [
+        (f"{shown}, {step}", view.learned(name))
+        for step, view in (("constant rate", reading), ("falling step", reading.falling))
+        for name, shown in SHOWN.items()
+    ]
+    for row, (_, learned) in enumerate(rows):
+        counts = learned.outcomes.choices(0)[: len(ACTIONS)]
+        left = 0.0
+        for action, count in zip(ACTIONS, counts / counts.sum(), strict=True):
+            fill, hatch = FILLS[action]
+            look = {"color": fill, "hatch": hatch, "ec": "black", "lw": 0.6}
+            above.barh(row, count, left=left, height=0.6, **look)
+            left += count
+        q = np.stack([run.q[0] for run in learned.runs])
+        gap = q[:, NUMBER["non-directive"]] - q[:, NUMBER["directive"]]
+        apart = (np.arange(len(gap)) * 0.618034) % 1 - 0.5  # spread, and the same each time
+        below.plot(gap, row + 0.6 * apart, "o", ms=2.5, mfc="none", color="0.45", mew=0.6)
+        below.plot([gap.mean()] * 2, [row - 0.4, row + 0.4], color="black", lw=2)
+    for ax in (above, below):
+        ax.set_yticks(range(len(rows)), [label for label, _ in rows])
+        ax.invert_yaxis()
+    handles = [
+        Patch(facecolor=fill, hatch=hatch, edgecolor="black", label=action)
+        for action, (fill, hatch) in FILLS.items()
+    ]
+    above.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1), ncols=4)
+    above.set(xlim=(0, 1), xlabel="share of runs by their final action in 0000")
+    below.axvline(0, color="black", lw=0.8)
+    below.set_xlabel("learned value of non-directive less directive in 0000 (points); bar: mean")
+    return fig

@@ -1,0 +1,368 @@
+"""Section 4.1, average returns and which assistance is best, by exact values and certificates.
+
+The value of a reported policy depends on two things that the text leaves open: the order of
+"directive or non-directive, respectively" is named wherever such a number stands, and in the four
+statuses of which nothing is said the policy is supportive (`silent_points`).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
+from fractions import Fraction
+from itertools import pairwise
+from math import erfc, exp, pi, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from exact_mdp import Policy, check, evaluate, return_distribution
+from exact_mdp.paper_repro import drawing
+from exact_mdp.paper_repro.claim import (
+    CHANCE,
+    NEARLY_ALL,
+    Finding,
+    average,
+    bounded,
+    by_chance,
+    certified,
+    claim,
+    estimated,
+    plotted,
+    statement,
+    undecided,
+)
+from exact_mdp.paper_repro.drawing import BLUE, figure
+from exact_mdp.paper_repro.paper import (
+    ACTIONS,
+    ANGRY,
+    AVERAGES,
+    EXPERIMENTS,
+    FINAL,
+    ORDERS,
+    REPORTED,
+    SETTINGS,
+    STATUSES,
+    words,
+)
+from exact_mdp.paper_repro.section_3 import losses, optimal_actions
+from exact_mdp.paper_repro.silent_points import Reading
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# ---- average returns -----------------------------------------------------------------------------
+
+
+@claim("return.random", "Section 4.1", "Figure 9", rule="plotted", open=True)
+def random_return(reading: Reading) -> Finding:
+    """The random strategy reaches an average return of around 70."""
+    exact = reading.value("random")
+    number = bounded(exact.mean, exact.start.error)
+    return plotted(REPORTED["random"], details={"sd": exact.sd}, **number)
+
+
+@claim("return.superior", "Section 4.1", open=True)
+def superior(reading: Reading) -> Finding:
+    """The learned policies are superior to the random strategy."""
+    random = reading.value("random").mean
+    lowest = min(reading.value(start, order).mean for start in AVERAGES for order in ORDERS)
+    why = f"the least of the three policies in both orders earns {lowest:.1f}, random {random:.1f}"
+    return statement(lowest > random + 1e-6, why)
+
+
+def both_orders(reading: Reading, start: str) -> str:
+    """Return the value of a reported policy in both orders, with its distance from the paper's."""
+    told = []
+    for order in ORDERS:
+        exact = reading.value(start, order)
+        errors = (exact.mean - AVERAGES[start]) / (exact.sd / sqrt(EXPERIMENTS))
+        told.append(f"{order} {exact.mean:.2f} ({errors:+.1f} s.e.)")
+    return ", ".join(told)
+
+
+@claim(
+    "return.reported.{word}",
+    "Section 4.1",
+    rule="average",
+    open=True,
+    each={start: str(number) for start, number in AVERAGES.items()},
+)
+def reported_return(reading: Reading, start: str) -> Finding:
+    """The policy with {word} assistance in status 0000 averages {means} over 1,000 experiments."""
+    exact = reading.value(start)
+    why = f"exact value with 1000 and 0100 {both_orders(reading, start)}; judged {reading.order}"
+    found = average(
+        AVERAGES[start], exact.mean, exact.sd, EXPERIMENTS, error=exact.start.error, why=why
+    )
+    orders = {order: reading.value(start, order).mean for order in ORDERS}
+    return replace(found, details={"sd": exact.sd, "orders": orders})
+
+
+@claim("return.together", "Section 4.1", rule="average", open=True)
+def averages_together(reading: Reading) -> Finding:
+    """The three averages, taken together."""
+    # χ² of the squared standard errors, on three degrees of freedom.
+    chances = {}
+    for order in ORDERS:
+        squared = 0.0
+        for start, paper in AVERAGES.items():
+            exact = reading.value(start, order)
+            squared += (exact.mean - paper) ** 2 / (exact.sd**2 / EXPERIMENTS)
+        tail = sqrt(2 * squared / pi) * exp(-squared / 2)
+        chances[order] = erfc(sqrt(squared / 2)) + tail
+    told = ", ".join(f"{order} p = {chance:.2g}" for order, chance in chances.items())
+    return by_chance(
+        chances[reading.order],
+        f"chance of averages as far off, with 1000 and 0100 {told}; judged {reading.order}, "
+        f"compatible from p = {CHANCE} on",
+        details={"probability": chances},
+    )
+
+
+@claim("return.ranking", "Section 4.1", open=True)
+def ranking(reading: Reading) -> Finding:
+    """In status 0000 non-directive assistance is better than directive, and that better than
+    supportive.
+    """
+    means = {order: [reading.value(start, order).mean for start in AVERAGES] for order in ORDERS}
+    told = "; ".join(
+        f"{order} {' > '.join(f'{mean:.2f}' for mean in each)}" for order, each in means.items()
+    )
+    falls = all(a > b + 1e-6 for a, b in pairwise(means[reading.order]))
+    return statement(falls, f"exact values of {', '.join(AVERAGES)}, 1000 and 0100 {told}")
+
+
+@claim("return.ranking.by-experiments", "Section 4.1")
+def ranking_by_experiments(reading: Reading) -> Finding:
+    """1,000 experiments tell this ranking."""
+    exact = [reading.value(start) for start in AVERAGES]
+    chance = ranked([e.mean for e in exact], [e.sd / sqrt(EXPERIMENTS) for e in exact])
+    return statement(
+        chance >= NEARLY_ALL,
+        f"{EXPERIMENTS:,} experiments with each rank them so with probability {chance:.5f}, by the "
+        "normal law with the exact means and variances, 1000 and 0100 as written; 95 % or more "
+        "counts as told",
+        **estimated(chance, 1e-5),
+    )
+
+
+def ranked(means: list[float], errors: list[float]) -> float:
+    """Return P(A > B > C) for independent normal averages.
+
+    >>> round(ranked([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), 12)  # one order of six
+    0.166666666667
+    """
+    nodes = np.linspace(-10.0, 10.0, 4001)  # the trapezoidal rule is exact to rounding here
+    middle = means[1] + errors[1] * nodes
+    above, below = (
+        np.array([erfc(-x / sqrt(2)) / 2 for x in apart])
+        for apart in ((means[0] - middle) / errors[0], (middle - means[2]) / errors[2])
+    )
+    density = np.exp(-0.5 * nodes**2) / sqrt(2 * pi)
+    return float((density * above * below).sum() * (nodes[1] - nodes[0]))
+
+
+@claim("return.experiments", "Section 4.1", "Section 3.2.5", kind="input", rule="open")
+def experiments(reading: Reading) -> Finding:
+    """The final policies were compared by 1,000 experiments each; Section 3.2.5 says 10,000."""
+    sd, many = reading.value(FINAL).sd, SETTINGS["experiments_of_a_candidate"]
+    few, least = sd / sqrt(EXPERIMENTS), sd / sqrt(many)
+    return undecided(
+        f"standard errors of the final policy's average are {least:.2f} and {few:.2f}. The smaller "
+        "number is used here, which is kinder to the paper"
+    )
+
+
+@figure("three_policies", title="The three reported averages")
+def three_policies(reading: Reading) -> Figure:
+    """Exact means of the three policies with exact standard errors of 1,000 experiments, beside
+    what the paper reports, with both orders of “respectively”; supportive in the four statuses of
+    which the text says nothing.
+    """
+    fig, ax = drawing.axes(6.4, 4.0)
+    rows = [(start, order) for start in AVERAGES for order in ORDERS]
+    for row, (start, order) in enumerate(rows):
+        exact = reading.value(start, order)
+        error = exact.sd / sqrt(EXPERIMENTS)
+        for reach, width in ((3, 1.2), (1, 4.0)):
+            ends = [exact.mean - reach * error, exact.mean + reach * error]
+            ax.plot(ends, [row, row], color="0.45", lw=width, solid_capstyle="butt")
+        ax.plot(exact.mean, row, "o", color="black", ms=5)
+        ax.plot(AVERAGES[start], row - 0.28, "D", color="black", mfc="white", ms=6)
+        apart = f"{(exact.mean - AVERAGES[start]) / error:+.1f} s.e.".replace("-", "−")
+        ax.annotate(apart, (1.01, row), xycoords=("axes fraction", "data"), va="center")
+    optimum = reading.value("optimal").mean
+    ax.axvline(optimum, color="black", ls=":", lw=1)
+    ax.plot([], [], "o", color="black", ms=5, label="exact, ±1 and ±3 s.e.")
+    ax.plot([], [], "D", color="black", mfc="white", ms=6, label="reported")
+    ax.plot([], [], ":", color="black", label=f"optimum {optimum:.1f}")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=3)
+    ax.set_yticks(range(len(rows)), [f"{start} in 0000,\n{order}" for start, order in rows])
+    ax.set(ylim=(len(rows) - 0.5, -0.6), xlabel="average return (points)")
+    return fig
+
+
+@figure("return_distributions", title="Distribution of the return")
+def return_distributions(reading: Reading) -> Figure:
+    """Exact distribution of an episode's return, added up in stretches of 10 points, under the
+    optimal policy, the reported final policy (1000 and 0100 as written, supportive where the text
+    says nothing) and random actions. The dashed line is the mean.
+    """
+    fig, panels = drawing.axes(6.2, 5.4, nrows=3, sharex=True, sharey=True)
+    shown = {
+        "optimal": "optimal policy",
+        FINAL: "reported final policy",
+        "random": "random actions",
+    }
+    for ax, (name, label) in zip(panels, shown.items(), strict=True):
+        law = return_distribution(reading.mdp, reading.policy(name))
+        values = np.asarray(law.multiples, dtype=float) * float(law.unit)
+        bins = np.floor(values / 10) * 10
+        at = np.unique(bins)
+        ax.bar(at + 5, [law.probabilities[bins == b].sum() for b in at], width=9.4, color=BLUE)
+        mean = reading.value(name).mean
+        ax.axvline(mean, color="black", ls="--", lw=1)
+        ax.set_title(f"{label}: mean {mean:.1f}, standard deviation {reading.value(name).sd:.1f}")
+        ax.set_ylabel("probability")
+    panels[-1].set(xlabel="return of an episode (points)", xlim=(-90, 185))
+    return fig
+
+
+# ---- which assistance is best --------------------------------------------------------------------
+
+BEST = {  # statuses and the action that the text gives
+    "anger": (ANGRY, "supportive"),
+    "1100": (("1100",), "directive"),
+    "1000": (("1000",), "directive"),
+    "0100": (("0100",), "non-directive"),
+    "0000": (("0000",), "non-directive"),
+}
+
+
+@claim(
+    "policy.{word}",
+    "Section 4.1",
+    "Figure 10",
+    open=True,
+    each={
+        "anger": "An angry person is best met with supportive assistance",
+        "1100": "Forgetful and confused: directive assistance is best",
+        "1000": "Forgetful only: directive assistance is best",
+        "0100": "Confused only: non-directive assistance is best",
+        "0000": "No status present: non-directive assistance is best",
+    },
+)
+def best_action(reading: Reading, place: str) -> Finding:
+    """{means}."""
+    statuses, action = BEST[place]
+    best = [each for status in statuses for each in optimal_actions(reading, status)]
+    right = sum(action in each for each in best)
+    others = sorted(set().union(*(each for each in best if action not in each)))
+    instead = "".join(f"; elsewhere {other} is" for other in others)
+    return statement(
+        right == len(best),
+        f"{action} is optimal in {right} of {len(best)} states with "
+        f"{'this status' if len(statuses) == 1 else 'anger'}{instead}",
+        **certified(Fraction(right, len(best))),
+    )
+
+
+@claim("policy.respectively", "Section 4.1", "Figure 10", open=True)
+def respectively(reading: Reading) -> Finding:
+    """Forgetful only or confused only: directive in one and non-directive in the other, whichever
+    is meant.
+    """
+    best = {status: optimal_actions(reading, status) for status in ("1000", "0100")}
+    holds = any(
+        all(action in each for status, action in pair.items() for each in best[status])
+        for pair in ORDERS.values()
+    )
+    told = ", ".join(f"{s}: {'/'.join(sorted(set().union(*each)))}" for s, each in best.items())
+    return statement(holds, f"optimal actions are {told}")
+
+
+@claim("policy.personalised", "Section 4.1", open=True)
+def personalised(reading: Reading) -> Finding:
+    """Forgetful only and confused only get different assistance, because people respond
+    differently: decisions are personal.
+    """
+    best = [set.intersection(*optimal_actions(reading, status)) for status in ("1000", "0100")]
+    names = ["/".join(sorted(each)) or "none" for each in best]
+    return statement(
+        all(best) and not set.intersection(*best),
+        f"optimal throughout: {names[0]} where forgetful only, {names[1]} where confused only. The "
+        "model has the probabilities of one person: it compares statuses, not people",
+    )
+
+
+@claim("policy.final-is-optimal", "Section 4.1", open=True)
+def final_is_optimal(reading: Reading) -> Finding:
+    """The final policy, with non-directive assistance in 0000, is optimal."""
+    audits = {order: check(reading.mdp, reading.policy(FINAL, order)) for order in ORDERS}
+    told = ", ".join(
+        f"{order} {float(audit.regret.at_start.value):.2f} ({audit.relative_regret:.1%})"
+        for order, audit in audits.items()
+    )
+    audit, by_status = audits[reading.order], defaultdict[str, float](float)
+    for each in audit.disagreements:
+        by_status[reading.mdp.space.as_dict(each.state)["status"]] += each.cost
+    costs = dict(sorted(by_status.items(), key=lambda item: (-item[1], item[0])))
+    why = f"with 1000 and 0100 {told} of the optimum is lost, supportive where nothing is said"
+    if costs:
+        listed = ", ".join(f"{status} {cost:.2f}" for status, cost in costs.items())
+        why += f"; {reading.order}, by status: {listed}"
+    number = certified(Fraction(audit.regret.at_start.value))
+    return statement(audit.passed, why, **number, details={"cost_by_status": costs})
+
+
+@figure("cost_of_choices", title="What each choice costs")
+def cost_of_choices(reading: Reading) -> Figure:
+    """Expected return lost by taking an action whenever a status comes up, everything else being
+    optimal; darker cells cost more. A dot marks the action of the reported final policy, with 1000
+    and 0100 as written; supportive where the text says nothing.
+    """
+    from matplotlib.patches import Rectangle
+
+    lost, policy = cost_of_each(reading), reading.reported(FINAL)
+    fig, ax = drawing.axes(6.6, 5.8)
+    shade = 1 - 0.75 * np.sqrt(lost / lost.max())
+    for row, column in np.ndindex(lost.shape):
+        light, loss = float(shade[row, column]), float(lost[row, column])
+        ink = "black" if light > 0.5 else "white"
+        cell = Rectangle((column, row), 1, 1, facecolor=str(light), edgecolor="0.85", lw=0.5)
+        ax.add_patch(cell)
+        text = "best" if loss == 0 else f"{loss:.2f}" if loss >= 0.005 else "under 0.01"
+        ax.text(
+            column + 0.5,
+            row + 0.5,
+            text,
+            ha="center",
+            va="center",
+            fontsize=8,
+            color=ink,
+            fontweight="bold" if loss == 0 else "normal",
+        )
+        if policy[STATUSES[row]] == ACTIONS[column]:
+            ax.plot(column + 0.12, row + 0.5, "o", color=ink, ms=4)
+    ax.set(xlim=(0, len(ACTIONS)), ylim=(len(STATUSES), 0))
+    ax.set_xticks(np.arange(4) + 0.5, ["none", "supportive", "non-\ndirective", "directive"])
+    ax.set_yticks(np.arange(16) + 0.5, [f"{words(status)}  {status}" for status in STATUSES])
+    ax.xaxis.tick_top()
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    ax.set_xlabel("● action of the reported final policy, as written", loc="left")
+    fig.suptitle("Points lost by an action taken whenever a status comes up", x=0.01, ha="left")
+    return fig
+
+
+def cost_of_each(reading: Reading) -> np.ndarray:
+    """Return (16, 4) what is lost at the start by an action in a status, all else being optimal."""
+    mdp, best = reading.mdp, reading.value("optimal").mean
+    status, free = mdp.space.values("status"), ~mdp.forced & ~mdp.terminal
+    lost = np.zeros((len(STATUSES), len(ACTIONS)))
+    for vector, action in np.ndindex(lost.shape):
+        if any(losses(reading, STATUSES[vector], action)):  # exactly 0 where it is optimal
+            other = np.where(free & (status == vector), action, reading.optimum)
+            lost[vector, action] = best - evaluate(mdp, Policy.from_choices(mdp, other)).mean
+    return lost

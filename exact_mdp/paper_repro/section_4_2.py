@@ -1,0 +1,129 @@
+"""Section 4.2, the two agents together: what follows from the decision model, and what stays open.
+
+The paper gives no transcript in full. What rests on the wording of its authors' language model, or
+on people's judgement, stays not determined; what errors of perception would cost is computed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from exact_mdp import Policy, evaluate
+from exact_mdp.mdp.care.perception import independent, perceived
+from exact_mdp.paper_repro.agents.log import plain
+from exact_mdp.paper_repro.agents.scripted import Scripted
+from exact_mdp.paper_repro.agents.simulate import conversation
+from exact_mdp.paper_repro.claim import Finding, claim, statement, undecided
+from exact_mdp.paper_repro.paper import ANGRY
+from exact_mdp.paper_repro.section_3 import losses, optimal_actions
+from exact_mdp.paper_repro.silent_points import Reading
+
+LEVELS = (0.99, 0.95, 0.9, 0.8)  # accuracies of perception, status by status
+
+
+def value_as_perceived(reading: Reading, confusion: np.ndarray) -> float:
+    """Return the value of the optimal policy where it acts on a perceived status."""
+    policy = perceived(reading.mdp, Policy.from_choices(reading.mdp, reading.optimum), confusion)
+    return float(evaluate(reading.mdp, policy).mean)
+
+
+@claim("agents.saved-as-text", "Section 4.2", "Figure 11", kind="input")
+def saved_as_text(reading: Reading) -> Finding:
+    """State, behaviour, action and assistance of each timestep are saved in a text file."""
+    with TemporaryDirectory() as folder:
+        record = conversation(Scripted(), seed=0).hold(Path(folder) / "talk", limit=3)
+        text = (Path(folder) / "talk" / "conversation.txt").read_text("utf-8")
+    parts = [
+        part
+        for step in record.steps
+        for part in (
+            step["status"],
+            plain(step["behaviour"]["nonverbal"]),
+            step["action"],
+            plain(step["assistance"]),
+        )
+    ]
+    return statement(
+        bool(parts) and all(part in text for part in parts),
+        "conversation.txt holds them, conversation.jsonl everything behind them",
+    )
+
+
+@claim("agents.behaviour-fits-status", "Section 4.2", "Figure 12", rule="open")
+def behaviour_fits_status(reading: Reading) -> Finding:
+    """Behaviour is realistic and fits the status (cooperative in 0000, withdrawn in 0001)."""
+    return undecided(
+        "needs the authors' model. The scripted agent fits by construction, which shows nothing "
+        "about a language model; `python -m paper_repro.agents measure` counts for any endpoint "
+        "how often a status can be read back out of the behaviour"
+    )
+
+
+@claim("agents.four-prompts-alike", "Section 4.2", "Figure 7", "Figure 8", rule="open")
+def four_prompts_alike(reading: Reading) -> Finding:
+    """The four prompts of action execution make no marked difference."""
+    return undecided(
+        "needs the authors' model. `python -m paper_repro.agents run --variant` takes each of them "
+        "with any endpoint; in the decision model the wording changes nothing"
+    )
+
+
+@claim("agents.question-taken-for-forgetfulness", "Section 4.2", "Figure 11", rule="open")
+def question_taken_for_forgetfulness(reading: Reading) -> Finding:
+    """A question about what comes next is taken for forgetfulness."""
+    confusion = np.eye(16)
+    confusion[0b0000] = np.eye(16)[0b1000]
+    cost = value_as_perceived(reading, confusion)
+    return undecided(
+        f"one example of the authors' model. If 0000 were always read as 1000, and all else "
+        f"rightly, the optimal policy would earn {cost:.1f} instead of "
+        f"{reading.value('optimal').mean:.1f}"
+    )
+
+
+@claim("agents.confusion-supported", "Section 4.2", "Figure 12")
+def confusion_supported(reading: Reading) -> Finding:
+    """Confusion is met with supportive assistance."""
+    lost = losses(reading, "0100", 1)
+    return statement(
+        max(lost) == 0,
+        "in the example the robot encourages a person who is confused. Where confusion is the only "
+        f"status, that is optimal in {sum(x == 0 for x in lost)} of {len(lost)} states, and costs "
+        f"{float(min(lost)):.1f} to {float(max(lost)):.1f} points each time; what the robot "
+        "perceived in the example is not reported",
+    )
+
+
+@claim("agents.anger-encouraged", "Section 4.2", "Section 4.1")
+def anger_encouraged(reading: Reading) -> Finding:
+    """An angry person is met with encouragement."""
+    best = [actions for status in ANGRY for actions in optimal_actions(reading, status)]
+    right = sum("supportive" in actions for actions in best)
+    why = f"supportive assistance is optimal in {right} of {len(best)} states with anger"
+    return statement(right == len(best), why)
+
+
+@claim("agents.perception-errors", "Section 4.2", rule="open")
+def perception_errors(reading: Reading) -> Finding:
+    """Despite errors of perception the robot goes on to help effectively."""
+    kept = ", ".join(
+        f"{level:.0%}: {value_as_perceived(reading, independent([level] * 4, [level] * 4)):.1f}"
+        for level in LEVELS
+    )
+    return undecided(
+        "how often the authors' model errs is not reported. The optimal policy earns "
+        f"{reading.value('optimal').mean:.1f} with perfect perception, random actions "
+        f"{reading.value('random').mean:.1f}; with each status read rightly at a rate of {kept}"
+    )
+
+
+@claim("agents.answers-empathetic", "Section 4.2", "Figure 12", rule="open")
+def answers_empathetic(reading: Reading) -> Finding:
+    """Answers to confusion and anger are empathetic and in place."""
+    return undecided(
+        "needs people to judge: it is the authors' own observation, by their own account without "
+        "formal evaluation"
+    )

@@ -1,0 +1,277 @@
+"""What the text leaves open, and the model under one way to read it.
+
+Eight points of the text are silent, 576 combinations in all; "respectively" can be taken in two
+orders; how many subtasks the experiments ran, and whether their returns are discounted, is not said
+either. The default reading takes the words in their plain sense; it was not chosen by the returns
+that are to be checked.
+
+How far the reported returns support a reading r with an order o is the likelihood
+
+    L(r, o) = Π_i N(a_i; m_i, v_i / 1000) · N(70; m_random, 5²)
+
+of the three averages a_i and of the random strategy's return, read off a plot; m_i and v_i are the
+exact mean and variance. Weights are L divided by its sum. In the four statuses of which nothing is
+said the policies are supportive, which is optimal there under the default reading. Tasks and
+discount are varied one at a time only (`one_change`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+from math import log
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from exact_mdp import MDP, Certificate, Policy, Scenario, certify, evaluate, solve
+from exact_mdp.mdp import ScenarioWarning
+from exact_mdp.paper_repro.learner import Learned, learn
+from exact_mdp.paper_repro.paper import ANGRY, AVERAGES, EXPERIMENTS, OPEN, ORDERS, PLOT, REPORTED
+
+POINTS: dict[str, dict[str, str]] = {  # the default first
+    "influence_orientation": {
+        "row-to-column": "Table 3 from row to column",
+        "column-to-row": "Table 3 from column to row",
+    },
+    "influence_on_present": {
+        "none": "present statuses not influenced",
+        "additive": "present statuses influenced too",
+    },
+    "status_cost": {
+        "next": "statuses after the action cost",
+        "current": "statuses before the action cost",
+    },
+    "trial_cost": {"every-trial": "every trial costs", "failed-trials": "only failed trials cost"},
+    "max_trial_rule": {
+        "at": "skip after five failed trials",
+        "after": "skip after six failed trials",
+    },
+    "skip_timestep": {
+        "same": "a skip takes no timestep of its own",
+        "own": "a skip takes a timestep of its own",
+    },
+    "skip_onset": {
+        "none": "a skip brings on no status",
+        "base": "a skip may bring on statuses",
+        "reset": "a skip leaves no status",
+    },
+    "task_bonus": {
+        "always": "bonus at the end of every task",
+        "last-subtask-completed": "bonus if the last subtask is completed",
+        "no-subtask-skipped": "bonus if no subtask is skipped",
+    },
+}
+TASKS = ((3, 1), (2,), (4,), (1, 1, 1), (6,))  # beside one task of three subtasks
+ELSEWHERE: dict[str, dict[str, Any]] = {  # one change that is none of the eight points
+    **{f"subtasks of each task: {', '.join(map(str, each))}": {"tasks": each} for each in TASKS},
+    "returns discounted by 0.95 a timestep": {"discount": "19/20"},
+}
+SWAPPED = "“respectively” swapped"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reading:
+    """The model under one reading of the text, with everything that claims ask of it."""
+
+    scenario: Scenario
+    label: str = "default"  # what it changes
+    order: str = "as written"  # of "respectively"
+    runs: int = 100  # training runs of each schedule
+    folder: Path | None = None  # where finished training runs are kept
+    training: Mapping[str, Any] = field(default_factory=dict)  # settings of the learner that differ
+
+    @cached_property
+    def mdp(self) -> MDP:
+        """The compiled model."""
+        return compiled(self.scenario)
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """Exact optimal values, proven."""
+        return certify(self.mdp)
+
+    @cached_property
+    def optimum(self) -> np.ndarray:
+        """(S,) an optimal action of each state."""
+        return np.asarray(solve(self.mdp).policy)
+
+    def reported(self, start: str, order: str = "") -> dict[str, str]:
+        """Return the reported policy with an action in status 0000, by status."""
+        stated = {**REPORTED["stated"], **ORDERS[order or self.order]}
+        return dict.fromkeys((*OPEN, *ANGRY), "supportive") | stated | {"0000": start}
+
+    def policy(self, name: str, order: str = "") -> Policy:
+        """Return a policy: "optimal", "random", or a reported one by its action in 0000."""
+        if name == "optimal":
+            return Policy.from_choices(self.mdp, self.optimum)
+        return Policy.of(self.mdp, name if name == "random" else self.reported(name, order))
+
+    def value(self, name: str, order: str = "") -> Any:
+        """Return the exact evaluation of a policy: mean, sd and the proven error of the mean."""
+        key = (name, order or self.order)
+        if key not in self._values:
+            self._values[key] = evaluate(self.mdp, self.policy(*key))
+        return self._values[key]
+
+    @cached_property
+    def _values(self) -> dict[tuple[str, str], Any]:
+        return {}
+
+    def learned(self, schedule: str) -> Learned:
+        """Return the training runs under an exploration schedule, "constant" or "decaying"."""
+        if schedule not in self._learned:
+            self._learned[schedule] = learn(
+                self.mdp, schedule, self.runs, folder=self.folder, changes=self.training
+            )
+        return self._learned[schedule]
+
+    @cached_property
+    def _learned(self) -> dict[str, Learned]:
+        return {}
+
+    @cached_property
+    def falling(self) -> Reading:
+        """The same, learned with a step of 0.5 n^-0.7 at the n-th update of an entry."""
+        step = {"rate": 0.5, "rate_power": 0.7}
+        return replace(self, runs=max(self.runs // 4, 20), training={**self.training, **step})
+
+    @cached_property
+    def skip_model(self) -> MDP:
+        """The same model with a timestep of its own for *skip*, whose rows show the skip rule."""
+        return compiled(self.scenario.with_(readings={"skip_timestep": "own"}))
+
+
+def compiled(scenario: Scenario) -> MDP:
+    """Return the model; that influences may add up to over 1, and are cut off, is known here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ScenarioWarning)
+        return scenario.compile()
+
+
+def default(**sizes: Any) -> Reading:
+    """Return the default reading.
+
+    >>> found = default()
+    >>> f"{found.value('non-directive').mean:.2f}, {found.value('optimal').mean:.2f}"
+    '142.07, 146.24'
+    """
+    return Reading(scenario=Scenario.load("yuan2025"), **sizes)
+
+
+def one_change(base: Reading) -> list[Reading]:
+    """Return every reading that differs from the default in one point.
+
+    >>> len(one_change(default()))
+    17
+    """
+    found = []
+    for name, options in POINTS.items():
+        for option in list(options)[1:]:
+            other = base.scenario.with_(readings={name: option})
+            found.append(replace(base, scenario=other, label=options[option]))
+    for label, change in ELSEWHERE.items():
+        found.append(replace(base, scenario=base.scenario.with_(**change), label=label))
+    return [*found, replace(base, order="swapped", label=SWAPPED)]
+
+
+def log_likelihood(reading: Reading, order: str) -> float:
+    """Return the logarithm of the likelihood of the reported returns, up to a constant."""
+    random = reading.value("random").mean
+    total = -0.5 * ((random - REPORTED["random"]) / PLOT) ** 2
+    for start, average in AVERAGES.items():
+        exact = reading.value(start, order)
+        variance = exact.sd**2 / EXPERIMENTS
+        total -= 0.5 * (exact.mean - average) ** 2 / variance + 0.5 * log(variance)
+    return float(total)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Support:
+    """How far the reported returns support each combination of points, in both orders."""
+
+    readings: Sequence[Reading]  # (N,) each with its order; the default first
+    choices: Sequence[Mapping[str, str]]  # (N,) the option of each point
+    weights: np.ndarray  # (N,) that add up to 1
+
+    @property
+    def best(self) -> Reading:
+        """The best supported reading."""
+        return self.readings[int(self.weights.argmax())]
+
+    @property
+    def rank(self) -> int:
+        """The rank of the default reading."""
+        return int((self.weights > self.weights[0]).sum()) + 1
+
+    def of_options(self) -> dict[str, dict[str, float]]:
+        """Return the weight of each option of each point."""
+        return {
+            point: {
+                option: float(self.weights[[c[point] == option for c in self.choices]].sum())
+                for option in options
+            }
+            for point, options in {**POINTS, "respectively": dict.fromkeys(ORDERS, "")}.items()
+        }
+
+
+def support(base: Reading, progress: Callable[[str], None] = lambda text: None) -> Support:
+    """Evaluate all 576 combinations of the eight points, with both orders of "respectively"."""
+    readings, choices, logs = [], [], []
+    for options in product(*POINTS.values()):
+        chosen = dict(zip(POINTS, options, strict=True))
+        changes = [
+            POINTS[point][option]
+            for point, option in chosen.items()
+            if option != next(iter(POINTS[point]))
+        ]
+        scenario = base.scenario.with_(readings=chosen)
+        one = replace(base, scenario=scenario)
+        for order in ORDERS:
+            logs.append(log_likelihood(one, order))
+            label = "; ".join(changes + [SWAPPED] * (order == "swapped")) or "default"
+            # A reading anew: what it has worked out is not kept for all of them.
+            readings.append(replace(base, scenario=scenario, order=order, label=label))
+            choices.append({**chosen, "respectively": order})
+        progress(f"{len(readings) // 2} readings of the text")
+    weights = np.exp(np.array(logs) - max(logs))
+    return Support(readings=readings, choices=choices, weights=weights / weights.sum())
+
+
+def facts(found: Support, changed: Sequence[Reading]) -> dict[str, Any]:
+    """Return what the report says of the readings: options, the best, and the one-change ones."""
+    best = found.best
+
+    def row(reading: Reading, order: str) -> dict[str, Any]:
+        return {
+            "label": reading.label,
+            "order": order,
+            "averages": {start: reading.value(start, order).mean for start in AVERAGES},
+            "errors": {
+                start: (reading.value(start, order).mean - average)
+                / (reading.value(start, order).sd / EXPERIMENTS**0.5)
+                for start, average in AVERAGES.items()
+            },
+            "random": reading.value("random").mean,
+            "log_likelihood": log_likelihood(reading, order),
+        }
+
+    rows = [row(each, order) for each in changed[:1] for order in ORDERS]
+    for each in changed[1:]:
+        if each.order == "as written":
+            rows.append(max((row(each, o) for o in ORDERS), key=lambda r: r["log_likelihood"]))
+    far = [row for row in rows if row["label"] in ELSEWHERE]
+    return {
+        "combinations": len(found.readings) // len(ORDERS),
+        "identified": [p for p, each in found.of_options().items() if max(each.values()) >= 0.95],
+        "least_elsewhere": min(abs(error) for row in far for error in row["errors"].values()),
+        "options": found.of_options(),
+        "best": row(best, best.order) | {"weight": float(found.weights.max())},
+        "default_rank": found.rank,
+        "default_weight": float(found.weights[0]),
+        "one_change": rows,
+    }
