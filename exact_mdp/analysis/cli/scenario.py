@@ -10,21 +10,18 @@ from exact_mdp.analysis.cli.options import check_outputs
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter
-from exact_mdp.mdp.care import schema
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import SMALL, read_text, write_atomically
 
 
 def new(*, file: str) -> Report:
-    """Write the template, and say which line names the schema; in the file it would not travel."""
+    """Write the template."""
     check_outputs((file, (".toml",)))
     if Path(file).exists():
         raise ModelError("the file is there already", where=file, fix="choose another name")
     template = (files("exact_mdp.mdp.care") / "template.toml").read_text(encoding="utf-8")
-    write_atomically(file, template.partition("\n")[2])  # less the line that names the schema
-    line = f"#:schema {Path(str(schema.FILE)).resolve().as_uri()}"
-    note = f"for completion in editors on this machine, put this line first: {line}"
-    return Report(result={"written": file}, facts={"written": file}, notes=[note, ADVICE])
+    write_atomically(file, template)
+    return Report(result={"written": file}, facts={"written": file}, notes=[ADVICE])
 
 
 def lint(*, file: str) -> Report:
@@ -32,7 +29,7 @@ def lint(*, file: str) -> Report:
     if Path(file).suffix.lower() != ".toml":
         raise ModelError("not a scenario file", where=file, fix="name a .toml file")
     problems = linter.lint(read_text(file, most=SMALL), Path(file).stem)
-    counts = Counter(problem.severity for problem in problems)
+    counts = Counter(problem["severity"] for problem in problems)
     return Report(
         result={"file": file, "problems": problems},
         facts={"file": file, **{f"{name}s": counts[name] for name in ("error", "warning")}},
@@ -41,10 +38,9 @@ def lint(*, file: str) -> Report:
                 title="problems",
                 rows=problems,
                 columns={
-                    "line": lambda problem: problem.line,
-                    "it says": lambda problem: problem.text,
-                    "what": lambda problem: f"{problem.severity}: {problem.what}",
-                    "fix": lambda problem: problem.fix,
+                    "line": lambda problem: problem["line"],
+                    "what": lambda problem: f"{problem['severity']}: {problem['what']}",
+                    "fix": lambda problem: problem["fix"],
                 },
                 first=max(1, len(problems)),
             )

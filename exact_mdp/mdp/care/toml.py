@@ -3,7 +3,7 @@
 Tables flatten to parameter names: `[influence.anger]` `confusion = 0.08` is the parameter
 `influence.anger.confusion`. Numbers may be written 0.08, 1 or "2/25". An influence that is left
 out is 0; any other number that is missing, or a name that is not known, is an error.
-`template.toml` explains each key to people, `schema.json` to editors.
+`template.toml` explains each key.
 """
 
 from __future__ import annotations
@@ -105,13 +105,10 @@ class Reader:
     Attributes
     ----------
     content : dict
-    unread : collection of str
-        Keys that the file has, but whose values cannot be read: they are not missing.
     problems : list of (key, ModelError)
     """
 
     content: dict[str, Any] = field(kw_only=False)
-    unread: Collection[str] = ()
     problems: list[tuple[str, ModelError]] = field(default_factory=list)
 
     def take(self, key: str, make: Callable[..., V], *given: Any, otherwise: V) -> V:
@@ -144,8 +141,7 @@ class Reader:
             key: self.take(key, _text, self.content, key, default, otherwise=default)
             for key, default in (("name", default_name), ("title", ""), ("source", ""))
         }
-        tasks: Any = self.content.get("tasks", [1] if "tasks" in self.unread else ())
-        trials = self.content.get("max_trial", 1 if "max_trial" in self.unread else "missing")
+        tasks, trials = self.content.get("tasks", ()), self.content.get("max_trial", "missing")
         rate, least = self.content.get("discount", 1), tuple[int, ...]((1,))
         settings: dict[str, Any] = {
             "tasks": self.take("tasks", as_tasks, tasks, otherwise=least),
@@ -175,11 +171,7 @@ class Reader:
     def _parameters(
         self, flat: Mapping[str, Fraction], wanted: Mapping[str, tuple[Any, Any]]
     ) -> tuple[Parameter, ...]:
-        missing = [
-            name
-            for name in wanted
-            if name not in flat and not name.startswith("influence.") and name not in self.unread
-        ]
+        missing = [n for n in wanted if n not in flat and not n.startswith("influence.")]
         told = {key for key, _ in self.problems}
         for name in flat:
             table, *parts = name.split(".")
@@ -276,8 +268,6 @@ class Reader:
 
     def _words(self, key: str) -> tuple[str, ...]:
         words = self.content.get(key)
-        if words is None and key in self.unread:
-            return ()
         listed = isinstance(words, list) and all(isinstance(word, str) and word for word in words)
         if not listed or not words or "." in "".join(words) or len(set(words)) != len(words):
             fix = 'write, for example, ["forgetfulness", "anger"], without dots'
