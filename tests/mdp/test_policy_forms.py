@@ -1,4 +1,4 @@
-"""Policies as agents and their users have them: functions, `predict`, dictionaries, columns."""
+"""Policies as their users have them: functions, dictionaries, lists, columns."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections import defaultdict, namedtuple
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -16,7 +17,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import Rows, models
 
-from exact_mdp import Scenario
 from exact_mdp.analysis import check
 from exact_mdp.mdp import MDP, ModelError, Policy
 from exact_mdp.solvers import certify, solve
@@ -26,20 +26,6 @@ HALL = MDP.from_function(
     (0, "in"), lambda s: ["go", "stay"] if s[0] < 3 else [],
     lambda s, a: [("1/2", (s[0] + (a == "go"), "in"), -1), ("1/2", s, -1)], "9/10",
 )  # fmt: skip
-
-
-class Agent:
-    """As little of a Stable-Baselines3 model as is used: `policy` is its network."""
-
-    policy = object()
-
-    def __init__(self, numbers: Any) -> None:
-        self.numbers = numbers
-
-    def predict(self, observation: Any, state: Any = None, deterministic: bool = False) -> Any:
-        assert deterministic
-        assert observation.shape == ()
-        return np.array(self.numbers[observation]), None
 
 
 @given(st.lists(st.integers(0, 3), min_size=16, max_size=16))
@@ -52,7 +38,6 @@ def test_every_form_of_a_policy_over_states(numbers: list[int]) -> None:
     forms = {
         "column": np.array(numbers)[:, None],
         "names": names,
-        "agent": Agent(numbers),
         "function to numbers": lambda s: numbers[s],
         "function to names": lambda s: names[s],
         "function to NumPy numbers": lambda s: np.int64(numbers[s]),
@@ -70,7 +55,7 @@ def test_every_form_of_a_policy_over_states(numbers: list[int]) -> None:
     assert len(seen) == rows
     within = LAKE.within(3)
     unrolled = Policy.of(within, numbers).weights(within)
-    for form in (forms["agent"], forms["function to names"], forms["dictionary"]):
+    for form in (forms["function to names"], forms["dictionary"]):
         assert Policy.of(within, form).weights(within).tolist() == unrolled.tolist()
 
 
@@ -148,8 +133,9 @@ BAD: dict[str, tuple[Any, str]] = {
     "names of more": (["DOWN"] * 17, "17 actions for 16 states"),
     "states missing": ({0: "DOWN"}, "rows are missing"),
     "twice": ({0: "DOWN", "0": "UP"}, "appears twice"),
-    "no agent": (Agent(np.full((16, 2), 1)), "predict answers"),
-    "agent of another": (Agent([9] * 16), "outside 0 … 3"),
+    "an agent": (SimpleNamespace(predict=lambda s: (0, None), policy=object()), "is an agent"),
+    "a table": (pd.DataFrame(np.eye(4)[[0] * 16]), "a DataFrame of pandas"),
+    "a series": (pd.Series([0] * 16), "a Series of pandas"),
 }  # fmt: skip
 
 
@@ -163,7 +149,7 @@ def test_what_is_no_policy(name: str) -> None:
     assert caught.value.fix
 
 
-@pytest.mark.parametrize("form", [Agent([0] * 16), lambda s: 0, ["UP"] * 16, {0: 1}])
+@pytest.mark.parametrize("form", [lambda s: 0, ["UP"] * 16, {0: 1}])
 def test_what_is_no_q_table(form: Any) -> None:
     with pytest.raises(ModelError):
         Policy.of(LAKE, form, kind="q")
@@ -206,46 +192,19 @@ def test_ones_of_costs_are_ambiguous() -> None:
         [[[1, 0], [0, 1]]] * 2, [[1, 2], [1, 2]], discount="1/2", sense="min", layout="ass"
     )
     rows = [[1, 0], [1, 0]]
-    for form in (rows, dict(enumerate(rows)), rows.__getitem__, pd.DataFrame(rows)):
+    for form in (rows, dict(enumerate(rows)), rows.__getitem__):
         with pytest.raises(ModelError, match="differ"):
             check(costs, form)
         assert check(costs, form, kind="policy").passed
         assert not check(costs, form, kind="q").passed
 
 
-def test_labels_of_tables_count() -> None:
-    mdp = MDP.from_arrays([[[1, 0], [0, 1]]] * 2, [[2, 1], [2, 1]], discount="1/2", layout="ass")
-    table = pd.DataFrame([[2, 1.5], [2, 1.5]], columns=["1", "0"])
-    assert not check(mdp, table).passed
-    for wrong in (table.set_axis(["x", "y"], axis=1), table.set_axis(["x", "y"], axis=0)):
-        with pytest.raises(ModelError, match=r"columns are|index holds"):
-            check(mdp, wrong)
-
-
 def test_masked_answers_are_none() -> None:
     masked = np.ma.array([1], mask=[True])
-    agent = Agent([0] * 16)
-    agent.predict = lambda observation: masked  # type: ignore[method-assign,assignment]
-    for form in (agent, lambda s: np.ma.masked, lambda s: masked[0]):
+    for form in (lambda s: np.ma.masked, lambda s: masked[0]):
         with pytest.raises(ModelError, match="masked"):
             Policy.of(LAKE, form)
     assert Policy.of(LAKE, lambda s: np.array(1)).tolist() == Policy.of(LAKE, lambda s: 1).tolist()
-
-
-def test_tables_by_status() -> None:
-    mdp = Scenario.load("yuan2025").compile()
-    column = mdp.space.column("status")
-    words = [column.label(value) for value in range(column.size)]
-    says = {word: mdp.actions[1 + word.count("1") % 2] for word in reversed(words)}
-    wanted = Policy.of(mdp, says).weights(mdp)
-    assert (Policy.of(mdp, pd.Series(says)).weights(mdp) == wanted).all()
-    used = sorted(
-        {mdp.actions[a] for s, a in enumerate(mdp.pair_action) if not mdp.forced[mdp.pair_state[s]]}
-    )
-    table = pd.DataFrame([[2.5 * (says[w] == a) for a in used] for w in says], list(says), used)
-    assert (Policy.of(mdp, table).weights(mdp) == wanted).all()
-    with pytest.raises(ModelError):
-        Policy.of(mdp, table.iloc[1:])
 
 
 PERMUTED = MDP.from_arrays([np.eye(4)] * 2, [[1, 0]] * 4, "1/2", states=["3", "1", "2", "0"])
@@ -262,10 +221,10 @@ def test_one_rule_for_names_that_are_numbers_of_others() -> None:
         assert PERMUTED.with_(start=good).start == ((0, 1),)
     assert PERMUTED.with_(start=1).start == ((1, 1),)  # both readings are the same
     rising = {0: "0", 1: "1", 2: "1", 3: "1"}
-    for form in (rising, rising.get, pd.Series(rising), pd.DataFrame(np.eye(2)[[0, 1, 1, 1]] * 2)):
+    for form in (rising, rising.get):
         with pytest.raises(ModelError, match="by its name, or"):
             Policy.of(PERMUTED, form)
-    for form in (dict.fromkeys(range(4), "1"), lambda s: "1", pd.Series(["1"] * 4)):
+    for form in (dict.fromkeys(range(4), "1"), lambda s: "1"):
         assert Policy.of(PERMUTED, form).tolist() == [1] * 4
     named = {"3": "1", "1": "1", "2": "1", "0": "0"}
     assert Policy.of(PERMUTED, named).tolist() == [1, 1, 1, 0]
@@ -312,13 +271,6 @@ def test_a_certificate_of_another_model_goes_by_names() -> None:
         assert not check(renamed, found).passed
         with pytest.raises(ModelError, match="have other names here"):
             check(other, found)
-
-
-def test_agents_are_asked_by_number_alone() -> None:
-    """The number that a named state happens to have is nothing that an agent knows."""
-    with pytest.raises(ModelError, match="these states have names") as caught:
-        Policy.of(HALL, Agent([0] * 4))
-    assert "lambda state" in caught.value.fix
 
 
 def walk(acts: list[Any], best: list[Any], states: list[Any]) -> MDP:
@@ -377,45 +329,32 @@ def test_what_equals_an_object_is_that_and_what_may_be_a_row_is_refused() -> Non
     assert check(three, lambda s: np.array([1, 0]) if s == 0 else np.array([0, 1])).passed
 
 
-@given(st.lists(st.integers(0, 3), min_size=16, max_size=16), st.permutations(range(16)))
-def test_named_levels_stand_in_any_order(numbers: list[int], order: list[int]) -> None:
-    places, values = [divmod(s, 4) for s in order], 2.5 * np.eye(4)[[numbers[s] for s in order]]
-    index = pd.MultiIndex.from_tuples(places, names=["row", "column"])
-    other = index.reorder_levels(["column", "row"])
-    wanted = Policy.of(LAKE, numbers).weights(LAKE)
-    for each in (index, other, index.set_names([None, None])):
-        assert (Policy.of(LAKE, pd.DataFrame(values, each)).weights(LAKE) == wanted).all()
-        series = pd.Series([numbers[s] for s in order], each)
-        assert (Policy.of(LAKE, series).weights(LAKE) == wanted).all()
-    start = LAKE.with_(start=pd.Series(np.arange(16) / 120, index))
-    assert LAKE.with_(start=pd.Series(np.arange(16) / 120, other)).start == start.start
+@given(st.permutations(range(16)))
+def test_named_levels_of_a_start_stand_in_any_order(order: list[int]) -> None:
+    index = pd.MultiIndex.from_tuples([divmod(s, 4) for s in order], names=["row", "column"])
+    start = pd.Series([s / 120 for s in order], index)
+    wanted = LAKE.with_(start=np.arange(16) / 120).start
+    turned = start.reorder_levels(["column", "row"])
+    for each in (start, turned, start.set_axis(index.set_names([None, None]))):
+        assert LAKE.with_(start=each).start == wanted
     for names in (["x", "y"], ["row", None], [None, "row"]):
         with pytest.raises(ModelError, match="levels of the index are"):
-            Policy.of(LAKE, pd.DataFrame(values, index.set_names(names)))
+            LAKE.with_(start=start.set_axis(index.set_names(names)))
 
 
 def test_levels_are_the_fields_of_named_tuples() -> None:
     cell = namedtuple("cell", "x y")
-    states = [cell(0, 1), cell(1, 0), cell(1, 1)]
-    mdp = walk(["l", "r"], ["l", "r", "l"], states)
-    index = pd.MultiIndex.from_tuples([(0, 1), (1, 0), (1, 1)], names=["y", "x"])
-    assert check(mdp, pd.Series(["r", "l", "l"], index)).passed
-    assert check(mdp, pd.Series(["l", "r", "l"], index.set_names(["x", "y"]))).passed
+    mdp = walk(["l", "r"], ["l", "r", "l"], [cell(0, 1), cell(1, 0), cell(1, 1)])
+    index = pd.MultiIndex.from_tuples([(0, 1), (1, 0)], names=["y", "x"])
+    assert mdp.with_(start=pd.Series(["1/4", "3/4"], index)).start == ((0, 3 / 4), (1, 1 / 4))
 
 
-def test_tables_and_arrays_follow_the_rule_for_numbers_that_are_names() -> None:
+def test_arrays_follow_the_rule_for_numbers_that_are_names() -> None:
     mdp = MDP.from_arrays(
         [np.eye(4)] * 2, [[1, 0], [0, 1]] * 2, "1/2", states=["3", "5", "7", "1"],
         actions=["2", "1"],
     )  # fmt: skip
-    table = pd.DataFrame(np.eye(2)[[0, 1, 0, 1]] * 2.5)
-    for frame in (table, table.iloc[[2, 0, 1, 3]], pd.Series([0, 1, 0, 1])):
-        with pytest.raises(ModelError, match=r"holds no states: [02] is not a state"):
-            Policy.of(mdp, frame)
-    with pytest.raises(ModelError, match="the columns are 0, 1"):
-        Policy.of(mdp, table.set_axis([3, 5, 7, 1]))
-    assert check(mdp, table.to_numpy()).passed
-    assert check(mdp, table.set_axis([3, 5, 7, 1]).set_axis([2, 1], axis=1)).passed
+    assert check(mdp, np.eye(2)[[0, 1, 0, 1]] * 2.5).passed
     for array in (np.array([2, 1, 2, 1]), [2, 1, 2, 1]):
         with pytest.raises(ModelError, match="2 is the name of an action, but the numbers of"):
             Policy.of(mdp, array)

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from fractions import Fraction
 from itertools import product
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -183,17 +182,8 @@ class Case:
         if all(isinstance(x, bool | tuple | str) for x in self.actions):
             act = [self.actions[self.seat[1].index(a)] for a in self.by_place()]
             yield "list of objects", act
-            yield "series of objects", pd.Series(act, self.model.space.labels(range(len(act))))
             if isinstance(act[0], bool):
                 yield "array of truth", np.array(act)
-        if all(isinstance(s, tuple) and len(s) == 2 for s in self.states):
-            index = pd.MultiIndex.from_tuples([s for s, _ in at])
-            yield "levels", pd.Series([a for _, a in at], index)
-        yield "table", self._table(self.states, self.actions)
-        yield (
-            "series",
-            pd.Series([a for _, a in at], pd.Index([s for s, _ in at], tupleize_cols=False)),
-        )
 
     def _told(self, at: list[tuple[Any, Any]]) -> Callable[[Any], Any]:
         def ask(state: Any) -> Any:
@@ -204,22 +194,11 @@ class Case:
     def _default(self, at: list[tuple[Any, Any]], state: Any, other: Any) -> Any:
         return next((a for s, a in at if s == state and self._alike(s, state)), other)
 
-    def _table(self, rows: list[Any], columns: list[Any]) -> pd.DataFrame:
-        """Return a Q-table by labels, both in another order."""
-        at = self.order
-        worth = [[self.takes[k] == a for a in range(len(columns))][::-1] for k in at]
-        return pd.DataFrame(
-            np.array(worth) * self.sign,
-            index=pd.Index([rows[k] for k in at], tupleize_cols=False),
-            columns=pd.Index(columns[::-1], tupleize_cols=False),
-        )
-
     def by_text(self) -> Iterator[tuple[str, Any]]:
         """Yield the policy by the names that the model prints."""
         states, actions = self.printed()
         at = [(states[k], actions[self.takes[k]]) for k in self.order]
         yield "text", dict(at)
-        yield "text, table", self._table(states, actions)
         by_place = [actions[self.seat[1].index(a)] for a in self.by_place()]
         yield "list of names", by_place
         yield "array of names", np.array(by_place)
@@ -240,8 +219,6 @@ class Case:
         yield "array", np.array(numbers)
         yield "column", np.array(numbers)[:, None]
         yield "Q-table", table
-        yield "table by number", pd.DataFrame(table)
-        yield "agent", SimpleNamespace(predict=lambda s: (np.array(numbers[int(s)]), None))
         np.save(self.folder / "q.npy", table)
         yield "npy", self.folder / "q.npy"
         np.savez(self.folder / "q.npz", table)
@@ -256,7 +233,6 @@ class Case:
         )
         yield "function by number", lambda s: numbers[s]
         yield "function to numbers", lambda s: np.int64(numbers[s])
-        yield "series by number", pd.Series(numbers)
         yield "json by number", self._json({str(s): a for s, a in enumerate(numbers)})
 
     def _json(self, content: Any) -> Path:

@@ -9,7 +9,7 @@ The one rule, for states and actions, in constructors, policies, tables, files a
     a number      is a name where names are whole numbers; where none is, it counts from 0 in the
                   model's order. So are the digits of a text that is no name, and those of a state
                   in a file, where all is text
-    an array      goes by the model's order, and so does an agent's `predict`
+    an array      goes by the model's order
 
 Numbers that are given together, as the keys of a dictionary, are read together. Where they fit both
 readings, as names and in the model's order, and what they say differs, they are refused: of states

@@ -69,14 +69,16 @@ def refuse_masked(values: object, where: str = "") -> None:
         )
 
 
-def refuse_labels(values: object) -> None:
-    """Raise ModelError for a table of pandas, alone or in a list, whose labels order it anew."""
+def is_table(value: object) -> bool:
+    """Return whether a value is a table of pandas."""
     pandas = sys.modules.get("pandas")  # who has a table has imported it
-    if pandas is None:
-        return
+    return pandas is not None and isinstance(value, pandas.DataFrame | pandas.Series)
+
+
+def refuse_labels(values: Any) -> None:
+    """Raise ModelError for a table of pandas, alone or in a list, whose labels order it anew."""
     for table in values if isinstance(values, list | tuple) else [values]:
-        axes = table.axes if isinstance(table, pandas.DataFrame | pandas.Series) else []
-        for labels in axes:
+        for labels in table.axes if is_table(table) else []:
             if list(labels) != list(range(len(labels))):
                 raise ModelError(
                     f"a table has the labels {', '.join(map(str, labels[:4]))}"

@@ -202,7 +202,7 @@ def from_numbers(
     if kind == "q" and any(isinstance(choice, Mapping) for choice in choices):
         raise ModelError(
             "a dictionary of actions holds probabilities, not action values",
-            fix="give each state a row of A numbers, or a DataFrame by names",
+            fix="give each state a row of A numbers",
         )
     mixed = {
         key: choice if isinstance(choice, Mapping) else {_key(space, key, choice): 1}

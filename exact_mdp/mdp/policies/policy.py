@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, partial
-from inspect import signature
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
 
@@ -20,8 +19,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, located
-from exact_mdp.mdp.forms.names import ByNumber
-from exact_mdp.mdp.forms.numbers import refuse_masked
+from exact_mdp.mdp.forms.numbers import is_table
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import files
@@ -37,7 +35,6 @@ from exact_mdp.mdp.policies.arrays import (
     rows_read,
     space_read,
 )
-from exact_mdp.mdp.policies.frames import unlabelled
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
@@ -445,9 +442,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         policy : PolicyLike
             A policy; "random", "always:ACTION" or a file; {status: action}, or {state: action},
             {action: probability} or a row of A numbers in place of an action; a function of a
-            state that returns one of these; an agent with `predict`, asked for its action in each
-            state by number; (S,) action numbers or names; a two-dimensional array of probabilities
-            or action values; anything with a `policy`.
+            state that returns one of these; (S,) action numbers or names; a two-dimensional array
+            of probabilities or action values; anything with a `policy`.
             Where the model stops after N steps (`MDP.within`), S may be the states without their
             time, and (N, S) and (N, S, A) depend on time.
         kind : "auto", "q" or "policy"
@@ -481,15 +477,10 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             with located(str(policy)):
                 return cls(**_of_array(model, array, kind))
         given: Any = policy
-        tables = unlabelled(model, policy)
-        if tables is not None:
-            read = partial(cls.of, model, kind=kind)
-            return cls._agreed(model, [(partial(read, table), error) for table, error in tables])
+        _refuse_others(given)
         if isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.kind in "UOb":
             given = given.tolist()  # of names or objects, perhaps
-        if not isinstance(given, Policy) and callable(getattr(given, "predict", None)):
-            given = _predicted(model, given.predict)
-        elif not isinstance(given, Policy) and hasattr(given, "policy"):
+        if not isinstance(given, Policy) and hasattr(given, "policy"):
             if hasattr(given, "q") and callable(given.policy):
                 array, own = numbers_of(given.q), getattr(given, "space", None)
                 if isinstance(own, StateSpace) and own != space_read(model, array.shape):
@@ -502,8 +493,6 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             found = given
         elif isinstance(given, str | Path):
             found = cls._of_words(model, given, kind)
-        elif isinstance(given, ByNumber):
-            found = cls._of_states(model, files.from_numbers, given, kind)
         elif isinstance(given, Mapping):
             found = cls._of_states(model, files.from_mapping, given, kind)
         elif callable(given):
@@ -539,27 +528,17 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     @classmethod
     def _of_forms(cls, model: MDP, forms: list[files.Form]) -> Policy:
-        return cls._agreed(model, [(partial(cls._made, form.parts), form.error) for form in forms])
-
-    @classmethod
-    def _made(cls, parts: Callable[[], Parts]) -> Policy:
-        return cls(**parts())
-
-    @classmethod
-    def _agreed(
-        cls, model: MDP, readings: list[tuple[Callable[[], Policy], ModelError | None]]
-    ) -> Policy:
         """Return the first reading; raise the error of another that fits the model and differs."""
-        found = readings[0][0]()
+        found = cls(**forms[0].parts())
         weights = found.weights(model)
-        for make, error in readings[1:]:
+        for form in forms[1:]:
             try:
-                other = make()
+                other = cls(**form.parts())
                 same = other.shares is None and np.array_equal(weights, other.weights(model))
             except ModelError:  # it does not fit
                 continue
             if not same:
-                raise error or AssertionError
+                raise form.error or AssertionError
         return found
 
     @classmethod
@@ -780,19 +759,30 @@ class Solved(Protocol):
         """The policy."""
 
 
-class Predicts(Protocol):
-    """An agent that is asked for its action."""
-
-    def predict(self, observation: Any) -> Any:
-        """Return the number of an action, alone or first of a tuple."""
-
-
 PolicyLike: TypeAlias = (
-    Policy | str | Path | Mapping[Any, Any] | Callable[[Any], Any] | ArrayLike | Solved | Predicts
+    Policy | str | Path | Mapping[Any, Any] | Callable[[Any], Any] | ArrayLike | Solved
 )
-"""What is accepted as a policy: a Policy, its name or file, a mapping, a function, an agent with
-`predict`, an array, a Solution. Arrays, lists and agents go by the numbers of states and actions,
-tables of pandas by their labels; else `mdp.forms.names` says which state or action is meant."""
+"""What is accepted as a policy: a Policy, its name or file, a mapping, a function, an array, a
+Solution. Arrays and lists go by the numbers of states and actions; else `mdp.forms.names` says
+which state or action is meant."""
+
+
+def _refuse_others(given: Any) -> None:
+    """Raise ModelError for an agent with `predict`, and for a table of pandas."""
+    if callable(getattr(given, "predict", None)):
+        raise ModelError(
+            f"{type(given).__name__} is an agent, not a policy",
+            where="policy",
+            fix="give a function of a state, such as "
+            "lambda state: agent.predict(state, deterministic=True)[0]",
+        )
+    if is_table(given):
+        raise ModelError(
+            f"a {type(given).__name__} of pandas is not a policy",
+            where="policy",
+            fix="give table.to_numpy(), in the order of the model's states and actions; or a "
+            "dictionary, which goes by names: {state: action} or {state: {action: probability}}",
+        )
 
 
 def _are_actions(model: MDP, given: Sequence[Any], kind: str) -> bool:
@@ -800,44 +790,6 @@ def _are_actions(model: MDP, given: Sequence[Any], kind: str) -> bool:
     kinds = (bool, np.bool_, tuple) if kind == "auto" else (bool, np.bool_)
     known = model.action_names.knows
     return all(isinstance(x, str) or (isinstance(x, kinds) and known(x)) for x in given)
-
-
-def _predicted(model: MDP, predict: Callable[..., Any]) -> Numbers:
-    """Return (S,) the action numbers that an agent predicts, as those of Stable-Baselines3 do."""
-    space = model.space.untimed or model.space
-    takes = signature(predict).parameters
-    settings = {"deterministic": True} if "deterministic" in takes else {}
-    column = space.columns[0]
-    if len(space.columns) == 1 and any(column.thing(n) != n for n in range(column.size)):
-        raise ModelError(
-            "an agent is asked by the number of a state, and these states have names",
-            where="policy",
-            fix="give a function of a state, such as lambda state: agent.predict(state)[0], or an "
-            "array of what it does in each",
-        )
-    numbers = np.zeros(space.size, dtype=np.int64)
-    asked = np.unique(rows_read(model, space)[model.asked])
-    for state in asked.tolist():
-        answer = predict(np.array(state), **settings)
-        first = answer[0] if isinstance(answer, tuple) else answer
-        with located(f"policy, {space.label(state)}"):
-            refuse_masked(first, "policy")
-        action = np.asarray(first)
-        if action.size != 1 or action.dtype.kind not in "iu":
-            raise ModelError(
-                f"predict answers {answer!r}",
-                where=f"policy, {space.label(state)}",
-                fix="let it return the number of an action, or that and a state of its own",
-            )
-        if not 0 <= action.item() < model.n_actions:
-            raise ModelError(
-                f"predict answers {action.item()}, outside 0 … {model.n_actions - 1}",
-                where=f"policy, {space.label(state)}",
-                fix="let it return the number of an action",
-            )
-        numbers[state] = action.item()
-    _refuse_names(model, numbers[asked])
-    return numbers
 
 
 def _refuse_names(model: MDP, numbers: Numbers) -> None:

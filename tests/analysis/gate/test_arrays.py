@@ -327,7 +327,6 @@ class Tensor:
 @pytest.mark.parametrize("actions", [2, 3, 18])
 def test_probabilities_of_a_network_are_no_q_table(kind: str, actions: int, tmp_path: Path) -> None:
     """Rows of short floats miss 1 by their rounding; they are refused, or divided by their sums."""
-    pd = pytest.importorskip("pandas")
     rng, states = np.random.default_rng(actions), 6
     law = np.tile(np.eye(states), (actions, 1, 1))
     mdp = MDP.from_arrays(law, rng.random((states, actions)), discount=0.5)
@@ -337,7 +336,6 @@ def test_probabilities_of_a_network_are_no_q_table(kind: str, actions: int, tmp_
     np.save(tmp_path / "p.npy", table)
     np.savez(tmp_path / "p.npz", q=table)
     forms: list[Any] = [table, table.astype(float), table.tolist(), [*table], Tensor(table)]
-    forms += [pd.DataFrame(table, columns=mdp.actions, index=mdp.space.labels(range(states)))]
     forms += [dict(enumerate(table)), lambda state: table[int(state)]]
     forms += [tmp_path / "p.npy", tmp_path / "p.npz"]
     exact = [[F(float(x)) for x in row] for row in table]
