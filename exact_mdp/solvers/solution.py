@@ -226,14 +226,11 @@ class ProgramRun:
     Attributes
     ----------
     by : str
-        The optimiser, or "constraint generation".
+        The optimiser.
     variables, constraints : int
         Size of the primal program: open states and their pairs.
-    used : int
-        Constraints that the equations were ever made of: all by an optimiser; in constraint
-        generation the first ones, one for each state, and all that took their places.
-    rounds : int
-        Steps of the optimiser, or systems of equations solved.
+    steps : int
+        Steps of the optimiser.
     lower, upper : float
         The optimal start value is not below the dual's value and not above the primal's, rounding
         errors included.
@@ -242,8 +239,7 @@ class ProgramRun:
     by: str
     variables: int
     constraints: int
-    used: int
-    rounds: int
+    steps: int
     lower: float
     upper: float
 

@@ -283,7 +283,7 @@ def _named(solver: Any) -> Solver:
 
 def _with_settings(solver: Any, **settings: Any) -> Solver:
     """Return the solver with what was given to `solve`; raises ModelError where it takes none."""
-    why = {"tol": "its error is what rounding leaves", "start": "it needs one pass"}
+    why = {"tol": "its error is what rounding leaves", "start": "nothing known shortens it"}
     for name, value in settings.items():
         if value is None:
             continue

@@ -101,10 +101,6 @@ def test_what_is_known_saves_work_and_changes_no_answer(name: str, costs: bool) 
         "random": np.zeros(mdp.n_states, dtype=np.int64),
     }
     for what, start in starts.items():
-        if name == "linear-program" and what in ("values", "far"):
-            with pytest.raises(ModelError, match="asked for is a policy"):
-                solve(mdp, name, start=start)
-            continue
         found = solve(mdp, name, start=start)
         assert np.abs(found.value - cold.value).max() <= found.error_bound + cold.error_bound
         assert found.error_bound < 1e-6
@@ -121,8 +117,10 @@ def test_a_start_that_does_not_fit() -> None:
         (MODEL, "value-iteration", np.full(120, np.inf), "not finite"),
         (MODEL, "value-iteration", [np.nan] * 120, "not finite"),
         (MODEL, "policy-iteration", [np.inf] * 120, "not finite"),
-        (MODEL, "linear-program", np.zeros(120), "asked for is a policy"),
-        (MODEL, "linear-program", [0.0] * 120, "asked for is a policy"),
+        (MODEL, "linear-program", np.zeros(120), "takes no start"),
+        (MODEL, "policy-iteration", np.zeros(3), "values of shape"),
+        (MODEL, "policy-iteration", np.full(120, 9), "outside 0 … 2"),
+        (MODEL, "policy-iteration", [[1, 2], [3]], "does not hold real numbers"),
         (MODEL, "policy-iteration", "random", "mixed"),
         (MODEL, "policy-iteration", [9] * 120, "outside"),
     ):

@@ -23,12 +23,6 @@ from exact_mdp.solvers.solution import Solution
 
 def pairs_of(mdp: MDP, start: Any) -> Integers:
     """Return (S,) the pairs of a known policy."""
-    if not isinstance(start, Solution) and _floats(start) is not None:
-        raise ModelError(
-            "values are given, but what is asked for is a policy",
-            where="start",
-            fix="give a solution, a Policy or action numbers; value iteration begins with values",
-        )
     policy = Policy.of(mdp, start)
     if not policy.deterministic:
         raise ModelError(

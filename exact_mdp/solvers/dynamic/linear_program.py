@@ -8,12 +8,6 @@ everywhere, so that the primal gives the value of every state (d'Epenoux, Manage
 1963; Puterman, Markov Decision Processes, 1994, section 6.9). What is returned as `occupancy` is
 the dual's solution at α = the model's start: the visits of the optimal policy.
 
-With a known policy to start from, no optimiser is needed: constraints are generated. One pair for
-each state makes the program a system of equations; where its solution violates constraints, those
-of the greatest violation take the place of their states' own, until none is violated. This is
-policy iteration, read as a simplex method that exchanges many constraints at once (Ye, Mathematics
-of Operations Research 36, 2011). From a good policy one or two rounds remain.
-
 An optimiser is right to six or eight digits. The policy that it implies is evaluated, and improved
 as in policy iteration where that shows it not to be optimal, so that the answer has rounding errors
 alone; the optimiser's own objective is checked against it.
@@ -25,36 +19,24 @@ dual,
     Σ_l r(l) y(l)  ≤  optimal start value  ≤  Σ_s α(s) (V(s) + c w(s)),   α the start distribution.
 
 Both sides are worked out apart, each with its rounding errors: see `Solution.program`.
-
-An optimiser factors matrices with the pattern of the states' equations. Put in the order of Reverse
-Cuthill and McKee, which keeps entries near the diagonal, a factor lies within that band: an upper
-bound, which other orders may beat (George and Liu, Computer Solution of Large Sparse Positive
-Definite Systems, 1981, chapter 4). That order takes seconds to find, and where few steps lead
-everywhere it need not be looked for: N states within r steps of one are within 2 r of each other,
-so that whatever the order, the first and the last of them are N - 1 places apart, and some edge
-between them spans at least (N - 1) / (2 r) (the local density bound; Chinn, Chvátalová, Dewdney
-and Gibbs, Journal of Graph Theory 6, 1982).
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from exact_mdp.mdp.errors import ModelError, extra, suggest
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.table import Floats, Integers, spans
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import Bounds, levels, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma, greedy, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
-from exact_mdp.solvers.dynamic.known import pairs_of
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
@@ -62,11 +44,6 @@ from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
 OPTIMISERS = ("CLARABEL", "HIGHS")
 IMPROVEMENTS = 1000
 AGREEMENT = 1e-5
-GENERATION = "constraint generation"
-MOST_OPERATIONS = 5e10  # for one factor; an optimiser makes about twenty, at 10^9 a second
-MOST_ENTRIES = 4e8  # 3.2 GB
-FREE_STATES = 2000  # so few need no estimate
-FARTHEST = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,10 +54,6 @@ class LinearProgram:
     ----------
     solver : "CLARABEL" or "HIGHS"
         Interior points, or a simplex method.
-    start : PolicyLike, optional
-        A known deterministic policy: a solution, a Policy, or (S,) action numbers. Constraints are
-        generated from it, without an optimiser. For models too large for one; those are refused
-        otherwise.
 
     Examples
     --------
@@ -91,7 +64,6 @@ class LinearProgram:
     """
 
     solver: str = "CLARABEL"
-    start: PolicyLike | None = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "linear-program"
 
@@ -100,26 +72,20 @@ class LinearProgram:
             fix = suggest(str(self.solver), OPTIMISERS)
             raise ModelError(f"unknown solver {self.solver!r}", where="LinearProgram", fix=fix)
 
-    def __repr__(self) -> str:
-        start = "" if self.start is None else ", start=…"
-        return f"LinearProgram(solver={self.solver!r}{start})"
-
     @np.errstate(over="ignore", invalid="ignore")
     @of_costs
     def solve(self, model: MDP) -> Solution:
         """Return the optimum up to rounding, with `gaps`, `occupancy` and `program`."""
-        started, known = perf_counter(), self.start is not None
-        pairs, objective, steps = self._first(model)
-        used = np.zeros(model.n_pairs, dtype=bool)
-        found, improvements, stable = improved(model, pairs, IMPROVEMENTS, used=used)
+        started = perf_counter()
+        margin_weights(model)
+        pairs, objective, steps = self._optimised(model)
+        found, improvements, stable = improved(model, pairs, IMPROVEMENTS)
         if objective is not None:
             self._check(objective, model, found.value)
-        used[found.pairs] = True
         met, residual = visits(model, found.pairs)
         lower, upper = _sides(model, found, met, residual)
         occupancy = np.zeros(model.n_pairs)
         occupancy[found.pairs] = met
-        open_pairs = ~model.terminal[model.pair_state]
         return conclude(
             model,
             self,
@@ -130,24 +96,14 @@ class LinearProgram:
             gaps=0.0 - gains(model, found.value).value,
             occupancy=occupancy,
             program=ProgramRun(
-                by=GENERATION if known else self.solver,
+                by=self.solver,
                 variables=int((~model.terminal).sum()),
-                constraints=int(open_pairs.sum()),
-                used=int((used & open_pairs).sum() if known else open_pairs.sum()),
-                rounds=improvements if known else steps,
+                constraints=int((~model.terminal[model.pair_state]).sum()),
+                steps=steps,
                 lower=lower,
                 upper=upper,
             ),
         )
-
-    def _first(self, mdp: MDP) -> tuple[Integers, float | None, int]:
-        """Return the pairs (S,) to improve: of the known policy, or as the optimiser says."""
-        if self.start is None:
-            check_size(mdp, self.solver)
-        margin_weights(mdp)
-        if self.start is None:
-            return self._optimised(mdp)
-        return pairs_of(mdp, self.start), None, 0
 
     def _optimised(self, mdp: MDP) -> tuple[Integers, float | None, int]:
         """Return the pairs (S,) that the optimiser's values imply, their mean, and its steps."""
@@ -227,67 +183,3 @@ def _sides(mdp: MDP, found: Bounds, met: Floats, residual: Floats) -> tuple[floa
     above = float(alpha @ (max(found.high, 0.0) * found.weight))
     above += float(gamma(mdp.n_states + 4)) * float(alpha @ np.abs(found.value))
     return below - doubt * SLACK - UNIT * abs(below), top + above * SLACK + UNIT * abs(top)
-
-
-# ---- size ----------------------------------------------------------------------------------------
-
-
-def check_size(mdp: MDP, by: str) -> None:
-    """Raise ModelError where factors could be too large for an optimiser."""
-    if mdp.n_states <= FREE_STATES:
-        return
-    for width in (_density, _band):
-        band = width(mdp)
-        entries, operations = mdp.n_states * band, mdp.n_states * band**2
-        if entries > MOST_ENTRIES or operations > MOST_OPERATIONS:
-            raise ModelError(
-                f"the linear program has {mdp.n_states:,} variables, {mdp.n_pairs:,} constraints "
-                f"and {mdp.n_transitions:,} entries; factors could take {entries * 8 / 1e9:,.1f} "
-                f"GB and {operations:.1g} operations each"
-                f"{', or more' if width is _density else ''}",
-                where=f"LinearProgram(solver={by!r})",
-                fix="start from a known policy, which needs no optimiser: "
-                "LinearProgram(start=solve(mdp))",
-            )
-
-
-def _density(mdp: MDP) -> float:
-    """Return the greatest (N - 1) / (2 r) of the states within r steps of a start state.
-
-    Every order has a band of that width somewhere; that it is so wide nearly everywhere, as the
-    refusal supposes, holds where steps lead equally far from all states.
-    """
-    matrix = mdp.transition
-    cuts = matrix.indptr[mdp.pair_offsets]
-    seen = np.zeros(mdp.n_states, dtype=bool)
-    frontier: Integers = np.array([mdp.start[0][0]])
-    seen[frontier] = True
-    count, widest = 1, 0.0
-    for radius in range(1, FARTHEST + 1):
-        found = matrix.indices[spans(cuts[frontier], cuts[frontier + 1])]
-        frontier = np.unique(found[~seen[found]])
-        if not len(frontier):
-            break
-        seen[frontier] = True
-        count += len(frontier)
-        widest = max(widest, (count - 1) / (2 * radius))
-    return widest
-
-
-def _band(mdp: MDP) -> float:
-    """Return the mean width of the band that the states' equations lie in."""
-    matrix, states = mdp.transition, mdp.n_states
-    rows = np.repeat(mdp.pair_state, np.diff(matrix.indptr))
-    entries = (np.ones(matrix.nnz, dtype=np.int8), (rows, matrix.indices))
-    graph = sp.csr_array(entries, (states, states))
-    graph = (graph + graph.T).tocsr()
-    if graph.nnz > states * np.sqrt(states):
-        return states / 2  # so dense that no order helps much
-    order = csgraph.reverse_cuthill_mckee(graph, symmetric_mode=True)
-    place = np.empty(states, dtype=np.int64)
-    place[order] = np.arange(states)
-    filled = np.flatnonzero(np.diff(graph.indptr))
-    nearest = np.minimum.reduceat(place[graph.indices], graph.indptr[filled])
-    reach = np.maximum(place[filled] - nearest, 0).astype(np.float64)
-    # Successors of one state meet in the factored matrix, twice as far apart.
-    return float(min(2 * np.sqrt((reach**2).mean()), states / 2) + 1)

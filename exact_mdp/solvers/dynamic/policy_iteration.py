@@ -15,7 +15,6 @@ from time import perf_counter
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
@@ -79,17 +78,10 @@ class PolicyIteration:
         return conclude(model, self, found, status=status, iterations=iterations, started=started)
 
 
-def improved(
-    mdp: MDP, pairs: Integers, limit: int, *, used: NDArray[np.bool_] | None = None
-) -> tuple[Bounds, int, bool]:
-    """Return bounds around the values reached from `pairs` (S,), the iterations, and if stable.
-
-    Pairs that any policy on the way took are marked in `used` (L,).
-    """
+def improved(mdp: MDP, pairs: Integers, limit: int) -> tuple[Bounds, int, bool]:
+    """Return bounds around the values reached from `pairs` (S,), the iterations, and if stable."""
     seen: set[bytes] = set()
     for iteration in range(1, limit + 1):
-        if used is not None:
-            used[pairs] = True
         value = evaluated(mdp, pairs)
         gain = gains(mdp, value)
         seen.add(pairs.tobytes())

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from strategies import Row, Rows, models
 
 from exact_mdp import MDP, ModelError, certify, evaluate, solve
-from exact_mdp.solvers import GaussSeidel, LinearProgram, PrecisionWarning, SolverError
+from exact_mdp.solvers import GaussSeidel, PolicyIteration, PrecisionWarning, SolverError
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 
 SMALL = models(discounts=[F(1, 2)])
@@ -184,7 +184,7 @@ def test_settings_and_what_is_refused() -> None:
         with pytest.raises(ModelError, match="does not apply to an average"):
             solve(mdp, solver, criterion="average")
     with pytest.raises(ModelError, match="no start applies"):
-        solve(mdp, LinearProgram(start=[0, 0, 0]), criterion="average")
+        solve(mdp, PolicyIteration(start=[0, 0, 0]), criterion="average")
     for verb in (solve, lambda *_, **known: evaluate(mdp, "random", **known)):
         with pytest.raises(ModelError, match="no horizon"):
             verb(mdp, horizon=3, criterion="average")
