@@ -191,7 +191,7 @@ def solve(
     >>> solve(mdp, "value-iteration", tol=1e-3).error_bound < 1e-3
     True
     >>> turns = MDP.from_arrays([[[0, 1], [1, 0]]], [1, 4])
-    >>> solve(turns, criterion="average").gain.tolist()
+    >>> solve(turns, criterion="average").value.tolist()
     [2.5, 2.5]
     """
     solver = "auto" if solver is None else solver

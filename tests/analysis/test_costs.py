@@ -240,7 +240,7 @@ def measured(sign: int) -> Told:
 def averaged(sign: int) -> Told:
     found = certify_average(endless(sign))
     mine = evaluate(endless(sign), [0, 0], criterion="average")
-    signed = [*found.gain, *found.bias, *solve(endless(sign), criterion="average").gain]
+    signed = [*found.value, *found.bias, *solve(endless(sign), criterion="average").value]
     return [*signed, mine.start.value], [*found.policy, found.violations()]
 
 

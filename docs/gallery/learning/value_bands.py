@@ -13,4 +13,4 @@ from exact_mdp.solvers.learning.training import train
 
 model = Scenario.load("yuan2025").compile()
 runs = train(model, QLearning(epochs=60), 4, rng=0)
-plot_value_bands({"Q-learning": np.array([learning_curve(model, r, rng=1).exact for r in runs])})
+plot_value_bands({"Q-learning": np.array([learning_curve(model, r, rng=1).value for r in runs])})

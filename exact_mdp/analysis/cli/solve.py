@@ -134,7 +134,7 @@ def _averages(mdp: MDP, found: Optimum) -> dict[str, Any]:
         return {"gain": None, "bias": None}
     labels = _labels(mdp.space)
     return {
-        "gain": dict(zip(labels, best.gain, strict=True)),
+        "gain": dict(zip(labels, best.value, strict=True)),
         "bias": dict(zip(labels, best.bias, strict=True)),
     }
 

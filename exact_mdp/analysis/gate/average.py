@@ -96,7 +96,7 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
         uses = [held.exact_weights(state) for state in range(mdp.n_states)]
         forgiven += _movable(step, own, uses, (gain, bias))
         forgiven += _movable(
-            step, ideal, [{l: Fraction(1)} for l in taken.tolist()], (best.gain, best.bias)
+            step, ideal, [{l: Fraction(1)} for l in taken.tolist()], (best.value, best.bias)
         )
     return Regret(
         optimal=Certified(value=best.start_value),
@@ -104,7 +104,7 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
         at_start=Certified(value=best.start_value - learned),
         optimal_value=best.value_float,
         learned_value=gain.astype(np.float64),
-        by_state=(best.gain - gain).astype(np.float64),
+        by_state=(best.value - gain).astype(np.float64),
         optimal_pairs=optimal,
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=np.where(optimal, 0.0, gap.astype(np.float64)),
@@ -162,8 +162,8 @@ def _bounded(mdp: MDP, own: AverageEvaluation) -> Regret:
         learned=Bounded(value=mine.value, error=mine.error),
         at_start=Bounded(value=middle, error=max(middle - low, high - middle) * SLACK),
         optimal_value=found.value,
-        learned_value=own.gain,
-        by_state=np.maximum(found.value - own.gain, 0.0),
+        learned_value=own.value,
+        by_state=np.maximum(found.value - own.value, 0.0),
         optimal_pairs=np.ones(mdp.n_pairs, dtype=bool),
         unclear=~taken,
         gap=np.zeros(mdp.n_pairs),

@@ -39,7 +39,7 @@ class LearningCurve(Pictured):
     ----------
     sampled, standard_error : (E,)
         Mean of `experiments` sampled returns, and its standard error.
-    exact, error : (E,)
+    value, error : (E,)
         Value of the same policy, up to rounding.
     experiments : int
     cut_short : int
@@ -48,15 +48,10 @@ class LearningCurve(Pictured):
 
     sampled: Floats
     standard_error: Floats
-    exact: Floats
+    value: Floats
     error: Floats
     experiments: int
     cut_short: int
-
-    @property
-    def value(self) -> Floats:
-        """(E,) the exact values."""
-        return self.exact
 
     def frame(self) -> DataFrame:
         """Return one row for each epoch."""
@@ -64,11 +59,11 @@ class LearningCurve(Pictured):
 
         return pandas.DataFrame(
             {
-                "exact value (reward)": self.exact,
+                "exact value (reward)": self.value,
                 "mean of experiments (reward)": self.sampled,
                 "standard error (reward)": self.standard_error,
             },
-            index=pandas.RangeIndex(len(self.exact), name="epoch"),
+            index=pandas.RangeIndex(len(self.value), name="epoch"),
         )
 
 
@@ -104,7 +99,7 @@ def learning_curve(
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> curve = learning_curve(mdp, QLearning(epochs=50).train(mdp, rng=0), rng=1)
-    >>> curve.exact.shape, bool(abs(curve.sampled - curve.exact).mean() < 15)
+    >>> curve.value.shape, bool(abs(curve.sampled - curve.value).mean() < 15)
     ((50,), True)
     """
     values = policy_values(model, common_rows(model, [run]), run.policies)
@@ -164,7 +159,7 @@ def _curve(
     return LearningCurve(
         sampled=returns.mean(axis=1),
         standard_error=returns.std(axis=1, ddof=1) / np.sqrt(n),
-        exact=exact[0],
+        value=exact[0],
         error=exact[1],
         experiments=n,
         cut_short=int(cut_short),

@@ -60,9 +60,9 @@ def plot_learning_curves(
     for number, (label, curve) in enumerate(every.items()):
         colour, line = INK[number % len(INK)], LINES[number % len(LINES)]
         sampled_band(ax, curve.sampled, colour)
-        if np.ptp(curve.exact) > 0:
-            ax.plot(curve.exact, ".", color=colour, markersize=1, alpha=0.3)
-        at, smooth = smoothed(curve.exact, window)
+        if np.ptp(curve.value) > 0:
+            ax.plot(curve.value, ".", color=colour, markersize=1, alpha=0.3)
+        at, smooth = smoothed(curve.value, window)
         ax.plot(at, smooth, color=colour, linestyle=line, linewidth=1.6, label=label)
     return _by_epoch(ax, "return (reward)", optimum)
 

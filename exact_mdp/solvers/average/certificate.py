@@ -34,7 +34,7 @@ class AverageCertificate(AverageClaims, Pictured):
     policy : (S,) int64
         Action numbers of a policy with this gain and this bias.
     g, h, w : integers over one denominator each
-        Gain, bias, and the vector that proves the bias; `gain` and `bias` are Fractions.
+        Gain, bias, and the vector that proves the bias; `value` and `bias` are Fractions.
     start_value : Fraction
         Gain of the start distribution.
     mdp : MDP, optional
@@ -62,14 +62,9 @@ class AverageCertificate(AverageClaims, Pictured):
         return Certified(value=self.start_value)
 
     @cached_property
-    def gain(self) -> Numbers:
+    def value(self) -> Numbers:
         """(S,) the greatest average reward per step from each state, as Fractions."""
         return _fractions(self.g)
-
-    @property
-    def value(self) -> Numbers:
-        """(S,) the gain."""
-        return self.gain
 
     @cached_property
     def bias(self) -> Numbers:
@@ -102,13 +97,13 @@ class AverageCertificate(AverageClaims, Pictured):
     @property
     def value_float(self) -> Floats:
         """(S,) the gain as floats, each correctly rounded."""
-        return self.gain.astype(np.float64)
+        return self.value.astype(np.float64)
 
     def frame(self) -> DataFrame:
         """Return gain, bias and action of each state, in decimals and as they are."""
-        decimals = {"gain": in_decimals(self.gain), "bias": in_decimals(self.bias)}
+        decimals = {"gain": in_decimals(self.value), "bias": in_decimals(self.bias)}
         columns = decimals | {"action": self.policy}
-        return by_state(self.mdp, columns | {"exact gain": self.gain, "exact bias": self.bias})
+        return by_state(self.mdp, columns | {"exact gain": self.value, "exact bias": self.bias})
 
     def violations(self, model: MDP | None = None) -> list[str]:
         """Return what does not hold of this certificate, in words: nothing where it is sound.

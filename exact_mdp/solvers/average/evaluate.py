@@ -47,9 +47,9 @@ class AverageEvaluation(Result):
         The policy; None where it was given as probabilities of pairs.
     classes : Classes
         The recurrent classes: `label` (S,), -1 in transient states.
-    gain, bias : (S,)
-        Average reward per step from each state, and bias; see `solvers.average.chain`.
-    gain_error, bias_error : (S,)
+    value, bias : (S,)
+        Gain, the average reward per step from each state, and bias; see `solvers.average.chain`.
+    error, bias_error : (S,)
         How far they may be from the exact ones.
 
     Examples
@@ -66,8 +66,8 @@ class AverageEvaluation(Result):
     roundings: int
     policy: Policy | None
     classes: Classes
-    gain: Floats
-    gain_error: Floats
+    value: Floats
+    error: Floats
     bias: Floats
     bias_error: Floats
 
@@ -78,20 +78,10 @@ class AverageEvaluation(Result):
         """What an array was taken for: "q" or "policy"."""
         return "policy" if self.policy is None else self.policy.read_as
 
-    @property
-    def value(self) -> Floats:
-        """(S,) the gain."""
-        return self.gain
-
-    @property
-    def error(self) -> Floats:
-        """(S,) how far the gain may be off."""
-        return self.gain_error
-
     @cached_property
     def start(self) -> Bounded:
         """The gain from the start, with its error bound."""
-        return at_start(self.mdp, FixedPoint(value=self.gain, error=self.gain_error))
+        return at_start(self.mdp, FixedPoint(value=self.value, error=self.error))
 
     @property
     def mean(self) -> float:
@@ -163,9 +153,9 @@ class AverageEvaluation(Result):
 
         return pandas.DataFrame(
             {
-                "state": self.mdp.space.labels(range(len(self.gain))),
-                "gain": self.gain,
-                "gain error": self.gain_error,
+                "state": self.mdp.space.labels(range(len(self.value))),
+                "gain": self.value,
+                "gain error": self.error,
                 "bias": self.bias,
                 "bias error": self.bias_error,
                 "share": self.share.value,
@@ -209,8 +199,8 @@ def evaluated(
         roundings=roundings,
         policy=policy,
         classes=averages.classes,
-        gain=gain.value,
-        gain_error=gain.error,
+        value=gain.value,
+        error=gain.error,
         bias=bias,
         bias_error=off,
     )

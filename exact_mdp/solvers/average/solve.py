@@ -55,17 +55,12 @@ class AverageSolution(Solution):
     >>> from exact_mdp.solvers import solve
     >>> mdp = MDP.from_arrays([[[0, 1], [1, 0]], [[1, 0], [0, 1]]], [[2, 0], [3, "1/2"]])
     >>> found = solve(mdp.with_(discount="1/2"), criterion="average")
-    >>> found.gain.tolist(), found.bias.tolist(), found.policy.tolist()
+    >>> found.value.tolist(), found.bias.tolist(), found.policy.tolist()
     ([2.5, 2.5], [-0.25, 0.25], [0, 0])
     """
 
     bias: Floats
     bias_error: Floats
-
-    @property
-    def gain(self) -> Floats:
-        """(S,) the greatest average reward per step from each state."""
-        return self.value
 
     @property
     def q(self) -> Floats:
@@ -105,15 +100,15 @@ def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> Average
     taken = np.zeros(step.n_pairs)
     taken[reached.pairs] = 1.0
     own = evaluated(step, taken)
-    above = _upper(step, reached.bias) - own.gain
-    error = np.maximum(own.gain_error, above * SLACK)
+    above = _upper(step, reached.bias) - own.value
+    error = np.maximum(own.error, above * SLACK)
     met = tol is None or float(error.max()) <= tol
     solution = AverageSolution(
         mdp=mdp,
-        value=own.gain,
+        value=own.value,
         pairs=reached.pairs,
         state_error=error,
-        regret_bound=max(0.0, float((above + own.gain_error).max()) * SLACK),
+        regret_bound=max(0.0, float((above + own.error).max()) * SLACK),
         status=reached.status if met else Status.PRECISION,
         method=solver.name,
         solver=repr(solver),

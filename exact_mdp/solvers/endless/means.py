@@ -134,7 +134,7 @@ def exact_mean(own: Derived) -> Mean:
     pairs = policy_pairs(own.mdp, found.policy)
     assert pairs is not None
     potential = found.bias[:-1].tolist()
-    return Mean(mean=found.gain[0], potential=potential, pairs=own.source[pairs[:-1]])
+    return Mean(mean=found.value[0], potential=potential, pairs=own.source[pairs[:-1]])
 
 
 def surplus(rows: BellmanRows, value: Sequence[Any], pairs: Integers | None = None) -> list[Any]:

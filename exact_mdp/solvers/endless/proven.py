@@ -79,7 +79,7 @@ def certify_total(mdp: MDP) -> Certificate:
         potential=_potentials(found),
         drift=None
         if found.drift is None
-        else (_listed(found.drift.gain), _listed(found.drift.bias)),
+        else (_listed(found.drift.value), _listed(found.drift.bias)),
     )
     return _certificate(mdp, found, whole, best, pairs, proof)
 

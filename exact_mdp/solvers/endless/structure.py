@@ -183,8 +183,8 @@ def structure(mdp: MDP) -> Structure:
             )
     elif ((graph.distance(worth > 0, every) >= 0) & (sign < 1)).any():
         drift = certify_average(mdp)
-        sign = np.array([(each > 0) - (each < 0) for each in drift.gain])
-        _check_drift(mdp, graph, sign, drift.gain)
+        sign = np.array([(each > 0) - (each < 0) for each in drift.value])
+        _check_drift(mdp, graph, sign, drift.value)
     kept = (sign == 0)[mdp.pair_state] & graph.every(sign == 0)
     tilted: dict[int, Tilted] = {}
     rest, moved = quiet, still

@@ -111,9 +111,9 @@ def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
         return {}
     mdp = per_step(chain.mdp)
     found = evaluated(mdp, chain.weights, chain.roundings)
-    gain, open_ = found.gain, busy & (np.abs(found.gain) <= found.gain_error)
+    gain, open_ = found.value, busy & (np.abs(found.value) <= found.error)
     if open_.any():
-        exactly = certify_average(per_step(model_of(chain))).gain
+        exactly = certify_average(per_step(model_of(chain))).value
         gain = np.array([(each > 0) - (each < 0) for each in exactly])
         if (flat := busy & (gain == 0)).any():
             state = int(np.flatnonzero(flat)[0])

@@ -191,7 +191,7 @@ def test_learning_curves(ax: Axes, curves: dict[str, LearningCurve]) -> None:
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels == ["constant ε", "random", "optimum"]
     heavy = next(line for line in ax.get_lines() if line.get_label() == "constant ε")
-    exact = curves["constant ε"].exact
+    exact = curves["constant ε"].value
     assert heavy.get_ydata() == pytest.approx([exact[i : i + 5].mean() for i in range(36)])
     drawn(ax)
 

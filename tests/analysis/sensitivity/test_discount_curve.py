@@ -81,7 +81,7 @@ def test_the_last_piece_has_the_best_gain_and_of_these_the_best_bias(rows: Rows)
     gain, bias = gain_and_bias(chosen)
     assert (gain, bias) == best(rows.n_states, rows.pairs)
     average = certify(mdp, criterion="average")
-    assert tuple(average.gain) == gain
+    assert tuple(average.value) == gain
     assert average.optimal_pairs[pairs].all()
 
 
@@ -94,7 +94,7 @@ def test_howards_taxicab_at_every_discount() -> None:
     assert by_discount.pieces[-1].optimal[[mdp.pair(s, 1) for s in range(3)]].all()
     last = by_discount.pieces[-1].value
     gain = sum(c for c in last.numerator) / -sum(k * c for k, c in enumerate(last.denominator))
-    assert gain == certify(mdp, criterion="average").gain[0]  # the residue at 1
+    assert gain == certify(mdp, criterion="average").value[0]  # the residue at 1
 
 
 def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:

@@ -43,7 +43,7 @@ def test_no_policy_does_better(rows: Rows) -> None:
     assume(few(rows))
     gain, bias = best(rows.n_states, rows.pairs)
     found = proven(rows.model())
-    assert tuple(found.gain) == gain
+    assert tuple(found.value) == gain
     assert tuple(found.bias) == bias
     chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(found.policy)]
     assert gain_and_bias(chosen) == (gain, bias)
@@ -55,8 +55,8 @@ def test_discounted_values_approach_gain_and_bias(rows: Rows) -> None:
     """V = g / (1 - γ) + h + terms of order 1 - γ."""
     rate = F(1, 10**20)
     found, near = proven(rows.model()), certify(rows.model().with_(discount=1 - rate))
-    size = 1 + max(map(abs, near.value)) * rate
-    for g, h, v in zip(found.gain, found.bias, near.value, strict=True):
+    size = 1 + max(abs(reward) for _, _, reward, _ in rows.pairs)
+    for g, h, v in zip(found.value, found.bias, near.value, strict=True):
         assert abs(v * rate - g - h * rate) <= size * rate ** F(3, 2)
 
 
@@ -64,7 +64,7 @@ def test_discounted_values_approach_gain_and_bias(rows: Rows) -> None:
 @settings(max_examples=40)
 def test_where_every_policy_ends_the_bias_is_the_total_reward(rows: Rows) -> None:
     found = proven(rows.model())
-    assert found.gain.tolist() == [0] * rows.n_states
+    assert found.value.tolist() == [0] * rows.n_states
     assert found.bias.tolist() == certify(rows.model()).value.tolist()
 
 
@@ -87,7 +87,7 @@ KNOWN = {
 def test_published_gains(name: str) -> None:
     case = BY_NAME[name]
     mdp = Rows(n_states=case.n_states, pairs=case.pairs, discount=case.discount).model()
-    assert proven(mdp).gain.tolist() == KNOWN[name]
+    assert proven(mdp).value.tolist() == KNOWN[name]
 
 
 def test_howards_taxicab() -> None:
@@ -95,7 +95,7 @@ def test_howards_taxicab() -> None:
     case = BY_NAME["howard-taxicab"]
     found = proven(Rows(n_states=3, pairs=case.pairs, discount=case.discount).model())
     assert found.policy.tolist() == [1, 1, 1]
-    assert float(found.gain[0]) == pytest.approx(13.34454, abs=5e-6)
+    assert float(found.value[0]) == pytest.approx(13.34454, abs=5e-6)
 
 
 def test_tijms_maintenance() -> None:
@@ -112,7 +112,7 @@ def test_tijms_maintenance() -> None:
     found = certify(MDP.from_outcomes(sorted(rows), sense="min"), criterion="average")
     assert found.violations() == []
     assert found.policy.tolist() == [0, 0, 0, 1, 2, 2]
-    assert [float(g) for g in found.gain] == pytest.approx([0.4338] * 6, abs=5e-5)
+    assert [float(g) for g in found.value] == pytest.approx([0.4338] * 6, abs=5e-5)
     relative = [float(h - found.bias[5]) for h in found.bias]
     assert relative == pytest.approx([0.4338, 4.7717, 6.5982, 5, 9.5662, 0], abs=5e-5)
 
@@ -121,7 +121,7 @@ def test_gain_and_bias_of_putermans_two_classes() -> None:
     """Puterman, example 8.2.2, pages 345 and 346: its recurrent states."""
     rows = [[1, 0, 0], [0, F(2, 5), F(3, 5)], [0, F(7, 10), F(3, 10)]]
     found = proven(MDP.from_arrays([rows], [[2], [5], [4]]))
-    assert found.gain.tolist() == [2, F(59, 13), F(59, 13)]  # 4.538
+    assert found.value.tolist() == [2, F(59, 13), F(59, 13)]  # 4.538
     assert found.bias.tolist() == [0, F(60, 169), F(-70, 169)]  # 0.354 and -0.416 from 4.538
     assert [float(x) for x in found.bias] == pytest.approx([0, 0.354, -0.416], abs=2e-3)
 
@@ -130,7 +130,7 @@ def test_periodic_chains_average_out() -> None:
     """Two states in turn, of rewards 0 and 4; from a third, a third of the runs earn 9 for ever."""
     rows = [[0, 1, 0, 0], [1, 0, 0, 0], ["2/3", 0, 0, "1/3"], [0, 0, 0, 1]]
     found = proven(MDP.from_arrays([rows], [[0], [4], [7], [9]]))
-    assert found.gain.tolist() == [2, 2, F(13, 3), 9]
+    assert found.value.tolist() == [2, 2, F(13, 3), 9]
     assert found.bias[:2].tolist() == [-1, 1]
 
 
@@ -139,7 +139,7 @@ def test_rows_of_floats_are_divided_by_their_sums() -> None:
     mdp = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], 0.5)
     assert sum(p for p, *_ in mdp.table.row(0)) != 1
     found, (grow, old) = proven(mdp), (F(0.9), F(0.1))
-    assert found.gain[0] == 4 * (grow / (grow + old)) ** 2
+    assert found.value[0] == 4 * (grow / (grow + old)) ** 2
     step = per_step(mdp)
     assert per_step(step) is step
     assert step.table.weight_rounding().any()

@@ -41,14 +41,14 @@ def mixed(rows: Rows, chances: dict[tuple[int, int], F]) -> list[Row]:
 def test_bounds_hold_of_the_optimum_and_of_the_policy(rows: Rows, floats: bool) -> None:
     mdp = rows.model(floats=floats)
     found, best = solve(mdp, criterion="average"), certify(mdp, criterion="average")
-    assert (off(found.gain, best.gain) <= found.state_error).all()
+    assert (off(found.value, best.value) <= found.state_error).all()
     assert found.error_bound <= 1e-9 * (1 + np.abs(mdp.reward).max())
     if not floats:
         own = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(found.policy)]
         gain, bias = gain_and_bias(own)
-        assert (off(found.gain, gain) <= found.state_error).all()
+        assert (off(found.value, gain) <= found.state_error).all()
         assert (off(found.bias, bias) <= found.bias_error).all()
-        lost = [float(x - y) for x, y in zip(best.gain, gain, strict=True)]
+        lost = [float(x - y) for x, y in zip(best.value, gain, strict=True)]
         assert max(lost) <= found.regret_bound
 
 
@@ -74,7 +74,7 @@ def test_evaluations_are_within_their_bounds(rows: Rows, data: st.DataObject) ->
     slack = (
         1e-9 * (1 + float(max(map(abs, bias)))) * (found.weights != np.rint(found.weights)).any()
     )
-    assert (off(found.gain, gain) <= found.gain_error + slack).all()
+    assert (off(found.value, gain) <= found.error + slack).all()
     assert (off(found.bias, bias) <= found.bias_error + 1e3 * slack).all()
     times = [
         gain_and_bias([(s, a, F(s == t), p) for s, a, _, p in chain])[0][-1]
@@ -92,14 +92,14 @@ def test_the_linear_program_and_relative_values_agree(rows: Rows) -> None:
     assume(np.abs(mdp.reward).max() < 10)
     best = certify(mdp, criterion="average")
     found = solve(mdp, "linear-program", criterion="average")
-    assert (off(found.gain, best.gain) <= found.state_error).all()
+    assert (off(found.value, best.value) <= found.state_error).all()
     assert found.error_bound <= 1e-9
     try:
         found = solve(mdp, "value-iteration", tol=1e-6, criterion="average")
     except ModelError:  # where there are several end components
         return
-    assert len(set(best.gain)) == 1
-    assert (off(found.gain, best.gain) <= found.state_error).all()
+    assert len(set(best.value)) == 1
+    assert (off(found.value, best.value) <= found.state_error).all()
     assert found.error_bound <= 1e-6
 
 
@@ -119,7 +119,7 @@ def test_gains_that_are_equal_but_for_rounding_do_not_hide_what_is_better(seed: 
     rows = [row for row in rows if row[0] not in ends] + [(s, 0, [(1, s, 0)]) for s in ends]
     mdp = MDP.from_outcomes(rows)
     found, best = solve(mdp, criterion="average"), certify(mdp, criterion="average")
-    assert (off(found.gain, best.gain) <= found.state_error).all()
+    assert (off(found.value, best.value) <= found.state_error).all()
     assert found.error_bound < 1e-9
 
 
@@ -127,7 +127,7 @@ def test_costs_are_the_least_per_step() -> None:
     rewards = forest("9/10")
     costs = rewards.negated()
     found, proof = solve(costs, criterion="average"), certify(costs, criterion="average")
-    assert (found.gain == -solve(rewards, criterion="average").gain).all()
+    assert (found.value == -solve(rewards, criterion="average").value).all()
     assert (proof.start_value, proof.violations()) == (F(-81, 25), [])
     assert proof.losses[1].tolist() == certify(rewards, criterion="average").losses[1].tolist()
 

@@ -112,10 +112,10 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
     assert len(curve.sampled) == SHORT.epochs
     assert curve.experiments == 40
     error = curve.standard_error
-    assert abs((curve.sampled - curve.exact).sum()) < 4 * sqrt((error**2).sum())
-    assert 0.8 < ((curve.sampled - curve.exact) ** 2).sum() / (error**2).sum() < 1.25
+    assert abs((curve.sampled - curve.value).sum()) < 4 * sqrt((error**2).sum())
+    assert 0.8 < ((curve.sampled - curve.value) ** 2).sum() / (error**2).sum() < 1.25
     last = runs[0].policies[runs[0].snapshots[-1]]
-    assert curve.exact[-1] == pytest.approx(evaluate(care, Policy.by(care, ("status",), last)).mean)
+    assert curve.value[-1] == pytest.approx(evaluate(care, Policy.by(care, ("status",), last)).mean)
     again = learning_curve(care, runs[0], rng=5)
     assert again.sampled.tobytes() == curve.sampled.tobytes()
     assert learning_curve(care, runs[0], rng=6).sampled.tobytes() != curve.sampled.tobytes()
@@ -124,7 +124,7 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
 def test_the_random_baseline(care: MDP) -> None:
     curve = random_curve(care, 300, rng=1)
     exact = evaluate(care, "random")
-    assert set(curve.exact) == {exact.mean}
+    assert set(curve.value) == {exact.mean}
     assert abs(curve.sampled.mean() - exact.mean) < 4 * exact.sd / sqrt(300 * 40)
 
 
@@ -137,13 +137,13 @@ def test_discounted_curves_of_another_reading() -> None:
     run = QLearning(epochs=60, columns=("trial", "status")).train(mdp, 1)
     curve = learning_curve(mdp, run, rng=0, n=200)
     error = sqrt((curve.standard_error**2).sum())
-    assert abs((curve.sampled - curve.exact).sum()) < 4 * error
+    assert abs((curve.sampled - curve.value).sum()) < 4 * error
 
 
 def test_exact_curves_of_many_runs(care: MDP, runs: list[TrainingRun]) -> None:
     values = exact_curves(care, runs)
     assert values.shape == (24, SHORT.epochs)
-    assert values[0].tolist() == learning_curve(care, runs[0], rng=5).exact.tolist()
+    assert values[0].tolist() == learning_curve(care, runs[0], rng=5).value.tolist()
     assert values[:, -20:].mean() > values[:, :5].mean()
 
 
