@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import extra
 from exact_mdp.mdp.table import shown
 
 if TYPE_CHECKING:
@@ -115,8 +114,7 @@ class Pictured(Result):
         """
         import exact_mdp
 
-        with extra("plots"):
-            drawn: Axes = exact_mdp.draw(self, ax=ax, **settings)
+        drawn: Axes = exact_mdp.draw(self, ax=ax, **settings)
         return drawn
 
 

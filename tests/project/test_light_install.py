@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
+import tomllib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
-from extras import EXTRAS
 
 ROOT = Path(__file__).resolve().parents[2]
+
+# What the core does without, by the extra that brings it.
+EXTRAS = {
+    "lp": {"clarabel", "cvxpy"},
+    "plots": {"matplotlib", "networkx"},
+    "models": {"bitstring", "gymnasium", "pyarrow", "stormpy", "umbi"},
+    "notebooks": {"IPython", "ipykernel", "jupyterlab", "jupytext"},
+    "agents": {"httpx"},
+}
+OPTIONAL = set().union(*EXTRAS.values())
+# Whoever reads a module of these folders has read one that names the extra.
+GUARDED = ("exact_mdp/analysis/plots/", "exact_mdp/paper_repro/")
 
 WITHOUT = f"""
 import sys
 class Missing:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {sorted(EXTRAS)!r}:
+        if name.partition(".")[0] in {sorted(OPTIONAL)!r}:
             raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 sys.meta_path.insert(0, Missing())
 """
@@ -48,9 +63,21 @@ COMMANDS = [
 
 NEEDED = {
     "solve yuan2025 --method linear-program": "exact-mdp[lp]",
-    "info gymnasium:FrozenLake-v1 --discount 0.9": "exact-mdp[gymnasium]",
-    "convert yuan2025 m.umb": "exact-mdp[umb]",
+    "info gymnasium:FrozenLake-v1 --discount 0.9": "exact-mdp[models]",
+    "info model.prism": "exact-mdp[models]",
+    "info model.umb": "exact-mdp[models]",
+    "convert yuan2025 m.umb": "exact-mdp[models]",
+    "data log.parquet --out m.npz": "exact-mdp[models]",
 }
+IN_PYTHON = {
+    "from exact_mdp import draw": "exact-mdp[plots]",
+    "from exact_mdp.analysis.plots import style": "exact-mdp[plots]",
+    "from exact_mdp import MDP, solve; solve(MDP.from_arrays([[[1]]], [0], '1/2')).plot()":
+        "exact-mdp[plots]",
+    "import exact_mdp.mdp.environment": "exact-mdp[models]",
+    "from exact_mdp.paper_repro.agents.endpoint import Endpoint; Endpoint(model='m', base_url='http://x')":
+        "exact-mdp[agents]",
+}  # fmt: skip
 
 
 def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -79,11 +106,65 @@ for words in {words!r}:
 
 @pytest.mark.parametrize("command", NEEDED)
 def test_a_missing_package_names_its_extra(tmp_path: Path, command: str) -> None:
+    for name in ("model.prism", "model.umb", "log.parquet"):
+        (tmp_path / name).write_text("mdp")
     code = f"from exact_mdp.analysis.cli import main; sys.exit(main({command.split()!r}))"
     done = run(code, tmp_path)
     assert done.returncode == 2, done.stderr
     assert f'pip install "{NEEDED[command]}"' in done.stderr
     assert done.stdout == ""
+
+
+@pytest.mark.parametrize("code", IN_PYTHON)
+def test_so_it_does_in_python(tmp_path: Path, code: str) -> None:
+    done = run(code, tmp_path)
+    assert "exact_mdp.mdp.errors.ModelError: the package" in done.stderr
+    assert f'pip install "{IN_PYTHON[code]}"' in done.stderr
+
+
+def test_every_optional_import_stands_under_its_extra() -> None:
+    """No import of such a package fails in words of Python's own."""
+    astray = []
+    for path in sorted((ROOT / "exact_mdp").rglob("*.py")):
+        name = path.relative_to(ROOT).as_posix()
+        if not name.startswith(GUARDED):
+            tree = ast.parse(path.read_text("utf-8"))
+            astray += [f"{name}: {each}" for each in unguarded(tree, extra=None)]
+    assert astray == []
+    assert list(unguarded(ast.parse("import cvxpy"), extra=None)) == ["cvxpy"]
+    wrong = ast.parse("with extra('plots'):\n    def f():\n        from cvxpy import Problem")
+    assert list(unguarded(wrong, extra=None)) == ["cvxpy"]
+
+
+def unguarded(node: ast.AST, extra: str | None) -> Iterator[str]:
+    """Yield the optional packages that are imported, but not where that extra is named."""
+    match node:
+        case ast.If(test=ast.Name(id="TYPE_CHECKING")):
+            return
+        case ast.With(items=[ast.withitem(context_expr=ast.Call(ast.Name("extra"), [argument]))]):
+            extra = ast.literal_eval(argument)
+        case ast.Import(names=names):
+            yield from absent((each.name for each in names), extra)
+        case ast.ImportFrom(module=str(module), level=0):
+            yield from absent([module], extra)
+    for child in ast.iter_child_nodes(node):
+        yield from unguarded(child, extra)
+
+
+def absent(modules: Iterable[str], extra: str | None) -> list[str]:
+    """Return the packages of modules that are optional, and that the extra does not bring."""
+    packages = {module.partition(".")[0] for module in modules}
+    return sorted((packages & OPTIONAL) - EXTRAS.get(extra or "", set()))
+
+
+def test_the_list_is_that_of_the_extras() -> None:
+    """Each package stands in the extra that a message would name."""
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    for extra, packages in EXTRAS.items():
+        lines = declared["optional-dependencies"][extra]
+        brought = {re.split(r"[^\w-]", line)[0] for line in lines} - {"exact-mdp", "gymnasium"}
+        assert brought <= packages, extra
+    assert set(declared["optional-dependencies"]) == {*EXTRAS, "all", "bench"}
 
 
 def test_so_does_the_reproduction(tmp_path: Path) -> None:
