@@ -81,10 +81,11 @@ def test_the_forms_can_be_read() -> None:
     assert all({"name", "description", "body"} <= set(form) for form in named)
 
 
-def test_hooks_come_from_the_environment() -> None:
-    """None is downloaded, and each runs a tool that the lock has."""
+def test_ruff_and_mypy_of_the_hooks_are_those_of_the_lock() -> None:
+    """The usual hooks have a version; each of the others runs a tool that the lock has."""
     found = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text("utf-8"))
-    (local,) = found["repos"]
+    usual, local = found["repos"]
+    assert re.fullmatch(r"v\d+\.\d+\.\d+", usual["rev"])
     assert local["repo"] == "local"
     for hook in local["hooks"]:
         assert hook["language"] == "system"
