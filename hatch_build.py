@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+from hatchling.builders.config import BuilderConfig
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
 
 
-class WholePackage(BuildHookInterface):  # type: ignore[type-arg]
+class WholePackage(BuildHookInterface[BuilderConfig]):
     """Runs before each wheel and source archive."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
