@@ -42,7 +42,7 @@ test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versi
 	$(call TESTS,$(LOWEST)) -k "not compiled_draws" $(addprefix tests/,mdp solvers/proof solvers/values \
 	    solvers/robust solvers/test_solvers.py solvers/test_equations.py solvers/test_parallel.py \
 	    analysis/cli/test_commands.py analysis/cli/test_train.py analysis/gate/test_check_command.py \
-	    analysis/sensitivity/test_global.py project/test_versions.py)
+	    analysis/sensitivity/test_sobol.py project/test_versions.py)
 lint: ## ruff's checks, its formatting among them
 	$(PY) -m ruff check . && $(PY) -m ruff format --check .
 format: ## rewrite the files as ruff formats them
