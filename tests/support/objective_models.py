@@ -9,6 +9,7 @@ from itertools import combinations, product
 
 import enumerated
 import numpy as np
+from numpy.typing import NDArray
 from hypothesis import strategies as st
 from strategies import models
 
@@ -60,13 +61,14 @@ def totals(mdp: MDP, names: list[str]) -> list[tuple[Fraction, ...]]:
     return list(zip(*each, strict=True))
 
 
-def going_on(mdp: MDP) -> np.ndarray:
+def going_on(mdp: MDP) -> NDArray[np.int64]:
     """Return (L,) 1 but in states that stay put, where no reward and no component is earned."""
     on = np.zeros(mdp.n_states, dtype=bool)
     for pair, state in enumerate(mdp.pair_state.tolist()):
         on[state] |= any(then != state or earned for _, then, earned in mdp.table.row(pair))
         on[state] |= any(mdp.component(name)[0][pair] != 0 for name in mdp.component_names)
-    return on[mdp.pair_state].astype(np.int64)
+    pairs: NDArray[np.int64] = on[mdp.pair_state].astype(np.int64)
+    return pairs
 
 
 def value_at_start(mdp: MDP, choice: tuple[int, ...]) -> Fraction:
@@ -153,7 +155,7 @@ def best_under(
             total = [sum(x * p[k] for x, p in zip(shares, mixed, strict=True)) for k in range(3)]
             if all(sign * (total[k] - bound) >= 0 for k, sign, bound in limits):
                 found.append(sense * total[0])
-    return sense * max(found) if found else None
+    return sense * F(max(found)) if found else None
 
 
 def vertices(points: Sequence[tuple[Fraction, Fraction]], sense: int) -> set[Vector]:

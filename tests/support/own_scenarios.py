@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from fractions import Fraction
 from itertools import product
 
-from exact_mdp.mdp import Scenario
+from exact_mdp import Scenario
 
 
 def independent_law(scenario: Scenario, status: tuple[int, ...], action: str) -> list[Fraction]:
