@@ -9,8 +9,8 @@ from itertools import combinations, product
 
 import enumerated
 import numpy as np
-from numpy.typing import NDArray
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from strategies import models
 
 from exact_mdp.mdp import MDP
