@@ -117,7 +117,8 @@ class Outcomes(Pictured):
         return self._below(self.best_value)[self.final]
 
     def _below(self, reference: Bounded) -> Floats:
-        regret = reference.value - self.value
+        sign = -1.0 if self.mdp.sense == "min" else 1.0
+        regret = sign * (reference.value - self.value)
         return np.where(np.abs(regret) <= self.error + reference.error, 0.0, regret)
 
     @cached_property
@@ -207,7 +208,8 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     candidates = [[number(run.policies[i]) for i in run.last_counts()][:CANDIDATES] for run in runs]
     final = np.array([number(run.final) for run in runs])
     values = policy_values(mdp, rows, np.array(listed))
-    selected = np.array([max(tried, key=lambda i: values.value[i]) for tried in candidates])
+    worth = -values.value if mdp.sense == "min" else values.value
+    selected = np.array([max(tried, key=lambda i: worth[i]) for tried in candidates])
     counts = np.bincount(final, minlength=len(listed))
     kept = np.union1d(final, selected)
     kept = kept[np.argsort(-counts[kept], kind="stable")]

@@ -251,3 +251,14 @@ def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, s
 
 def test_rows_are_what_the_learner_reads(care: MDP, runs: list[TrainingRun]) -> None:
     assert outcomes(care, runs, bound=False).rows.space == rows_of(care).space == runs[0].space
+
+
+def test_outcomes_of_costs_are_those_of_rewards_times_minus_one() -> None:
+    rows, costs = [[[0, 1], [0, 1]], [[0, 1], [0, 1]]], np.array([[1, 3], [0, 0]])
+    paid = MDP.from_arrays(rows, costs, layout="ass", sense="min")
+    earned = MDP.from_arrays(rows, -costs, layout="ass")
+    found = [outcomes(each, train(each, QLearning(epochs=2), 12, rng=1)) for each in (paid, earned)]
+    for name in ("regret", "selected_regret", "learning_error"):
+        assert getattr(found[0], name).tolist() == getattr(found[1], name).tolist()
+        assert getattr(found[0], name).min() >= 0
+    assert found[0].optimal_fraction == found[1].optimal_fraction
