@@ -209,7 +209,7 @@ def learned(sign: int) -> Told:
 def over_epochs(sign: int) -> Told:
     own = model(sign)
     found = learning_curve(own, QLearning(epochs=5).train(own, rng=0), rng=0, n=20)
-    return [*found.sampled, *found.exact], [*found.standard_error, *found.error]
+    return [*found.sampled, *found.value], [*found.standard_error, *found.error]
 
 
 def trainers(sign: int) -> Told:

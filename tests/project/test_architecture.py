@@ -76,13 +76,21 @@ def module_of(path: str) -> str:
 
 
 def upward(found: list[Import]) -> list[Import]:
-    """Return imports of a later room, and of the public names where a module is loaded."""
+    """Return imports of a later room, and of the public names where a module is loaded.
+
+    The last room, the reproduction, is a user of the public names.
+    """
     room = {name: place for place, name in enumerate(ROOMS)}
     return [
         each
         for each in found
         if room.get(each.name.split(".")[0], -1) > room[each.path.split("/")[0]]
-        or (each.name == "" and not each.inside and not each.path.endswith("__init__.py"))
+        or (
+            each.name == ""
+            and not each.inside
+            and not each.path.startswith(ROOMS[-1])
+            and not each.path.endswith("__init__.py")
+        )
     ]
 
 

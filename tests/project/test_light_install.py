@@ -75,7 +75,7 @@ IN_PYTHON = {
     "from exact_mdp import MDP, solve; solve(MDP.from_arrays([[[1]]], [0], '1/2')).plot()":
         "exact-mdp[plots]",
     "import exact_mdp.mdp.environment": "exact-mdp[models]",
-    "from exact_mdp.paper_repro.agents.endpoint import Endpoint; Endpoint(model='m', base_url='http://x')":
+    "from exact_mdp.paper_repro.agents.endpoint import Endpoint; Endpoint(model='m', base_url='https://x')":
         "exact-mdp[agents]",
 }  # fmt: skip
 
