@@ -194,7 +194,7 @@ def test_a_learner_from_elsewhere_learns_in_it() -> None:
             q[seen, action] += 0.05 * (target - q[seen, action])
             seen = following
     mdp = env.unwrapped.mdp
-    learned = evaluate(mdp, Policy.from_q(mdp, q)).mean
+    learned = evaluate(mdp, Policy.of(mdp, q, kind="q")).mean
     assert evaluate(mdp, "random").mean + 10 < learned <= solve(mdp).start_value + 1e-9
 
 

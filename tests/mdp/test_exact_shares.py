@@ -84,7 +84,7 @@ def test_files_keep_exact_shares(tmp_path: Path, suffix: str, share: str) -> Non
     model, path = once(5, 0), tmp_path / f"policy{suffix}"
     policy = Policy.of(model, {"0": {"0": share, "1": str(1 - Fraction(share))}, "1": "0"})
     policy.write(path)
-    again = Policy.read(path, model)
+    again = Policy.of(model, path)
     assert exactly(model, again) == 5 * (1 - Fraction(share))
     assert again.table.tolist() == policy.table.tolist()
     second = tmp_path / f"again{suffix}"

@@ -130,7 +130,7 @@ def test_policy_files_that_hold_them(tmp_path: Path) -> None:
     (tmp_path / "p.json").write_text(json.dumps({"0": "\x1b[31m", "\u202e": "0"}), encoding="utf-8")
     for name in ("p.csv", "p.json"):
         with pytest.raises(ModelError) as caught:
-            Policy.read(tmp_path / name, mdp)
+            Policy.of(mdp, tmp_path / name)
         assert not UNSAFE.search(str(caught.value).replace("\n", ""))
 
 

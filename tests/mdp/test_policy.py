@@ -67,9 +67,9 @@ def test_every_form_of_a_status_policy_is_the_same(chosen: list[int]) -> None:
         Policy.of(MDP_1, all_states),
         Policy.of(MDP_1, all_states[:-1]),
         Policy.of(MDP_1, np.eye(4)[all_states]),
-        Policy.from_q(MDP_1, np.eye(4)[chosen] * 3 - 1),
-        Policy.from_q(MDP_1, np.eye(4)[all_states]),
-        Policy.from_q(MDP_1, np.eye(4)[all_states][:-1]),
+        Policy.of(MDP_1, np.eye(4)[chosen] * 3 - 1, kind="q"),
+        Policy.of(MDP_1, np.eye(4)[all_states], kind="q"),
+        Policy.of(MDP_1, np.eye(4)[all_states][:-1], kind="q"),
     ]
     for policy in forms:
         assert policy.deterministic
@@ -78,7 +78,7 @@ def test_every_form_of_a_status_policy_is_the_same(chosen: list[int]) -> None:
     for mdp in (OWN_SKIP, FLAGGED):
         for policy in forms[:4]:
             check_follows(mdp, policy, chosen)
-        check_follows(mdp, Policy.from_q(mdp, np.eye(4)[chosen]), chosen)
+        check_follows(mdp, Policy.of(mdp, np.eye(4)[chosen], kind="q"), chosen)
         check_follows(mdp, Policy.of(mdp, words), chosen)
 
 
@@ -91,14 +91,14 @@ def test_files_are_the_inverse_of_writing(
     policy = Policy.of(mdp, {STATUSES[s]: ACTIONS[a] for s, a in enumerate(chosen)})
     for name in ("p.csv", "p.json"):
         policy.write(folder / name)
-        check_follows(mdp, Policy.read(folder / name, mdp), chosen)
+        check_follows(mdp, Policy.of(mdp, folder / name), chosen)
         check_follows(mdp, Policy.of(mdp, str(folder / name)), chosen)
     np.save(folder / "q.npy", np.eye(4)[chosen])
-    check_follows(mdp, Policy.read(folder / "q.npy", mdp), chosen)
+    check_follows(mdp, Policy.of(mdp, folder / "q.npy"), chosen)
     np.savez(folder / "q.npz", np.eye(4)[chosen])
-    check_follows(mdp, Policy.read(folder / "q.npz", mdp), chosen)
+    check_follows(mdp, Policy.of(mdp, folder / "q.npz"), chosen)
     np.savez(folder / "more.npz", visits=np.zeros(3), q=np.eye(4)[chosen])
-    check_follows(mdp, Policy.read(folder / "more.npz", mdp), chosen)
+    check_follows(mdp, Policy.of(mdp, folder / "more.npz"), chosen)
 
 
 @settings(max_examples=30, deadline=None)
@@ -118,7 +118,7 @@ def test_a_mixed_policy_over_all_columns_survives_its_file(
     policy = Policy.by(mdp, mdp.space.names, table)
     path = tmp_path_factory.mktemp("policy") / "mixed.csv"
     policy.write(path)
-    again = Policy.read(path, mdp)
+    again = Policy.of(mdp, path)
     assert again.weights(mdp).tolist() == policy.weights(mdp).tolist()
     assert again.columns == mdp.space.names
     weights = policy.weights(mdp)
@@ -133,11 +133,11 @@ def test_a_mixed_status_policy_as_json(tmp_path: Path) -> None:
     content["0110"] = {"directive": 0.25, "supportive": "3/4"}
     path = tmp_path / "mixed.json"
     path.write_text(json.dumps(content), encoding="utf-8")
-    policy = Policy.read(path, MDP_1)
+    policy = Policy.of(MDP_1, path)
     assert not policy.deterministic
     assert policy.table[6].tolist() == [0, 0.75, 0, 0.25]
     policy.write(tmp_path / "again.json")
-    assert Policy.read(tmp_path / "again.json", MDP_1).table.tolist() == policy.table.tolist()
+    assert Policy.of(MDP_1, tmp_path / "again.json").table.tolist() == policy.table.tolist()
     status = status_of(MDP_1)[MDP_1.pair_state]
     weights = policy.weights(MDP_1)[status == 6].reshape(-1, 4)
     assert weights.tolist() == [[0, 0.75, 0, 0.25]] * len(weights)
@@ -212,41 +212,41 @@ def test_an_action_that_is_not_offered() -> None:
 @given(st.lists(numbers, min_size=9, max_size=9))
 def test_a_q_table_is_greedy_over_what_is_offered(values: list[float]) -> None:
     table = np.array(values).reshape(3, 3)
-    chosen = Policy.from_q(PLAIN, table).choices(PLAIN).tolist()
+    chosen = Policy.of(PLAIN, table, kind="q").choices(PLAIN).tolist()
     for state in range(3):
         offered = [int(PLAIN.pair_action[pair]) for pair in PLAIN.pairs_of(state)]
         assert chosen[state] == max(offered, key=lambda a: (table[state, a], -a))
 
 
 def test_ties_go_to_the_lowest_action() -> None:
-    check_follows(MDP_1, Policy.from_q(MDP_1, np.zeros((16, 4))), [0] * 16)
+    check_follows(MDP_1, Policy.of(MDP_1, np.zeros((16, 4)), kind="q"), [0] * 16)
     table = np.tile([0.0, 1.0, 1.0, 1.0], (16, 1))
-    check_follows(MDP_1, Policy.from_q(MDP_1, table), [1] * 16)
+    check_follows(MDP_1, Policy.of(MDP_1, table, kind="q"), [1] * 16)
     table[4] = [-np.inf, -np.inf, 3, 3]
-    check_follows(MDP_1, Policy.from_q(MDP_1, table), [1, 1, 1, 1, 2, *[1] * 11])
+    check_follows(MDP_1, Policy.of(MDP_1, table, kind="q"), [1, 1, 1, 1, 2, *[1] * 11])
 
 
 def test_nan_matters_only_where_it_could_be_chosen() -> None:
     table = np.zeros((3, 3))
     table[0, 1] = table[1, 0] = np.nan
-    assert Policy.from_q(PLAIN, table).choices(PLAIN).tolist() == [0, 1, 0]
+    assert Policy.of(PLAIN, table, kind="q").choices(PLAIN).tolist() == [0, 1, 0]
     table[2, 1] = np.nan
     with pytest.raises(ModelError, match=r"NaN(.|\n)*state z"):
-        Policy.from_q(PLAIN, table)
+        Policy.of(PLAIN, table, kind="q")
     with pytest.raises(ModelError, match=r"NaN(.|\n)*status 0010"):
-        Policy.from_q(MDP_1, np.where(np.arange(16)[:, None] == 2, np.nan, 0) * np.ones(4))
+        Policy.of(MDP_1, np.where(np.arange(16)[:, None] == 2, np.nan, 0) * np.ones(4), kind="q")
 
 
 @pytest.mark.parametrize("shape", [(4, 16), (16, 5), (17, 4), (16,), (16, 4, 1), (0, 4), ()])
 def test_q_tables_of_other_shapes(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ModelError, match=r"\(65, 4\) over all states or \(16, 4\) over the stat"):
-        Policy.from_q(MDP_1, np.zeros(shape))
+    with pytest.raises(ModelError, match=r"\(65, 4\) (over|prob)|not floats"):
+        Policy.of(MDP_1, np.zeros(shape), kind="q")
 
 
 def test_a_status_table_leaves_skip_out() -> None:
     """Where *skip* is an action of its own, a table over statuses still has four columns."""
     assert OWN_SKIP.n_actions == 5
-    check_follows(OWN_SKIP, Policy.from_q(OWN_SKIP, np.eye(4)[[2] * 16]), [2] * 16)
+    check_follows(OWN_SKIP, Policy.of(OWN_SKIP, np.eye(4)[[2] * 16], kind="q"), [2] * 16)
 
 
 # ---- objects that are refused ------------------------------------------------
@@ -318,9 +318,9 @@ def test_only_actions_offered_count_where_a_value_is_minus_infinity(unoffered: f
     mdp = MDP.from_outcomes(rows)
     for own, best in (([-np.inf, 2.0], 2), ([2.0, -np.inf], 0), ([-1e300, -np.inf], 0)):
         table = np.array([[own[0], unoffered, own[1]], [0, 0, 0]])
-        assert Policy.from_q(mdp, table).choices(mdp)[0] == best
+        assert Policy.of(mdp, table, kind="q").choices(mdp)[0] == best
     with pytest.raises(ModelError, match="every action offered has the value -inf"):
-        Policy.from_q(mdp, np.array([[-np.inf, unoffered, -np.inf], [0, 0, 0]]))
+        Policy.of(mdp, np.array([[-np.inf, unoffered, -np.inf], [0, 0, 0]]), kind="q")
 
 
 # ---- files that are refused, and those that are read all the same -----------
@@ -399,7 +399,7 @@ def test_files_that_are_no_policy(tmp_path: Path, name: str) -> None:
     path = tmp_path / file
     path.write_text(content, encoding="utf-8")
     with pytest.raises(ModelError) as caught:
-        Policy.read(path, MDP_1)
+        Policy.of(MDP_1, path)
     assert message in str(caught.value)
     assert caught.value.fix
 
@@ -407,7 +407,7 @@ def test_files_that_are_no_policy(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["p\0.json", "p\0.csv", "p\0.npy", f"{'p' * 5000}.json"])
 def test_names_that_no_file_can_have(name: str) -> None:
     with pytest.raises(ModelError):
-        Policy.read(name, MDP_1)
+        Policy.of(MDP_1, name)
 
 
 @pytest.mark.parametrize(
@@ -417,14 +417,14 @@ def test_arrays_that_are_no_numbers(tmp_path: Path, array: Any) -> None:
     path = tmp_path / "q.npy"
     np.save(path, array, allow_pickle=True)
     with pytest.raises(ModelError):
-        Policy.read(path, MDP_1)
+        Policy.of(MDP_1, path)
 
 
 def test_archives_of_several_arrays(tmp_path: Path) -> None:
     path = tmp_path / "q.npz"
     np.savez(path, first=np.zeros((16, 4)), second=np.zeros((16, 4)))
     with pytest.raises(ModelError, match="holds first, second"):
-        Policy.read(path, MDP_1)
+        Policy.of(MDP_1, path)
 
 
 def test_files_as_editors_leave_them(tmp_path: Path) -> None:
@@ -432,10 +432,10 @@ def test_files_as_editors_leave_them(tmp_path: Path) -> None:
     text = GOOD_CSV.replace("\n", "\r\n").replace("0001,none", " 0001 , directive ") + "\r\n\r\n"
     path = tmp_path / "p.csv"
     path.write_bytes(text.encode("utf-8-sig"))
-    check_follows(MDP_1, Policy.read(path, MDP_1), [0, 3, *[0] * 14])
+    check_follows(MDP_1, Policy.of(MDP_1, path), [0, 3, *[0] * 14])
     path = tmp_path / "p.json"
     path.write_bytes(GOOD_JSON.encode("utf-8-sig"))
-    check_follows(MDP_1, Policy.read(path, MDP_1), [0] * 16)
+    check_follows(MDP_1, Policy.of(MDP_1, path), [0] * 16)
 
 
 def test_columns_in_any_order(tmp_path: Path) -> None:
@@ -444,7 +444,7 @@ def test_columns_in_any_order(tmp_path: Path) -> None:
     ]
     path = tmp_path / "p.csv"
     path.write_text("action,status,trial\n" + "\n".join(reversed(lines)), encoding="utf-8")
-    policy = Policy.read(path, MDP_1)
+    policy = Policy.of(MDP_1, path)
     trial = MDP_1.space.values("trial")
     chosen = policy.choices(MDP_1)
     assert chosen[:-1].tolist() == [3 * (t == 1) for t in trial[:-1].tolist()]

@@ -88,7 +88,7 @@ def test_a_file_by_state(tmp_path: Path, name: str) -> None:
     first, line, last, read_as = LINES[name]
     lines = (line.format(s=s, row=s // 4, column=s % 4) for s in range("json" in name, 16))
     (tmp_path / name).write_text(first + "".join(lines) + last)
-    policy = Policy.read(tmp_path / name, LAKE, kind="q" if read_as == "q" else "auto")
+    policy = Policy.of(LAKE, tmp_path / name, kind="q" if read_as == "q" else "auto")
     assert policy.read_as == read_as
     assert (policy.weights(LAKE) == Policy.always(LAKE, "DOWN").weights(LAKE)).all()
 

@@ -137,7 +137,7 @@ def test_tables_over_states_and_over_times_are_both_policies() -> None:
     for given in (
         first,
         one_hot[0],
-        Policy.from_q(mdp, whole[0]),
+        Policy.of(mdp, whole[0], kind="q"),
         {str(s): str(a) for s, a in enumerate(first)},
     ):
         assert evaluate(mdp, given, horizon=steps).mean == pytest.approx(wanted, abs=1e-12)

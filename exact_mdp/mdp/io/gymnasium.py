@@ -14,7 +14,7 @@ an episode may also pass through such a state alive, or start in it (Taxi with t
 destination), its rows stay as they are and the terminated outcomes lead to one more state, "end",
 appended behind the others. Either way the optimal values of all states that `P` numbers, ends
 excepted, are those of the equation above; a Q-table of the environment's own shape is read by
-`Policy.from_q`.
+`Policy.of`.
 
 Without a table, `dynamics` with matrices `tx_mat` and `r_mat` (S, A, S) will do, as ICU-Sepsis has
 them (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).

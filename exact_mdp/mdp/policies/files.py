@@ -44,7 +44,7 @@ class Form(NamedTuple):
 
 
 def read(path: str | Path, model: MDP, kind: str = "auto") -> list[Form]:
-    """Return what a `.json` or `.csv` file says; see `Policy.read`."""
+    """Return what a `.json` or `.csv` file says; see `Policy.of`."""
     where, suffix = str(path), Path(path).suffix.lower()
     if suffix == ".json":
         content = json_of(

@@ -629,34 +629,6 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return cls(**action_numbers(model, numbers_of(choices)))
 
     @classmethod
-    def from_q(cls, model: MDP, table: ArrayLike) -> Policy:
-        """Return the greedy policy of a Q-table; the lowest action number wins a tie.
-
-        Parameters
-        ----------
-        model : MDP
-        table : (S, A) over all states, or (2^n, A) over the status vectors
-            Action values, compared as they are; only the actions that a state offers count. Extra
-            states (the end) may be left out where they offer no choice. See `mdp.policies.arrays`.
-
-        Returns
-        -------
-        Policy
-
-        Raises
-        ------
-        ModelError
-            For another shape, and for rows from which no action can be chosen.
-
-        Examples
-        --------
-        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0])
-        >>> Policy.from_q(mdp, [[1.5, 2.5], [0, 0]]).tolist()
-        [1, 0]
-        """
-        return cls(**policy_of_array(model, numbers_of(table), "q"))
-
-    @classmethod
     def by(cls, model: MDP, columns: Sequence[str], table: ArrayLike) -> Policy:
         """Return a policy that reads the named columns.
 
@@ -692,37 +664,6 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 fix="use the model's action numbers",
             )
         return cls(space=space, actions=model.actions, rule=array)
-
-    @classmethod
-    def read(cls, path: str | Path, model: MDP, *, kind: str = "auto") -> Policy:
-        """Read a policy or Q-table from `.json`, `.csv`, `.npy` or `.npz`; see the README.
-
-        Parameters
-        ----------
-        path : str or path
-        model : MDP
-        kind : "auto", "q" or "policy"
-            As for `of`.
-
-        Returns
-        -------
-        Policy
-
-        Raises
-        ------
-        ModelError
-            Where the file cannot be read, or does not fit the model.
-
-        Examples
-        --------
-        >>> from tempfile import TemporaryDirectory
-        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0])
-        >>> with TemporaryDirectory() as folder:
-        ...     np.save(f"{folder}/policy.npy", [1, 0])
-        ...     Policy.read(f"{folder}/policy.npy", mdp).tolist()
-        [1, 0]
-        """
-        return cls.of(model, Path(path), kind=kind)
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads one column alone) `.json`, atomically.

@@ -201,7 +201,7 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
         assert held["q"].shape == (241, 4)
         assert np.nanmax(held["q"], axis=1) == pytest.approx(held["value"])
         chosen = Policy.from_choices(mdp, held["policy"])
-    assert (chosen.choices(mdp) == Policy.read(policy, mdp).choices(mdp)).all()
+    assert (chosen.choices(mdp) == Policy.of(mdp, policy).choices(mdp)).all()
 
 
 # ---- evaluate, returns, simulate -------------------------------------------------------------

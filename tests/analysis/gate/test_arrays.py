@@ -139,7 +139,7 @@ def test_q_tables_are_compared_as_they_are(mdp: MDP, dtype: Any, tmp_path: Path)
     for form in forms:
         audit = check(mdp, form)
         assert (audit.read_as, audit.passed) == ("q", True)
-        assert Policy.from_q(mdp, table).choices(mdp).tolist()[:2] == [0, 1]
+        assert Policy.of(mdp, table, kind="q").choices(mdp).tolist()[:2] == [0, 1]
 
 
 def test_numbers_beyond_floats_are_compared_too(mdp: MDP) -> None:
@@ -244,9 +244,9 @@ def test_every_form_of_a_policy_and_of_a_q_table(tmp_path: Path) -> None:
     others = [by_name, Policy.of(mdp, by_name), greedy[keys], np.eye(4)[greedy[keys]]]
     others += [tmp_path / "policy.json", str(tmp_path / "policy.csv")]
     others += [np.eye(4, dtype=int)[greedy[keys]]]
-    run = SimpleNamespace(q=q, policy=lambda mdp: Policy.from_q(mdp, q))
+    run = SimpleNamespace(q=q, policy=lambda mdp: Policy.of(mdp, q, kind="q"))
     expected = check(mdp, by_name).regret.at_start
-    for learned in (*tables, run, Policy.from_q(mdp, q)):  # which knows its Q-table
+    for learned in (*tables, run, Policy.of(mdp, q, kind="q")):  # which knows its Q-table
         audit = check(mdp, learned)
         assert audit.regret.at_start == expected
         assert audit.q_error is not None

@@ -24,7 +24,7 @@ TWO = ("anger", "done=subtask-complete-1/2*trial")
 def as_read(mdp: MDP, folder: Path, policy: object) -> Policy:
     """The policy that a file with a part of the JSON says."""
     (folder / "own.json").write_text(json.dumps(policy), encoding="utf-8")
-    return Policy.read(folder / "own.json", mdp)
+    return Policy.of(mdp, folder / "own.json")
 
 
 def test_a_front_as_json(tmp_path: Path) -> None:

@@ -38,10 +38,10 @@ READERS: dict[str, Callable[[Path], object]] = {
     "load.umb": read_model,
     "load.toml": read_model,
     "scenario.toml": Scenario.load,
-    "policy.csv": lambda path: Policy.read(path, MODEL),
-    "policy.json": lambda path: Policy.read(path, MODEL),
-    "policy.npy": lambda path: Policy.read(path, MODEL),
-    "policy.npz": lambda path: Policy.read(path, MODEL),
+    "policy.csv": lambda path: Policy.of(MODEL, path),
+    "policy.json": lambda path: Policy.of(MODEL, path),
+    "policy.npy": lambda path: Policy.of(MODEL, path),
+    "policy.npz": lambda path: Policy.of(MODEL, path),
     "array.npy": lambda path: read_array(path, called="q"),
     "perception.csv": lambda path: read_perception(path, CARE),
     "perception.toml": lambda path: read_perception(path, CARE),
@@ -142,7 +142,7 @@ def refused(content: bytes, name: str, folder: Path) -> str:
     path = folder / name
     path.write_bytes(content)
     with pytest.raises(ModelError) as caught:
-        Policy.read(path, MODEL)
+        Policy.of(MODEL, path)
     assert caught.value.where.startswith(str(path))
     assert "pickle" not in str(caught.value)
     return caught.value.what

@@ -150,7 +150,7 @@ CSV = "status,action,probability\n" + "".join(f"{status},none,1\n" for status in
 
 
 def read_policy(path: Path, mdp: MDP = CARE) -> None:
-    policy = Policy.read(path, mdp)
+    policy = Policy.of(mdp, path)
     weights = policy.weights(mdp)
     assert np.add.reduceat(weights, mdp.pair_offsets[:-1]) == pytest.approx(1)
 

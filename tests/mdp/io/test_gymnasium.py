@@ -108,7 +108,7 @@ def test_a_q_table_of_the_environments_shape_is_a_policy(name: str) -> None:
     assert action_values.shape == (env.observation_space.n, env.action_space.n)
     mdp = MDP.from_gymnasium(env, 0.9)
     greedy = action_values.argmax(axis=1)
-    for policy in (Policy.from_q(mdp, action_values), Policy.of(mdp, greedy)):
+    for policy in (Policy.of(mdp, action_values, kind="q"), Policy.of(mdp, greedy)):
         chosen = policy.choices(mdp)[: len(table)]
         free = ~mdp.forced[: len(table)]
         assert chosen[free].tolist() == greedy[free].tolist()

@@ -37,7 +37,7 @@ def test_outcomes_are_exact_values_of_what_was_learned(care: MDP, runs: list[Tra
     best = solve(care).start_value
     for run, regret, final in zip(runs, found.regret, found.final, strict=True):
         assert np.array_equal(found.policies[final], run.final)
-        greedy = Policy.from_q(care, run.q)
+        greedy = Policy.of(care, run.q, kind="q")
         assert np.array_equal(greedy.table.argmax(axis=1), run.final)
         assert regret == pytest.approx(best - evaluate(care, greedy).mean, abs=1e-9)
     assert found.counts.sum() == len(runs)
