@@ -2,8 +2,7 @@
 
 A draw sets some parameters of a scenario; the others keep their value. Each draw is solved by
 backward induction over subtasks and trials, or policies are evaluated in it, by compiled loops that
-never form the model (see `solvers.kernels.care`; the rules are those of `mdp.care.rules`). Draws
-are given to threads in blocks; no result depends on its block.
+never form the model (see `solvers.kernels.care`; the rules are those of `mdp.care.rules`).
 
 Rounding. An exact chance is a sum of n numbers, cut off at 1, and a law a product of n chances: as
 computed, its row is off by at most κ = 2 n γ(n) + γ(2n + 1) in the sum of absolute values. A stage
@@ -19,16 +18,14 @@ The bound holds before anything is computed, and is some hundred times what is s
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.care.laws import chances, warn_of_excess
+from exact_mdp.mdp.care.laws import chances
 from exact_mdp.mdp.care.rules import PLACES, Rules
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, suggest
@@ -42,7 +39,6 @@ if TYPE_CHECKING:
 
 MOST_STATUSES = 6
 MOST_ACTIONS = 127  # of which optimal ones can be kept, as int8
-BLOCK = 512  # draws, or policies, that a thread takes at a time
 EVENTS = ("complete", "fail", "skip")
 
 
@@ -68,12 +64,6 @@ class CareValues:
     error: Floats
     gaps: Floats | None
     actions: NDArray[np.int8] | None
-
-    def optimal(self, tolerance: float = 0.0) -> NDArray[np.bool_]:
-        """Return (D, V, A) whether an action loses at most `tolerance` at subtask 0, trial 0."""
-        if self.gaps is None:
-            raise ModelError("gaps were not kept", where="optimal", fix="ask for gaps=True")
-        return np.asarray(self.gaps <= tolerance)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -240,18 +230,8 @@ class Batch:
             found |= total > 1 + 2.0**-50
         return found
 
-    def warn(self) -> None:
-        """Warn once, of the first draw in which a chance is cut off at 1, with their number."""
-        cut = self.cut()
-        if cut.any():
-            first = int(cut.argmax())
-            drawn = dict(zip(self.names, self.draws[first].tolist(), strict=True))
-            where = f", {int(cut.sum())} of {len(cut)} draws, the first of them draw {first}"
-            there = self.scenario.with_(parameters=drawn)
-            warn_of_excess(there, where=where if self.names else "", stacklevel=3)
-
     def room(self) -> Room:
-        """Return arrays to work in, for one thread."""
+        """Return arrays to work in."""
         care = self.care
         vectors, rows = len(care.bits), care.step.shape[1]
         from exact_mdp.solvers.kernels import care as loops
@@ -271,32 +251,6 @@ class Batch:
             here=np.zeros((2, care.flags, vectors)),
         )
         return room
-
-    def in_blocks(
-        self,
-        work: Callable[[int, int, Any], None],
-        count: int,
-        threads: int | None,
-        size: int = BLOCK,
-    ) -> None:
-        """Call `work` (first, last, room) for blocks of 0 … count-1, in threads."""
-        if threads is None:
-            cores = getattr(os, "sched_getaffinity", None)
-            threads = len(cores(0)) if cores else 1
-        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-            raise ModelError(
-                f"threads is {threads!r}", where="threads", fix="give a whole number > 0"
-            )
-        firsts = range(0, count, size)
-        if threads == 1 or len(firsts) == 1:
-            work(0, count, self.room())
-            return
-        with ThreadPoolExecutor(min(threads, len(firsts))) as pool:
-            tasks = [
-                pool.submit(work, first, min(first + size, count), self.room()) for first in firsts
-            ]
-            for task in tasks:
-                task.result()
 
     def policies(self, policies: ArrayLike) -> tuple[Numbers, Floats]:
         """Return policies as (N, G, V) actions or (N, G, V, A) shares, the other one empty."""
@@ -363,8 +317,6 @@ def optimal(
     *,
     gaps: bool = False,
     actions: bool = False,
-    threads: int | None = None,
-    warn: bool = True,
 ) -> CareValues:
     """Return the optimum of a scenario at every draw of some of its parameters.
 
@@ -376,10 +328,6 @@ def optimal(
         Left out: the scenario's own values, D = 1.
     gaps, actions : bool
         Whether to keep them.
-    threads : int, optional
-        All cores that this process may use, unless given. Results are the same bits.
-    warn : bool
-        Whether a `mdp.ScenarioWarning` says in how many draws a chance is cut off at 1.
 
     Returns
     -------
@@ -395,12 +343,10 @@ def optimal(
     --------
     >>> scenario = Scenario.load("yuan2025")
     >>> found = optimal(scenario, ["base.anger"], [[0.05], [0.1]], gaps=True)
-    >>> found.start.round(6).tolist(), found.optimal()[0, 0].tolist()
-    ([146.235871, 143.338709], [False, False, True, False])
+    >>> found.start.round(6).tolist(), found.gaps[0, 0].argmin().item()
+    ([146.235871, 143.338709], 2)
     """
     batch = Batch(model, names, draws)
-    if warn:
-        batch.warn()
     care, count = batch.care, len(batch.draws)
     error, _ = batch.errors()
     vectors, number = len(care.bits), len(care.assist)
@@ -417,11 +363,8 @@ def optimal(
 
     from exact_mdp.solvers.kernels import care as loops
 
-    def block(first: int, last: int, room: Room) -> None:
-        drawn = (care, batch.base, batch.positions, batch.draws, first, last)
-        loops.optimal_values(*drawn, room, start, kept, taken)
-
-    batch.in_blocks(block, count, threads)
+    drawn = (care, batch.base, batch.positions, batch.draws)
+    loops.optimal_values(*drawn, batch.room(), start, kept, taken)
     for array in (start, error, kept, taken):
         array.setflags(write=False)
     return CareValues(
@@ -436,14 +379,12 @@ def policy_values(
     policies: ArrayLike,
     *,
     second_moment: bool = False,
-    threads: int | None = None,
-    warn: bool = True,
 ) -> PolicyMoments:
     """Return mean, and variance, of the return of every policy in every draw.
 
     Parameters
     ----------
-    model, names, draws, threads, warn
+    model, names, draws
         As in `optimal`.
     policies : (N, V) or (N, K, trials, flags, V) ints, or the same with a last axis A of floats
         Actions by status vector, or by state; with the axis A, probabilities of actions.
@@ -467,9 +408,7 @@ def policy_values(
     ([[-57.695564, 18.697715, 68.335496, 64.363644]], 92.4196)
     """
     batch = Batch(model, names, draws)
-    if warn:
-        batch.warn()
-    return _moments(batch, policies, [len(batch.care.places)], second_moment, threads)[0]
+    return _moments(batch, policies, [len(batch.care.places)], second_moment)[0]
 
 
 def policy_values_of_last(
@@ -480,8 +419,6 @@ def policy_values_of_last(
     lengths: Sequence[int],
     *,
     second_moment: bool = False,
-    threads: int | None = None,
-    warn: bool = True,
 ) -> list[PolicyMoments]:
     """Return what `policy_values` does, of the last k subtasks alone, for every length k.
 
@@ -496,8 +433,6 @@ def policy_values_of_last(
     True
     """
     batch = Batch(model, names, draws)
-    if warn:
-        batch.warn()
     subtasks = len(batch.care.places)
     if not all(1 <= length <= subtasks for length in lengths):
         raise ModelError(
@@ -509,15 +444,11 @@ def policy_values_of_last(
         raise ModelError(
             "policies by state, of another task", where="lengths", fix="give them by status"
         )
-    return _moments(batch, policies, lengths, second_moment, threads)
+    return _moments(batch, policies, lengths, second_moment)
 
 
 def _moments(
-    batch: Batch,
-    policies: ArrayLike,
-    lengths: Sequence[int],
-    second: bool,
-    threads: int | None,
+    batch: Batch, policies: ArrayLike, lengths: Sequence[int], second: bool
 ) -> list[PolicyMoments]:
     """Return the moments of the last k subtasks, for every length k."""
     chosen, shares = batch.policies(policies)
@@ -527,18 +458,11 @@ def _moments(
     rows = 1 if set(lengths) == {subtasks} else subtasks
     mean = np.empty((rows, count, many))
     variance = np.empty((rows, count, many) if second else (rows, 0, 0))
-    by_draw = count >= many
 
     from exact_mdp.solvers.kernels import care as loops
 
-    def block(first: int, last: int, room: Room) -> None:
-        drawn = (first, last) if by_draw else (0, count)
-        some = (0, many) if by_draw else (first, last)
-        care = (batch.care, batch.base, batch.positions, batch.draws, *drawn)
-        loops.policy_moments(*care, chosen, shares, *some, room, second, mean, variance)
-
-    few, most = sorted((count, many))
-    batch.in_blocks(block, most, threads, 1 + BLOCK // few)
+    care = (batch.care, batch.base, batch.positions, batch.draws)
+    loops.policy_moments(*care, chosen, shares, batch.room(), second, mean, variance)
     for array in (mean, variance, *(each for pair in errors for each in pair)):
         array.setflags(write=False)
     return [

@@ -155,7 +155,6 @@ def test_draws_a_second(benchmark: Any, show: Callable[..., None]) -> None:
         assert abs(theirs - found.start[number]) < 1e-4
     benchmark.pedantic(optimal, args=(SCENARIO, NAMES, draws), rounds=3)
     ours = fastest(lambda: optimal(SCENARIO, NAMES, draws)) / DRAWS
-    alone = fastest(lambda: optimal(SCENARIO, NAMES, draws, threads=1)) / DRAWS
     methods = ("policy_iteration", "modified_policy_iteration", "value_iteration")
     theirs = {
         method: fastest(lambda m=method: [peer.solve(method=m) for peer in peers]) / PEER_DRAWS
@@ -166,7 +165,6 @@ def test_draws_a_second(benchmark: Any, show: Callable[..., None]) -> None:
     figures = {
         f"seconds for {DRAWS:,} draws": ours * DRAWS,
         "microseconds a draw": 1e6 * ours,
-        "microseconds a draw, one thread": 1e6 * alone,
         **{f"microseconds a draw, quantecon {m}": 1e6 * s for m, s in theirs.items()},
         "microseconds a draw, compile and solve": 1e6 * anew,
         "quantecon's best / ours": best / ours,
@@ -184,10 +182,10 @@ def test_policies_a_second(benchmark: Any, show: Callable[..., None]) -> None:
         scenario = SCENARIO.with_(readings=readings)
 
         def work(scenario: Scenario = scenario) -> object:
-            return policy_values(scenario, (), None, policies, second_moment=True, threads=1)
+            return policy_values(scenario, (), None, policies, second_moment=True)
 
         work()
-        name = f"microseconds a policy, one thread, {readings or 'default readings'}"
+        name = f"microseconds a policy, {readings or 'default readings'}"
         figures[name] = 1e6 * fastest(work, 5) / len(policies)
     benchmark.pedantic(work, rounds=3)
     show(figures)

@@ -223,21 +223,19 @@ def optimal_values(
     base: Floats,
     positions: Numbers,
     draws: Floats,
-    first: int,
-    last: int,
     room: Room,
     start: Floats,
     gaps: Floats,
     actions: Numbers,
 ) -> None:
-    """Solve draws `first` to `last`-1 of `draws` (D, Q).
+    """Solve all draws (D, Q).
 
     `base` (P+2,) holds parameters, 0, discount; `positions` (Q,) says which of them are drawn.
     `start`, `gaps` and `actions` are those of `solvers.care.CareValues`, empty where not wanted.
     """
     vectors, rows, number = care.bits.shape[0], care.step.shape[1], len(care.assist)
     vector, law, q = room.vector, room.law, room.q
-    for d in range(first, last):
+    for d in range(len(draws)):
         discount = place(care, base, positions, draws[d], room)
         room.ahead[:] = 0.0
         for k in range(len(care.places) - 1, -1, -1):
@@ -329,18 +327,14 @@ def policy_moments(
     base: Floats,
     positions: Numbers,
     draws: Floats,
-    first: int,
-    last: int,
     chosen: Numbers,
     shares: Floats,
-    low: int,
-    high: int,
     room: Room,
     second: bool,
     mean: Floats,
     variance: Floats,
 ) -> None:
-    """Evaluate policies `low` to `high`-1 at draws `first` to `last`-1.
+    """Evaluate all policies at all draws.
 
     Parameters
     ----------
@@ -355,9 +349,9 @@ def policy_moments(
     vector, own = room.vector, room.own
     mixed = len(shares) > 0
     staged = (shares.shape[1] if mixed else chosen.shape[1]) > 1
-    for d in range(first, last):
+    for d in range(len(draws)):
         discount = place(care, base, positions, draws[d], room)
-        for n in range(low, high):
+        for n in range(mean.shape[2]):
             held = 0
             follow(care, room, chosen, shares, n, 0, mixed)
             room.ahead[:] = 0.0

@@ -92,13 +92,6 @@ def extent(value: Floats, ended: Numbers) -> tuple[float, float, bool]:
 
 
 @inlined
-def sharp(facts: Facts, tiny: float) -> Facts:
-    """Return the facts, with what underflow may cost."""
-    errors, leak, margin = facts.reward_error, facts.leak_error, facts.margin_error
-    return Facts(errors, leak, margin, facts.merged, tiny, facts.rounding)
-
-
-@inlined
 def remembered(policy: Known, rise: float, known: bool) -> Known:
     """Return what earlier passes left, as far as values have risen since."""
     slots, ends, indices, data, numbers, pairs, ceilings, _, _, columns, weights = policy

@@ -134,24 +134,20 @@ def test_shipped_scenarios_are_solved_as_they_are(name: str) -> None:
 
 
 @pytest.mark.parametrize(("gaps", "actions"), list(product([False, True], repeat=2)))
-def test_threads_blocks_and_what_is_kept_change_no_bit(gaps: bool, actions: bool) -> None:
+def test_the_order_of_draws_and_what_is_kept_change_no_bit(gaps: bool, actions: bool) -> None:
     names, draws = sampled(1100, seed=3)
-    one = optimal(YUAN, names, draws, gaps=True, actions=True, threads=1)
-    two = optimal(YUAN, names, draws[::-1], gaps=gaps, actions=actions, threads=2)
+    one = optimal(YUAN, names, draws, gaps=True, actions=True)
+    two = optimal(YUAN, names, draws[::-1], gaps=gaps, actions=actions)
     assert one.start.tobytes() == two.start[::-1].tobytes()
     for kept, asked, known in ((two.gaps, gaps, one.gaps), (two.actions, actions, one.actions)):
         assert (kept is not None) == asked
         assert kept is None or np.array_equal(kept[::-1], known)
 
 
-def test_threads_change_no_bit_of_many_policies() -> None:
+def test_a_policy_among_many_is_that_policy_alone() -> None:
     policies = np.random.default_rng(4).integers(0, 4, size=(1300, 16))
-    one = policy_values(YUAN, (), None, policies, second_moment=True, threads=1)
-    two = policy_values(YUAN, (), None, policies, second_moment=True, threads=2)
-    mean = policy_values(YUAN, (), None, policies[7:8])
-    assert one.mean.tobytes() == two.mean.tobytes()
-    assert one.variance.tobytes() == two.variance.tobytes()
-    assert mean.mean[0, 0] == one.mean[0, 7]
+    many = policy_values(YUAN, (), None, policies, second_moment=True)
+    assert policy_values(YUAN, (), None, policies[7:8]).mean[0, 0] == many.mean[0, 7]
 
 
 def test_a_policy_for_every_state_is_that_of_a_status_where_it_does_not_look() -> None:
@@ -280,8 +276,3 @@ def test_policies_that_change_from_stage_to_stage_are_those_of_the_explicit_mode
     assert np.allclose(pure.mean, mixed.mean, rtol=1e-12)
     assert np.allclose(pure.variance, mixed.variance, rtol=1e-10)
     assert np.allclose(np.diag(pure.mean[:, :2]), found.start, rtol=1e-12)
-
-
-def test_no_number_of_threads_is_refused() -> None:
-    with pytest.raises(ModelError, match="threads is 0"):
-        optimal(YUAN, ["base.anger"], [[0.1]], threads=0)

@@ -6,7 +6,6 @@ import warnings
 from fractions import Fraction
 from itertools import product
 
-import numpy as np
 import pytest
 from cli_runner import run
 
@@ -22,7 +21,6 @@ from exact_mdp.analysis.sensitivity import (
 from exact_mdp.mdp import Scenario, ScenarioWarning
 from exact_mdp.mdp.care.laws import chances, excess
 from exact_mdp.mdp.care.tables import READINGS
-from exact_mdp.solvers.care import optimal, policy_values
 
 SMALL = {"tasks": [1], "max_trial": 2}
 ADDITIVE = {"influence_on_present": "additive"}
@@ -75,7 +73,7 @@ def test_every_chance_above_1_is_counted(readings: dict[str, str]) -> None:
 def test_the_default_reading_warns_of_nothing() -> None:
     """Some sums are exactly 1 there, and none is more."""
     own = small()
-    assert told(own.compile) == told(lambda: optimal(own)) == []
+    assert told(own.compile) == []
 
 
 def test_compiling_names_the_state_and_the_numbers() -> None:
@@ -90,23 +88,6 @@ def test_a_warning_is_an_error_where_python_is_told_so() -> None:
         warnings.simplefilter("error")
         with pytest.raises(ScenarioWarning, match=r"cut off at 1"):
             small(**ADDITIVE).compile()
-
-
-def test_batches_say_it_too() -> None:
-    own = small(**ADDITIVE)
-    always = np.zeros((1, 16), dtype=int)
-    for work in (
-        lambda: optimal(own),
-        lambda: policy_values(own, (), None, always),
-    ):
-        (said,) = told(work)
-        assert "a chance of 1.34 is cut off at 1" in said
-
-
-def test_a_batch_says_in_how_many_draws() -> None:
-    (said,) = told(lambda: optimal(small(), ["base.anger"], [[0.05], [0.9], [0.95]]))
-    assert "2 of 3 draws, the first of them draw 1" in said
-    assert "base.anger 0.9 +" in said
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ class CareSolver:
 
     def solved(self, names: Sequence[str], draws: Floats) -> Arrays:
         """Return the optima of (D, Q) draws; see `ModelSolver.solved`."""
-        found = optimal(self.scenario, names, draws, gaps=True, actions=True, threads=1, warn=False)
+        found = optimal(self.scenario, names, draws, gaps=True, actions=True)
         assert found.gaps is not None
         assert found.actions is not None
         rows, which = distinct(found.actions.reshape(len(draws), -1))
@@ -244,7 +244,7 @@ class CareSolver:
         value = np.empty((len(draws), optimum + len(tables)))
         error = np.empty_like(value)
         if optimum:
-            best = optimal(self.scenario, names, draws, threads=1, warn=False)
+            best = optimal(self.scenario, names, draws)
             value[:, 0], error[:, 0] = best.start, best.error
         # Policies of one kind are evaluated together: pure or mixed, by status or by state.
         kinds: dict[tuple[bool, bool], list[int]] = {}
@@ -256,7 +256,7 @@ class CareSolver:
             chosen = np.stack([tables[number] for number in numbers])
             chosen = chosen[:, 0, 0, 0] if same else chosen
             chosen = chosen.argmax(axis=-1) if pure else chosen
-            found = policy_values(self.scenario, names, draws, chosen, threads=1, warn=False)
+            found = policy_values(self.scenario, names, draws, chosen)
             columns = np.array(numbers) + optimum
             value[:, columns], error[:, columns] = found.mean, found.error[:, None]
         return {"value": value, "error": error}
