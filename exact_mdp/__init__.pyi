@@ -83,7 +83,6 @@ from exact_mdp.solvers.proof.certificate import BoundedCertificate as BoundedCer
 from exact_mdp.solvers.proof.certificate import Certificate as Certificate
 from exact_mdp.solvers.proof.certify import certify as certify
 from exact_mdp.solvers.risk.tail import best_cvar as best_cvar
-from exact_mdp.solvers.robust.robust import RobustModel as RobustModel
 from exact_mdp.solvers.robust.robust import solve_robust as solve_robust
 from exact_mdp.solvers.robust.sets import Intervals as Intervals
 from exact_mdp.solvers.solution import Bounded as Bounded

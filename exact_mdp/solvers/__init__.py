@@ -9,8 +9,7 @@
 'modified-policy-iteration'
 
 A solver is whatever `solve` accepts: a name, or an object with a `name` and `solve(model)`; the
-package `dynamic` says how to add one. A model is whatever `solve` accepts, too: an MDP, a Scenario,
-or an object that brings its own algorithms as `solve_with(solver, tol)`, as robust models do.
+package `dynamic` says how to add one.
 """
 
 from exact_mdp import names_of

@@ -1,9 +1,7 @@
-"""One verb for every model and every solver: `solve`, and the list of solvers.
+"""One verb for every solver: `solve`, and the list of solvers.
 
 A solver is whatever `solve` accepts: an object with a `name` and a method `solve(model)`, see
-`solvers.dynamic`. A model is one, too: an MDP, what compiles to one (a Scenario), or
-an object that brings its own algorithms as `solve_with(solver, tol)`, as robust models do; its
-answer is the answer.
+`solvers.dynamic`.
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, numbered_in_order
@@ -45,23 +43,6 @@ SOLVERS: dict[str, type[Solver]] = {
 }
 CRITERIA = ("total", "average")
 Criterion = Literal["total", "average"]
-Found = TypeVar("Found", covariant=True)
-
-
-class SolvesItself(Protocol[Found]):
-    """A model that is no MDP and brings its own algorithms."""
-
-    def solve_with(self, solver: object, tol: float | None) -> Found:
-        """Return the solution.
-
-        Parameters
-        ----------
-        solver : object
-            As it was given to `solve`: "auto", another name, or an object with settings; a
-            ModelError names what does not apply.
-        tol : float, optional
-            The greatest error asked for.
-        """
 
 
 def mdp_of(model: object) -> MDP:
@@ -110,16 +91,8 @@ def solve(
     terminal_value: Any = ...,
     subject_to: Mapping[str, Any],
 ) -> ConstrainedSolution: ...
-@overload
 def solve(
-    model: SolvesItself[Found],
-    solver: object = ...,
-    *,
-    tol: float | None = ...,
-    horizon: int | None = ...,
-) -> Found: ...
-def solve(
-    model: object,
+    model: MDP | Scenario,
     solver: Any = "auto",
     *,
     tol: float | None = None,
@@ -136,8 +109,8 @@ def solve(
 
     Parameters
     ----------
-    model : MDP, Scenario, or a model with a method `solve_with`
-        A scenario is compiled. A robust model is solved by its own algorithm.
+    model : MDP or Scenario
+        A scenario is compiled.
     solver : Solver or str
         A solver with its settings, or a name in `SOLVERS`; "auto" takes backward induction for
         models without cycles and modified policy iteration for others.
@@ -167,9 +140,8 @@ def solve(
     Returns
     -------
     Solution
-        With limits a ConstrainedSolution; an AverageSolution of an
-        average reward, which has gain and bias; or what `solve_with` of another kind of model
-        gives.
+        With limits a ConstrainedSolution; an AverageSolution of an average reward, whose value is
+        the gain, and which has a bias.
 
     Raises
     ------
@@ -207,15 +179,6 @@ def solve(
         check_tolerance("solve", tol)
         named = PolicyIteration() if solver == "auto" else _with_settings(_named(solver), tol=tol)
         return solve_average(mdp_of(model), _with_settings(named, start=start), tol)
-    own = getattr(model, "solve_with", None)
-    if horizon is not None and not isinstance(model, MDP | Scenario):
-        raise ModelError(
-            f"{type(model).__name__} takes no horizon",
-            where="horizon",
-            fix="leave horizon out, or make the robust model of mdp.within(horizon)",
-        )
-    if own is not None:
-        return own(solver, tol)
     mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)

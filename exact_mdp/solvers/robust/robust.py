@@ -38,51 +38,9 @@ if TYPE_CHECKING:
 
 
 Nature = Literal["worst", "best"]
-Objective = Literal["max", "min"]
 SWEEPS = 30  # under one policy and one law of each row, between two questions to nature
 MOST_SWEEPS = 500
 PATIENCE = 20
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RobustModel:
-    """A model of whose rows only sets are known; `solve` takes it.
-
-    Attributes
-    ----------
-    model : MDP
-    ambiguity : Intervals, L1Ball, Likelihood, RelativeEntropy, or another `Ambiguity`
-        The set of laws of each row.
-    nature : "worst" or "best"
-        Against the agent (robust), or with it (cooperative).
-    objective : "max" or "min"
-        Whether rewards are gains or costs to the agent.
-
-    Examples
-    --------
-    >>> from exact_mdp.solvers import solve
-    >>> from exact_mdp.solvers.robust.sets import Intervals
-    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])  # worth 1 / (1 - p)
-    >>> print(solve(RobustModel(model=mdp, ambiguity=Intervals.relative(mdp, 0.2))).start)
-    1.66666666667 ± ... (bounded)
-    """
-
-    model: MDP
-    ambiguity: Ambiguity
-    nature: Nature = "worst"
-    objective: Objective | None = None
-
-    def solve_with(self, solver: object, tol: float | None) -> RobustSolution:
-        """Return what `solve_robust` gives; `solve` calls this."""
-        if solver != "auto":
-            raise ModelError(
-                "a robust model has one algorithm",
-                where="solve",
-                fix="leave the solver out; solve_robust takes max_iterations",
-            )
-        return solve_robust(
-            self.model, self.ambiguity, nature=self.nature, objective=self.objective, tol=tol
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -93,7 +51,6 @@ class RobustSolution(Result):
     ----------
     mdp : MDP
     nature : "worst" (against the agent) or "best" (with it)
-    objective : "max" or "min", what the agent is after
     value : (S,)
     state_error : (S,)
         |value - V*| is at most this, and so is |value - V^π| for the policy found here.
@@ -108,7 +65,6 @@ class RobustSolution(Result):
 
     mdp: MDP
     nature: Nature
-    objective: Objective
     value: Floats
     state_error: Floats
     pairs: Integers | None
@@ -169,7 +125,7 @@ class RobustSolution(Result):
 
     def __repr__(self) -> str:
         return (
-            f"RobustSolution({self.objective}, nature {self.nature}: start value {self.start}, "
+            f"RobustSolution({self.mdp.sense}, nature {self.nature}: start value {self.start}, "
             f"{self.iterations} iterations, {self.seconds:.3g} s; {self.status})"
         )
 
@@ -179,7 +135,6 @@ def solve_robust(
     ambiguity: Ambiguity,
     *,
     nature: Nature = "worst",
-    objective: Objective | None = None,
     policy: PolicyLike | None = None,
     tol: float | None = None,
     max_iterations: int = 100_000,
@@ -192,9 +147,6 @@ def solve_robust(
     ambiguity : Intervals, L1Ball, Likelihood, RelativeEntropy, or another `Ambiguity`
     nature : "worst" or "best"
         Against the agent (robust), or with it (cooperative).
-    objective : "max" or "min", optional
-        Whether rewards are gains or costs to the agent; to a given policy, which side is worst. The
-        sense of the model unless given.
     policy : PolicyLike, optional
         Hold this policy instead of choosing the best.
     tol : float, optional
@@ -221,16 +173,15 @@ def solve_robust(
     >>> print(solve_robust(mdp, Intervals.relative(mdp, 0.2)).start)
     1.66666666667 ± ... (bounded)
     """
-    started, aim = perf_counter(), objective or model.sense
-    for word, known in ((nature, ("worst", "best")), (aim, ("max", "min"))):
-        if word not in known:
-            raise ModelError(f"unknown {word!r}", where="robust", fix=f"say {' or '.join(known)}")
+    started = perf_counter()
+    if nature not in ("worst", "best"):
+        raise ModelError(f"unknown nature {nature!r}", where="robust", fix="say worst or best")
     ambiguity.check(model)
     game = Game(
         mdp=model,
         ambiguity=ambiguity,
-        against=(nature == "worst") == (aim == "max"),
-        most=aim == "max",
+        against=(nature == "worst") == (model.sense == "max"),
+        most=model.sense == "max",
         weights=None if policy is None else PolicyChain.of(model, policy).weights,
     )
     if tol is not None and not 0 < tol < np.inf:
@@ -250,7 +201,6 @@ def solve_robust(
     solution = RobustSolution(
         mdp=model,
         nature=nature,
-        objective="max" if game.most else "min",
         value=np.array(end.value),
         state_error=np.asarray(end.error * end.weight * SLACK),
         pairs=pairs,

@@ -19,7 +19,7 @@ from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.solvers import PrecisionWarning, SolverError, evaluate, solve
 from exact_mdp.solvers.robust.bounds import Game, margins, robust_bounds
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
-from exact_mdp.solvers.robust.robust import RobustModel, RobustSolution, solve_robust
+from exact_mdp.solvers.robust.robust import RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Inner, Intervals, L1Ball
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -67,15 +67,14 @@ def exact_values(mdp: MDP, share: Fraction, objective: str, nature: str, weights
 def test_the_care_model_in_rationals(objective, nature, share) -> None:
     mdp = SMALL.compile()
     right = exact_values(mdp, share, objective, nature)
-    found = solve_robust(mdp, Intervals.relative(mdp, share), nature=nature, objective=objective)
+    mdp = mdp.with_(sense=objective)
+    found = solve_robust(mdp, Intervals.relative(mdp, share), nature=nature)
     off = np.array([float(abs(F(v) - r)) for v, r in zip(found.value.tolist(), right, strict=True)])
     assert (off <= found.state_error).all()
     assert found.error_bound < 1e-9
     held = PolicyChain.of(mdp, "random").weights
     right = exact_values(mdp, share, objective, nature, held)
-    found = solve_robust(
-        mdp, Intervals.relative(mdp, share), nature=nature, objective=objective, policy="random"
-    )
+    found = solve_robust(mdp, Intervals.relative(mdp, share), nature=nature, policy="random")
     assert abs(found.start.value - float(right[0])) <= found.start.error
 
 
@@ -126,7 +125,8 @@ def test_order_of_values(rows: Rows, share: Fraction) -> None:
 def test_bellman_equations_by_linear_programs(rows: Rows, game: tuple[str, str]) -> None:
     mdp, (objective, nature) = rows.model(), game
     kind = Intervals.relative(mdp, F(1, 3))
-    found = solved(mdp, kind, nature=nature, objective=objective)
+    mdp = mdp.with_(sense=objective)
+    found = solved(mdp, kind, nature=nature)
     if found is None:
         return
     table, gains = mdp.table, mdp.table.gains()
@@ -170,18 +170,6 @@ def test_a_way_out_that_nature_can_close() -> None:
     )
 
 
-def test_solve_takes_a_robust_model() -> None:
-    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    sets = L1Ball(radius=0.1)
-    found = solve(RobustModel(model=mdp, ambiguity=sets, objective="min"), tol=1e-6)
-    same = solve_robust(mdp, sets, objective="min", tol=1e-6)
-    assert found.value.tolist() == same.value.tolist()
-    assert found.frame()["action"].tolist() == ["0", "0"]
-    assert found.error_bound <= 1e-6
-    with pytest.raises(ModelError, match="one algorithm"):
-        solve(RobustModel(model=mdp, ambiguity=sets), "value-iteration")
-
-
 def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
     mdp = MDP.from_arrays([[["1/3", "2/3"], ["1/7", "6/7"]]], [1, 0], "9/10")
     with pytest.raises(SolverError, match="iteration limit"):
@@ -190,9 +178,7 @@ def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
         solve_robust(mdp, L1Ball(radius=0.1), tol=1e-17)
 
 
-@pytest.mark.parametrize(
-    "choices", [{"nature": "bad"}, {"objective": "most"}, {"tol": 0}, {"tol": float("nan")}]
-)
+@pytest.mark.parametrize("choices", [{"nature": "bad"}, {"tol": 0}, {"tol": float("nan")}])
 def test_unknown_words_are_refused(choices: dict) -> None:
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     with pytest.raises(ModelError):
@@ -253,7 +239,7 @@ def test_the_price_of_robustness() -> None:
     assert found.frame()["value (reward)"].tolist() == pytest.approx(
         [1.5, 0.75, 2.25, 1, 1, 1, 2.25]
     )
-    costs = robust(risky(), Intervals.relative(risky(), "1/2"), objective="min")
+    costs = robust(risky().with_(sense="min"), Intervals.relative(risky(), "1/2"))
     assert (costs.value.value, costs.worst.value) == (1, 1)
 
 
@@ -311,7 +297,7 @@ def interval_model(case: IntervalCase) -> tuple[MDP, Intervals]:
 def test_published_answer(case: IntervalCase) -> None:
     mdp, intervals = interval_model(case)
     for (objective, nature), values in case.values.items():
-        found = solve_robust(mdp, intervals, nature=nature, objective=objective)
+        found = solve_robust(mdp.with_(sense=objective), intervals, nature=nature)
         assert found.error_bound < 1e-5
         for state, value in values.items():
             room = found.state_error[state] + case.tolerance
@@ -322,7 +308,7 @@ def test_published_answer(case: IntervalCase) -> None:
 def test_the_chain_it_returns_earns_what_it_says(case: IntervalCase) -> None:
     mdp, intervals = interval_model(case)
     for objective, nature in case.values:
-        found = solve_robust(mdp, intervals, nature=nature, objective=objective)
+        found = solve_robust(mdp.with_(sense=objective), intervals, nature=nature)
         matrix = np.eye(mdp.n_states) - mdp.discount * found.transition.toarray()
         earned = np.linalg.solve(matrix, found.reward)
         assert earned == pytest.approx(found.value, abs=1e-7 + 2 * found.error_bound)
@@ -334,10 +320,3 @@ def test_an_infinite_total_is_refused() -> None:
     with pytest.raises(ModelError, match="every episode to end") as caught:
         solve_robust(mdp, intervals)
     assert "(state 2)" in str(caught.value)
-
-
-def test_a_robust_model_takes_no_horizon() -> None:
-    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    model = RobustModel(model=mdp, ambiguity=Intervals.relative(mdp, 0.2))
-    with pytest.raises(ModelError, match="takes no horizon"):
-        solve(model, horizon=3)

@@ -31,7 +31,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
-from exact_mdp.solvers.robust.robust import Nature, Objective, RobustSolution, solve_robust
+from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball, radius_of
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -186,7 +186,6 @@ def robust(
     ambiguity: Ambiguity | None = None,
     *,
     policy: PolicyLike = "optimal",
-    objective: Objective | None = None,
 ) -> Robust:
     """Return what nature can do to a policy, and to the best policy against it.
 
@@ -197,8 +196,6 @@ def robust(
         Sets of laws; p ± 20 % of itself unless given.
     policy : PolicyLike
         The nominal policy.
-    objective : "max" or "min", optional
-        The sense of the model unless given.
 
     Returns
     -------
@@ -217,8 +214,6 @@ def robust(
     146.2359 140.7817 140.7817
     """
     sets = Intervals.relative(model, "1/5") if ambiguity is None else ambiguity
-    if objective not in (None, model.sense):
-        model = model.with_(sense=objective)
     chain = PolicyChain.of(model, policy)
 
     def held(weights: Floats, nature: Nature) -> Bounded:
