@@ -42,7 +42,7 @@ def names_of(room: str) -> tuple[list[str], Callable[[str], Any]]:
             raise AttributeError(f"module {room!r} has no attribute {name!r}")
         home, own = _HOMES[name]
         module = import_module(home)
-        return getattr(module, own) if hasattr(module, own) else import_module(f"{home}.{own}")
+        return vars(module)[own] if own in vars(module) else import_module(f"{home}.{own}")
 
     return names, load
 

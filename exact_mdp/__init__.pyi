@@ -8,16 +8,13 @@ from exact_mdp.analysis import plots as plots
 from exact_mdp.analysis.gate.check import Audit as Audit
 from exact_mdp.analysis.gate.check import assert_policy_optimal as assert_policy_optimal
 from exact_mdp.analysis.gate.check import check as check
-from exact_mdp.analysis.gate.column_policies import BestPolicy as BestPolicy
 from exact_mdp.analysis.gate.column_policies import best_policy as best_policy
-from exact_mdp.analysis.gate.comparison import PolicyComparison as PolicyComparison
 from exact_mdp.analysis.gate.comparison import compare as compare
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy as OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior as Posterior
 from exact_mdp.analysis.gate.data.robust import Robust as Robust
 from exact_mdp.analysis.learning.curves import learning_curve as learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes as outcomes
-from exact_mdp.analysis.learning.trainers import TrainerAudit as TrainerAudit
 from exact_mdp.analysis.learning.trainers import check_trainer as check_trainer
 from exact_mdp.analysis.pages.explorer import explore as explore
 from exact_mdp.analysis.perception.accuracy import accuracy_curves as accuracy_curves
@@ -49,6 +46,7 @@ from exact_mdp.mdp.care.perception import independent as independent
 from exact_mdp.mdp.care.perception import perceived as perceived
 from exact_mdp.mdp.care.scenario import Scenario as Scenario
 from exact_mdp.mdp.care.tables import READINGS as READINGS
+from exact_mdp.mdp.environment import MDPEnv as MDPEnv
 from exact_mdp.mdp.errors import DistributionError as DistributionError
 from exact_mdp.mdp.errors import ModelError as ModelError
 from exact_mdp.mdp.errors import NegativeError as NegativeError
@@ -60,6 +58,7 @@ from exact_mdp.mdp.io.load import save as save
 from exact_mdp.mdp.model import MDP as MDP
 from exact_mdp.mdp.parameter import Parameter as Parameter
 from exact_mdp.mdp.parametric.family import Family as Family
+from exact_mdp.mdp.parametric.family import Parametric as Parametric
 from exact_mdp.mdp.parametric.family import moving as moving
 from exact_mdp.mdp.parametric.family import parametric as parametric
 from exact_mdp.mdp.policies.policy import Policy as Policy
@@ -67,7 +66,6 @@ from exact_mdp.mdp.policies.policy import PolicyLike as PolicyLike
 from exact_mdp.mdp.space import Column as Column
 from exact_mdp.mdp.space import StateSpace as StateSpace
 from exact_mdp.solvers.average.certificate import AverageCertificate as AverageCertificate
-from exact_mdp.solvers.average.evaluate import AverageEvaluation as AverageEvaluation
 from exact_mdp.solvers.average.solve import AverageSolution as AverageSolution
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction as BackwardInduction
 from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel as GaussSeidel
@@ -77,6 +75,9 @@ from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration as Policy
 from exact_mdp.solvers.dynamic.stopping import Solver as Solver
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration as ValueIteration
 from exact_mdp.solvers.learning.q_learning import QLearning as QLearning
+from exact_mdp.solvers.learning.q_learning import TrainingRun as TrainingRun
+from exact_mdp.solvers.learning.schedules import Constant as Constant
+from exact_mdp.solvers.learning.schedules import Exponential as Exponential
 from exact_mdp.solvers.learning.training import train as train
 from exact_mdp.solvers.objectives.constrained import ConstrainedSolution as ConstrainedSolution
 from exact_mdp.solvers.proof.certificate import BoundedCertificate as BoundedCertificate

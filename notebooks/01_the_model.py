@@ -30,8 +30,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from exact_mdp.analysis.plots import plot_influence, plot_status_transitions, style
-from exact_mdp.mdp import Scenario
+from exact_mdp import Scenario, plots
 
 scenario = Scenario.load("yuan2025")
 mdp = scenario.compile()
@@ -74,7 +73,7 @@ pd.DataFrame(row, columns=["exact", "float", "reward", "next state"])
 # model: five trials inside a subtask, then the next subtask.
 
 # %%
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(4.2, 7.5))
     ax.spy(mdp.transition, markersize=0.35, color="black", aspect="auto")
     ax.set_xlabel("next state")
@@ -96,11 +95,11 @@ for now in range(16):
     for chance, state, _ in mdp.table.row(row):  # the end counts as status 0000
         law[now, max(mdp.space.values("status")[state], 0)] += chance
 
-with style():
+with plots.style():
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.8))
-    plot_influence(scenario, ax=left)
+    plots.plot_influence(scenario, ax=left)
     left.set_title("influence without assistance, percentage points")
-    plot_status_transitions(law, scenario.statuses, ax=right)
+    plots.plot_status_transitions(law, scenario.statuses, ax=right)
     right.set_title("after directive assistance")
     plt.show()
 
@@ -124,7 +123,7 @@ pd.DataFrame(
 # A wrong name is refused, with the nearest one:
 
 # %%
-from exact_mdp.mdp import ModelError
+from exact_mdp import ModelError
 
 try:
     scenario.with_(parameters={"base.angry": 0.1})

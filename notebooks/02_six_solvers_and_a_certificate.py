@@ -26,10 +26,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from exact_mdp.analysis.plots import plot_policy, style
-from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.solvers import SOLVERS, certify, evaluate, solve
-from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp import MDP, SOLVERS, Certificate, Scenario, certify, evaluate, plots, solve
 
 scenario = Scenario.load("yuan2025")
 mdp = scenario.compile()
@@ -57,9 +54,9 @@ table.style.format(precision=9)
 
 # %%
 solution = solve(mdp)
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(6.2, 3.8))
-    plot_policy(mdp, solution.policy, subtask=0, trial=0, ax=ax)
+    plots.plot_policy(mdp, solution.policy, subtask=0, trial=0, ax=ax)
     plt.show()
 
 # %% [markdown]

@@ -27,15 +27,9 @@
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from exact_mdp.analysis import check
-from exact_mdp.analysis.learning.curves import exact_curves, learning_curve
-from exact_mdp.analysis.learning.outcomes import outcomes
-from exact_mdp.analysis.plots import plot_distinct, plot_learning_curves, plot_value_bands, style
-from exact_mdp.mdp import Scenario
-from exact_mdp.solvers import solve
-from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp import QLearning, Scenario, check, learning_curve, outcomes, plots, solve, train
+from exact_mdp.analysis.learning.curves import exact_curves
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
-from exact_mdp.solvers.learning.training import train
 
 mdp = Scenario.load("yuan2025").compile()
 optimum = solve(mdp).start_value
@@ -63,10 +57,10 @@ runs = {
 
 # %%
 curves = {label: learning_curve(mdp, each[0], rng=1) for label, each in runs.items()}
-with style():
+with plots.style():
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.4), sharey=True)
     for ax, (label, curve) in zip(axes, curves.items(), strict=True):
-        plot_learning_curves({label: curve}, optimum=optimum, ax=ax)
+        plots.plot_learning_curves({label: curve}, optimum=optimum, ax=ax)
     axes[0].set_ylim(100, 155)
     plt.show()
 
@@ -76,10 +70,10 @@ with style():
 # The band holds the middle nine tenths of the exact values at each epoch.
 
 # %%
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(8, 3.6))
     bands = {label: exact_curves(mdp, each) for label, each in runs.items()}
-    plot_value_bands(bands, optimum=optimum, ax=ax)
+    plots.plot_value_bands(bands, optimum=optimum, ax=ax)
     plt.show()
 
 # %% [markdown]
@@ -107,9 +101,9 @@ table.round(3)
 # decaying ε. How many there are differs from run to run:
 
 # %%
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(6, 3))
-    plot_distinct(found, ax=ax)
+    plots.plot_distinct(found, ax=ax)
     plt.show()
 
 # %% [markdown]

@@ -29,14 +29,19 @@ import warnings
 import matplotlib.pyplot as plt
 import pandas as pd
 
-from exact_mdp.analysis.plots import style
-from exact_mdp.analysis.plots.psa import plot_optimal_actions
-from exact_mdp.analysis.plots.sensitivity import plot_thresholds
-from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
-from exact_mdp.analysis.sensitivity.draws.sobol import sobol
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.robust.robust import robust_curve
-from exact_mdp.mdp import Scenario, ScenarioWarning
+from exact_mdp import (
+    Scenario,
+    ScenarioWarning,
+    gradient,
+    one_way,
+    plots,
+    psa,
+    robust_curve,
+    sobol,
+    thresholds,
+    tornado,
+    two_way,
+)
 
 scenario = Scenario.load("yuan2025")
 
@@ -63,7 +68,7 @@ ranked[columns].head(10).round(4)
 # %%
 names = [name for name in ranked.index if not name.startswith(("reward", "discount"))][:12]
 found = tornado(scenario, names=names)
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(7, 4))
     found.plot(ax)
     plt.show()
@@ -82,9 +87,9 @@ looked_at = {
     "persistence.anger": ("4/5", 1),
 }
 found = {name: thresholds(scenario, name, bounds) for name, bounds in looked_at.items()}
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(7, 2.6))
-    plot_thresholds(found, ax=ax)
+    plots.plot_thresholds(found, ax=ax)
     plt.show()
 stable = {name: map(float, each.stable()) for name, each in found.items()}
 pd.DataFrame.from_dict(stable, orient="index", columns=["the policy stays from", "to"])
@@ -94,7 +99,7 @@ pd.DataFrame.from_dict(stable, orient="index", columns=["the policy stays from",
 
 # %%
 curve = one_way(scenario, "base.anger", (0, "1/2"))
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(6, 3))
     curve.plot(ax)
     plt.show()
@@ -107,7 +112,7 @@ with style():
 # %%
 bounds = {"base.anger": ("1/100", "1/4"), "base.disengagement": ("1/100", "2/5")}
 plane = two_way(scenario, *bounds, ranges=bounds, points=15)
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(5, 4))
     plane.plot(ax)
     plt.show()
@@ -126,10 +131,10 @@ with style():
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", ScenarioWarning)
     drawn = psa(scenario, 20_000, rng=0, effective_sample_size=20)
-with style():
+with plots.style():
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4))
     drawn.plot(left)
-    plot_optimal_actions(drawn, ax=right)
+    plots.plot_optimal_actions(drawn, ax=right)
     plt.show()
 worth = drawn.evpi()
 print(f"EVPI, at least {worth.low}, at most {worth.high}")
@@ -146,7 +151,7 @@ print(f"EVPI, at least {worth.low}, at most {worth.high}")
 # %%
 probabilities = [name for name in scenario.names if not name.startswith("reward")]
 indices = sobol(scenario, names=probabilities, n=512, rng=0)
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(7, 4))
     indices.plot(ax)
     plt.show()
@@ -159,7 +164,7 @@ with style():
 
 # %%
 curve = robust_curve(scenario.compile(), "l1", [k / 10 for k in range(0, 13, 2)])
-with style():
+with plots.style():
     figure, ax = plt.subplots(figsize=(6, 3.4))
     curve.plot(ax)
     plt.show()

@@ -28,11 +28,16 @@ from pathlib import Path
 
 import pandas as pd
 
-from exact_mdp.analysis import best_policy, explore
-from exact_mdp.analysis.plots import style
-from exact_mdp.analysis.sensitivity import thresholds
-from exact_mdp.mdp import ModelError, Scenario
-from exact_mdp.solvers import certify, evaluate
+from exact_mdp import (
+    ModelError,
+    Scenario,
+    best_policy,
+    certify,
+    evaluate,
+    explore,
+    plots,
+    thresholds,
+)
 
 text = """
 name = "shoes"
@@ -138,7 +143,7 @@ explored
 
 # %%
 found = thresholds(scenario, "base.frustration", (0, "7/10"))
-with style():
+with plots.style():
     found.plot()
 found
 

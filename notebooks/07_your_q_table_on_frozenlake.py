@@ -23,9 +23,7 @@
 import gymnasium
 import numpy as np
 
-from exact_mdp import MDP, check, evaluate, solve
-from exact_mdp.analysis import explore
-from exact_mdp.analysis.plots import style
+from exact_mdp import MDP, check, evaluate, explore, plots, solve
 
 
 def q_learning(env, episodes, discount, rng):
@@ -67,7 +65,7 @@ print("yours:        ", audit.regret.learned)
 audit.frame()
 
 # %%
-with style():
+with plots.style():
     audit.plot(shape=(4, 4))
 
 # %% [markdown]

@@ -24,12 +24,19 @@
 # %%
 import numpy as np
 
-from exact_mdp import MDP, certify, moving, solve
-from exact_mdp.analysis import explore
-from exact_mdp.analysis.plots import style
-from exact_mdp.analysis.sensitivity import gradient, thresholds, tornado
-from exact_mdp.mdp import Parameter
-from exact_mdp.mdp.parametric import Family
+from exact_mdp import (
+    MDP,
+    Family,
+    Parameter,
+    certify,
+    explore,
+    gradient,
+    moving,
+    plots,
+    solve,
+    thresholds,
+    tornado,
+)
 
 run = np.array([[0.7, 0.3, 0.0], [0.0, 0.6, 0.4], [0.0, 0.0, 1.0]])
 overhaul = np.array([[1.0, 0.0, 0.0]] * 3)
@@ -64,7 +71,7 @@ gradient(model)
 # How much moves the value most when each number is off by a fifth?
 
 # %%
-with style():
+with plots.style():
     tornado(model).plot()
 
 # %% [markdown]
@@ -76,7 +83,7 @@ with style():
 thresholds(model, "overhaul", (-30, 0))
 
 # %%
-with style():
+with plots.style():
     thresholds(model, "overhaul", (-30, 0)).plot()
 
 # %% [markdown]

@@ -33,8 +33,7 @@ import matplotlib.pyplot as plt
 import numba
 import numpy as np
 
-from exact_mdp import MDP, Policy, certify, check, evaluate, return_distribution
-from exact_mdp.analysis.plots import style
+from exact_mdp import MDP, Policy, certify, check, evaluate, plots, return_distribution
 
 env = gymnasium.make("icu_sepsis:Sepsis/ICU-Sepsis-v2").unwrapped
 mdp = MDP.from_gymnasium(env)
@@ -85,7 +84,7 @@ length = MDP.from_pairs(
 )
 stays = {name: return_distribution(length, policy) for name, policy in policies.items()}
 
-with style():
+with plots.style():
     ax = plt.subplots(figsize=(6, 3.2))[1]
     for (name, stay), line in zip(stays.items(), (":", "--", "-"), strict=True):
         days = np.array(stay.values, dtype=float) / 6
@@ -154,7 +153,7 @@ def allowing(share):
 shares = [0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 1]
 left = [evaluate(allowing(share), "optimal").mean for share in shares]
 
-with style():
+with plots.style():
     ax = plt.subplots(figsize=(6, 3.2))[1]
     ax.plot(shares, left, "o-", label="best policy")
     ax.axhline(found["expert"].mean, linestyle="--", color="black", label="expert")
@@ -252,7 +251,7 @@ allowed[admissible.pair_state, admissible.pair_action] = True
 greedy = np.where(allowed, q_tables, -np.inf).argmax(axis=2)
 exact = [evaluate(mdp, policy).mean for policy in greedy]
 
-with style():
+with plots.style():
     ax = plt.subplots(figsize=(6, 3.6))[1]
     at = np.arange(1, 51) * 10
     ax.plot(at, sampled, "o", markersize=3, color="grey", label="training episodes (sampled)")
@@ -290,7 +289,7 @@ audit.frame(full=True).head(5)[["label", "learned", "optimal", "expected_visits"
 # %%
 by_expert = check(mdp, expert)
 
-with style():
+with plots.style():
     ax = plt.subplots(figsize=(6, 3.2))[1]
     for (name, each), line in zip(
         {"expert": by_expert, "Q-learning": audit}.items(), "-:", strict=True

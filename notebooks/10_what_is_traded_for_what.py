@@ -27,13 +27,18 @@
 # %%
 import matplotlib.pyplot as plt
 
-from exact_mdp import Scenario, check, solve, tradeoff
-from exact_mdp.analysis import curve
-from exact_mdp.analysis.plots import style
-from exact_mdp.analysis.tradeoffs.rationalize import rationalize
-from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.training import train
+from exact_mdp import (
+    QLearning,
+    Scenario,
+    check,
+    curve,
+    mean_cvar,
+    plots,
+    rationalize,
+    solve,
+    tradeoff,
+    train,
+)
 
 scenario = Scenario.load("yuan2025")
 care = scenario.compile()
@@ -67,7 +72,7 @@ print(f"the last point costs {float(edge.rate):.1f} points: {float(edge.rate) / 
 # %%
 runs = train(care, QLearning(epochs=100), 3, rng=0)
 learned = {f"learned, run {number}": run for number, run in enumerate(runs)}
-with style():
+with plots.style():
     ax = front.plot(policies={"optimal": "optimal", **learned})
 
 # %% [markdown]
@@ -77,7 +82,7 @@ with style():
 # %%
 help_ = "help=assist.supportive+assist.non-directive+assist.directive"
 effort = tradeoff(scenario.with_(tasks=[1]), [help_, "subtask-complete"])
-with style():
+with plots.style():
     ax = effort.plot(policies={"optimal": "optimal", "random": "random"})
 
 # %% [markdown]
@@ -140,7 +145,7 @@ asked.frame().head()
 # %%
 curve = curve(scenario, "base.anger", (0, "1/2"), policy="optimal")
 print(curve, curve.violations())
-with style():
+with plots.style():
     figure, ax = plt.subplots()
     curve.plot(ax=ax)
 
@@ -161,7 +166,7 @@ for interval in curve.within(max_relative_regret="1/100"):
 
 # %%
 risk = mean_cvar(small, "1/10", policies={"optimal for the mean": "optimal", "random": "random"})
-with style():
+with plots.style():
     ax = risk.plot()
 risk.frame()
 

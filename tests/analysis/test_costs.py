@@ -14,26 +14,42 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from exact_mdp import MDP, Family, certify, check, evaluate, moving, solve, tradeoff
-from exact_mdp.analysis import best_policy, compare, curve, rationalize
-from exact_mdp.analysis.gate.data.off_policy import OffPolicy
-from exact_mdp.analysis.gate.data.posterior import Posterior
-from exact_mdp.analysis.gate.data.robust import Robust
-from exact_mdp.analysis.learning.curves import learning_curve
-from exact_mdp.analysis.learning.outcomes import outcomes
-from exact_mdp.analysis.learning.trainers import check_trainer
-from exact_mdp.analysis.sensitivity.draws.sobol import sobol
-from exact_mdp.analysis.sensitivity.gradient import gradient
-from exact_mdp.analysis.sensitivity.one_way import one_way, tornado
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
-from exact_mdp.analysis.sensitivity.thresholds import thresholds
-from exact_mdp.analysis.sensitivity.two_way import two_way
-from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.solvers import SOLVERS, return_distribution, simulate
+from exact_mdp import (
+    MDP,
+    SOLVERS,
+    Family,
+    OffPolicy,
+    Posterior,
+    QLearning,
+    Robust,
+    best_cvar,
+    best_policy,
+    certify,
+    check,
+    check_trainer,
+    compare,
+    curve,
+    evaluate,
+    gradient,
+    learning_curve,
+    mean_cvar,
+    moving,
+    one_way,
+    outcomes,
+    psa,
+    rationalize,
+    return_distribution,
+    robust,
+    robust_curve,
+    simulate,
+    sobol,
+    solve,
+    thresholds,
+    tornado,
+    tradeoff,
+    two_way,
+)
 from exact_mdp.solvers.average.certify import certify_average
-from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.risk.tail import best_cvar
 
 POLICY = [1, 0, 0, 0]
 Told = tuple[Any, Any]

@@ -101,7 +101,7 @@ def reference(workload: Workload) -> tuple[NDArray[np.float64], float]:
 
     At discount 1 the bound is the residual times the number of layers.
     """
-    from exact_mdp.solvers import PolicyIteration, solve
+    from exact_mdp import PolicyIteration, solve
 
     value = solve(workload.model(), None if "layered" in workload.name else PolicyIteration()).value
     residual = float(np.abs(backup(workload, value) - value).max())

@@ -43,7 +43,7 @@ def _ours(*, program: bool = False, threads: int | None = None) -> Contender:
     """Give our solver: the one that `solve` takes, or a linear program; on fewer cores if asked."""
 
     def prepare(work: Workload) -> Callable[[], Answer]:
-        from exact_mdp.solvers import LinearProgram, solve
+        from exact_mdp import LinearProgram, solve
 
         if threads is not None:
             os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])

@@ -45,8 +45,7 @@ from statistics import median
 from time import perf_counter, process_time
 from typing import Any
 
-from exact_mdp import MDP, certify, solve
-from exact_mdp.mdp.io.load import load
+from exact_mdp import MDP, certify, load, solve
 
 LIMIT = 300  # seconds for all properties of one file, and for one command
 Entry = dict[str, Any]

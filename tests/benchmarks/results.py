@@ -15,7 +15,8 @@ import numpy as np
 from contenders import ALONE, OURS
 from matplotlib.ticker import NullFormatter
 
-from exact_mdp.analysis.plots.style import LINES, MARKS, save, style
+from exact_mdp import plots
+from exact_mdp.analysis.plots.style import LINES, MARKS
 from exact_mdp.mdp.io.files import write_atomically
 
 PACKAGES = ("numpy", "scipy", "numba", "quantecon", "mdpsolver", "stormpy", "highspy")
@@ -32,16 +33,16 @@ def write(rows: Rows, bandwidth: float, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "results.json", json.dumps(list(rows), indent=1) + "\n")
     write_atomically(folder / "RESULTS.md", "\n".join(_page(rows, bandwidth)) + "\n")
-    with style():
+    with plots.style():
         if _leading(rows):
-            save(figure := _ratios(rows), folder, "results_ratio")
+            plots.save(figure := _ratios(rows), folder, "results_ratio")
             plt.close(figure)
         for name, what in (("results_time", "seconds"), ("results_memory", "memory")):
             large = [row for row in rows if what == "seconds" or row["bytes"] >= LARGE]
             if not large:
                 continue
             figure = _figure(large, bandwidth, what)
-            save(figure, folder, name)
+            plots.save(figure, folder, name)
             plt.close(figure)
 
 

@@ -18,14 +18,12 @@ import pytest
 from cases.reference import solve_exact
 from strategies import model_of
 
-from exact_mdp.mdp import MDP, Scenario
+from exact_mdp import MDP, QLearning, Scenario, certify, solve, train
 from exact_mdp.mdp.environment import YUAN2025
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.solvers import certify, solve
 from exact_mdp.solvers.care import optimal, policy_values
-from exact_mdp.solvers.learning.q_learning import QLearning, Trainer
+from exact_mdp.solvers.learning.q_learning import Trainer
 from exact_mdp.solvers.learning.sampler import child, rows_of
-from exact_mdp.solvers.learning.training import train
 from exact_mdp.solvers.proof.exact import solve_exactly
 
 pytestmark = pytest.mark.bench

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 if TYPE_CHECKING:
-    from exact_mdp.mdp import MDP
+    from exact_mdp import MDP
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ class Workload:
         return csr_array((matrix.data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
     def model(self, transition: csr_array | None = None) -> MDP:
-        from exact_mdp.mdp import MDP
+        from exact_mdp import MDP
 
         rows = self.fresh() if transition is None else transition
         return MDP.from_pairs(self.state, self.action, rows, self.reward, discount=self.discount)
@@ -221,7 +221,7 @@ def inventory(capacity: int, discount: float = 0.9999, most: int = 20) -> Worklo
 
 def layered(subtasks: int, discount: float = 0.99) -> Workload:
     """The care model with one task of so many subtasks: 16 statuses, 5 trials."""
-    from exact_mdp.mdp import Scenario
+    from exact_mdp import Scenario
 
     scenario = Scenario.load("yuan2025").with_(tasks=[subtasks], discount=str(discount))
     mdp = scenario.compile()

@@ -11,7 +11,7 @@ from fractions import Fraction
 from math import inf
 from typing import TypeAlias
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 F = Fraction
 

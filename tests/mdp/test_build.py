@@ -17,15 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import laws
 
-from exact_mdp.mdp import (
-    MDP,
-    DistributionError,
-    ModelError,
-    NegativeError,
-    ShapeError,
-    StateSpace,
-    build,
-)
+from exact_mdp import MDP, DistributionError, ModelError, NegativeError, ShapeError, StateSpace
+from exact_mdp.mdp import build
 
 HALF = Fraction(1, 2)
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])

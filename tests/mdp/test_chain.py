@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import Rows, model_of, models
 
-from exact_mdp.mdp import MDP, ModelError, Scenario, chain
+from exact_mdp import MDP, ModelError, Scenario
+from exact_mdp.mdp import chain
 from exact_mdp.mdp.chain import (
     components,
     is_acyclic,

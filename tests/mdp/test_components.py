@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io import npz, umb
+from exact_mdp import MDP, ModelError, Scenario, load, save
 
 F = Fraction
 P = [[["1/3", "2/3"], [0, 1]], [["1/2", "1/2"], [0, 1]]]
@@ -86,8 +85,8 @@ def test_numbers_are_kept_and_what_is_left_is_the_rest(
 
 
 def npz_of(mdp: MDP, folder: Path) -> MDP:
-    npz.save(mdp, folder / "m.npz")
-    return npz.load(folder / "m.npz")
+    save(mdp, folder / "m.npz")
+    return load(folder / "m.npz")
 
 
 def test_a_scenario_has_exact_components() -> None:
@@ -104,15 +103,15 @@ def test_a_scenario_has_exact_components() -> None:
 def test_files_keep_wide_numbers_and_old_ones_are_read(tmp_path: Path) -> None:
     wide = {"a": [F(10**40 + 1, 3**50), 0], "b": ["1/3", 0]}
     mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])], components=wide)
-    umb.save(mdp, tmp_path / "m.umb")
-    for again in (npz_of(mdp, tmp_path), umb.load(tmp_path / "m.umb")):
+    save(mdp, tmp_path / "m.umb")
+    for again in (npz_of(mdp, tmp_path), load(tmp_path / "m.umb")):
         assert again.component_table == mdp.component_table
     arrays = dict(np.load(tmp_path / "m.npz"))
     arrays.pop("component_denominator")
     old = arrays | {"components": mdp.components}
     text = bytes(old["header"]).decode().replace('"component_denominator", ', "")
     np.savez(tmp_path / "old.npz", **old | {"header": np.frombuffer(text.encode(), np.uint8)})
-    assert np.array_equal(npz.load(tmp_path / "old.npz").components, mdp.components)
+    assert np.array_equal(load(tmp_path / "old.npz").components, mdp.components)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import tomllib
 from collections import Counter
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -14,15 +15,16 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import chisquare
 
-from exact_mdp.analysis import check
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.environment import YUAN2025, MDPEnv, ScenarioEnv
-from exact_mdp.solvers import evaluate, solve
+from exact_mdp import MDP, MDPEnv, ModelError, Policy, Scenario, check, evaluate, solve
 
-YUAN = f"exact_mdp.mdp.environment:{YUAN2025}"
+YUAN = "exact_mdp/Yuan2025-v0"  # registered with MDPEnv
 
 ROOT = Path(__file__).resolve().parents[2]
 READINGS = [{}, {"skip_timestep": "own"}, {"task_bonus": "no-subtask-skipped"}]
+
+
+def care_env(**settings: Any) -> Any:
+    return gymnasium.make(YUAN, **settings).unwrapped
 
 
 @pytest.mark.parametrize("readings", READINGS, ids=str)
@@ -53,9 +55,9 @@ def test_the_entry_point_registers_it() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     points = project["entry-points"]["gymnasium.envs"]
     module, _, function = points["exact_mdp"].partition(":")
-    gymnasium.registry.pop(YUAN2025)
+    gymnasium.registry.pop(YUAN)
     getattr(import_module(module), function)()
-    assert YUAN2025 in gymnasium.registry
+    assert YUAN in gymnasium.registry
 
 
 def test_without_gymnasium_the_error_names_the_extra() -> None:
@@ -79,7 +81,7 @@ def test_a_step_follows_the_law_of_the_care_model(number: int) -> None:
     for chance, following, rewards, _ in care.outcomes(state, oracle.ACTIONS[number]):
         label = "".join(map(str, following[3])) if following != oracle.END else "end"
         expected[label, float(sum(rewards.values()))] += float(chance)
-    env = ScenarioEnv(readings=readings, max_trial=1)
+    env = care_env(readings=readings, max_trial=1)
     env.reset(seed=10 + number)
     found: Counter[tuple[str, float]] = Counter()
     begin = env.mdp.space.index(subtask=0, trial=0, status=0b1010)
@@ -97,7 +99,7 @@ def test_a_step_follows_the_law_of_the_care_model(number: int) -> None:
 
 @pytest.mark.parametrize("readings", READINGS, ids=str)
 def test_episodes_have_the_exact_means(readings: dict[str, str]) -> None:
-    env = ScenarioEnv(readings=readings)
+    env = care_env(readings=readings)
     exact = evaluate(env.mdp, "random")
     returns, steps, skips, parts = [], [], [], []
     env.action_space.seed(0)
@@ -124,7 +126,7 @@ def test_episodes_have_the_exact_means(readings: dict[str, str]) -> None:
 
 def test_the_same_seed_gives_the_same_episode() -> None:
     def episode(seed: int) -> list[tuple[int, float]]:
-        env = ScenarioEnv()
+        env = care_env()
         env.reset(seed=seed)
         return [env.step(np.int64(2))[:2] for _ in range(3)]
 
@@ -175,7 +177,7 @@ def test_starts_are_drawn_from_the_start_distribution() -> None:
 
 def test_an_unknown_render_mode_is_refused() -> None:
     with pytest.raises(ModelError, match="render mode"):
-        ScenarioEnv(render_mode="human")
+        MDPEnv(Scenario.load("tea").compile(), render_mode="human")
 
 
 def test_a_learner_from_elsewhere_learns_in_it() -> None:

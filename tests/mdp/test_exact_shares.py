@@ -9,14 +9,9 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.gate.check import check
+from exact_mdp import MDP, ModelError, Policy, check, return_distribution, save
 from exact_mdp.analysis.gate.regret import regret
-from exact_mdp.mdp import MDP
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.load import save
-from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.returns import return_distribution
 
 TINY = Fraction(1, 10**30)
 

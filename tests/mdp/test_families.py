@@ -12,21 +12,28 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.sensitivity import (
+from exact_mdp import (
+    MDP,
+    Certified,
+    Claim,
+    Family,
+    ModelError,
+    Parameter,
+    Range,
+    Scenario,
+    certify,
     gradient,
+    moving,
     one_way,
+    parametric,
     sobol,
     thresholds,
     tornado,
     two_way,
 )
 from exact_mdp.analysis.sensitivity.derivatives import Checked
-from exact_mdp.analysis.sensitivity.ranges import Range
-from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
-from exact_mdp.mdp.parametric import Family, moving, parametric, room_of
+from exact_mdp.mdp.parametric import room_of
 from exact_mdp.mdp.parametric.row_change import pieces, row_change
-from exact_mdp.solvers import certify
-from exact_mdp.solvers.solution import Certified, Claim
 
 
 def unit(name: str, value: F) -> Parameter:

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import Rows, models
 
-from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.exact import bellman_rows, fingerprint
+from exact_mdp import MDP, Scenario, fingerprint
+from exact_mdp.mdp.exact import bellman_rows
 
 DYADIC = [[[0.5, 0.5, 0], [0.25, 0.5, 0.25], [0, 0, 1]], [[0, 0.125, 0.875], [0, 0, 1], [0, 0, 1]]]
 REWARD = [[1, -2.5], [0.75, 3], [0, 0]]

@@ -17,8 +17,16 @@ from hypothesis import strategies as st
 from laws import laws
 from strategies import Rows, models
 
-from exact_mdp.mdp import MDP, DistributionError, ModelError, NegativeError, Policy, ShapeError
-from exact_mdp.solvers import certify, solve
+from exact_mdp import (
+    MDP,
+    DistributionError,
+    ModelError,
+    NegativeError,
+    Policy,
+    ShapeError,
+    certify,
+    solve,
+)
 
 HALF = Fraction(1, 2)
 

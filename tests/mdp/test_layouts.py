@@ -12,8 +12,7 @@ import pytest
 import scipy.sparse as sp
 from laws import laws
 
-from exact_mdp import MDP, ModelError, Policy, certify, check
-from exact_mdp.mdp import ShapeError
+from exact_mdp import MDP, ModelError, Policy, ShapeError, certify, check
 
 ROWS = ([1, 0], [0, 1], [0.5, 0.5])
 CUBES = [np.array(rows).reshape(2, 2, 2) for rows in product(ROWS, repeat=4)]

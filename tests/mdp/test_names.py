@@ -15,14 +15,24 @@ import numpy as np
 import pytest
 from archives import read_by_umbi
 
+from exact_mdp import (
+    MDP,
+    Column,
+    Family,
+    ModelError,
+    Parameter,
+    Policy,
+    Scenario,
+    StateSpace,
+    load,
+    plots,
+    save,
+)
 from exact_mdp.analysis import cli
 from exact_mdp.analysis.gate.junit import Case, junit
-from exact_mdp.analysis.plots.style import plain_text, save, style
-from exact_mdp.mdp import MDP, Column, ModelError, Parameter, Policy, Scenario, StateSpace
+from exact_mdp.analysis.plots.style import plain_text
 from exact_mdp.mdp.care.toml import parse
 from exact_mdp.mdp.errors import UNSAFE, shown_text
-from exact_mdp.mdp.io import npz, umb
-from exact_mdp.mdp.parametric import Family
 
 BAD = [
     *map(chr, range(0x20)), *map(chr, range(0x7F, 0xA0)), *map(chr, range(0x202A, 0x202F)),
@@ -105,7 +115,7 @@ def test_saved_models_refuse_them(tmp_path: Path) -> None:
     import umbi
 
     mdp = MDP.from_outcomes(ROWS, "1/2", actions=["go"], name="m")
-    npz.save(mdp, tmp_path / "m.npz")
+    save(mdp, tmp_path / "m.npz")
     with np.load(tmp_path / "m.npz") as archive:
         arrays = {name: archive[name] for name in archive.files}
     header = json.loads(arrays["header"].tobytes())
@@ -113,14 +123,14 @@ def test_saved_models_refuse_them(tmp_path: Path) -> None:
         text = json.dumps(header | {key: value}).encode()
         np.savez(tmp_path / "bad.npz", **{**arrays, "header": np.frombuffer(text, np.uint8)})
         with pytest.raises(ModelError, match="holds the character U"):
-            npz.load(tmp_path / "bad.npz")
-    umb.save(mdp, tmp_path / "m.umb")
+            load(tmp_path / "bad.npz")
+    save(mdp, tmp_path / "m.umb")
     content = read_by_umbi(tmp_path / "m.umb")
     content.index.annotations["exact-mdp"]["start"].description = None  # as another program would
     content.choice_action_to_string = ["\x1b[2J"]
     umbi.umb.write(content, tmp_path / "m.umb")
     with pytest.raises(ModelError, match=r"U\+001B"):
-        umb.load(tmp_path / "m.umb", discount=1)
+        load(tmp_path / "m.umb", discount=1)
 
 
 def test_policy_files_that_hold_them(tmp_path: Path) -> None:
@@ -177,9 +187,9 @@ def test_names_stay_text_in_figures(tmp_path: Path) -> None:
         ax.legend()
         return ax
 
-    with style():
+    with plots.style():
         ax = plot()
-        save(ax.figure, tmp_path, "names")
+        plots.save(ax.figure, tmp_path, "names")
     root = ElementTree.parse(tmp_path / "names.svg").getroot()
     texts = {"".join(text.itertext()) for text in root.iter("{http://www.w3.org/2000/svg}text")}
     assert {"from $x^$ to $y$", "<script>&\"'", "$\\frac$", "</text>", "$z_$"} <= texts

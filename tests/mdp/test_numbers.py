@@ -18,15 +18,22 @@ from cases.reference import solve_exact
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis import check
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.exact import fingerprint
+from exact_mdp import (
+    MDP,
+    Intervals,
+    ModelError,
+    Scenario,
+    ValueIteration,
+    certify,
+    check,
+    evaluate,
+    fingerprint,
+    return_distribution,
+    solve,
+    solve_robust,
+)
 from exact_mdp.mdp.io.npz import load, save
-from exact_mdp.solvers import ValueIteration, certify, evaluate, solve
-from exact_mdp.solvers.robust.robust import solve_robust
-from exact_mdp.solvers.robust.sets import Intervals
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.returns import return_distribution
 
 Law = tuple[int, int, list[tuple[F, int, F]]]
 

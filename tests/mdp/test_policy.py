@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import MDP, Column, ModelError, Policy, Scenario, StateSpace
+from exact_mdp import MDP, Column, ModelError, Policy, Scenario, StateSpace
 
 CARE = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2)
 MDP_1 = CARE.compile()

@@ -17,9 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import Rows, models
 
-from exact_mdp.analysis import check
-from exact_mdp.mdp import MDP, ModelError, Policy
-from exact_mdp.solvers import certify, solve
+from exact_mdp import MDP, ModelError, Policy, certify, check, solve
 
 LAKE = MDP.from_gymnasium("FrozenLake-v1", "99/100")
 HALL = MDP.from_function(

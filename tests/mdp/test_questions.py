@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import Rows, model_of, models
 
-from exact_mdp import certify, evaluate, solve
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp import MDP, ModelError, Policy, Scenario, certify, evaluate, solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 F = Fraction

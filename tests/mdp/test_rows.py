@@ -6,7 +6,8 @@ import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import MDP, ModelError, build
+from exact_mdp import MDP, ModelError
+from exact_mdp.mdp import build
 from exact_mdp.mdp.forms.rows import COMPARED, last_action
 
 FAULTS = {

@@ -21,8 +21,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis import check
-from exact_mdp.mdp import MDP, ModelError, Policy
+from exact_mdp import MDP, ModelError, Policy, check
 
 HALF = Fraction(1, 2)
 THINGS: dict[str, list[Any]] = {

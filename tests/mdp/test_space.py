@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import Column, ModelError, StateSpace
+from exact_mdp import Column, ModelError, StateSpace
 
 SPACE = StateSpace(
     columns=(

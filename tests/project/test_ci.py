@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
-from exact_mdp.mdp import Scenario
+from exact_mdp import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text("utf-8"))

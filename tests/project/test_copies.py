@@ -24,20 +24,19 @@ from exact_mdp import (
     Scenario,
     certify,
     check,
+    compare,
+    curve,
     evaluate,
+    gradient,
     moving,
+    one_way,
+    rationalize,
     return_distribution,
     simulate,
     solve,
-    tradeoff,
-)
-from exact_mdp.analysis import compare, rationalize
-from exact_mdp.analysis.sensitivity import (
-    curve,
-    gradient,
-    one_way,
     thresholds,
     tornado,
+    tradeoff,
 )
 
 COPIES: dict[str, Callable[[Any], Any]] = {

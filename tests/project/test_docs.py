@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 import pytest
 from browser import CHROMIUM, Browser
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

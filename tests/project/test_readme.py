@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_runner import main
 
-from exact_mdp.analysis.cli import main
 from exact_mdp.analysis.exit_status import run
 from exact_mdp.paper_repro.agents.cli import main as agents
 

@@ -18,49 +18,59 @@ import pandas
 import pytest
 from matplotlib.axes import Axes
 
-from exact_mdp import analysis, paper_repro, solvers
-from exact_mdp.analysis import (
+from exact_mdp import (
+    MDP,
+    Audit,
+    Counted,
+    Intervals,
+    Policy,
+    Posterior,
+    QLearning,
+    Robust,
+    Scenario,
+    TrainingRun,
+    accuracy_curves,
+    analysis,
+    best_cvar,
     best_policy,
+    certify,
     check,
+    check_trainer,
     compare,
     curve,
-    rationalize,
-    tradeoff,
-)
-from exact_mdp.analysis.gate.check import Audit
-from exact_mdp.analysis.gate.data.posterior import Posterior
-from exact_mdp.analysis.gate.data.robust import Robust
-from exact_mdp.analysis.learning.curves import learning_curve
-from exact_mdp.analysis.learning.outcomes import outcomes
-from exact_mdp.analysis.learning.trainers import check_trainer
-from exact_mdp.analysis.pages.explorer import explore
-from exact_mdp.analysis.perception.accuracy import accuracy_curves
-from exact_mdp.analysis.perception.cost import Counted, value_under_counts
-from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.sensitivity import (
+    error_costs,
+    evaluate,
+    explore,
     gradient,
+    independent,
+    learning_curve,
+    mean_cvar,
+    moving,
     one_way,
+    outcomes,
+    paper_repro,
+    parametric,
+    psa,
+    rationalize,
+    return_distribution,
+    robust,
+    robust_curve,
+    simulate,
+    sobol,
+    solve,
+    solve_robust,
+    solvers,
     thresholds,
     tornado,
+    tradeoff,
+    train,
     two_way,
+    uncertainty,
     worst_point,
 )
+from exact_mdp.analysis.perception.cost import value_under_counts
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
-from exact_mdp.analysis.sensitivity.draws.sobol import sobol
-from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.robust.robust import robust, robust_curve
-from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.mdp import MDP, Policy, Scenario, moving
-from exact_mdp.mdp.care.perception import independent
-from exact_mdp.mdp.parametric import parametric
 from exact_mdp.mdp.result import Pictured, Result
-from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
-from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
-from exact_mdp.solvers.learning.training import train
-from exact_mdp.solvers.risk import best_cvar
-from exact_mdp.solvers.robust.robust import solve_robust
-from exact_mdp.solvers.robust.sets import Intervals
 
 mpl.use("Agg")
 LINES, LETTERS = 20, 2000

@@ -8,8 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.solvers import solve
+from exact_mdp import MDP, Scenario, solve
 
 MEASURE = """
 import resource

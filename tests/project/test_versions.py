@@ -15,8 +15,7 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
 
-from exact_mdp.mdp import MDP
-from exact_mdp.solvers import BackwardInduction, LinearProgram, certify, evaluate, solve
+from exact_mdp import MDP, BackwardInduction, LinearProgram, certify, evaluate, solve
 from exact_mdp.solvers.bounds import elimination
 from exact_mdp.solvers.bounds.elimination import substitution
 

@@ -12,15 +12,13 @@ from hypothesis import given
 from own_scenarios import check_own, own_text
 from strategies import Rows, exact_values, models
 
-from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp import MDP, READINGS, BackwardInduction, ModelError, Scenario, solve
 from exact_mdp.mdp.care import compile as blocks
 from exact_mdp.mdp.care.compile import check_explicit, size
-from exact_mdp.mdp.care.tables import READINGS
 from exact_mdp.mdp.care.toml import parse
 from exact_mdp.mdp.chain import is_acyclic, numbered_in_order, runs_in_order, topological_levels
 from exact_mdp.mdp.table import OutcomeTable
 from exact_mdp.mdp.validate import check_model
-from exact_mdp.solvers import BackwardInduction, solve
 from exact_mdp.solvers.dynamic import backward_induction as layered
 
 FIELDS = ("value", "pairs", "level", "above", "below")

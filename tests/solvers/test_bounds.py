@@ -15,9 +15,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import DISCOUNTS, Rows, exact_gains, exact_values, model_of, models
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP, SolverError
 from exact_mdp.mdp.forms import threads
-from exact_mdp.solvers import SolverError
 from exact_mdp.solvers.bounds.bounds import Bounds, bounds, lower, margin_weights
 from exact_mdp.solvers.bounds.gains import gains, greedy
 

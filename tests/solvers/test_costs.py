@@ -13,11 +13,20 @@ import pytest
 from hypothesis import given, settings
 from strategies import DISCOUNTS, Rows, models
 
-from exact_mdp import certify, check, evaluate, solve
-from exact_mdp.analysis.gate.column_policies import best_policy
+from exact_mdp import (
+    MDP,
+    SOLVERS,
+    BoundedCertificate,
+    Certificate,
+    ModelError,
+    Policy,
+    best_policy,
+    certify,
+    check,
+    evaluate,
+    solve,
+)
 from exact_mdp.analysis.optimum import optimum
-from exact_mdp.mdp import MDP, ModelError, Policy
-from exact_mdp.solvers import SOLVERS, BoundedCertificate, Certificate
 
 F = Fraction
 COSTS = MDP.from_arrays(

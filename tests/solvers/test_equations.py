@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from kernel_twins import factor_pattern
 from strategies import Rows, exact_values, models
 
+from exact_mdp import SolverError, Status
 from exact_mdp.mdp.chain import topological_levels
-from exact_mdp.solvers import SolverError
 from exact_mdp.solvers.bounds import elimination, linear
 from exact_mdp.solvers.bounds.elimination import TooLarge, band, fill, matrix_of, reach, sparse
 from exact_mdp.solvers.bounds.gains import UNIT
@@ -28,7 +28,6 @@ from exact_mdp.solvers.bounds.linear import (
 )
 from exact_mdp.solvers.kernels import linear as krylov
 from exact_mdp.solvers.kernels.compiling import Rows as Packed
-from exact_mdp.solvers.solution import Status
 
 
 def chains(seed: int, *, lower: int = 9, upper: int = 9, density: float = 0.5) -> sp.csr_array:

@@ -12,11 +12,22 @@ import numpy as np
 import pytest
 from cli_runner import run, strict
 
-from exact_mdp.analysis import assert_policy_optimal, check
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.io import npz
-from exact_mdp.solvers import certify, evaluate, return_distribution, simulate, solve
+from exact_mdp import (
+    MDP,
+    ModelError,
+    Policy,
+    Scenario,
+    assert_policy_optimal,
+    certify,
+    check,
+    evaluate,
+    fingerprint,
+    load,
+    return_distribution,
+    save,
+    simulate,
+    solve,
+)
 
 LAKE, WIDE = "FrozenLake-v1", "FrozenLake8x8-v1"
 OPTIMA = {LAKE: (100, 0.7441903), WIDE: (200, 0.9132202)}
@@ -256,7 +267,7 @@ def test_extra_states_that_go_on_are_unrolled_as_well() -> None:
     """An extra state in which the process goes on gets its times, as any other."""
     rows = [(0, 0, [("1/2", 1, 1), ("1/2", 0, 0)]), (1, 0, [(1, 0, 2)])]
     plain = MDP.from_outcomes(rows)
-    from exact_mdp.mdp import Column, StateSpace
+    from exact_mdp import Column, StateSpace
 
     odd = plain.with_(space=StateSpace(columns=(Column(name="place", size=1),), extra=("away",)))
     wanted = certify(plain.within(4)).start_value
@@ -279,8 +290,8 @@ def test_a_model_keeps_the_limit_of_its_environment(tmp_path: Path) -> None:
         assert MDP.from_gymnasium(env).time_limit == limit
     assert MDP.from_gymnasium("CliffWalking-v1").time_limit is None
     mdp = MDP.from_gymnasium(LAKE).with_(discount="1/2")
-    npz.save(mdp, tmp_path / "lake.npz")
-    assert npz.load(tmp_path / "lake.npz").time_limit == mdp.time_limit == 100
+    save(mdp, tmp_path / "lake.npz")
+    assert load(tmp_path / "lake.npz").time_limit == mdp.time_limit == 100
     assert mdp.within(3).time_limit is None
     # It changes no transition and no certificate.
     assert fingerprint(mdp) == fingerprint(mdp.with_(time_limit=None))

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from exact_mdp import MDP, Policy, certify, check, evaluate
-from exact_mdp.solvers import solve
+from exact_mdp import MDP, Policy, certify, check, evaluate, solve
 
 pytest.importorskip("icu_sepsis", reason="the package icu-sepsis is not installed")
 gymnasium = pytest.importorskip("gymnasium")

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from large_models import garnet
 from strategies import Rows, models
 
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.solvers import SOLVERS, certify, evaluate, solve
+from exact_mdp import MDP, SOLVERS, ModelError, certify, evaluate, solve
 
 HALF = (Fraction(1, 2), Fraction(9, 10))
 

@@ -8,20 +8,21 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from exact_mdp.analysis import check
-from exact_mdp.mdp import MDP
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import COMPILED
-from exact_mdp.solvers import (
+from exact_mdp import (
+    MDP,
     GaussSeidel,
+    ModelError,
     ModifiedPolicyIteration,
     PolicyIteration,
     SolverError,
+    Status,
     ValueIteration,
     certify,
+    check,
     evaluate,
     solve,
 )
+from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.bounds import gains as gains_module
 from exact_mdp.solvers.bounds import sweeps as sweeps_module
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
@@ -29,7 +30,6 @@ from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Sweeps
 from exact_mdp.solvers.dynamic.known import greedy_of
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.dynamic.stopping import Iterate
-from exact_mdp.solvers.solution import Status
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import model_of
 

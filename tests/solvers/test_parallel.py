@@ -15,9 +15,7 @@ import numpy as np
 import pytest
 from pieces_of_work import KEY, WANTED, contents, draws, failing, same
 
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.training import train
+from exact_mdp import MDP, ModelError, QLearning, train
 from exact_mdp.solvers.parallel import many
 
 

@@ -11,8 +11,7 @@ import pytest
 from cases.prism_rewards import MODELS, PUBLISHED, Asked
 from cli_runner import run
 
-from exact_mdp import certify, check, evaluate, solve
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP, certify, check, evaluate, solve
 
 
 def posed(case: Asked) -> MDP:

@@ -18,9 +18,8 @@ from hypothesis import given, settings
 from strategies import Rows, exact_values, model_of, models
 from workloads import grid, queue
 
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.chain import is_acyclic
-from exact_mdp.solvers import (
+from exact_mdp import (
+    MDP,
     SOLVERS,
     Bounded,
     Certified,
@@ -28,9 +27,11 @@ from exact_mdp.solvers import (
     Estimated,
     GaussSeidel,
     LinearProgram,
+    ModelError,
     ModifiedPolicyIteration,
     PolicyIteration,
     PrecisionWarning,
+    Scenario,
     Solution,
     Solver,
     SolverError,
@@ -38,6 +39,7 @@ from exact_mdp.solvers import (
     ValueIteration,
     solve,
 )
+from exact_mdp.mdp.chain import is_acyclic
 
 PROGRAMS = [LinearProgram(solver=name) for name in ("CLARABEL", "HIGHS")]
 # Sweeps alone would take their million on chains that mix slowly: these may stop before the end.

@@ -20,19 +20,20 @@ from strategies import exact_gains, exact_values
 from workloads import garnet as garnet_rows
 from workloads import queue
 
-from exact_mdp.mdp import MDP
-from exact_mdp.mdp import build as build_module
-from exact_mdp.mdp.forms import threads as blocks
-from exact_mdp.mdp.table import COMPILED
-from exact_mdp.solvers import (
+from exact_mdp import (
+    MDP,
     Certificate,
     ModifiedPolicyIteration,
     PolicyIteration,
     SolverError,
+    Status,
     ValueIteration,
     certify,
     solve,
 )
+from exact_mdp.mdp import build as build_module
+from exact_mdp.mdp.forms import threads as blocks
+from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.bounds import gains as gains_module
 from exact_mdp.solvers.bounds import sweeps as sweeps_module
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
@@ -47,7 +48,6 @@ from exact_mdp.solvers.bounds.sweeps import (
 from exact_mdp.solvers.dynamic import pace
 from exact_mdp.solvers.dynamic import stopping as stopping_module
 from exact_mdp.solvers.dynamic.stopping import Iterate
-from exact_mdp.solvers.solution import Status
 
 SOLVED = [ModifiedPolicyIteration(tol=1e-8), ModifiedPolicyIteration(), ValueIteration(tol=1e-8)]
 

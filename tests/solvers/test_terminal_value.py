@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from exact_mdp import MDP, ModelError, certify, evaluate, solve
-from exact_mdp.solvers import SOLVERS
+from exact_mdp import MDP, SOLVERS, ModelError, certify, evaluate, solve
 
 Rows = list[tuple[int, int, list[tuple[F, int, Any]]]]
 

@@ -5,9 +5,7 @@ from functools import cache
 
 from strategies import Row, model_of
 
-from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.solvers.proof.certificate import Certificate
-from exact_mdp.solvers.proof.certify import certify
+from exact_mdp import MDP, Certificate, Scenario, certify
 
 THIRD = F(1, 3)
 

@@ -4,14 +4,17 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, NoReturn
 
-from exact_mdp.analysis.cli import main
-
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["scripts"]
+main = resolve_name(SCRIPTS["exact-mdp"])
 PROGRAM = Path(sys.executable).with_name("exact-mdp")
 
 

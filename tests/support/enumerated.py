@@ -11,7 +11,7 @@ from itertools import product
 
 import flint
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 F = Fraction
 Choice = tuple[int, ...]

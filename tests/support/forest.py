@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from exact_mdp.mdp import MDP
-from exact_mdp.mdp.parametric import Parametric, moving
+from exact_mdp import MDP, Parametric, moving
 
 
 def forest(discount: str) -> MDP:

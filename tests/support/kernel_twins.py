@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 
 def gains_of(mdp: MDP, value: np.ndarray, shift: float, margin: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from fractions import Fraction as F
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 
 def garnet(

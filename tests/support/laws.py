@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from fractions import Fraction
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 
 def laws(mdp: MDP) -> dict[tuple[int, str], dict[tuple[int, Fraction], Fraction]]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 
 def assert_same(left: MDP, right: MDP) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import MDP, Column, StateSpace
+from exact_mdp import MDP, Column, StateSpace
 
 NAMES = st.text(
     st.characters(exclude_categories=("Cs", "Cc", "Cf", "Zl", "Zp", "Cn")), min_size=1, max_size=9

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from strategies import models
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 F = Fraction
 AMOUNTS = st.sampled_from([F(-2), F(-1), F(0), F(0), F(1, 3), F(1), F(3)])

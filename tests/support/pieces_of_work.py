@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence, default_rng
 
-from exact_mdp.mdp import ModelError
+from exact_mdp import ModelError
 
 KEY = {"model": "normal draws", "seed": 0}
 

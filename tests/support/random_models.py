@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 PARTS = 1000  # of which drawn probabilities and rewards are whole numbers
 Row = tuple[int, int, list[tuple[Fraction, int, Fraction]]]

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pandas as pd
 
-from exact_mdp.mdp import MDP, Column, Parameter, Scenario, StateSpace
+from exact_mdp import MDP, Column, Parameter, Scenario, StateSpace
 
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 2], max_trial=2)
 WIDE = Fraction(1, 3**60)

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 F = Fraction
 Row = tuple[int, int, Fraction, Mapping[int, Fraction]]

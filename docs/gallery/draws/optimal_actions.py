@@ -3,9 +3,7 @@
 The share of draws in which each action is optimal, status by status.
 """
 
-from exact_mdp import Scenario
-from exact_mdp.analysis.plots.psa import plot_optimal_actions
-from exact_mdp.analysis.sensitivity import psa
+from exact_mdp import Scenario, plots, psa
 
 small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-plot_optimal_actions(psa(small, 500, rng=0, effective_sample_size=40))
+plots.plot_optimal_actions(psa(small, 500, rng=0, effective_sample_size=40))

@@ -3,8 +3,7 @@
 First-order and total indices of Sobol, with their intervals.
 """
 
-from exact_mdp import Scenario
-from exact_mdp.analysis.sensitivity import sobol
+from exact_mdp import Scenario, sobol
 
 small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 names = ["base.anger", "base.confusion", "persistence.anger", "reward.anger"]

@@ -3,8 +3,7 @@
 Exact values of several policies in one model.
 """
 
-from exact_mdp import Scenario
-from exact_mdp.analysis import compare
+from exact_mdp import Scenario, compare
 
 model = Scenario.load("yuan2025").compile()
 policies = {"optimal": "optimal", "directive": "always:directive", "random": "random"}

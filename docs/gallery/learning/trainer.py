@@ -3,8 +3,7 @@
 The interval of the share of seeds that keep the limit, run after run, until it decides.
 """
 
-from exact_mdp import Scenario, check_trainer
-from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp import QLearning, Scenario, check_trainer
 
 model = Scenario.load("yuan2025").compile()
 learner = QLearning(epochs=60)

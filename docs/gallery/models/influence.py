@@ -3,7 +3,6 @@
 How much a status that is present raises the chance of the others, without assistance.
 """
 
-from exact_mdp import Scenario
-from exact_mdp.analysis.plots import plot_influence
+from exact_mdp import Scenario, plots
 
-plot_influence(Scenario.load("yuan2025"))
+plots.plot_influence(Scenario.load("yuan2025"))

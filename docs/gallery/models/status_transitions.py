@@ -5,8 +5,7 @@ Every move of 10 % or more; darker and thicker the likelier it is.
 
 import numpy as np
 
-from exact_mdp import Scenario
-from exact_mdp.analysis.plots import plot_status_transitions
+from exact_mdp import Scenario, plots
 
 scenario = Scenario.load("yuan2025")
 model = scenario.compile()
@@ -15,4 +14,4 @@ for now in range(16):
     row = model.pair(model.space.index(status=now), model.action("directive"))
     for chance, state, _ in model.table.row(row):  # the end counts as status 0000
         law[now, max(model.space.values("status")[state], 0)] += chance
-plot_status_transitions(law, scenario.statuses)
+plots.plot_status_transitions(law, scenario.statuses)

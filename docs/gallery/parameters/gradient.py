@@ -3,7 +3,6 @@
 Elasticities by every named number; exact, by the implicit function of the optimum.
 """
 
-from exact_mdp import Scenario
-from exact_mdp.analysis.sensitivity import gradient
+from exact_mdp import Scenario, gradient
 
 gradient(Scenario.load("yuan2025"), exact=False).plot()

@@ -3,8 +3,7 @@
 A ratio of polynomials, piece by piece; the lines are the switching points, all of them proven.
 """
 
-from exact_mdp import MDP
-from exact_mdp.analysis import curve
+from exact_mdp import MDP, curve
 
 wait = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]]
 cut = [[1, 0, 0]] * 3

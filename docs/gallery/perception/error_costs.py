@@ -3,9 +3,7 @@
 What a robot loses by each kind of error when it takes what it sees for true.
 """
 
-from exact_mdp import Scenario
-from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.mdp.care.perception import independent
+from exact_mdp import Scenario, error_costs, independent
 
 small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
 seen = independent([0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6])

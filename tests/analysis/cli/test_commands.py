@@ -13,9 +13,7 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, END, Oracle, State, oracle_of
 
-from exact_mdp.mdp import Policy, Scenario
-from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.io.load import load
+from exact_mdp import Policy, Scenario, fingerprint, load
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 COLUMN_TO_ROW = ("--set", "readings.influence_orientation=column-to-row")

@@ -17,8 +17,7 @@ import pytest
 from cli_runner import PROGRAM, launch, run
 from click.testing import CliRunner
 
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.io.load import load, save
+from exact_mdp import MDP, ModelError, load, save
 from exact_mdp.mdp.table import beside
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
@@ -176,10 +175,11 @@ def test_what_is_registered_for_the_end_does_not_change_the_status(tmp_path: Pat
     )
     pytest.importorskip("gymnasium")
     words = ["check", "gymnasium:late:X-v0", "always:LEFT"]
-    code = f"from exact_mdp.analysis.cli import main; import sys; sys.argv[1:] = {words!r}; main()"
     path = os.pathsep.join([str(tmp_path), *sys.path])
     end = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, env=os.environ | {"PYTHONPATH": path}
+        [sys.executable, "-m", "exact_mdp", *words],
+        capture_output=True,
+        env=os.environ | {"PYTHONPATH": path},
     )
     assert end.returncode == 1, end.stderr
 
@@ -419,7 +419,7 @@ def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.Monkey
 
 
 def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
-    from exact_mdp.solvers import SolverError, Status
+    from exact_mdp import SolverError, Status
 
     give_up = Mock(side_effect=SolverError(Status.NO_BOUND))
     monkeypatch.setattr("exact_mdp.analysis.optimum.solve", give_up)

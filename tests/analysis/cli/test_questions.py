@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from exact_mdp.analysis.sensitivity import gradient, thresholds, tornado
-from exact_mdp.mdp import MDP, moving
-from exact_mdp.mdp.environment import MDPEnv
-from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp import MDP, MDPEnv, QLearning, gradient, moving, thresholds, tornado
 
 # From `here`, walk gets home with chance 1/2 and else stays, at cost 1; fly is home at once, at
 # cost 3; swim costs 5 and drowns with chance 1/4. Home and the sea end it.

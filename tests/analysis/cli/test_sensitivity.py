@@ -10,15 +10,11 @@ from typing import Any
 import pytest
 from cli_runner import run
 
+from exact_mdp import MDP, Scenario, psa, sobol, solve, worst_point
 from exact_mdp.analysis.cli import commands
 from exact_mdp.analysis.cli.options import Question
 from exact_mdp.analysis.cli.sensitivity import KINDS
-from exact_mdp.analysis.sensitivity.draws.sobol import sobol
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.analysis.sensitivity.robust.corners import worst_point
-from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.io.npz import save
-from exact_mdp.solvers import solve
 
 YUAN = Scenario.load("yuan2025")
 SMALL = YUAN.with_(tasks=[1], max_trial=2)

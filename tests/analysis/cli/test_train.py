@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from cli_runner import run, strict
 
-from exact_mdp.mdp import MDP, Policy, Scenario
-from exact_mdp.solvers import evaluate
-from exact_mdp.solvers.learning.q_learning import QLearning
+from exact_mdp import MDP, Policy, QLearning, Scenario, evaluate
 from exact_mdp.solvers.learning.sampler import child
 from exact_mdp.solvers.parallel import write_piece
 

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import best_under, quiet_models, totals, totals_within, vertices
 
-from exact_mdp import MDP, ModelError, Policy, check, evaluate, solve, tradeoff
-from exact_mdp.mdp.environment import MDPEnv
+from exact_mdp import MDP, MDPEnv, ModelError, Policy, check, evaluate, solve, tradeoff
 
 F = Fraction
 SENSE = {"max": 1, "min": -1}

@@ -10,12 +10,20 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from exact_mdp.analysis import assert_policy_optimal, check
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.io.load import save
-from exact_mdp.solvers import certify, evaluate, solve
-from exact_mdp.solvers.values.returns import return_distribution
-from exact_mdp.solvers.values.simulate import simulate
+from exact_mdp import (
+    MDP,
+    ModelError,
+    Policy,
+    Scenario,
+    assert_policy_optimal,
+    certify,
+    check,
+    evaluate,
+    return_distribution,
+    save,
+    simulate,
+    solve,
+)
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2)
 BOTH = np.array([[0.5, 0.5], [0.1, 0.9]])

@@ -18,12 +18,21 @@ from hypothesis import strategies as st
 from oracle import ACTIONS, acting, oracle_of
 from strategies import Pairs, Rows, any_models, model_of, models
 
-from exact_mdp.analysis import assert_policy_optimal, check
+from exact_mdp import (
+    MDP,
+    Bounded,
+    Certified,
+    Claim,
+    ModelError,
+    Scenario,
+    SolverError,
+    assert_policy_optimal,
+    certify,
+    check,
+)
 from exact_mdp.analysis.gate import disagreements
 from exact_mdp.analysis.gate.check import UNDECIDED, Verdict
-from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.chain import reachable
-from exact_mdp.solvers import Bounded, Certified, Claim, SolverError, certify
 
 # Failed trials cost nothing and assistance much: what is best changes with the trial.
 

@@ -12,8 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from strategies import Rows, models
 
-from exact_mdp import MDP, ModelError, assert_policy_optimal, check
-from exact_mdp.solvers.solution import Certified
+from exact_mdp import MDP, Certified, ModelError, assert_policy_optimal, check
 
 
 @given(models(discounts=[F(1, 2)]), st.randoms(use_true_random=False))

@@ -8,18 +8,24 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from cli_runner import launch, run
+from cli_runner import launch, main, run
 from forest import forest
 from oracle import Oracle, acting
 
-from exact_mdp.analysis import assert_policy_optimal, best_policy, check
-from exact_mdp.analysis.cli import main
+from exact_mdp import (
+    MDP,
+    Constant,
+    ModelError,
+    Policy,
+    QLearning,
+    Scenario,
+    assert_policy_optimal,
+    best_policy,
+    check,
+    save,
+    solve,
+)
 from exact_mdp.analysis.gate.junit import Case, junit, write_junit
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.io.load import save
-from exact_mdp.solvers import solve
-from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.schedules import Constant
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 KEYS = {"passed", "regret", "relative_regret", "optimal_value", "learned_value", "agreement"}

@@ -11,12 +11,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis import best_policy, check
+from exact_mdp import (
+    MDP,
+    Column,
+    ModelError,
+    Policy,
+    Scenario,
+    StateSpace,
+    best_policy,
+    certify,
+    check,
+    evaluate,
+    solve,
+)
 from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
 from exact_mdp.analysis.gate.relaxation import Rows as TableRows
-from exact_mdp.mdp import MDP, Column, ModelError, Policy, Scenario
-from exact_mdp.mdp.space import StateSpace
-from exact_mdp.solvers import certify, evaluate, solve
 
 CARE = Scenario.load("yuan2025")
 

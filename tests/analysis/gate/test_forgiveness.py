@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import MDP, ModelError, check
+from exact_mdp import MDP, ModelError, check, evaluate, solve
 from exact_mdp.analysis.gate import disagreements as gate_visits
 from exact_mdp.analysis.gate import forgiveness as gate_forgiveness
 from exact_mdp.analysis.gate import regret
@@ -22,9 +22,7 @@ from exact_mdp.analysis.gate.forgiveness import (
     widest,
     widest_tie,
 )
-from exact_mdp.solvers import solve
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 

@@ -10,10 +10,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pandas as pd
 import pytest
-from cli_runner import run
+from cli_runner import main, run
 
-from exact_mdp.analysis.cli import main
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs/data.md").read_text("utf-8")
 NAMES = ["episode", "state", "action", "reward", "next_state"]

@@ -19,17 +19,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, optimize, stats
 
-from exact_mdp.analysis import check
+from exact_mdp import MDP, ModelError, OffPolicy, PolicyLike, Posterior, Robust, check
 from exact_mdp.analysis.gate.data.bootstrap import Episodes
 from exact_mdp.analysis.gate.data.bounds import RobustBounds
 from exact_mdp.analysis.gate.data.interval import Evidence
-from exact_mdp.analysis.gate.data.off_policy import OffPolicy, mean_at_least
-from exact_mdp.analysis.gate.data.posterior import Posterior, PosteriorInterval, _Model
-from exact_mdp.analysis.gate.data.robust import Robust, staged
+from exact_mdp.analysis.gate.data.off_policy import mean_at_least
+from exact_mdp.analysis.gate.data.posterior import PosteriorInterval, _Model
+from exact_mdp.analysis.gate.data.robust import staged
 from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.analysis.sensitivity.psa.intervals import upper_quantile, wilson
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

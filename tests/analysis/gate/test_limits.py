@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import totals, with_components
 
-from exact_mdp import Scenario, assert_policy_optimal, check, solve
-from exact_mdp.mdp import MDP, ModelError
+from exact_mdp import MDP, ModelError, Scenario, assert_policy_optimal, check, solve
 
 F = Fraction
 BOUNDS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(0), F(1, 7), F(1), F(5, 2)])

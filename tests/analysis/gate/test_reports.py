@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from cli_runner import Done, launch, run
 
-from exact_mdp.analysis import check, github
+from exact_mdp import MDP, ModelError, Scenario, check, save
+from exact_mdp.analysis import github
 from exact_mdp.analysis.cli.render import Report, Table, markdown
 from exact_mdp.analysis.layout import arrange, symbols
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import render
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io.load import save
 
 NASTY = [
     "<script>alert(1)</script>", "$x^$", "::error::x", "##[add-mask]x", "a | b", "`|` *b* _c_",

@@ -18,10 +18,9 @@ from hypothesis import strategies as st
 from scipy.special import betaln
 from scipy.stats import binomtest
 
-from exact_mdp import MDP, ModelError, Policy, Scenario, check, check_trainer
+from exact_mdp import MDP, ModelError, Policy, QLearning, Scenario, check, check_trainer
 from exact_mdp.analysis.learning.anytime import GRID, excluded, fewest, share_intervals
 from exact_mdp.analysis.learning.trainers import _decided
-from exact_mdp.solvers.learning.q_learning import QLearning
 
 SHARES = st.fractions(F(1, 50), F(49, 50), max_denominator=50)
 ROUNDING = 1 - F(1, 10**9)

@@ -14,14 +14,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import Rows, models
 
-from exact_mdp.analysis import Audit, assert_policy_optimal, check
+from exact_mdp import (
+    MDP,
+    Audit,
+    Bounded,
+    Certified,
+    Claim,
+    ModelError,
+    assert_policy_optimal,
+    check,
+    evaluate,
+    save,
+)
 from exact_mdp.analysis.gate import regret as regret_module
 from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.forgiveness import of_floats
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.io.load import save
-from exact_mdp.solvers import Bounded, Certified, Claim
-from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 from exact_mdp.solvers.values.visits import visits
 

@@ -11,13 +11,22 @@ import pytest
 from cli_runner import run
 from oracle import ACTIONS, Oracle
 
-from exact_mdp.analysis.perception.accuracy import accuracy_curves, confusion_at
+from exact_mdp import (
+    MDP,
+    Column,
+    Counted,
+    ModelError,
+    Scenario,
+    StateSpace,
+    accuracy_curves,
+    certify,
+    error_costs,
+    evaluate,
+    independent,
+    perceived,
+)
+from exact_mdp.analysis.perception.accuracy import confusion_at
 from exact_mdp.analysis.perception.cost import value_under_counts
-from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.care.perception import Counted, independent, perceived
-from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.solvers import certify, evaluate
 
 F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]

@@ -5,6 +5,7 @@ import io
 import itertools
 import pkgutil
 from collections.abc import Iterator
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -13,33 +14,36 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from exact_mdp import analysis, evaluate, solve, solvers
-from exact_mdp.analysis.learning.curves import LearningCurve, learning_curve, random_curve
-from exact_mdp.analysis.learning.outcomes import Outcomes, outcomes
-from exact_mdp.analysis.perception.accuracy import accuracy_curves
-from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.plots import (
-    plot_distinct,
-    plot_learning_curves,
-    plot_regrets,
-    plot_value_bands,
-    style,
+from exact_mdp import (
+    MDP,
+    ModelError,
+    QLearning,
+    Scenario,
+    accuracy_curves,
+    analysis,
+    error_costs,
+    evaluate,
+    gradient,
+    independent,
+    learning_curve,
+    one_way,
+    outcomes,
+    parametric,
+    plots,
+    psa,
+    sobol,
+    solve,
+    solvers,
+    thresholds,
+    tornado,
+    train,
+    two_way,
+    uncertainty,
 )
-from exact_mdp.analysis.plots.perception import plot_accuracy_curves
+from exact_mdp.analysis.learning.curves import LearningCurve, random_curve
 from exact_mdp.analysis.plots.pictures import PICTURES
-from exact_mdp.analysis.plots.psa import plot_acceptability, plot_optimal_actions
-from exact_mdp.analysis.plots.sensitivity import plot_sobol
 from exact_mdp.analysis.plots.style import titled
-from exact_mdp.analysis.sensitivity import gradient, one_way, thresholds, tornado, two_way
-from exact_mdp.analysis.sensitivity.draws.sobol import sobol
-from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
-from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.care.perception import independent
-from exact_mdp.mdp.parametric import parametric
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.training import train
 
 mpl.use("Agg")
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
@@ -47,7 +51,7 @@ ROUGH = independent([0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6])
 
 
 @pytest.fixture(scope="module")
-def draws() -> PSA:
+def draws() -> Any:
     return psa(SMALL, 800, rng=0, effective_sample_size=10)
 
 
@@ -112,11 +116,11 @@ def test_no_text_is_cut_or_covered(draw) -> None:
     assert legend is None or not legend.get_window_extent().overlaps(figure.axes[0].bbox)
 
 
-def test_the_acceptability_curve_is_the_distribution_of_the_regret(draws: PSA) -> None:
+def test_the_acceptability_curve_is_the_distribution_of_the_regret(draws: Any) -> None:
     ax = draws.plot(tolerances=[0, 0.01, 0.1, 1])
     shares = [(draws.regret() <= t).mean() for t in (0, 0.01, 0.1, 1)]
     assert np.allclose(ax.lines[0].get_ydata(), shares)
-    both = plot_acceptability(draws, candidates=range(min(2, len(draws.candidates))))
+    both = plots.plot_acceptability(draws, candidates=range(min(2, len(draws.candidates))))
     assert both.lines[0].get_ydata()[-1] >= 0.98
     assert "Δ (reward)" in both.get_xlabel()
     ticks, near = both.get_xticks(), both.xaxis.get_transform().linthresh
@@ -132,12 +136,12 @@ def test_a_policy_that_never_loses_has_a_curve_too() -> None:
         parametric(SMALL), {"reward": {"relative_sd": 1e-6}}, names=["reward.timestep"]
     )
     sure = psa(SMALL, 50, rng=0, uncertain=weights)
-    ax = plot_acceptability(sure)
+    ax = plots.plot_acceptability(sure)
     assert list(ax.lines[0].get_ydata()) == [1.0]
 
 
-def test_the_heat_map_shows_shares_of_draws(draws: PSA) -> None:
-    ax = plot_optimal_actions(draws)
+def test_the_heat_map_shows_shares_of_draws(draws: Any) -> None:
+    ax = plots.plot_optimal_actions(draws)
     assert np.allclose(ax.images[0].get_array(), draws.probability_optimal()[0])
     assert [each.get_text() for each in ax.get_yticklabels()] == list(draws.labels)
 
@@ -164,7 +168,7 @@ def care() -> MDP:
 
 
 @pytest.fixture(scope="module")
-def found(care: MDP) -> Outcomes:
+def found(care: MDP) -> Any:
     return outcomes(care, train(care, LEARNER, 12, rng=0))
 
 
@@ -176,7 +180,7 @@ def curves(care: MDP) -> dict[str, LearningCurve]:
 
 @pytest.fixture
 def ax() -> Iterator[Axes]:
-    with style():
+    with plots.style():
         yield Figure().subplots()
 
 
@@ -187,7 +191,7 @@ def drawn(ax: Axes) -> None:
 
 
 def test_learning_curves(ax: Axes, curves: dict[str, LearningCurve]) -> None:
-    assert plot_learning_curves(curves, optimum=146.2, window=5, ax=ax) is ax
+    assert plots.plot_learning_curves(curves, optimum=146.2, window=5, ax=ax) is ax
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels == ["constant ε", "random", "optimum"]
     heavy = next(line for line in ax.get_lines() if line.get_label() == "constant ε")
@@ -197,20 +201,20 @@ def test_learning_curves(ax: Axes, curves: dict[str, LearningCurve]) -> None:
 
 
 def test_a_window_longer_than_the_curve(ax: Axes, curves: dict[str, LearningCurve]) -> None:
-    plot_learning_curves(curves, ax=ax)
+    plots.plot_learning_curves(curves, ax=ax)
     drawn(ax)
 
 
 def test_value_bands(ax: Axes) -> None:
     values = np.random.default_rng(0).normal(size=(9, 30))
-    plot_value_bands({"a": values, "b": values + 1}, window=1, optimum=3.0, ax=ax)
+    plots.plot_value_bands({"a": values, "b": values + 1}, window=1, optimum=3.0, ax=ax)
     line = next(line for line in ax.get_lines() if line.get_label() == "a")
     assert line.get_ydata() == pytest.approx(values.mean(axis=0))
     drawn(ax)
 
 
-def test_regrets(ax: Axes, found: Outcomes) -> None:
-    plot_regrets({"constant ε": found}, ax=ax)
+def test_regrets(ax: Axes, found: Any) -> None:
+    plots.plot_regrets({"constant ε": found}, ax=ax)
     x, y = ax.get_lines()[0].get_data()
     assert x[-1] == found.regret.max()
     assert y[-1] == 1
@@ -218,26 +222,26 @@ def test_regrets(ax: Axes, found: Outcomes) -> None:
     drawn(ax)
 
 
-def test_distinct(ax: Axes, found: Outcomes) -> None:
-    plot_distinct({"constant ε": found, "again": found}, ax=ax)
+def test_distinct(ax: Axes, found: Any) -> None:
+    plots.plot_distinct({"constant ε": found, "again": found}, ax=ax)
     heights = [bar.get_height() for bar in ax.patches]
     assert sum(heights) == pytest.approx(2)
     drawn(ax)
 
 
 def test_figures_of_one_and_two_parameters() -> None:
-    from exact_mdp.analysis.plots.sensitivity import plot_thresholds
+    from exact_mdp import plots
 
     own, x = SMALL, "assistance.directive.confusion.persistence"
     found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
     bars = tornado(own, names=[x, "base.anger"], ranges={x: (0, 1)})
     surface = two_way(own, x, "base.anger", ranges={x: (0, 1)}, points=3)
-    with style():
+    with plots.style():
         figure, axes = plt.subplots(2, 3, figsize=(15, 8))
         assert bars.plot(axes[0, 0]) is axes[0, 0]
         assert "regret" in bars.plot(axes[0, 1], output="regret").get_xlabel()
         one_way(own, x, (0, 1), points=3).plot(axes[0, 2])
-        plot_thresholds(found, ax=axes[1, 0])
+        plots.plot_thresholds(found, ax=axes[1, 0])
         surface.plot(axes[1, 1])
         surface.plot(axes[1, 2], state=4)
         figure.savefig(io.BytesIO(), format="svg")
@@ -246,31 +250,32 @@ def test_figures_of_one_and_two_parameters() -> None:
 def test_figures_of_indices() -> None:
     names = ["base.anger", "discount", "reward.anger"]
     indices = sobol(SMALL, policy="always:directive", names=names, n=16, rng=0)
-    with style():
+    with plots.style():
         for output in ("optimal", "fixed", "regret"):
             figure, ax = plt.subplots()
-            assert plot_sobol(indices, output=output, ax=ax) is ax
+            assert plots.plot_sobol(indices, output=output, ax=ax) is ax
             assert ax.get_xlabel().startswith("share")
             figure.savefig(io.BytesIO())
-    ax = plot_sobol(indices, most=2)
+    ax = plots.plot_sobol(indices, most=2)
     total = dict(zip(indices.names, indices.optimal.total, strict=True))
     widths = [patch.get_width() for patch in ax.patches]
     assert widths[2:] == sorted(total.values(), reverse=True)[:2]
     assert ax.get_yticklabels()[0].get_text().startswith(max(total, key=total.__getitem__))
     nothing = sobol(SMALL, names=["reward.subtask-complete"], n=4, rng=0)
     with pytest.raises(ModelError, match="the same at every draw"):
-        plot_sobol(nothing, output="regret")
+        plots.plot_sobol(nothing, output="regret")
 
 
 def test_figures_of_perception() -> None:
-    from exact_mdp.analysis.plots.perception import plot_confusion, plot_error_costs
+    from exact_mdp import plots
+    from exact_mdp.analysis.plots.perception import plot_error_costs
 
     mdp = SMALL.compile()
     policy = {f"{s:04b}": mdp.actions[(3 * s + 2) % 4] for s in range(16)}
     drawn = [
-        plot_accuracy_curves(accuracy_curves(mdp, levels=[1.0, 0.9])),
+        plots.plot_accuracy_curves(accuracy_curves(mdp, levels=[1.0, 0.9])),
         plot_error_costs(error_costs(mdp, policy, ROUGH)),
-        plot_confusion(ROUGH),
+        plots.plot_confusion(ROUGH),
     ]
     assert all(ax.get_xlabel() for ax in drawn)
     bars = sorted(round(bar.get_width(), 9) for bar in drawn[1].patches)
@@ -281,8 +286,8 @@ def test_figures_of_perception() -> None:
 def test_labels_beside_the_axes_and_titles_within_them() -> None:
     mdp = SMALL.compile()
     curves = accuracy_curves(mdp, levels=[0.5, 1.0])
-    plot_accuracy_curves(curves)
-    with style():
+    plots.plot_accuracy_curves(curves)
+    with plots.style():
         _, ax = plt.subplots(figsize=(4, 3))
         words = "What these errors cost the optimal policy by the posterior of all counts"
         title = titled(ax, f"{words}\nTwo")

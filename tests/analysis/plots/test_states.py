@@ -19,19 +19,23 @@ from hypothesis import strategies as st
 from matplotlib.axes import Axes
 from random_models import dense
 
-from exact_mdp import MDP, Scenario, certify, check, evaluate, solve
-from exact_mdp.analysis import compare, curve
+from exact_mdp import (
+    MDP,
+    Certificate,
+    ModelError,
+    Scenario,
+    certify,
+    check,
+    compare,
+    curve,
+    evaluate,
+    plots,
+    return_distribution,
+    solve,
+)
 from exact_mdp.analysis.gate.cells import cells
 from exact_mdp.analysis.graph import dot
 from exact_mdp.analysis.layout import arrange
-from exact_mdp.analysis.plots import (
-    plot_policy,
-    plot_return_distribution,
-    plot_states,
-    plot_transitions,
-)
-from exact_mdp.mdp import ModelError
-from exact_mdp.solvers import Certificate, return_distribution
 
 mpl.use("Agg")
 MOVES = ["LEFT", "DOWN", "RIGHT", "UP"]
@@ -96,7 +100,7 @@ def test_a_map_over_any_two_columns() -> None:
         number = float(text.rpartition("\n")[2])
         state = mdp.space.index(subtask=subtask, trial=trial, status=4)
         assert number == pytest.approx(expected[state], rel=5e-3)
-    policy = plot_policy(mdp, "always:directive", subtask=1)
+    policy = plots.plot_policy(mdp, "always:directive", subtask=1)
     assert set(texts(policy).values()) == {"a3"}
     assert len(texts(policy)) == 32
 
@@ -163,7 +167,7 @@ def test_an_arrow_that_points_elsewhere_is_a_name(step: tuple[int, int], sign: s
 
     mdp = MDP.from_function((0, 0), actions, lambda s, a: [(1, after(s, a), 1)], "1/2")
     assert arrange(mdp).signs == (sign, "a1")
-    assert {*texts(plot_policy(mdp, "always:up")).values()} == {sign, "∎"}
+    assert {*texts(plots.plot_policy(mdp, "always:up")).values()} == {sign, "∎"}
 
 
 def test_the_parts_of_a_tuple_are_columns(tmp_path: Path) -> None:
@@ -173,7 +177,7 @@ def test_the_parts_of_a_tuple_are_columns(tmp_path: Path) -> None:
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("along", "above")
     assert {*np.ndindex(4, 3)} - texts(ax).keys() == walls
     assert [label.get_text() for label in ax.get_yticklabels()] == ["0", "-1", "-2", "-3"]
-    ax = plot_policy(mdp, "optimal", down="along", across=["key", "above"])
+    ax = plots.plot_policy(mdp, "optimal", down="along", across=["key", "above"])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("key, above", "along")
     mdp = world((4, 3), lambda r, c, key: (key, c, -r), walls)
     mdp.save(tmp_path / "m.npz")
@@ -258,9 +262,9 @@ def test_a_listed_state_is_named_apart_from_its_actions() -> None:
 
 
 def test_values_beyond_all_bounds_are_written() -> None:
-    shown = texts(plot_states(grid(1, 3), [np.inf, -np.inf, np.nan], shape=(1, 3)))
+    shown = texts(plots.plot_states(grid(1, 3), [np.inf, -np.inf, np.nan], shape=(1, 3)))
     assert [shown[0, column] for column in range(3)] == ["inf", "-inf", "∎\nnan"]
-    ax = plot_states(grid(1, 3), [np.inf, -np.inf, 1.0])
+    ax = plots.plot_states(grid(1, 3), [np.inf, -np.inf, 1.0])
     ax.figure.canvas.draw()
     assert [text.get_text().strip() for text in ax.texts] == ["inf", "-inf", ""]
 
@@ -268,9 +272,12 @@ def test_values_beyond_all_bounds_are_written() -> None:
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        (lambda: plot_states(grid(2, 2), [1.0]), "values of shape"),
-        (lambda: plot_states(grid(80, 60), np.zeros(4800), shape=(80, 60)), "a map of 4,800 cells"),
-        (lambda: plot_transitions(grid(7, 7)), "a graph of 49 states"),
+        (lambda: plots.plot_states(grid(2, 2), [1.0]), "values of shape"),
+        (
+            lambda: plots.plot_states(grid(80, 60), np.zeros(4800), shape=(80, 60)),
+            "a map of 4,800 cells",
+        ),
+        (lambda: plots.plot_transitions(grid(7, 7)), "a graph of 49 states"),
         (lambda: dot(grid(15, 15)), "a graph of 225 states"),
         (lambda: compare(grid(2, 2), {}), "no policies"),
     ],
@@ -342,18 +349,18 @@ def test_dot_holds_every_transition_and_names_are_text() -> None:
     assert sum("penwidth" in rest for *_, rest in edges) == 9  # of one action in each state
     for name in NASTY:
         assert any(f"state {name}" in re.sub(r"\\(.)", r"\1", line) for line in lines)
-    written = [text.get_text() for text in plot_transitions(mdp, "random").texts]
+    written = [text.get_text() for text in plots.plot_transitions(mdp, "random").texts]
     assert set(NASTY) <= set(written)
 
 
 def test_a_graph_of_many_states_shows_what_the_policy_does_alone() -> None:
     """Of 16 states the arrows of every action would lie over each other's texts."""
-    ax = plot_transitions(grid(4, 4), [1] * 16)
+    ax = plots.plot_transitions(grid(4, 4), [1] * 16)
     written = [text.get_text() for text in ax.texts]
     assert written.count("DOWN") == 15
     assert not {"LEFT", "RIGHT", "UP"} & set(written)
     assert all(box.get_alpha() is None for text in ax.texts if (box := text.get_bbox_patch()))
-    few = [text.get_text() for text in plot_transitions(grid(2, 2), [1] * 4).texts]
+    few = [text.get_text() for text in plots.plot_transitions(grid(2, 2), [1] * 4).texts]
     assert {"LEFT", "DOWN"} <= set(few)
 
 
@@ -361,7 +368,7 @@ def test_a_graph_of_many_states_shows_what_the_policy_does_alone() -> None:
 def test_a_graph_that_would_be_a_tangle_is_a_heat_map(policy: Any) -> None:
     """Its title says so; the shades are the probabilities from state to state."""
     mdp = dense(16, rng=3)
-    ax = plot_transitions(mdp, policy)
+    ax = plots.plot_transitions(mdp, policy)
     assert "outcomes are too many for a graph" in ax.get_title()
     shades = np.asarray(ax.images[0].get_array())
     each = [mdp.P(action).toarray() for action in range(mdp.n_actions)]
@@ -369,9 +376,11 @@ def test_a_graph_that_would_be_a_tangle_is_a_heat_map(policy: Any) -> None:
 
 
 def test_the_sign_of_an_end_is_in_the_legend() -> None:
-    legend = plot_policy(MDP.from_gymnasium("FrozenLake-v1", "99/100"), "optimal").get_legend()
+    legend = plots.plot_policy(
+        MDP.from_gymnasium("FrozenLake-v1", "99/100"), "optimal"
+    ).get_legend()
     assert "∎ an episode ends" in [text.get_text() for text in legend.get_texts()]
-    solved = plot_policy(grid(2, 2), [1] * 4).get_legend()
+    solved = plots.plot_policy(grid(2, 2), [1] * 4).get_legend()
     assert "∎ an episode ends" in [text.get_text() for text in solved.get_texts()]
 
 
@@ -379,6 +388,6 @@ def test_the_sign_of_an_end_is_in_the_legend() -> None:
 def test_a_law_without_finite_returns_is_drawn(bin: float | None) -> None:
     """Every run goes on for ever: nothing stands in the picture but the title."""
     law = return_distribution(MDP.from_outcomes([(0, 0, [(1, 0, 1)])]), "always:0")
-    ax = plot_return_distribution(law, bin=bin)
+    ax = plots.plot_return_distribution(law, bin=bin)
     assert not ax.patches
     assert "never ends, and is infinite, with probability 1" in ax.get_title()

@@ -6,11 +6,18 @@ from itertools import product
 import pytest
 from forest import burning
 
-from exact_mdp.analysis.sensitivity import worst_point
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.parametric import Parametric, moving, parametric
-from exact_mdp.solvers import evaluate, solve
-from exact_mdp.solvers.solution import Claim
+from exact_mdp import (
+    MDP,
+    Claim,
+    ModelError,
+    Parametric,
+    Scenario,
+    evaluate,
+    moving,
+    parametric,
+    solve,
+    worst_point,
+)
 
 F = Fraction
 SMALL = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=2)

@@ -15,17 +15,27 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis import explore
-from exact_mdp.analysis.sensitivity import curve, gradient, thresholds
+from exact_mdp import (
+    MDP,
+    Certified,
+    Family,
+    ModelError,
+    Parameter,
+    Parametric,
+    Scenario,
+    certify,
+    curve,
+    explore,
+    gradient,
+    moving,
+    parametric,
+    thresholds,
+)
 from exact_mdp.analysis.sensitivity.curves import checker, gap_polynomials, signs
 from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
 from exact_mdp.analysis.sensitivity.curves.signs import nonnegative, positive
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
-from exact_mdp.mdp import MDP, ModelError, Scenario
 from exact_mdp.mdp.numbers import rational
-from exact_mdp.mdp.parametric import Family, Parameter, Parametric, moving, parametric
-from exact_mdp.solvers import certify
-from exact_mdp.solvers.solution import Certified
 
 F = Fraction
 SMALL = Scenario.load("tea").with_(tasks=[1], max_trial=2)

@@ -14,12 +14,9 @@ from forest import forest
 from hypothesis import given, settings
 from strategies import Rows, models
 
-from exact_mdp import evaluate, solve
-from exact_mdp.analysis.sensitivity import curve
+from exact_mdp import MDP, Scenario, certify, curve, evaluate, solve
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots
-from exact_mdp.mdp import MDP, Scenario
 from exact_mdp.mdp.numbers import rational
-from exact_mdp.solvers import certify
 
 F = Fraction
 # Puterman (1994), section 3.1; QuantEcon.py, quantecon/markov/tests/test_ddp.py

@@ -16,13 +16,18 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.pages.explorer import Explorer, explore
-from exact_mdp.analysis.sensitivity import gradient
+from exact_mdp import (
+    MDP,
+    ModelError,
+    Scenario,
+    certify,
+    explore,
+    gradient,
+    moving,
+    parametric,
+    save,
+)
 from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io.load import save
-from exact_mdp.mdp.parametric import moving, parametric
-from exact_mdp.solvers import certify
 
 F = Fraction
 TEA = Scenario.load("tea").with_(tasks=[2], max_trial=2)
@@ -90,10 +95,10 @@ def test_the_page_holds_what_is_true_at_any_value(k: int, row: int) -> None:
         check_at(data, row, each, mdp, "random")
 
 
-KEPT: list[Explorer] = []
+KEPT: list[Any] = []
 
 
-def tea() -> Explorer:
+def tea() -> Any:
     if not KEPT:
         KEPT.append(explore(TEA, *BOTH, ranges=RANGES, policy="random", n=3))
     return KEPT[0]

@@ -7,9 +7,7 @@ import pytest
 from forest import burning
 from oracle import ACTIONS, END, Oracle, State, oracle_of
 
-from exact_mdp.analysis.sensitivity import gradient
-from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
-from exact_mdp.mdp.parametric import Family, parametric
+from exact_mdp import MDP, Family, ModelError, Parameter, Scenario, gradient, parametric
 from exact_mdp.mdp.parametric.row_change import pieces
 
 F = Fraction

@@ -12,21 +12,27 @@ import numpy as np
 import pytest
 from cli_runner import run
 
-from exact_mdp.analysis.sensitivity import (
+from exact_mdp import (
+    MDP,
+    Bounded,
+    Certified,
+    Estimated,
+    ModelError,
+    Parametric,
+    PolicyLike,
+    certify,
+    moving,
     one_way,
+    parametric,
     psa,
+    robust,
     sobol,
+    solve,
     tornado,
     two_way,
     worst_point,
 )
 from exact_mdp.analysis.sensitivity.draws.solver import ModelSolver
-from exact_mdp.analysis.sensitivity.robust.robust import robust
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.parametric import Parametric, moving, parametric
-from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.solvers import certify, solve
-from exact_mdp.solvers.solution import Bounded, Certified, Estimated
 
 GAINS = MDP.from_outcomes(  # +∞ whatever is done, though "always:1" throws 5 away
     [

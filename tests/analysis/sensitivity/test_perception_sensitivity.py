@@ -9,12 +9,8 @@ import numpy as np
 import pytest
 from cli_runner import run
 
+from exact_mdp import MDP, Scenario, evaluate, independent, parametric, perceived, psa, solve
 from exact_mdp.analysis.sensitivity.draws.sampled import sampled
-from exact_mdp.analysis.sensitivity.psa.psa import psa
-from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.care.perception import independent, perceived
-from exact_mdp.mdp.parametric import parametric
-from exact_mdp.solvers import evaluate, solve
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
@@ -132,7 +128,7 @@ def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
 
 @pytest.mark.parametrize("form", ["optimal", "plan"])
 def test_psa_and_sobol_hold_it(form: str, mdp: MDP, seen: Path, plan: Path) -> None:
-    from exact_mdp.analysis.sensitivity.draws.sobol import sobol
+    from exact_mdp import sobol
 
     told, source = (plan, PLAN) if form == "plan" else (form, solve(mdp).policy)
     words = ("--policy", told, "--n-jobs", 1, *ANGER, "--parameter", "base.confusion")

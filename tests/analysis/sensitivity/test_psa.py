@@ -5,6 +5,7 @@ from dataclasses import replace
 from fractions import Fraction as F
 from math import sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,15 +13,22 @@ from forest import burning, forest
 from scipy.special import betainc
 from scipy.stats import binom, binomtest
 
+from exact_mdp import (
+    MDP,
+    ModelError,
+    Scenario,
+    evaluate,
+    moving,
+    parametric,
+    psa,
+    solve,
+    uncertainty,
+)
 from exact_mdp.analysis.sensitivity.draws.solver import CareSolver, solver_of
-from exact_mdp.analysis.sensitivity.psa.distributions import uncertainty
 from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss, mean_of, quantiles, wilson
-from exact_mdp.analysis.sensitivity.psa.psa import MISSING, PSA, psa
+from exact_mdp.analysis.sensitivity.psa.psa import MISSING
 from exact_mdp.analysis.sensitivity.psa.rows import row_family
 from exact_mdp.analysis.sensitivity.psa.value_of_information import evpi, evppi
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.parametric import moving, parametric
-from exact_mdp.solvers import evaluate, solve
 
 YUAN = Scenario.load("yuan2025")
 SMALL = YUAN.with_(tasks=[1], max_trial=2)
@@ -45,11 +53,11 @@ def wager(p: str, q: str) -> MDP:
 
 
 @pytest.fixture(scope="module")
-def care() -> PSA:
+def care() -> Any:
     return psa(YUAN, 3000, rng=0, effective_sample_size=20)
 
 
-def test_every_draw_is_solved_and_every_policy_evaluated_in_it(care: PSA) -> None:
+def test_every_draw_is_solved_and_every_policy_evaluated_in_it(care: Any) -> None:
     for d in (0, 17, 2999):
         drawn = dict(zip(care.names, care.draws[d].tolist(), strict=True))
         mdp = YUAN.with_(parameters=drawn).compile()
@@ -76,7 +84,7 @@ def test_moments_are_those_of_an_independent_loop() -> None:
     assert found.optimal.std() == pytest.approx(loop.std(), rel=4 / (2 * len(loop)) ** 0.5)
 
 
-def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: PSA) -> None:
+def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: Any) -> None:
     assert (care.values <= (care.optimal + care.error)[:, None] + care.value_error).all()
     worth = care.evpi()
     assert 0 <= worth.low.value <= worth.high.value
@@ -85,7 +93,7 @@ def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: PSA
     assert worth.high.value == pytest.approx(care.optimal.mean() - best)
 
 
-def test_shares_of_optimal_actions_are_those_of_the_draws(care: PSA) -> None:
+def test_shares_of_optimal_actions_are_those_of_the_draws(care: Any) -> None:
     share, low, high = care.probability_optimal()
     assert share.shape == (16, 4)
     assert (low <= share).all()

@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.sensitivity.psa.distributions import (
+from exact_mdp import (
+    MDP,
+    ModelError,
+    Scenario,
     Uncertain,
     Uncertainty,
     load_uncertainty,
+    parametric,
     uncertainty,
 )
 from exact_mdp.analysis.sensitivity.psa.rows import row_family
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.parametric import parametric
 
 YUAN = parametric(Scenario.load("yuan2025"))
 COUNT = 40_000

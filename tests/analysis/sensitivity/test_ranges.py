@@ -8,15 +8,27 @@ import pytest
 from cli_runner import run
 from oracle import oracle_of
 
-from exact_mdp.analysis.sensitivity import Range, load_ranges, one_way, thresholds, tornado, two_way
+from exact_mdp import (
+    MDP,
+    BackwardInduction,
+    Bounded,
+    ModelError,
+    Parameter,
+    Parametric,
+    Range,
+    Scenario,
+    load_ranges,
+    moving,
+    one_way,
+    parametric,
+    thresholds,
+    tornado,
+    two_way,
+)
 from exact_mdp.analysis.sensitivity.one_way import Values
 from exact_mdp.analysis.sensitivity.ranges import around, whole
-from exact_mdp.mdp import MDP, ModelError, Parameter, Scenario
 from exact_mdp.mdp.care import scenario as care_scenario
-from exact_mdp.mdp.parametric import Parametric, moving, parametric
 from exact_mdp.mdp.parametric.row_change import pieces, row_change, transition_entries
-from exact_mdp.solvers import BackwardInduction
-from exact_mdp.solvers.solution import Bounded
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity import (
-    psa,
-    sobol,
-)
-from exact_mdp.mdp import MDP, moving
-from exact_mdp.mdp.parametric import Parametric
+from exact_mdp import MDP, Parametric, moving, psa, sobol
 
 # A short way that may fail, and a long one: the costs of failing decide which is better.
 COSTS = MDP.from_outcomes(

@@ -11,11 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import END, Oracle, oracle_of
 
-from exact_mdp.analysis.sensitivity import thresholds
+from exact_mdp import MDP, Family, Parameter, Scenario, certify, thresholds
 from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple, variations
-from exact_mdp.mdp import MDP, Parameter, Scenario
-from exact_mdp.mdp.parametric import Family
-from exact_mdp.solvers import certify
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}

@@ -10,9 +10,8 @@ import matplotlib.pyplot as plt
 import pytest
 from cli_runner import run
 
-from exact_mdp import MDP, Policy, Scenario, check, evaluate, solve, tradeoff
+from exact_mdp import MDP, ModelError, Policy, Scenario, check, evaluate, solve, tradeoff
 from exact_mdp.analysis.cli.solve import whole_policy
-from exact_mdp.mdp import ModelError
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import totals_of
 from exact_mdp.solvers.objectives.file import ObjectivesProof

@@ -16,9 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import totals, with_components
 
-from exact_mdp import Scenario, certify, evaluate, solve, tradeoff
-from exact_mdp.analysis import rationalize
-from exact_mdp.mdp import MDP, ModelError
+from exact_mdp import MDP, ModelError, Scenario, certify, evaluate, rationalize, solve, tradeoff
 from exact_mdp.solvers.objectives.checker import Values, slack
 from exact_mdp.solvers.objectives.optima import Losses
 

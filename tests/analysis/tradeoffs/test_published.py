@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from exact_mdp import solve, tradeoff
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP, solve, tradeoff
 
 F = Fraction
 MOVES = {"up": (-1, 0), "down": (1, 0), "left": (0, -1), "right": (0, 1)}

@@ -16,9 +16,7 @@ from hypothesis import strategies as st
 from objective_models import totals, with_components
 from scipy.optimize import linprog
 
-from exact_mdp import Scenario
-from exact_mdp.analysis import rationalize
-from exact_mdp.mdp import MDP
+from exact_mdp import MDP, Scenario, rationalize
 from exact_mdp.solvers.objectives.checker import Values
 
 F = Fraction

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exact_mdp import MDP, Scenario, tradeoff
-from exact_mdp.mdp.io import umb
+from exact_mdp import MDP, Scenario, save, tradeoff
 
 pytestmark = [pytest.mark.bench, pytest.mark.storm]
 
@@ -71,7 +70,7 @@ def walk(states: int = 15, seed: int = 7) -> MDP:
 )
 def test_storm_encloses_our_front(tmp_path: Path, mdp: MDP, names: list[str], query: str) -> None:
     stormpy = pytest.importorskip("stormpy")
-    umb.save(mdp, tmp_path / "model.umb")
+    save(mdp, tmp_path / "model.umb")
     model = stormpy.build_model_from_umb(str(tmp_path / "model.umb"))
     (formula,) = stormpy.parse_properties(query)
     text = str(stormpy.model_checking(model, formula))

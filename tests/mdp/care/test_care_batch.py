@@ -11,9 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import ACTIONS, READINGS, Oracle
 
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.space import StateSpace
-from exact_mdp.solvers import evaluate, solve
+from exact_mdp import MDP, ModelError, Policy, Scenario, StateSpace, evaluate, solve
 from exact_mdp.solvers.care import Batch, optimal, policy_values
 
 YUAN = Scenario.load("yuan2025")

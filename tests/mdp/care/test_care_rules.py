@@ -7,10 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from exact_mdp.mdp import Scenario
+from exact_mdp import Scenario, evaluate, solve
 from exact_mdp.mdp.care import rules
 from exact_mdp.mdp.care.tables import Tables
-from exact_mdp.solvers import evaluate, solve
 from exact_mdp.solvers.care import optimal, policy_values
 
 READINGS = (

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_scenarios import own_text
 
+from exact_mdp import ModelError, Scenario
 from exact_mdp.analysis.pages.page import ADVICE
-from exact_mdp.mdp import ModelError, Scenario
 from exact_mdp.mdp.care.lint import lint
 from exact_mdp.mdp.care.toml import KEYS, Reader, parse, shipped
 from exact_mdp.mdp.io.structured import toml_of

@@ -16,17 +16,19 @@ from cli_runner import run
 from oracle import Oracle
 from scipy.stats import beta, dirichlet
 
-from exact_mdp.analysis.perception.cost import value_under_counts
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.mdp.care.perception import (
+from exact_mdp import (
+    MDP,
     Counted,
+    ModelError,
+    Policy,
+    Scenario,
     counted,
+    evaluate,
     independent,
     perceived,
-    read,
-    read_counts,
 )
-from exact_mdp.solvers import evaluate
+from exact_mdp.analysis.perception.cost import value_under_counts
+from exact_mdp.mdp.care.perception import read, read_counts
 
 NAMES = ("forgetfulness", "confusion", "anger", "disengagement")
 LABELS = [f"{status:04b}" for status in range(16)]

@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from oracle import STATUSES, Oracle, State
 from policy_cases import state_of
 
-from exact_mdp.mdp import MDP, Scenario
-from exact_mdp.mdp.care.tables import READINGS
+from exact_mdp import MDP, READINGS, Scenario
 
 BASE = Scenario.load("yuan2025")
 ALL_READINGS = [

@@ -10,8 +10,7 @@ from random import Random
 import pytest
 from own_scenarios import check_own, own_text
 
-from exact_mdp.mdp import ModelError, Scenario
-from exact_mdp.mdp.care.tables import READINGS
+from exact_mdp import READINGS, ModelError, Scenario
 from exact_mdp.mdp.care.toml import parse, shipped
 
 BASE = Scenario.load("yuan2025")

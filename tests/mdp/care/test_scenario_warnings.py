@@ -9,7 +9,10 @@ from itertools import product
 import pytest
 from cli_runner import run
 
-from exact_mdp.analysis.sensitivity import (
+from exact_mdp import (
+    READINGS,
+    Scenario,
+    ScenarioWarning,
     gradient,
     one_way,
     psa,
@@ -18,9 +21,7 @@ from exact_mdp.analysis.sensitivity import (
     tornado,
     worst_point,
 )
-from exact_mdp.mdp import Scenario, ScenarioWarning
 from exact_mdp.mdp.care.laws import chances, excess
-from exact_mdp.mdp.care.tables import READINGS
 
 SMALL = {"tasks": [1], "max_trial": 2}
 ADDITIVE = {"influence_on_present": "additive"}
@@ -124,8 +125,8 @@ def test_the_command_line_says_it_in_one_line_on_standard_error() -> None:
 
 def test_the_command_line_refuses_it_where_warnings_are_errors() -> None:
     words = ["info", "yuan2025", "--set", "readings.influence_on_present=additive"]
-    code = f"import sys; from exact_mdp.analysis.cli import main; sys.exit(main({words!r}))"
-    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True)
+    program = [sys.executable, "-W", "error", "-m", "exact_mdp"]
+    done = subprocess.run([*program, *words], capture_output=True)
     assert done.returncode == 2
     assert done.stdout == b""
     assert done.stderr.startswith(b"ScenarioWarning: scenario yuan2025: a chance of 1.34")

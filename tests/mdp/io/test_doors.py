@@ -13,18 +13,23 @@ import numpy as np
 import pytest
 from archives import array_header, zipped
 
-from exact_mdp.analysis.sensitivity.psa.distributions import load_uncertainty
-from exact_mdp.analysis.sensitivity.ranges import load_ranges
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp import (
+    MDP,
+    BoundedCertificate,
+    Certificate,
+    ModelError,
+    Policy,
+    Scenario,
+    load,
+    load_ranges,
+    load_uncertainty,
+)
 from exact_mdp.mdp.care.perception import read as read_perception
 from exact_mdp.mdp.care.perception import read_counts
-from exact_mdp.mdp.io import npz, umb
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
-from exact_mdp.solvers import Certificate
 from exact_mdp.solvers.parallel import read_piece
-from exact_mdp.solvers.proof.certificate import BoundedCertificate
 
 MODEL = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2")
 CARE = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile()
@@ -32,8 +37,8 @@ CARE = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile()
 READERS: dict[str, Callable[[Path], object]] = {
     "text": read_text,
     "bytes": read_bytes,
-    "model.npz": npz.load,
-    "model.umb": umb.load,
+    "model.npz": load,
+    "model.umb": load,
     "load.npz": read_model,
     "load.umb": read_model,
     "load.toml": read_model,

@@ -18,10 +18,8 @@ from model_equality import assert_same
 from named_models import models
 from saved_models import MODELS
 
+from exact_mdp import MDP, Column, ModelError, StateSpace, load, save
 from exact_mdp.analysis.cli import cli
-from exact_mdp.mdp import MDP, Column, ModelError, StateSpace
-from exact_mdp.mdp.io import umb
-from exact_mdp.mdp.io.load import load, read_model, save
 from exact_mdp.mdp.table import OutcomeTable
 
 FORMATS = ("npz", "umb")
@@ -99,8 +97,8 @@ def test_any_model_comes_back(
 def test_denormal_rewards_are_no_contradiction(tmp_path: Path) -> None:
     """UMB took the rounding of a mean of denormal numbers for a change by another program."""
     mdp = MDP.from_arrays([[[0.3, 0.7], [0, 1.0]]], [[[1e-320, 2e-322], [0, -0.0]]], 0.5)
-    umb.save(mdp, tmp_path / "m.umb")
-    assert_whole(mdp, umb.load(tmp_path / "m.umb"))
+    save(mdp, tmp_path / "m.umb")
+    assert_whole(mdp, load(tmp_path / "m.umb"))
 
 
 def test_minus_zero_beside_zero(tmp_path: Path) -> None:
@@ -141,8 +139,8 @@ def test_columns_of_one_name(tmp_path: Path) -> None:
     """The variables of UMB have different names; a model whose columns have not is kept too."""
     columns = (Column(name="x", size=1), Column(name="x", size=1))
     mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2", space=StateSpace(columns=columns))
-    umb.save(mdp, tmp_path / "m.umb")
-    assert_whole(mdp, umb.load(tmp_path / "m.umb"))
+    save(mdp, tmp_path / "m.umb")
+    assert_whole(mdp, load(tmp_path / "m.umb"))
 
 
 def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
@@ -150,10 +148,10 @@ def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
     content = foreign_umb([[[(0, 1.0)]]], {"reward": {"choices": [1.0]}})
     path = written(content, tmp_path)
     with pytest.warns(UserWarning, match="no discount, and 1 is used"):
-        assert read_model(path).mdp.discount_exact == 1
+        assert load(path).discount_exact == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert read_model(path, discount="1/2").mdp.discount_exact == Fraction(1, 2)
+        assert load(path, discount="1/2").discount_exact == Fraction(1, 2)
 
 
 def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
@@ -166,20 +164,20 @@ def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
             "rewards of branches average",
         ),
     ):
-        umb.save(MODELS["care"], tmp_path / "m.umb")
+        save(MODELS["care"], tmp_path / "m.umb")
         content = read_by_umbi(tmp_path / "m.umb")
         content.index.valuations = None
         change(content)
         umbi.umb.write(content, tmp_path / "m.umb")
         with pytest.raises(ModelError, match=message):
-            umb.load(tmp_path / "m.umb")
+            load(tmp_path / "m.umb")
 
 
 def test_another_reward_of_our_own_file(tmp_path: Path) -> None:
     """A component is read as a model of its own, with the discount and the names of the whole."""
     mdp = MODELS["care"].with_(discount="9/10")
-    umb.save(mdp, tmp_path / "m.umb")
-    again = read_model(f"{tmp_path}/m.umb#anger").mdp
+    save(mdp, tmp_path / "m.umb")
+    again = load(f"{tmp_path}/m.umb#anger")
     assert (again.discount_exact, again.space, again.events) == (
         mdp.discount_exact, mdp.space, mdp.events,
     )  # fmt: skip

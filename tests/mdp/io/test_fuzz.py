@@ -20,9 +20,9 @@ from archives import tarred, untarred
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp import MDP, ModelError, Policy, Scenario, load, save
 from exact_mdp.mdp.care.toml import parse
-from exact_mdp.mdp.io import npz, umb
+from exact_mdp.mdp.io import npz
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1)
 CARE = SMALL.compile()
@@ -232,11 +232,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @fuzz
 @given(data=st.data())
 def test_model_bytes(folder: Path, data: st.DataObject) -> None:
-    npz.save(TOY, folder / "good.npz")
+    save(TOY, folder / "good.npz")
     content = (folder / "good.npz").read_bytes()
     path = folder / "bad.npz"
     path.write_bytes(data.draw(st.one_of(spoiled(content), st.binary(max_size=60))))
-    survives(lambda: npz.load(path))
+    survives(lambda: load(path))
 
 
 numbers = st.one_of(
@@ -248,7 +248,7 @@ numbers = st.one_of(
 @given(data=st.data())
 def test_model_arrays(folder: Path, data: st.DataObject) -> None:
     mdp = data.draw(st.sampled_from([TOY, CARE]))
-    npz.save(mdp, folder / "good.npz")
+    save(mdp, folder / "good.npz")
     with np.load(folder / "good.npz") as archive:
         members = {name: array.copy() for name, array in archive.items()}
     for _ in range(data.draw(st.integers(1, 2))):
@@ -279,13 +279,13 @@ def test_model_arrays(folder: Path, data: st.DataObject) -> None:
                     members[name] = array * factor
     path = folder / "bad.npz"
     np.savez(path, **members)
-    survives(lambda: npz.load(path))
+    survives(lambda: load(path))
 
 
 @fuzz
 @given(data=st.data())
 def test_model_headers(folder: Path, data: st.DataObject) -> None:
-    npz.save(TOY, folder / "good.npz")
+    save(TOY, folder / "good.npz")
     with np.load(folder / "good.npz") as archive:
         members = dict(archive)
     header = json.loads(members["header"].tobytes())
@@ -304,16 +304,16 @@ def test_model_headers(folder: Path, data: st.DataObject) -> None:
     members["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
     path = folder / "bad.npz"
     np.savez(path, **members)
-    survives(lambda: npz.load(path))
+    survives(lambda: load(path))
 
 
 @settings(fuzz, max_examples=80)
 @given(data=st.data())
 def test_umb_files(folder: Path, data: st.DataObject) -> None:
-    umb.save(TOY, folder / "good.umb")
+    save(TOY, folder / "good.umb")
     content, members = (folder / "good.umb").read_bytes(), untarred(folder / "good.umb")
     for name in data.draw(st.lists(st.sampled_from(sorted(members)), min_size=1, max_size=2)):
         members[name] = data.draw(spoiled(members[name]))
     path = folder / "bad.umb"
     path.write_bytes(data.draw(st.one_of(st.just(tarred(members)), spoiled(content))))
-    survives(lambda: umb.load(path))
+    survives(lambda: load(path))

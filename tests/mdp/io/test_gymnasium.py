@@ -15,9 +15,7 @@ from cli_runner import run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exact_mdp.mdp import MDP, ModelError, Policy, ShapeError
-from exact_mdp.mdp.io.load import read_model
-from exact_mdp.solvers import certify, evaluate, solve
+from exact_mdp import MDP, ModelError, Policy, ShapeError, certify, evaluate, load, solve
 
 # Gymnasium 1.3 numbers it anew.
 NUMBER = max(each.version or 0 for each in gymnasium.registry.values() if each.name == "Taxi")
@@ -121,7 +119,7 @@ def test_wrapped_environments_and_ids_are_the_same() -> None:
     assert models[0].transition.toarray().tolist() == models[1].transition.toarray().tolist()
     slippery = MDP.from_gymnasium("FrozenLake-v1", 0.9)
     assert slippery.n_transitions > models[0].n_transitions
-    assert read_model("gymnasium:FrozenLake-v1", discount="0.9").mdp.reward.tolist() == (
+    assert load("gymnasium:FrozenLake-v1", discount="0.9").reward.tolist() == (
         slippery.reward.tolist()
     )
 
@@ -334,9 +332,9 @@ def test_an_environment_of_ones_own_module(tmp_path: Path, monkeypatch: pytest.M
         'gymnasium.register("Walk-v0", entry_point="my_walk:Walk")\n'
     )
     with pytest.raises(ModelError, match=r"no module my_walk(.|\n)*PYTHONPATH"):
-        read_model("gymnasium:my_walk:Walk-v0")
+        load("gymnasium:my_walk:Walk-v0")
     monkeypatch.syspath_prepend(tmp_path)
-    mdp = read_model("gymnasium:my_walk:Walk-v0", discount="1/2").mdp
+    mdp = load("gymnasium:my_walk:Walk-v0", discount="1/2")
     assert (mdp.reward.tolist(), mdp.space.extra) == ([-1, 5, 9, 0], ("end",))
 
 
@@ -410,7 +408,7 @@ def test_tables_that_are_no_model(table: Any, start: Any, message: str) -> None:
 )
 def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
     with pytest.raises(ModelError) as caught:
-        read_model(f"gymnasium:{name}")
+        load(f"gymnasium:{name}")
     assert what in caught.value.what
     assert fix in caught.value.fix
     assert "Blackjack" not in caught.value.fix

@@ -11,69 +11,67 @@ import pytest
 from cli_runner import run
 from model_equality import assert_same
 
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.io import npz
-from exact_mdp.mdp.io.load import load, load_scenario, read_model, save
+import exact_mdp
+from exact_mdp import MDP, ModelError, Scenario, load, save
+from exact_mdp.mdp.io.load import load_scenario
 
 SMALL = ["tasks=[1]", "max_trial=1"]
 
 
 def test_a_shipped_scenario() -> None:
-    found = read_model("yuan2025", sets=SMALL)
+    found = load("yuan2025", sets=SMALL)
     assert found.name == "yuan2025"
-    assert found.scenario is not None
-    assert (found.scenario.tasks, found.scenario.max_trial) == ((1,), 1)
-    assert_same(found.mdp, Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile())
-    assert_same(load("yuan2025", sets=SMALL), found.mdp)
+    assert_same(found, Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile())
 
 
 def test_settings_apply_in_order_and_the_discount_last() -> None:
     sets = ["base.anger=0.1", "base.anger=1/5", "discount=0.5", *SMALL]
-    scenario = load_scenario("yuan2025", sets=sets, discount="9/10")
-    assert (scenario["base.anger"], scenario.discount) == (Fraction(1, 5), Fraction(9, 10))
-    assert read_model("yuan2025", sets=sets, discount="9/10").mdp.discount_exact == Fraction(9, 10)
-    assert read_model("yuan2025", sets=sets).mdp.discount_exact == Fraction(1, 2)
-    assert read_model("yuan2025", sets=SMALL, discount=0).mdp.discount_exact == 0
+    assert_same(
+        load("yuan2025", sets=sets, discount="9/10"),
+        load("yuan2025", sets=["base.anger=1/5", "discount=9/10", *SMALL]),
+    )
+    assert load("yuan2025", sets=sets, discount="9/10").discount_exact == Fraction(9, 10)
+    assert load("yuan2025", sets=sets).discount_exact == Fraction(1, 2)
+    assert load("yuan2025", sets=SMALL, discount=0).discount_exact == 0
 
 
 def test_a_scenario_file(tmp_path: Path) -> None:
-    text = (Path(npz.__file__).parent.parent / "scenarios" / "tea.toml").read_text("utf-8")
+    text = (Path(exact_mdp.__file__).parent / "mdp" / "scenarios" / "tea.toml").read_text("utf-8")
     for name in ("my tea.toml", "TEA.TOML"):
         path = tmp_path / name
         path.write_text(text.replace('name = "tea"\n', ""), encoding="utf-8")
-        found = read_model(path, sets=["tasks=[2]"])
+        found = load(path, sets=["tasks=[2]"])
         assert found.name == path.stem
-        assert found.scenario is not None
-        assert found.mdp.discount_exact == Fraction(99, 100)
-        assert found.mdp.n_states == 2 * 4 * 8 + 1
+        assert found.discount_exact == Fraction(99, 100)
+        assert found.n_states == 2 * 4 * 8 + 1
 
 
 @pytest.mark.parametrize("name", ["model.npz", "model.umb", "MODEL.NPZ"])
 def test_a_saved_model(tmp_path: Path, name: str) -> None:
     mdp = load("yuan2025", sets=SMALL)
     save(mdp, tmp_path / name)
-    found = read_model(tmp_path / name)
-    assert (found.name, found.scenario) == ("yuan2025", None)
-    assert found.mdp.reward.tolist() == mdp.reward.tolist()
-    assert sorted(found.mdp.table.row(5)) == sorted(mdp.table.row(5))
-    assert read_model(str(tmp_path / name), discount="1/3").mdp.discount_exact == Fraction(1, 3)
+    found = load(tmp_path / name)
+    assert found.name == "yuan2025"
+    assert found.reward.tolist() == mdp.reward.tolist()
+    assert sorted(found.table.row(5)) == sorted(mdp.table.row(5))
+    assert load(str(tmp_path / name), discount="1/3").discount_exact == Fraction(1, 3)
     if name.endswith("npz"):
         kept = tmp_path / "kept.npz"
         save(mdp.with_(discount="1/2"), kept)
-        assert read_model(kept).mdp.discount_exact == Fraction(1, 2)
+        assert load(kept).discount_exact == Fraction(1, 2)
 
 
 def test_a_nameless_model_goes_by_its_file(tmp_path: Path) -> None:
     mdp = MDP.from_arrays(np.eye(2)[None], [1.0, 2.0], 0.5)
     save(mdp, tmp_path / "two states.npz")
-    assert read_model(tmp_path / "two states.npz").name == "two states"
+    assert run("info", tmp_path / "two states.npz", "--json").result["model"] == "two states"
 
 
 def test_a_gymnasium_environment() -> None:
-    found = read_model("gymnasium:CliffWalking-v1", discount="99/100")
-    assert (found.name, found.scenario) == ("CliffWalking-v1", None)
-    assert found.mdp.discount_exact == Fraction(99, 100)
-    assert read_model("gymnasium:CliffWalking-v1").mdp.discount_exact == 1
+    found = load("gymnasium:CliffWalking-v1", discount="99/100")
+    assert found.name == "CliffWalking-v1"
+    assert found.discount_exact == Fraction(99, 100)
+    assert load("gymnasium:CliffWalking-v1").discount_exact == 1
 
 
 @pytest.mark.parametrize(
@@ -93,7 +91,7 @@ def test_models_that_are_not_there(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ModelError) as caught:
-        read_model(spec)
+        load(spec)
     assert what in caught.value.what
     assert fix in caught.value.fix
 
@@ -101,7 +99,7 @@ def test_models_that_are_not_there(
 def test_a_file_of_another_kind(tmp_path: Path) -> None:
     (tmp_path / "model.json").write_text("{}", encoding="utf-8")
     with pytest.raises(ModelError, match="unknown kind of model file"):
-        read_model(tmp_path / "model.json")
+        load(tmp_path / "model.json")
     with pytest.raises(ModelError, match=r"name it \.npz or \.umb"):
         save(load("yuan2025", sets=SMALL), tmp_path / "model.json")
     with pytest.raises(ModelError, match="a file without ending"):
@@ -111,9 +109,13 @@ def test_a_file_of_another_kind(tmp_path: Path) -> None:
 @pytest.mark.parametrize("spec", ["gymnasium:FrozenLake-v1", "model.npz", "model.umb#x"])
 def test_only_scenarios_can_be_set(spec: str) -> None:
     with pytest.raises(ModelError, match=r"'base\.anger=0' cannot be set"):
-        read_model(spec, sets=["base.anger=0"])
+        load(spec, sets=["base.anger=0"])
     with pytest.raises(ModelError, match="use --discount"):
-        read_model(spec, sets=["discount=0.9"])
+        load(spec, sets=["discount=0.9"])
+
+
+@pytest.mark.parametrize("spec", ["gymnasium:FrozenLake-v1", "model.npz", "model.umb#x"])
+def test_a_model_is_no_scenario(spec: str) -> None:
     with pytest.raises(ModelError, match="not a scenario"):
         load_scenario(spec)
 
@@ -123,14 +125,14 @@ def test_bad_discounts(tmp_path: Path, discount: object) -> None:
     save(load("yuan2025", sets=SMALL), tmp_path / "m.npz")
     for spec in ("yuan2025", "gymnasium:FrozenLake-v1", str(tmp_path / "m.npz")):
         with pytest.raises(ModelError):
-            read_model(spec, discount=discount)
+            load(spec, discount=discount)
 
 
 def test_bad_settings_are_named() -> None:
     with pytest.raises(ModelError, match=r"base\.anger"):
-        read_model("yuan2025", sets=["base.angre=1"])
+        load("yuan2025", sets=["base.angre=1"])
     with pytest.raises(ModelError, match="unknown model"):
-        load_scenario("yuan")
+        load("yuan")
 
 
 def test_without_storm_the_error_names_the_extra(
@@ -145,8 +147,8 @@ def test_without_storm_the_error_names_the_extra(
     )
     assert (failed.status, failed.out) == (2, "")
     assert "exact-mdp[models]" in failed.err
-    with pytest.raises(ModelError, match="has no constants"):
-        read_model("yuan2025", constants="N=4")
+    failed = run("convert", "yuan2025", str(tmp_path / "m.umb"), "--constants", "N=4")
+    assert (failed.status, "has no constants" in failed.err) == (2, True)
 
 
 def test_convert_keeps_labels_and_refuses_other_endings(tmp_path: Path) -> None:

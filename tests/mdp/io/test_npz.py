@@ -18,15 +18,14 @@ from archives import array_header, unzipped, zipped
 from model_equality import assert_same
 from saved_models import MODELS
 
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.io import npz
+from exact_mdp import MDP, ModelError, load, save
 
 
 def test_any_program_can_read_it(tmp_path: Path) -> None:
     """The model once more, by the format's description alone."""
     for name in ("care", "care beyond 64 bits", "floats", "wide"):
         mdp, path = MODELS[name], tmp_path / "model.npz"
-        npz.save(mdp, path)
+        save(mdp, path)
         with np.load(path, allow_pickle=False) as archive:
             arrays = dict(archive)
         header = json.loads(arrays["header"].tobytes())
@@ -53,25 +52,25 @@ def test_any_program_can_read_it(tmp_path: Path) -> None:
 
 def test_a_compressed_archive_is_read_too(tmp_path: Path) -> None:
     mdp, path = MODELS["care"], tmp_path / "model.npz"
-    npz.save(mdp, path)
+    save(mdp, path)
     with np.load(path) as archive:
         np.savez_compressed(tmp_path / "small.npz", **dict(archive))
     assert (tmp_path / "small.npz").stat().st_size < path.stat().st_size / 3
-    assert_same(mdp, npz.load(tmp_path / "small.npz"))
+    assert_same(mdp, load(tmp_path / "small.npz"))
 
 
 # ---- damage -----------------------------------------------------------------------------------
 
 
 def saved(mdp: MDP, folder: Path) -> dict[str, Any]:
-    npz.save(mdp, folder / "good.npz")
+    save(mdp, folder / "good.npz")
     with np.load(folder / "good.npz") as archive:
         return dict(archive)
 
 
 def refused(path: Path, message: str) -> None:
     with pytest.raises(ModelError) as caught:
-        npz.load(path)
+        load(path)
     assert message in str(caught.value)
     assert str(path) in caught.value.where
     assert caught.value.fix
@@ -200,7 +199,7 @@ def test_headers_that_are_no_model(tmp_path: Path, name: str) -> None:
 
 
 def test_a_truncated_file_at_any_length(tmp_path: Path) -> None:
-    npz.save(MODELS["floats"], tmp_path / "good.npz")
+    save(MODELS["floats"], tmp_path / "good.npz")
     content = (tmp_path / "good.npz").read_bytes()
     path = tmp_path / "cut.npz"
     for length in [*range(0, len(content), 61), len(content) - 1]:
@@ -211,7 +210,7 @@ def test_a_truncated_file_at_any_length(tmp_path: Path) -> None:
 def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:
     """A single changed byte is refused, or is in a place that carries no meaning."""
     mdp, path = MODELS["floats"], tmp_path / "model.npz"
-    npz.save(mdp, path)
+    save(mdp, path)
     content = path.read_bytes()
     refusals = 0
     directory = content.index(b"PK\x01\x02")
@@ -219,7 +218,7 @@ def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:
     for place in places:
         path.write_bytes(content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :])
         try:
-            again = npz.load(path)
+            again = load(path)
         except ModelError:
             refusals += 1
         else:
@@ -249,7 +248,7 @@ def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:
 def test_array_headers_that_claim_nonsense(
     tmp_path: Path, shape: str, kind: str, message: str
 ) -> None:
-    npz.save(MODELS["floats"], tmp_path / "good.npz")
+    save(MODELS["floats"], tmp_path / "good.npz")
     members = unzipped(tmp_path / "good.npz")
     members["pair_state.npy"] = array_header(shape, kind) + bytes(16)
     (tmp_path / "bad.npz").write_bytes(zipped(members))
@@ -258,7 +257,7 @@ def test_array_headers_that_claim_nonsense(
 
 def test_archives_that_claim_more_than_they_hold(tmp_path: Path) -> None:
     """Zeros by the hundred million compress to little: nothing of the kind is unpacked."""
-    npz.save(MODELS["floats"], tmp_path / "good.npz")
+    save(MODELS["floats"], tmp_path / "good.npz")
     members = unzipped(tmp_path / "good.npz")
     members["weight.npy"] = array_header("(20000000,)", "<f8") + bytes(160_000_000)
     path = tmp_path / "bomb.npz"
@@ -268,7 +267,7 @@ def test_archives_that_claim_more_than_they_hold(tmp_path: Path) -> None:
 
 
 def test_archives_of_unusual_make(tmp_path: Path) -> None:
-    npz.save(MODELS["floats"], tmp_path / "good.npz")
+    save(MODELS["floats"], tmp_path / "good.npz")
     members = unzipped(tmp_path / "good.npz")
     path = tmp_path / "bad.npz"
     path.write_bytes(zipped(members, zipfile.ZIP_LZMA))
@@ -306,10 +305,12 @@ def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
     np.savez(tmp_path / "q.npz", np.zeros((16, 4)))
     refused(tmp_path / "q.npz", "a Q-table is a policy")
     np.save(tmp_path / "q.npy", np.zeros((16, 4)))
-    refused(tmp_path / "q.npy", "damaged, or not an archive")
+    refused(tmp_path / "q.npy", "unknown kind of model file")
+    (tmp_path / "q.npy").rename(tmp_path / "r.npz")
+    refused(tmp_path / "r.npz", "damaged, or not an archive")
     with pytest.raises(ModelError, match="cannot write the file"):
-        npz.save(MODELS["floats"], tmp_path / "nowhere" / "model.npz")
+        save(MODELS["floats"], tmp_path / "nowhere" / "model.npz")
     huge = MODELS["floats"].with_(discount=1 - Fraction(1, 10**5000))
     with pytest.raises(ModelError, match="over 4,000 characters"):
-        npz.save(huge, tmp_path / "model.npz")
+        save(huge, tmp_path / "model.npz")
     assert not (tmp_path / "model.npz").exists()

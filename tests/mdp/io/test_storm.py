@@ -15,10 +15,8 @@ import numpy as np
 import pytest
 from oracle import Oracle
 
-from exact_mdp import certify
-from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp import MDP, ModelError, Scenario, certify, load, save
 from exact_mdp.mdp.io import umb
-from exact_mdp.mdp.io.load import load
 
 pytestmark = [pytest.mark.bench, pytest.mark.storm]
 
@@ -74,7 +72,7 @@ def test_storm_finds_the_exact_optimum(
 ) -> None:
     """The same rational number from Storm's policy iteration and from the reference model."""
     mdp = Scenario.load("yuan2025").with_(readings=readings).compile()
-    umb.save(mdp, tmp_path / "care.umb")
+    save(mdp, tmp_path / "care.umb")
     model = stormpy.build_model_from_umb(str(tmp_path / "care.umb"))
     assert (model.nr_states, model.nr_choices) == (mdp.n_states, mdp.n_pairs)
     found = answer(stormpy, model, 'R{"reward"}max=? [F "terminal"]')
@@ -97,7 +95,7 @@ def test_storm_evaluates_a_policy_by_component(stormpy: Any, tmp_path: Path) -> 
         component_names=mdp.component_names,
         components=mdp.components[kept],
     )
-    umb.save(chain, tmp_path / "chain.umb")
+    save(chain, tmp_path / "chain.umb")
     model = stormpy.build_model_from_umb(str(tmp_path / "chain.umb"))
     oracle = Oracle()
     wanted = oracle.evaluate(lambda state: {"directive": Fraction(1)}, distribution=False)

@@ -15,14 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyarrow import parquet
 
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.mdp.exact import fingerprint
+from exact_mdp import MDP, ModelError, certify, fingerprint, load, save
 from exact_mdp.mdp.io import transitions
-from exact_mdp.mdp.io.load import load, save
 from exact_mdp.mdp.records import entered
-from exact_mdp.solvers import certify
 
-NAMES = list(transitions.COLUMNS)
+NAMES = ["episode", "state", "action", "reward", "next_state"]
 
 
 def table(rows: list[tuple[Any, ...]]) -> pd.DataFrame:

@@ -19,10 +19,8 @@ from archives import annotate, foreign_umb, read_by_umbi, tarred, untarred, writ
 from laws import laws
 from saved_models import MODELS
 
-from exact_mdp import certify
-from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp import MDP, ModelError, Scenario, certify, load, save
 from exact_mdp.mdp.io import umb
-from exact_mdp.mdp.io.load import read_model
 
 F = Fraction
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=1).compile()
@@ -32,7 +30,7 @@ FLOATS = MODELS["floats"]
 def test_umbi_itself_reads_ours(tmp_path: Path) -> None:
     """The format's own library finds the same chances, expected rewards, labels and columns."""
     mdp, path = CARE, tmp_path / "care.umb"
-    umb.save(mdp, path)
+    save(mdp, path)
     found = read_by_umbi(path)
     system = found.index.transition_system
     assert (system.time, system.num_players) == ("discrete", 1)
@@ -70,11 +68,11 @@ def test_components_whose_names_differ_by_signs_alone(tmp_path: Path) -> None:
     names = ("a.b", "a-b", "A_b", "reward")
     parts = np.array([[1.0, 2.0, 3.0, 4.0]])
     mdp = MDP.from_outcomes([(0, 0, [(1, 0, 10)])], component_names=names, components=parts)
-    umb.save(mdp, tmp_path / "m.umb")
+    save(mdp, tmp_path / "m.umb")
     content = read_by_umbi(tmp_path / "m.umb")
     known_as = [d.alias or key for key, d in content.index.annotations["rewards"].items()]
     assert known_as == ["reward", "a_b", "a_b_", "A_b", "reward_"]
-    assert umb.load(tmp_path / "m.umb").reward.tolist() == [10]
+    assert load(tmp_path / "m.umb").reward.tolist() == [10]
     assert umb.load(tmp_path / "m.umb", reward="a_b").reward.tolist() == [1]
 
 
@@ -89,7 +87,7 @@ def test_rewards_of_states_choices_and_branches_add_up(tmp_path: Path) -> None:
         {"cost": values},
     )
     act(content, [1, 0, 0], ["go", "wait"])
-    mdp = umb.load(written(content, tmp_path), discount=1)
+    mdp = load(written(content, tmp_path), discount=1)
     assert (mdp.actions, mdp.name) == (("go", "wait"), "theirs")
     assert laws(mdp) == {
         (0, "go"): {(1, 320 + half): 1},
@@ -113,35 +111,35 @@ def act(content: Any, chosen: list[int], names: list[str]) -> None:
 
 
 def test_a_chain_and_a_state_without_choices(tmp_path: Path) -> None:
-    mdp = umb.load(written(chain(steps=[1.5, 0.0]), tmp_path), discount=1)
+    mdp = load(written(chain(steps=[1.5, 0.0]), tmp_path), discount=1)
     quarter = Fraction(1, 4)
     assert laws(mdp)[0, "0"] == {(0, Fraction(3, 2)): quarter, (1, Fraction(3, 2)): 1 - quarter}
     assert mdp.terminal.tolist() == [False, True]
     with pytest.raises(ModelError, match="in a state without choices"):
-        umb.load(written(chain(steps=[1.5, 2.0]), tmp_path), discount=1)
+        load(written(chain(steps=[1.5, 2.0]), tmp_path), discount=1)
 
 
 def test_a_reward_model_is_chosen_by_name(tmp_path: Path) -> None:
     path = written_with_two_rewards(tmp_path)
     for name, value in (("time", 1), ("cost", 7), ("a long name", 7)):
         assert umb.load(path, discount=1, reward=name).reward[0] == value
-        assert read_model(f"{path}#{name}", discount=1).mdp.reward[0] == value
+        assert load(f"{path}#{name}", discount=1).reward[0] == value
     with pytest.raises(ModelError, match=r"no reward model 'tim'(.|\n)*did you mean time"):
-        read_model(f"{path}#tim", discount=1)
+        load(f"{path}#tim", discount=1)
 
 
 def test_several_reward_models_and_none(tmp_path: Path) -> None:
     """Unless one is named, all are components of the reward, which is their sum; or it is 0."""
     path = written_with_two_rewards(tmp_path)
     with pytest.warns(UserWarning, match="rewards time, a long name are added up"):
-        mdp = umb.load(path, discount=1)
+        mdp = load(path, discount=1)
     assert mdp.component_names == ("time", "a long name")
     assert mdp.components.tolist() == [[1, 7], [0, 0]]
     assert mdp.reward.tolist() == [8, 0]
-    bare = umb.load(written(chain(), tmp_path), discount=1)
+    bare = load(written(chain(), tmp_path), discount=1)
     assert bare.reward.tolist() == [0, 0]
     exact = chain(reward=[Fraction(1, 2), 0], cost=[Fraction(1, 3), 0])
-    both = umb.load(written(exact, tmp_path), discount=1)  # the one called reward is the reward
+    both = load(written(exact, tmp_path), discount=1)  # the one called reward is the reward
     assert both.component_names == ("cost", "rest")
     assert certify(both.with_(labels={"end": [False, True]}).until("end", "rest")).value[0] == F(
         1, 6
@@ -157,17 +155,17 @@ def written_with_two_rewards(folder: Path) -> Path:
 def test_initial_states(tmp_path: Path) -> None:
     path = written(chain(steps=[1, 0], initial=[0, 1]), tmp_path)
     with pytest.warns(UserWarning, match="first of 2 initial states, state 0; --start"):
-        assert umb.load(path, discount=1).labels["init"].tolist() == [True, True]
-    assert umb.load(path, discount=1, start=1).start == ((1, Fraction(1)),)
-    assert len(umb.load(path, discount=1, start={0: "1/3", 1: "2/3"}).start) == 2
+        assert load(path, discount=1).labels["init"].tolist() == [True, True]
+    assert load(path, discount=1, start=1).start == ((1, Fraction(1)),)
+    assert len(load(path, discount=1, start={0: "1/3", 1: "2/3"}).start) == 2
     with pytest.raises(ModelError, match="no initial state"):
-        umb.load(written(chain(steps=[1, 0], initial=[]), tmp_path), discount=1)
+        load(written(chain(steps=[1, 0], initial=[]), tmp_path), discount=1)
 
 
 def test_actions_that_repeat_in_a_state_are_numbered(tmp_path: Path) -> None:
     content = foreign_umb([[[(0, 1.0)]] * 3], {"r": {"choices": [5, 6, 7]}})
     act(content, [1, 1, 0], ["", "b"])
-    mdp = umb.load(written(content, tmp_path), discount=1)
+    mdp = load(written(content, tmp_path), discount=1)
     assert (mdp.actions, mdp.reward.tolist()) == (("0", "1", "2"), [5, 6, 7])
 
 
@@ -193,26 +191,26 @@ def test_models_of_other_kinds(tmp_path: Path) -> None:
         (half, r"sum to 0\.5, not 1"),
     ):
         with pytest.raises(ModelError, match=message):
-            umb.load(written(content, tmp_path), discount=1)
+            load(written(content, tmp_path), discount=1)
 
 
 def test_rewards_that_were_changed_for_choices_alone(tmp_path: Path) -> None:
     """Another tool may change the rewards and pass over our finer ones: they must not win."""
     path = tmp_path / "care.umb"
-    umb.save(CARE, path)
+    save(CARE, path)
     content = read_by_umbi(path)
     content.index.valuations = None
     content.annotations["rewards"]["reward"]["choices"][7] += 1
     umbi.umb.write(content, path)
     with pytest.raises(ModelError, match="rewards of branches average"):
-        umb.load(path)
+        load(path)
 
 
 # ---- damage -----------------------------------------------------------------------------------
 
 
 def members_of_care(folder: Path) -> dict[str, bytes]:
-    umb.save(CARE, folder / "good.umb")
+    save(CARE, folder / "good.umb")
     return untarred(folder / "good.umb")
 
 
@@ -220,7 +218,7 @@ def refused(content: bytes, message: str, folder: Path) -> None:
     path = folder / "bad.umb"
     path.write_bytes(content)
     with pytest.raises(ModelError) as caught:
-        umb.load(path)
+        load(path)
     assert message in str(caught.value)
     assert str(path) in caught.value.where
     assert caught.value.fix
@@ -229,7 +227,7 @@ def refused(content: bytes, message: str, folder: Path) -> None:
 def test_files_cut_short_or_left_out(tmp_path: Path) -> None:
     members, path = members_of_care(tmp_path), tmp_path / "bad.umb"
     path.write_bytes(tarred(members))
-    assert laws(umb.load(path)) == laws(CARE)
+    assert laws(load(path)) == laws(CARE)
     optional = ("valuations/", "annotations/aps", "annotations/rewards/component", "strings")
     for name in members:
         if any(part in name for part in optional) or "string-mapping" in name:
@@ -290,21 +288,21 @@ def test_numbers_that_make_no_model(
 def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "text.umb").write_text("mdp module", encoding="utf-8")
     with pytest.raises(ModelError, match="damaged"):
-        umb.load(tmp_path / "text.umb")
+        load(tmp_path / "text.umb")
     with pytest.raises(ModelError, match="cannot write"):
-        umb.save(FLOATS, tmp_path / "nowhere" / "model.umb")
+        save(FLOATS, tmp_path / "nowhere" / "model.umb")
 
 
 def test_without_umbi_the_error_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    umb.save(FLOATS, tmp_path / "model.umb")
+    save(FLOATS, tmp_path / "model.umb")
     for name in [name for name in sys.modules if name.partition(".")[0] == "umbi"]:
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ModelError, match=r"exact-mdp\[models\]"):
-        umb.save(FLOATS, tmp_path / "model.umb")
+        save(FLOATS, tmp_path / "model.umb")
     with pytest.raises(ModelError, match=r"exact-mdp\[models\]"):
-        umb.load(tmp_path / "model.umb")
+        load(tmp_path / "model.umb")
 
 
 def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
@@ -373,11 +371,11 @@ def test_labels_names_and_variables_of_others(tmp_path: Path) -> None:
     files["valuations/states/valuations.bin"] = bytes([0b0_111, 0b1_000, 0b1_011])
     path = tmp_path / "theirs.umb"
     path.write_bytes(tarred(files))
-    mdp = umb.load(path, discount=1)
+    mdp = load(path, discount=1)
     assert list(mdp.labels) == ["The goal"]
     assert mdp.labels["The goal"].tolist() == [False, False, True]
     assert mdp.space.labels(range(3)) == [
         "state x=-1, on=false", "state x=0, on=true", "state x=3, on=true",
     ]  # fmt: skip
     assert certify(mdp.reaching("The goal")).start_value == 1
-    assert umb.load(path, discount=1, start="x=3, on=true").start == ((2, 1),)
+    assert load(path, discount=1, start="x=3, on=true").start == ((2, 1),)

@@ -15,10 +15,9 @@ from forest import forest
 from hypothesis import assume, given, settings
 from strategies import Rows, models
 
-from exact_mdp import MDP, ModelError, certify
+from exact_mdp import MDP, AverageCertificate, ModelError, certify
 from exact_mdp.mdp.exact import bellman_rows, per_step
 from exact_mdp.solvers.average import checker
-from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.chain import ExactAverages
 from exact_mdp.solvers.average.checker import Rationals
 

@@ -10,9 +10,18 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from strategies import Row, Rows, models
 
-from exact_mdp import MDP, ModelError, certify, evaluate, solve
-from exact_mdp.solvers import GaussSeidel, PolicyIteration, PrecisionWarning, SolverError
-from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
+from exact_mdp import (
+    MDP,
+    GaussSeidel,
+    ModelError,
+    PolicyIteration,
+    PrecisionWarning,
+    SolverError,
+    ValueIteration,
+    certify,
+    evaluate,
+    solve,
+)
 
 SMALL = models(discounts=[F(1, 2)])
 

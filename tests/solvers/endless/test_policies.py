@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import Pairs, any_models, model_of
 
-from exact_mdp.analysis import check
-from exact_mdp.mdp import MDP, ModelError
-from exact_mdp.solvers import certify, evaluate, return_distribution, simulate
+from exact_mdp import MDP, ModelError, certify, check, evaluate, return_distribution, simulate
 
 
 @given(model=any_models(5), data=st.data())

@@ -13,15 +13,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from strategies import Pairs, Row, any_models, model_of
 
-from exact_mdp.mdp import MDP, ModelError, chain
-from exact_mdp.solvers import certify, solve
+from exact_mdp import MDP, Certificate, ModelError, PrecisionWarning, certify, solve
+from exact_mdp.mdp import chain
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.endless.merged import without_losing
 from exact_mdp.solvers.endless.structure import finite, structure
 from exact_mdp.solvers.proof import exact as exact_values
 from exact_mdp.solvers.proof import linear
-from exact_mdp.solvers.proof.certificate import Certificate
-from exact_mdp.solvers.solution import PrecisionWarning
 
 
 def chain_of(size: int, pairs: tuple[Row, ...], policy: np.ndarray) -> tuple:

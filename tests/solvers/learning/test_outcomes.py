@@ -7,14 +7,23 @@ import numpy as np
 import oracle
 import pytest
 
-from exact_mdp.analysis.learning.curves import exact_curves, learning_curve, random_curve
-from exact_mdp.analysis.learning.outcomes import mean_interval, outcomes, share_interval
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.solvers import evaluate, solve
-from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
+from exact_mdp import (
+    MDP,
+    Exponential,
+    ModelError,
+    Policy,
+    QLearning,
+    Scenario,
+    TrainingRun,
+    evaluate,
+    learning_curve,
+    outcomes,
+    solve,
+    train,
+)
+from exact_mdp.analysis.learning.curves import exact_curves, random_curve
+from exact_mdp.analysis.learning.outcomes import mean_interval, share_interval
 from exact_mdp.solvers.learning.sampler import rows_of
-from exact_mdp.solvers.learning.schedules import Exponential
-from exact_mdp.solvers.learning.training import train
 
 SHORT = QLearning(epochs=150)
 

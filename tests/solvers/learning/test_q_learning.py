@@ -13,17 +13,21 @@ from learning_twin import Stream, Twin
 from pieces_of_work import contents
 from strategies import models
 
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.solvers import evaluate, solve
-from exact_mdp.solvers.learning.q_learning import METHODS, TIES, QLearning, Trainer
-from exact_mdp.solvers.learning.sampler import as_policy, child, rows_of, stream, tables
-from exact_mdp.solvers.learning.schedules import (
-    PAPER_CONSTANT,
-    PAPER_DECAYING,
+from exact_mdp import (
+    MDP,
     Constant,
     Exponential,
+    ModelError,
+    Policy,
+    QLearning,
+    Scenario,
+    evaluate,
+    solve,
+    train,
 )
-from exact_mdp.solvers.learning.training import train
+from exact_mdp.solvers.learning.q_learning import METHODS, TIES, Trainer
+from exact_mdp.solvers.learning.sampler import as_policy, child, rows_of, stream, tables
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
 from exact_mdp.solvers.values.policy_values import policy_values
 
 CARE = Scenario.load("yuan2025")

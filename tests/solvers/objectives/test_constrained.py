@@ -13,10 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import totals, with_components
 
-from exact_mdp import Scenario, certify, evaluate, solve
-from exact_mdp.mdp import MDP, ModelError
+from exact_mdp import MDP, ConstrainedSolution, ModelError, Scenario, certify, evaluate, solve
 from exact_mdp.solvers.objectives.checker import Values
-from exact_mdp.solvers.objectives.constrained import ConstrainedSolution, limits_of
+from exact_mdp.solvers.objectives.constrained import limits_of
 from exact_mdp.solvers.objectives.file import ObjectivesProof
 from exact_mdp.solvers.objectives.simplex import maximise
 

@@ -6,8 +6,7 @@ from fractions import Fraction as F
 
 import pytest
 
-from exact_mdp import MDP, certify, check, solve, tradeoff
-from exact_mdp.analysis import rationalize
+from exact_mdp import MDP, certify, check, rationalize, solve, tradeoff
 
 PARTS = {"a": [0.1, 0.7, 0.0], "b": [0.2, 0.0, 0.0], "c": [0.3, 0.0, 0.0]}
 REWARD = [0.1 + 0.2 + 0.3, 0.7, 0.0]

@@ -17,10 +17,19 @@ from hypothesis import strategies as st
 from oracle import END, Oracle
 from strategies import Rows, exact_gains, exact_values, model_of, models
 
-from exact_mdp.mdp import MDP, ModelError, Scenario
+from exact_mdp import (
+    MDP,
+    BoundedCertificate,
+    Certificate,
+    Claim,
+    ModelError,
+    Scenario,
+    SolverError,
+    certify,
+    evaluate,
+    solve,
+)
 from exact_mdp.mdp.exact import bellman_rows, slack_signs
-from exact_mdp.solvers import Claim, SolverError, certify, evaluate, solve
-from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.proof.margins import alike, gains, undecided
 
 PROOF = Path(__file__).parents[3] / "exact_mdp" / "solvers" / "proof"

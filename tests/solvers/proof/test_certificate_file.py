@@ -14,10 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from strategies import model_of
 
-from exact_mdp.mdp import ModelError
-from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.solvers import certify
-from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
+from exact_mdp import BoundedCertificate, Certificate, ModelError, certify, fingerprint
 
 NAMES = ["acyclic", "cycle", "cycle of floats"]
 

@@ -13,13 +13,11 @@ from hypothesis import strategies as st
 from large_models import gridworld
 from strategies import Rows, model_of, models
 
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.solvers import certify
+from exact_mdp import MDP, Certificate, ModelError, Scenario, certify, fingerprint
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.solvers.kernels import modular
 from exact_mdp.solvers.proof import exact
 from exact_mdp.solvers.proof import linear as exact_linear
-from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.cycle import Cycle, RightSides
 from exact_mdp.solvers.proof.linear import Equations
 from exact_mdp.solvers.proof.losses import losses, short_rows

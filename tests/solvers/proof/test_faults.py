@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from certificates import MODELS, certified
 
-from exact_mdp.mdp import MDP, ModelError
+from exact_mdp import MDP, Certificate, ModelError, certify
 from exact_mdp.mdp.table import OutcomeTable, ones
-from exact_mdp.solvers import certify
-from exact_mdp.solvers.proof.certificate import Certificate
 
 Change = Callable[[Any], dict[str, Any]]
 

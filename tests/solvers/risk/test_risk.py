@@ -16,10 +16,7 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.solvers import certify
-from exact_mdp.solvers.risk import best_cvar
+from exact_mdp import MDP, ModelError, Scenario, best_cvar, certify, mean_cvar
 
 F = Fraction
 Distribution = tuple[tuple[Fraction, Fraction], ...]

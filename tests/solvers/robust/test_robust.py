@@ -10,17 +10,28 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from strategies import Rows, models
 
+from exact_mdp import (
+    MDP,
+    Intervals,
+    ModelError,
+    PrecisionWarning,
+    Scenario,
+    SolverError,
+    evaluate,
+    robust,
+    robust_curve,
+    solve,
+    solve_robust,
+)
 from exact_mdp.analysis.cli import options
 from exact_mdp.analysis.cli.sensitivity.options import Asked
 from exact_mdp.analysis.cli.sensitivity.robust import robust_report
 from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
-from exact_mdp.analysis.sensitivity.robust.robust import SETS, ambiguity_of, robust, robust_curve
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.solvers import PrecisionWarning, SolverError, evaluate, solve
+from exact_mdp.analysis.sensitivity.robust.robust import SETS, ambiguity_of
 from exact_mdp.solvers.robust.bounds import Game, margins, robust_bounds
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
-from exact_mdp.solvers.robust.robust import RobustSolution, solve_robust
-from exact_mdp.solvers.robust.sets import Inner, Intervals, L1Ball
+from exact_mdp.solvers.robust.robust import RobustSolution
+from exact_mdp.solvers.robust.sets import Inner, L1Ball
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 F = Fraction
@@ -253,7 +264,7 @@ def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
 
 
 def test_a_box_needs_a_parameter_that_moves(tmp_path) -> None:
-    from exact_mdp.mdp.io.load import save
+    from exact_mdp import save
 
     save(risky(), tmp_path / "model.npz")
     loaded = options.given(str(tmp_path / "model.npz"), (), None)

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from exact_mdp.mdp import MDP, ModelError
+from exact_mdp import MDP, Intervals, ModelError
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
-from exact_mdp.solvers.robust.sets import Intervals, L1Ball, blocks_of, inner
+from exact_mdp.solvers.robust.sets import L1Ball, blocks_of, inner
 
 fewer = settings(max_examples=40)
 WEIGHTS = st.lists(st.integers(1, 50), min_size=1, max_size=7)

@@ -16,11 +16,21 @@ from large_models import gridworld
 from oracle import READINGS
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 
-from exact_mdp.analysis import check
-from exact_mdp.mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.solvers import Claim, PolicyIteration, certify, return_distribution, simulate, solve
-from exact_mdp.solvers.solution import Bounded
-from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp import (
+    MDP,
+    Bounded,
+    Claim,
+    ModelError,
+    Policy,
+    PolicyIteration,
+    Scenario,
+    certify,
+    check,
+    evaluate,
+    return_distribution,
+    simulate,
+    solve,
+)
 
 POLICIES = (careful, uniform, directive)
 SAMPLE = [

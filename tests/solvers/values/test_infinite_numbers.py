@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from cli_runner import run, strict
 
-from exact_mdp.mdp import MDP
-from exact_mdp.mdp.io import npz
-from exact_mdp.solvers import evaluate, return_distribution, simulate
+from exact_mdp import MDP, evaluate, return_distribution, save, simulate
 
 
 def bet(size: float) -> MDP:
@@ -94,7 +92,7 @@ def test_nothing_earned_is_exactly_nothing() -> None:
 
 def test_the_command_tells_what_is_unknown(tmp_path: Path) -> None:
     path = tmp_path / "late.npz"
-    npz.save(late(F(1, 10**19)), path)
+    save(late(F(1, 10**19)), path)
     found = run("evaluate", path, "random", "--json").result
     assert (found["steps"], found["error_bounds"]["steps"]) == (None, "inf")
     assert found["mean"] == pytest.approx(2)

@@ -17,12 +17,17 @@ from oracle import READINGS
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 from strategies import Pairs, any_models, model_of
 
-from exact_mdp import solvers
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.solvers import Claim
-from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.returns import ReturnDistribution, return_distribution
-from exact_mdp.solvers.values.simulate import simulate
+from exact_mdp import (
+    MDP,
+    Claim,
+    ModelError,
+    ReturnDistribution,
+    Scenario,
+    evaluate,
+    return_distribution,
+    simulate,
+    solvers,
+)
 
 Law = dict[F, F]
 SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])

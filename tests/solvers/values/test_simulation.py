@@ -10,12 +10,18 @@ import pytest
 import scipy.sparse as sp
 from policy_cases import care, careful, policy_of
 
-from exact_mdp.mdp import MDP, ModelError, Scenario
-from exact_mdp.solvers import Claim
-from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp import (
+    MDP,
+    Claim,
+    ModelError,
+    Scenario,
+    Simulation,
+    evaluate,
+    return_distribution,
+    simulate,
+)
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.returns import return_distribution
-from exact_mdp.solvers.values.simulate import Simulation, _cumulative, simulate
+from exact_mdp.solvers.values.simulate import _cumulative
 
 EPISODES = 100_000
 
