@@ -28,7 +28,24 @@ ACCURACY, VALUE = "accuracy of perception", "value at the start (reward)"
 
 @plain_text
 def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> Axes:
-    """Draw the value of a policy against the accuracy of one status, and of all."""
+    """Draw the value of a policy against the accuracy of one status, and of all.
+
+    Parameters
+    ----------
+    curves : AccuracyCurves
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, accuracy_curves
+    >>> curves = accuracy_curves(Scenario.load("yuan2025").compile(), levels=[1.0, 0.9])
+    >>> plot_accuracy_curves(curves).get_ylabel()
+    'value at the start (reward)'
+    """
     ax = axes_or_new(ax)
     for number, (name, values) in enumerate(curves.values.items()):
         every = name == "all"

@@ -27,7 +27,7 @@ MOST_ROWS = 32
 
 @plain_text
 def plot_acceptability(
-    found: PSA,
+    draws: PSA,
     *,
     candidates: Sequence[int] = (0,),
     tolerances: ArrayLike | None = None,
@@ -38,10 +38,30 @@ def plot_acceptability(
     Tolerances Δ that are given are on a linear scale. Otherwise they reach from 0 to the largest
     99 % quantile of these policies' regrets; the scale is linear up to a ten-thousandth of that,
     then logarithmic.
+
+    Parameters
+    ----------
+    draws : PSA
+    candidates : sequence of int, optional
+        Numbers of the policies in `PSA.candidates`.
+    tolerances : (T,) array_like, optional
+        Accepted losses Δ, in units of reward.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, psa
+    >>> draws = psa(Scenario.load("yuan2025"), 10, rng=0, effective_sample_size=40)
+    >>> plot_acceptability(draws).get_xlabel()
+    'loss that is accepted, Δ (reward)'
     """
     ax = axes_or_new(ax)
     if tolerances is None:
-        at = tolerances_of([found.regret(number) for number in candidates], 201)
+        at = tolerances_of([draws.regret(number) for number in candidates], 201)
         if len(at) > 1:
             near = float(at[1])
             ax.set_xscale("symlog", linthresh=near, linscale=0.3)
@@ -54,9 +74,9 @@ def plot_acceptability(
     else:
         at = np.asarray(tolerances, dtype=float)
     for place, number in enumerate(candidates):
-        share, low, high = found.accepted(at, number)
+        share, low, high = draws.accepted(at, number)
         colour, line = COLOURS[place % len(COLOURS)], LINES[place % len(LINES)]
-        name = found.candidates[number].name
+        name = draws.candidates[number].name
         ax.plot(at, share, linestyle=line, color=colour, label=name)
         ax.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
     ax.set(xlabel="loss that is accepted, Δ (reward)", ylim=(-0.02, 1.02))
@@ -69,19 +89,36 @@ def plot_acceptability(
 
 
 @plain_text
-def plot_optimal_actions(found: PSA, *, ax: Axes | None = None) -> Axes:
-    """Draw, for each status and action, the share of draws in which the action is optimal."""
+def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
+    """Draw, for each status and action, the share of draws in which the action is optimal.
+
+    Parameters
+    ----------
+    draws : PSA
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, psa
+    >>> draws = psa(Scenario.load("yuan2025"), 10, rng=0, effective_sample_size=40)
+    >>> len(plot_optimal_actions(draws).get_xticks())
+    4
+    """
     ax = axes_or_new(ax)
-    share, labels = found.probability_optimal()[0][:MOST_ROWS], found.labels[:MOST_ROWS]
+    share, labels = draws.probability_optimal()[0][:MOST_ROWS], draws.labels[:MOST_ROWS]
     ax.imshow(share, cmap="Greys", vmin=0, vmax=1, aspect="auto")
     for row, column in np.ndindex(*share.shape):
         value = float(share[row, column])
         ink = "white" if value > 0.55 else "black"
         ax.text(column, row, _share(value), ha="center", va="center", color=ink, fontsize=7)
-    ax.set_xticks(range(len(found.actions)), found.actions)
+    ax.set_xticks(range(len(draws.actions)), draws.actions)
     ax.set_yticks(range(len(labels)), labels)
     ax.set_xlabel("action: share of draws in which it is optimal")
-    ax.set_ylabel("status at subtask 0, trial 0" if found.compiled else "state")
+    ax.set_ylabel("status at subtask 0, trial 0" if draws.compiled else "state")
     ax.tick_params(length=0)
     return ax
 

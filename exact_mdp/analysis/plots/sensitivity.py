@@ -166,14 +166,32 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
 
 @plain_text
 def plot_thresholds(
-    found: Thresholds | Mapping[str, Thresholds], *, reached: bool = False, ax: Axes | None = None
+    changes: Thresholds | Mapping[str, Thresholds], *, reached: bool = False, ax: Axes | None = None
 ) -> Axes:
     """Draw a strip for each parameter: its range, today's value, thresholds, and where it is safe.
 
     Ranges are drawn to the same length; numbers at their ends give the scale. With `reached`,
     changes in states that the optimum does not reach are left out.
+
+    Parameters
+    ----------
+    changes : Thresholds or {name: Thresholds}
+    reached : bool, optional
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, thresholds
+    >>> small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    >>> ax = plot_thresholds(thresholds(small, "reward.anger"))
+    >>> ax.get_xlabel()
+    'blue: the optimal policy stays; bar: an optimal action changes; diamond: today'
     """
-    every = [*found.values()] if isinstance(found, Mapping) else [found]
+    every = [*changes.values()] if isinstance(changes, Mapping) else [changes]
     if ax is None:
         ax = plt.subplots(figsize=(7, 0.9 + 0.7 * len(every)))[1]
     for place, each in enumerate(every):
@@ -258,13 +276,37 @@ def plot_robust_curve(found: RobustCurve, *, ax: Axes | None = None) -> Axes:
 
 @plain_text
 def plot_sobol(
-    found: Sobol, *, output: str = "optimal", most: int = 12, ax: Axes | None = None
+    indices: Sobol, *, output: str = "optimal", most: int = 12, ax: Axes | None = None
 ) -> Axes:
     """Draw first-order and total indices of the parameters that weigh most, with intervals.
 
-    Raises ModelError where the output does not vary, and has no indices.
+    Parameters
+    ----------
+    indices : Sobol
+    output : str, optional
+        What varies: a key of `Sobol.of`.
+    most : int, optional
+        How many parameters are drawn.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Raises
+    ------
+    ModelError
+        If the output does not vary, and has no indices.
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, sobol
+    >>> small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    >>> indices = sobol(small, names=["base.anger", "reward.anger"], n=8, rng=0)
+    >>> plot_sobol(indices).get_xlabel()
+    'share of the variance'
     """
-    each = found.of(output)
+    each = indices.of(output)
     if each.constant:
         raise ModelError(
             f"the {OUTPUT[output]} is the same at every draw",
@@ -272,7 +314,7 @@ def plot_sobol(
             fix="draw another output, or state wider ranges",
         )
     order = np.argsort(-each.total, kind="stable")[:most]
-    names = _with_ranges([found.names[place] for place in order], found.ranges)
+    names = _with_ranges([indices.names[place] for place in order], indices.ranges)
     ax = axes_or_new(ax, names)
     for at, lengths, half, fill, hatch, label in (
         (-0.19, each.first, each.first_half, BLUE, "//", "first order: alone"),
@@ -284,6 +326,6 @@ def plot_sobol(
     ax.axvline(0, color=BLACK, linewidth=0.8)
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
     ax.set_xlabel("share of the variance")
-    ax.legend(loc="lower right", title=f"{found.confidence:.0%} intervals")
+    ax.legend(loc="lower right", title=f"{indices.confidence:.0%} intervals")
     titled(ax, f"variance of the {OUTPUT[output]}")
     return ax

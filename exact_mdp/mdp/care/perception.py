@@ -147,9 +147,11 @@ def _check_sum(row: Floats, label: str, where: str) -> None:
 
 def status_size(model: MDP) -> int:
     """Return the number of status vectors; raises ModelError where there are none."""
-    if "status" not in model.space.names or model.space.names[-1] != "status":
+    if not isinstance(model, MDP) or "status" not in model.space.names[-1:]:
         raise ModelError(
-            "the model has no statuses to perceive", where="perception", fix="use a scenario"
+            "the model has no statuses to perceive",
+            where="perception",
+            fix='give Scenario.load("yuan2025").compile(), or another scenario, compiled',
         )
     return model.space.column("status").size
 

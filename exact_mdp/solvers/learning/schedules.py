@@ -60,7 +60,32 @@ class Exponential:
     def through(
         cls, value: float, *, at: float, minimum: float = 0.0, maximum: float = 1.0
     ) -> Exponential:
-        """Return the schedule that has fallen to `value` at epoch `at`."""
+        """Return the schedule that has fallen to `value` at epoch `at`.
+
+        Parameters
+        ----------
+        value : float
+            Between `minimum` and `maximum`.
+        at : float
+            The epoch, above 0, at which the schedule has that value.
+        minimum, maximum : float, optional
+            What the schedule falls to, and its value at epoch 0.
+
+        Returns
+        -------
+        Exponential
+
+        Raises
+        ------
+        ModelError
+            If no decay passes through that value.
+
+        Examples
+        --------
+        >>> schedule = Exponential.through(0.8, at=300, minimum=0.03)
+        >>> round(float(schedule.values(301)[300]), 6)
+        0.8
+        """
         if not (minimum < value < maximum and at > 0):
             raise ModelError(
                 f"no decay from {maximum:g} to {minimum:g} passes through {value:g} at {at:g}",
