@@ -177,6 +177,6 @@ risk.frame()
 # exact-mdp tradeoff yuan2025 anger subtask-complete --policy q_table.npy
 # exact-mdp solve yuan2025 --subject-to "anger >= -1/2"
 # exact-mdp check yuan2025 q_table.npy --subject-to "anger >= -1/2" --max-regret 1
-# exact-mdp sensitivity yuan2025 curve --parameter base.anger --policy optimal
+# exact-mdp curve yuan2025 --parameter base.anger --policy optimal
 # exact-mdp risk yuan2025 --cvar 1/10 --policy q_table.npy
 # ```

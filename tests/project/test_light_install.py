@@ -37,7 +37,7 @@ sys.meta_path.insert(0, Missing())
 
 CORE = """
 from exact_mdp import MDP, Policy, Scenario, certify, check, evaluate, solve
-from exact_mdp.analysis.sensitivity import gradient, tornado
+from exact_mdp.analysis.gradient import, tornado
 from exact_mdp.solvers import PolicyIteration, return_distribution, simulate
 
 scenario = Scenario.load("yuan2025").with_(tasks=[1])
@@ -57,8 +57,8 @@ COMMANDS = [
     "returns yuan2025 random",
     "check yuan2025 optimal --html page.html --junit report.xml",
     "simulate yuan2025 random --episodes 20",
-    "sensitivity yuan2025 gradient --parameter base.anger",
-    "sensitivity yuan2025 tornado --parameter base.anger",
+    "gradient yuan2025 --parameter base.anger",
+    "tornado yuan2025 --parameter base.anger",
 ]
 
 NEEDED = {

@@ -17,16 +17,28 @@ import click
 
 from exact_mdp.analysis import github
 from exact_mdp.analysis.cli import commands
-from exact_mdp.analysis.cli.commands import COMMANDS
+from exact_mdp.analysis.cli.commands import GROUPS
 from exact_mdp.analysis.exit_status import Told, leave, run
 
 PROGRAM = "exact-mdp"
 GATE = commands.check
 
 
+class Commands(click.Group):
+    """The commands, listed by what they are for."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write each group with its commands and what they do."""
+        for title, group in GROUPS.items():
+            lines = [(str(each.name), each.get_short_help_str(80)) for each in group]
+            with formatter.section(title):
+                formatter.write_dl(lines)
+
+
 @click.group(
-    commands=COMMANDS,
-    no_args_is_help=False,
+    cls=Commands,
+    commands=[command for group in GROUPS.values() for command in group],
+    context_settings={"help_option_names": ["-h", "--help"]},
     epilog="MODEL is a shipped scenario (yuan2025, tea), a .toml scenario, a saved "
     ".npz or .umb model, or gymnasium:ID.",
 )

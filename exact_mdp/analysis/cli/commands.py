@@ -15,8 +15,6 @@ from typing import Any
 
 import click
 
-from exact_mdp.analysis.cli.sensitivity import KINDS
-
 Function = Callable[..., Any]
 Options = Callable[[Function], Function]
 
@@ -468,99 +466,218 @@ def train() -> None:
 # ---- its parameters ----------------------------------------------------------------------------
 
 
-@command("sensitivity.run:sensitivity", "Which numbers of the model matter.", epilog=POLICY_HELP)
-@model
-@click.argument("kind", type=click.Choice(list(KINDS)))
-@click.option(
+parameters = click.option(
     "--parameter",
     "parameters",
     multiple=True,
     metavar="NAME",
-    help="Vary only this parameter. May be repeated. The default is all parameters; for sobol, "
-    "all but the discount.",
+    help="Vary only this parameter. May be repeated. The default is all that MODEL has.",
 )
+spans = together(
+    click.option(
+        "--range",
+        "ranges",
+        multiple=True,
+        metavar="NAME=LOW:HIGH",
+        help="Vary a parameter from LOW to HIGH. May be repeated.",
+    ),
+    click.option(
+        "--relative", metavar="X", help="Other ranges: today's value ± this share of it (0.2)."
+    ),
+    click.option("--whole", is_flag=True, help="Other ranges: all that a parameter may be."),
+)
+range_file = click.option(
+    "--ranges", "range_file", metavar="FILE", help="A .toml file with ranges, NAME = [low, high]."
+)
+held = together(
+    click.option(
+        "--policy",
+        metavar="POLICY",
+        help="The policy held fixed, whose value and regret are shown (the optimal one).",
+    ),
+    click.option(
+        "--perception",
+        metavar="FILE",
+        help=f"{PERCEPTION_HELP} This holds for the policy held fixed; the optimum that it is "
+        "compared with knows the status. Values are exact for the probabilities as rounded to "
+        "floats.",
+    ),
+)
+drawn = together(
+    click.option("--seed", metavar="S", help="Seed of the draws (0)."),
+    click.option(
+        "--n-jobs", metavar="N", help="Number of processes (all cores). Does not change results."
+    ),
+    click.option(
+        "--out",
+        metavar="DIR",
+        help="Folder for finished work and the result; work that is there already is not repeated.",
+    ),
+)
+
+
+@command("sensitivity.one_way:gradient_report", "Derivatives by each number.", epilog=POLICY_HELP)
+@model
+@parameters
+@held
+@question
+@of_model
+def gradient() -> None:
+    """Compute the derivative of MODEL's start value by each parameter, and its elasticity.
+
+    They are those of the optimum, or of the --policy held fixed. Where the optimal policy changes
+    at today's value, both one-sided derivatives are given.
+    """
+
+
+@command("sensitivity.one_way:tornado_report", "Values at both ends of ranges.", epilog=POLICY_HELP)
+@model
+@parameters
+@spans
+@range_file
+@held
+@question
+@of_model
+def tornado() -> None:
+    """Compute the start value at both ends of each parameter's range, and a policy's regret there.
+
+    One parameter moves at a time, the others stay at today's values.
+    """
+
+
+@command("sensitivity.one_way:threshold_report", "Where an optimal action changes.")
+@model
+@parameters
+@spans
+@range_file
+@question
+@of_model
+def threshold() -> None:
+    """Find every value of a parameter within its range at which an optimal action changes.
+
+    One parameter moves at a time. The policy is optimal knowing the state at every value.
+    """
+
+
+@command("sensitivity.curve:curve_report", "The optimum along one number.", epilog=POLICY_HELP)
+@model
+@parameters
+@spans
+@range_file
+@click.option("--max-regret", metavar="X", help="Where the policy loses at most X: 0.1 or 1/10.")
 @click.option(
-    "--range",
-    "ranges",
-    multiple=True,
-    metavar="NAME=LOW:HIGH",
-    help="Vary a parameter from LOW to HIGH. May be repeated.",
+    "--max-relative-regret", metavar="X", help="The same, over the absolute optimal value."
 )
+@held
+@question
+@of_model
+def curve() -> None:
+    """Compute MODEL's optimal value as an exact function of one --parameter, piece by piece.
+
+    With --max-regret, also for which values the policy held fixed keeps within that limit. The
+    parameter moves over all that it may be, unless it is given a range.
+    """
+
+
+points = click.option("--points", metavar="N", help="Values along each range, ends included.")
+
+
+@command("sensitivity.grids:one_way_report", "Values along one number.", epilog=POLICY_HELP)
+@model
+@parameters
+@spans
+@range_file
+@points
+@held
+@question
+@of_model
+def one_way() -> None:
+    """Compute the start value at evenly spaced values of one --parameter.
+
+    The policy is optimal at each of the 21 values (or --points), and held fixed beside it.
+    """
+
+
+@command("sensitivity.grids:two_way_report", "Values over two numbers.", epilog=POLICY_HELP)
+@model
+@parameters
+@spans
+@range_file
+@points
+@held
+@question
+@of_model
+def two_way() -> None:
+    """Compute the start value, and which policy is optimal, over a grid of two parameters.
+
+    Give --parameter twice: the first lies across, the second along. Each has 11 values, or
+    --points.
+    """
+
+
+@command("sensitivity.psa:psa_report", "Probabilistic sensitivity analysis.", epilog=POLICY_HELP)
+@model
+@parameters
 @click.option(
-    "--ranges",
-    "range_file",
-    metavar="FILE",
-    help="A .toml file with ranges, NAME = [low, high]; for psa, with distributions.",
+    "--ranges", "range_file", metavar="FILE", help="A .toml file with distributions by name."
 )
-@click.option(
-    "--relative", metavar="X", help="Ranges not given: the present value ± this share of it (0.2)."
-)
-@click.option(
-    "--whole", is_flag=True, help="Ranges not given: all values that a parameter may take."
-)
-@click.option(
-    "--policy",
-    metavar="POLICY",
-    help="The policy held fixed, whose regret is shown (the optimal one). A gradient then gives "
-    "the derivatives of this policy's value.",
-)
-@click.option(
-    "--max-regret",
-    metavar="X",
-    help="curve: for which values of the parameter the policy loses at most X: 0.1 or 1/10.",
-)
-@click.option(
-    "--max-relative-regret",
-    metavar="X",
-    help="curve: the same, of the regret over the absolute optimal value.",
-)
-@click.option(
-    "--samples",
-    metavar="N",
-    help="psa: draws (10000; 500 of slow models). sobol: points of the sequence, a power of 2 "
-    "(1024).",
-)
-@click.option("--seed", metavar="S", help="Seed of the draws (0).")
-@click.option(
-    "--n-jobs", metavar="N", help="Number of processes (all cores). Does not change results."
-)
-@click.option(
-    "--out",
-    metavar="DIR",
-    help="Folder for finished work and the result; work that is there already is not repeated.",
-)
+@click.option("--samples", metavar="N", help="Draws (10000; 500 of slow models).")
 @click.option(
     "--effective-sample-size",
     metavar="X",
-    help="psa: number of observations behind each probability (100), or a .toml file with this "
+    help="Number of observations behind each probability (100), or a .toml file with this "
     "number by name.",
 )
+@drawn
+@held
+@question
+@of_model
+def psa() -> None:
+    """Draw MODEL's numbers from distributions: value, regret and optimal actions over the draws.
+
+    The policy held fixed is judged by how likely it is to lose at most so much, and by what better
+    numbers would be worth (EVPI, EVPPI).
+    """
+
+
+@command("sensitivity.sobol:sobol_report", "Shares of the variance.", epilog=POLICY_HELP)
+@model
+@parameters
+@spans
+@range_file
+@click.option("--samples", metavar="N", help="Points of the sequence, a power of 2 (1024).")
+@drawn
+@held
+@question
+@of_model
+def sobol() -> None:
+    """Compute which parameters decide the start value, alone and together with others.
+
+    First-order and total indices of Sobol, of the optimum and of a policy's regret, with intervals.
+    All parameters but the discount vary unless some are named.
+    """
+
+
+@command("sensitivity.robust:robust_report", "The worst case around today.", epilog=POLICY_HELP)
+@model
 @click.option(
     "--set-kind",
     type=click.Choice(["interval", "absolute", "l1", "kl", "entropy", "box"]),
-    help="robust: what may move (interval): each probability by a share or an absolute amount, "
-    "each row within a distance (l1, kl, entropy), or the tables' numbers (box).",
+    help="What may move (interval): each probability by a share or an absolute amount, each row "
+    "within a distance (l1, kl, entropy), or the tables' numbers (box).",
 )
-@click.option("--radius", metavar="X", help="robust: how far it may move; at most 2 for l1.")
-@click.option(
-    "--perception",
-    metavar="FILE",
-    help=f"{PERCEPTION_HELP} This holds for the policy held fixed; the optimum that it is compared "
-    "with knows the status. Values are exact for the probabilities as rounded to floats.",
-)
+@click.option("--radius", metavar="X", help="How far it may move; at most 2 for l1.")
+@parameters
+@spans
+@range_file
+@held
 @question
 @of_model
-def sensitivity() -> None:
-    """Compute how MODEL's optimum depends on its parameters.
+def robust() -> None:
+    """Compute the value against the worst numbers within sets around MODEL's tables.
 
-    gradient: derivatives and elasticities. tornado: values at both ends of each range, and the
-    regret of a policy held fixed. threshold: every value at which an optimal action changes.
-    curve: the optimal value as an exact function of a parameter, and where a policy keeps a limit.
-    psa: value, regret and optimal actions over random draws around the tables. sobol: which
-    parameters matter, alone and together. robust: the worst case within sets around the
-    tables.
-
-    An option that a kind does not use is refused.
+    And the policy that is best against them, with the price of that where the tables are right.
+    Parameters and ranges are those of a box.
     """
 
 
@@ -716,23 +833,11 @@ def risk() -> None:
     """
 
 
-COMMANDS = (
-    new,
-    lint,
-    info,
-    solve,
-    evaluate,
-    returns,
-    simulate,
-    verify,
-    convert,
-    data,
-    check,
-    train,
-    sensitivity,
-    explore,
-    perception,
-    tradeoff,
-    rationalize,
-    risk,
-)
+GROUPS = {
+    "Check": (check, verify),
+    "Solve": (solve, evaluate, returns, simulate),
+    "Vary": (tornado, gradient, threshold, curve, one_way, two_way, psa, sobol, robust, explore),
+    "Trade": (tradeoff, rationalize, risk),
+    "Models": (info, convert, data, train),
+    "Care": (new, lint, perception),
+}

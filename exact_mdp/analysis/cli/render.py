@@ -36,6 +36,7 @@ from exact_mdp.mdp.errors import ModelError, shown_text
 from exact_mdp.solvers.solution import Bounded, Certified, Estimated
 
 Row = Mapping[str, Any]
+FORMAT = 2  # of the JSON: another number where a key changes its meaning or goes
 DIGITS = 10  # significant digits of a number in a table
 SHOWN = 40  # rows of a table
 Claimed = Certified | Bounded | Estimated
@@ -293,8 +294,8 @@ def claimed(key: str, number: Claimed) -> dict[str, Any]:
 
 
 def to_json(result: Row) -> str:
-    """Return strict JSON."""
-    return json.dumps(plain(result), indent=2, allow_nan=False)
+    """Return strict JSON, which names its format first."""
+    return json.dumps(plain({"format": FORMAT, **result}), indent=2, allow_nan=False)
 
 
 def plain(value: Any) -> Any:

@@ -68,8 +68,8 @@ def test_long_numbers_and_deep_tables_of_a_scenario_are_bad_input(
 @pytest.mark.parametrize(
     "words",
     [
-        ("sensitivity", "tea", "tornado", "--ranges"),
-        ("sensitivity", "tea", "psa", "--samples", "4", "--effective-sample-size"),
+        ("tornado", "tea", "--ranges"),
+        ("psa", "tea", "--samples", "4", "--effective-sample-size"),
         ("evaluate", "yuan2025", "random", "--perception"),
     ],
     ids=lambda words: words[-1],
@@ -94,10 +94,10 @@ LINES = {
     "train tea --seeds 1 --epochs 2 --rate {}": "--rate",
     "train tea --seeds {}": "--seeds",
     "simulate tea random --episodes {}": "--episodes",
-    "sensitivity tea robust --radius {}": "--radius",
-    "sensitivity tea robust --set-kind kl --radius {}": "--radius",
-    "sensitivity tea threshold --relative {}": "--relative",
-    "sensitivity tea tornado --relative {}": "--relative",
+    "robust tea --radius {}": "--radius",
+    "robust tea --set-kind kl --radius {}": "--radius",
+    "threshold tea --relative {}": "--relative",
+    "tornado tea --relative {}": "--relative",
 }
 
 

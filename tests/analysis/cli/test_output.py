@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp import MDP, save
-from exact_mdp.analysis.cli import COMMANDS
+from exact_mdp.analysis.cli import cli
 from exact_mdp.analysis.cli.render import at_most, decimal, digits_of, number, ratio, to_json
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -102,7 +102,7 @@ def test_json_is_strict_and_exact(value: object) -> None:
 
 def test_json_takes_arrays_and_rationals() -> None:
     found = {"a": np.array([1.5, nan]), 2: (np.int64(3), np.bool_(True)), "q": Fraction(1, 3)}
-    expected = {"a": [1.5, None], "2": [3, True], "q": "1/3"}
+    expected = {"format": 2, "a": [1.5, None], "2": [3, True], "q": "1/3"}
     assert json.loads(to_json(found)) == expected
 
 
@@ -160,7 +160,7 @@ def test_help_comes_without_loading_numpy() -> None:
 
 def test_every_command_has_help() -> None:
     listed = run("--help").out
-    for command in COMMANDS:
+    for command in cli.commands.values():
         assert re.search(rf"^  {command.name} +\w", listed, re.MULTILINE)
         text = run(command.name, "--help").out
         assert text.startswith(f"Usage: exact-mdp {command.name} [OPTIONS]")
@@ -171,18 +171,18 @@ def test_every_command_has_help() -> None:
 
 def test_every_command_is_documented() -> None:
     table = re.findall(
-        r"^\| `exact-mdp (\w+)",
+        r"^\| `exact-mdp ([\w-]+)",
         (ROOT / "docs" / "reference" / "commands.md").read_text("utf-8"),
         re.MULTILINE,
     )
-    assert sorted(table) == sorted(command.name for command in COMMANDS)
+    assert sorted(table) == sorted(cli.commands)
 
 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (["evaluate", "yuan2025", "random"], True),
-        (["sensitivity", "tea", "gradient", "--parameter", "reward.anxiety"], True),
+        (["gradient", "tea", "--parameter", "reward.anxiety"], True),
         (["info", "gymnasium:FrozenLake-v1"], False),
     ],
 )

@@ -135,12 +135,12 @@ def test_sensitivity_of_what_is_asked() -> None:
     """The least probability of home falls by 1/4 · d/dp as the chance of drowning rises."""
     words = ("--reach", "anger", "--minimize", "--parameter", "base.anger", "--json")
     small = ("yuan2025", "--set", "tasks=[1]", "--set", "max_trial=1")
-    most = run("sensitivity", small[0], "gradient", *small[1:], "--reach", "anger", *words[3:])
+    most = run("gradient", small[0], *small[1:], "--reach", "anger", *words[3:])
     low = run("solve", *small, "--reach", "anger", "--set", "base.anger=499/10000", "--json")
     high = run("solve", *small, "--reach", "anger", "--set", "base.anger=501/10000", "--json")
     slope = (high.result["start_value"] - low.result["start_value"]) * 5000
     assert most.result["derivatives"]["base.anger"] == pytest.approx(slope, rel=1e-4)
-    least = run("sensitivity", small[0], "gradient", *small[1:], *words).result
+    least = run("gradient", small[0], *small[1:], *words).result
     assert least["sense"] == "min"
     assert least["start_value"] <= most.result["start_value"]
 
@@ -163,15 +163,15 @@ def test_costs_vary_like_rewards_times_minus_one() -> None:
 @pytest.mark.parametrize("kind", ["psa", pytest.param("sobol", marks=pytest.mark.slow)])
 def test_draws_of_costs(kind: str) -> None:
     """The least probability of anger, drawn: a policy held has no less."""
-    words = ("yuan2025", kind, "--set", "tasks=[1]", "--reach", "anger", "--minimize", "--json")
-    done = run("sensitivity", *words, "--samples", "4", "--policy", "always:none", "--seed", "1")
+    words = (kind, "yuan2025", "--set", "tasks=[1]", "--reach", "anger", "--minimize", "--json")
+    done = run(*words, "--samples", "4", "--policy", "always:none", "--seed", "1")
     assert done.status == 0, done.err
     assert done.result["regret"]["mean"] > 0
 
 
 def test_robust_values_of_costs() -> None:
-    small = ("yuan2025", "robust", "--set", "tasks=[1]", "--reach", "anger", "--radius", "1/10")
-    least = run("sensitivity", *small, "--minimize", "--policy", "always:none", "--json").result
+    small = ("robust", "yuan2025", "--set", "tasks=[1]", "--reach", "anger", "--radius", "1/10")
+    least = run(*small, "--minimize", "--policy", "always:none", "--json").result
     assert least["worst_case"]["value"] >= least["best_case"]["value"]
     assert least["worst_case_gain"]["value"] >= 0
     assert least["price_of_robustness"]["value"] <= 0  # held: a policy that is not the best
@@ -197,16 +197,16 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
     assert (refused.status, "add --certify" in refused.err) == (2, True)
     assert run("solve", model, "--certify", "--certificate", proof).status == 0
     assert "5 (certified)" in run("verify", proof, model).out
-    done = run("sensitivity", model, "gradient", "--until", "home")  # without minimising: +∞
+    done = run("gradient", model, "--until", "home")  # without minimising: +∞
     assert (done.status, "fix:" in done.err) == (2, True)
     for command in ("evaluate", "returns"):
         waits = run(command, "gymnasium:CliffWalking-v1", "always:0")
         assert (waits.status, waits.err) == (0, "")
         assert "mean is infinite" in waits.out
     for words in (
-        ["sensitivity", model, "gradient"],
-        ["sensitivity", model, "threshold"],
-        ["sensitivity", model, "curve", "--parameter", "reward.5"],
+        ["gradient", model],
+        ["threshold", model],
+        ["curve", model, "--parameter", "reward.5"],
         ["explore", model, "--parameter", "reward.5", "--html", page],
     ):
         done = run(*words)
@@ -214,7 +214,7 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
         assert "some policy never ends" in done.err
         assert "--discount 0.95" in done.err
         assert run(*words, "--discount", "0.95").status == 0, words
-    assert run("sensitivity", model, "curve", "--parameter", "discount").status == 0
+    assert run("curve", model, "--parameter", "discount").status == 0
 
 
 @pytest.mark.parametrize(

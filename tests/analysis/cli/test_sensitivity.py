@@ -1,4 +1,4 @@
-"""`exact-mdp sensitivity`: what its kinds print, draw and write, and what they refuse."""
+"""The analyses of parameters on the command line: what they print, draw, write and refuse."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ import pytest
 from cli_runner import run
 
 from exact_mdp import MDP, Scenario, psa, sobol, solve, worst_point
-from exact_mdp.analysis.cli import commands
-from exact_mdp.analysis.cli.options import Question
-from exact_mdp.analysis.cli.sensitivity import KINDS
 from exact_mdp.mdp.io.npz import save
 
 YUAN = Scenario.load("yuan2025")
@@ -24,7 +21,7 @@ HELD = ("--policy", "always:directive")
 
 
 def ask(kind: str, *words: object) -> dict[str, Any]:
-    return run("sensitivity", "yuan2025", kind, *SET, "--json", *words).result
+    return run(kind, "yuan2025", *SET, "--json", *words).result
 
 
 def test_sobol_tells_of_value_and_regret() -> None:
@@ -46,7 +43,7 @@ def test_sobol_tells_of_value_and_regret() -> None:
 
 
 def test_the_discount_is_held_unless_it_is_named() -> None:
-    words = ("sensitivity", "yuan2025", "sobol", *SET, "--samples", 8)
+    words = ("sobol", "yuan2025", *SET, "--samples", 8)
     default = run(*words, "--relative", "0.1")
     assert "held; vary it with --parameter discount" in default.out
     named = run(*words, "--parameter", "discount", "--parameter", "base.anger")
@@ -57,7 +54,7 @@ def test_the_discount_is_held_unless_it_is_named() -> None:
 
 def test_first_orders_above_the_total_are_called_noise() -> None:
     names = ("base.anger", "reward.anger", "reward.timestep", "base.forgetfulness")
-    words = ("sensitivity", "yuan2025", "sobol", *SET, "--samples", 8)
+    words = ("sobol", "yuan2025", *SET, "--samples", 8)
     words = (*words, *(word for name in names for word in ("--parameter", name)))
     found, text = run(*words, "--json").result, run(*words).out
     assert any(found["first_order"][name] > found["total"][name] for name in names)
@@ -79,7 +76,7 @@ def test_sobol_keeps_its_work(tmp_path: Path) -> None:
     assert found == kept | {"notice": found["notice"]}
     assert json.loads((tmp_path / "kept" / "run.json").read_text())["seed"] == 0
     assert ask("sobol", *words) == found
-    other = run("sensitivity", "yuan2025", "sobol", *SET, *words, "--seed", 1)
+    other = run("sobol", "yuan2025", *SET, *words, "--seed", 1)
     assert other.status == 2
     assert "differs in" in other.err
 
@@ -87,14 +84,14 @@ def test_sobol_keeps_its_work(tmp_path: Path) -> None:
 def test_a_regret_of_nothing_has_no_indices() -> None:
     found = ask("sobol", "--samples", 4, "--parameter", "reward.subtask-complete")
     assert found["regret"]["total"] == {"reward.subtask-complete": None}
-    text = run("sensitivity", "yuan2025", "sobol", *SET, "--samples", 4, "--parameter", "discount")
+    text = run("sobol", "yuan2025", *SET, "--samples", 4, "--parameter", "discount")
     assert text.status == 0
     assert "shares of the variance of the start value" in text.out
 
 
 def test_the_regret_of_a_policy_has_a_tornado() -> None:
     names = ("--parameter", "base.anger", "--parameter", "discount")
-    words = ("sensitivity", "yuan2025", "tornado", *SET, *HELD, *names)
+    words = ("tornado", "yuan2025", *SET, *HELD, *names)
     found = run(*words, "--json").result
     assert found["regret"] == pytest.approx(found["start_value"] - found["policy_value"])
     for bar in found["bars"]:
@@ -110,29 +107,40 @@ def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
     pytest.importorskip("gymnasium")
     assert run(*words).status == 0
     words = ("--samples", 32, "--n-jobs", 1, "--relative", "0.05", "--parameter", "discount")
-    found = run("sensitivity", file, "sobol", *words, "--json").result
+    found = run("sobol", file, *words, "--json").result
     assert found["total"]["discount"] == pytest.approx(1, abs=0.2)
 
 
-def test_every_option_that_a_kind_does_not_use_is_refused() -> None:
-    """All kinds and all options; a new kind or option is in the loop without being named here."""
-    shared = {"model", "kind", "sets", "discount", "as_json", *Question.__dataclass_fields__}
-    options = [each for each in commands.sensitivity.params if each.name not in shared]
-    assert {each.name for each in options} >= set().union(*(k.uses for k in KINDS.values()))
-    refused = 0
-    for kind, used in KINDS.items():
-        for option in options:
-            assert any(option.name in each.uses for each in KINDS.values())
-            if option.name in used.uses:
-                continue
-            name = max(option.opts, key=len)
-            value = [] if option.is_flag else ["l1" if name == "--set-kind" else "1"]
-            done = run("sensitivity", "tea", kind, name, *value)
-            assert (done.status, done.out) == (2, "")
-            assert done.err.startswith(f"ModelError: {name} does not apply to {kind}")
-            assert "leave it out; it applies to " in done.err
-            refused += 1
-    assert refused > 50
+@pytest.mark.parametrize(
+    "words",
+    ["gradient --range a=0:1", "threshold --policy random", "psa --whole", "curve --samples 4"],
+)
+def test_an_option_of_another_analysis_is_refused(words: str) -> None:
+    kind, *rest = words.split()
+    done = run(kind, "tea", *rest)
+    assert (done.status, done.out) == (2, "")
+    assert f"No such option '{rest[0]}'" in done.err
+    assert f"exact-mdp {kind} --help" in done.err
+
+
+def test_points_along_one_range_and_over_two() -> None:
+    words = ("--parameter", "base.anger", "--policy", "always:directive", "--points", 3)
+    along = ask("one-way", *words)
+    assert [point["at"] for point in along["points"]] == pytest.approx([0.04, 0.05, 0.06])
+    both = ask("two-way", *words, "--parameter", "base.confusion")
+    assert both["parameters"] == ["base.anger", "base.confusion"]
+    middle = [point for point in both["points"] if point["y"] == both["points"][4]["y"]]
+    for mine, other in zip(along["points"], middle, strict=True):
+        for key in ("value", "fixed_value", "regret"):
+            assert mine[key] == pytest.approx(other[key], rel=1e-12, abs=1e-9)
+    assert along["points"][1]["value"] == pytest.approx(along["start_value"], rel=1e-12)
+
+
+def test_grids_ask_for_as_many_parameters_as_they_vary() -> None:
+    for kind, names in (("one-way", ()), ("two-way", ("--parameter", "base.anger"))):
+        done = run(kind, "tea", *names)
+        assert (done.status, done.out) == (2, "")
+        assert "parameters, and" in done.err
 
 
 # ---- robust -------------------------------------------------------------------------------------
@@ -141,7 +149,7 @@ ONE = ("--set", "tasks=[1]")
 
 
 def test_the_default_is_intervals_of_a_fifth() -> None:
-    found = run("sensitivity", "yuan2025", "robust", *ONE, "--json").result
+    found = run("robust", "yuan2025", *ONE, "--json").result
     assert (found["set_kind"], found["radius"], found["claim"]) == ("interval", 0.2, "bounded")
     assert found["worst_case"]["value"] < found["start_value"] < found["best_case"]["value"]
     assert found["worst_case"]["error_bound"] < 1e-6
@@ -150,14 +158,14 @@ def test_the_default_is_intervals_of_a_fifth() -> None:
 @pytest.mark.parametrize(("kind", "radius"), [("l1", "0.1"), ("kl", "1/100"), ("box", "1/10")])
 def test_the_other_sets(kind: str, radius: str) -> None:
     words = ("--set-kind", kind, "--radius", radius, "--policy", "always:supportive")
-    done = run("sensitivity", "yuan2025", "robust", *ONE, "--set", "max_trial=2", *words)
+    done = run("robust", "yuan2025", *ONE, "--set", "max_trial=2", *words)
     assert done.status == 0, done.err
     assert "worst case" in done.out
 
 
 def test_a_box_tells_the_worst_point_found() -> None:
     small = (*ONE, "--set", "max_trial=2", "--set-kind", "box", "--json")
-    box = run("sensitivity", "yuan2025", "robust", *small).result
+    box = run("robust", "yuan2025", *small).result
     assert (box["set_kind"], box["radius"], box["claim"]) == ("box", 0.2, "estimated")
     worst, own = box["worst_case"], Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     found = worst_point(own, ranges={name: tuple(span) for name, span in box["box"].items()})
@@ -166,7 +174,7 @@ def test_a_box_tells_the_worst_point_found() -> None:
     assert all(worst["point"][name] in span for name, span in box["box"].items())
     assert "base.anger" in box["box"]
     assert "reward.anger" not in box["box"]
-    wide = run("sensitivity", "yuan2025", "robust", *small, "--relative", "1/10").result
+    wide = run("robust", "yuan2025", *small, "--relative", "1/10").result
     assert "reward.anger" in wide["box"]
     assert "discount" not in wide["box"]
 
@@ -174,19 +182,17 @@ def test_a_box_tells_the_worst_point_found() -> None:
 @pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
 def test_a_radius_of_0_is_the_tables_as_they_are(kind: str) -> None:
     words = (*ONE, "--set", "max_trial=2", "--set-kind", kind, "--radius", "0", "--json")
-    found = run("sensitivity", "yuan2025", "robust", *words).result
+    found = run("robust", "yuan2025", *words).result
     for case in ("worst_case", "best_case"):
         held = found[case]["nominal_policy"]["value"]
         assert held == pytest.approx(found["start_value"], abs=1e-6)
 
 
 def test_a_model_that_need_not_end_is_refused_at_discount_1() -> None:
-    done = run("sensitivity", "gymnasium:FrozenLake-v1", "robust", "--discount", "1")
+    done = run("robust", "gymnasium:FrozenLake-v1", "--discount", "1")
     assert done.status == 2
     assert "every episode to end" in done.err
-    found = run(
-        "sensitivity", "gymnasium:FrozenLake-v1", "robust", "--discount", "0.9", "--json"
-    ).result
+    found = run("robust", "gymnasium:FrozenLake-v1", "--discount", "0.9", "--json").result
     assert found["worst_case"]["value"] < found["start_value"]
 
 
@@ -194,13 +200,13 @@ def test_a_model_that_need_not_end_is_refused_at_discount_1() -> None:
 
 
 def test_command_gradient() -> None:
-    found = run("sensitivity", "yuan2025", "gradient", *SET, "--json").result
+    found = run("gradient", "yuan2025", *SET, "--json").result
     assert found["claim"] == "certified"
     assert set(found["derivatives"]) == set(SMALL.names) | {"discount"}
     assert found["derivatives"]["reward.task-complete"] == 1
     assert found["exact_derivatives"]["reward.task-complete"] == "1"
     assert found["steps"]["max_trial"]["one_more"] is not None
-    fixed = run("sensitivity", "yuan2025", "gradient", *SET, "--policy", "random", "--json").result
+    fixed = run("gradient", "yuan2025", *SET, "--policy", "random", "--json").result
     assert fixed["policy"] == "fixed"
     assert fixed["start_value"] < found["start_value"]
 
@@ -208,13 +214,13 @@ def test_command_gradient() -> None:
 def test_command_tornado_and_threshold(tmp_path: Path) -> None:
     file = tmp_path / "ranges.toml"
     file.write_text('"reward.assist.non-directive" = [-10, 0]', "utf-8")
-    words = ("sensitivity", "yuan2025", "tornado", *SET, "--ranges", file)
+    words = ("tornado", "yuan2025", *SET, "--ranges", file)
     found = run(*words, "--json").result
     (bar,) = found["bars"]
     assert (bar["low"], bar["high"]) == (-10, 0)
     assert bar["value_low"] < found["start_value"] < bar["value_high"]
     assert "reward.assist.non-directive" in run(*words).out
-    words = ("sensitivity", "yuan2025", "threshold", *SET, "--ranges", file)
+    words = ("threshold", "yuan2025", *SET, "--ranges", file)
     found = run(*words, "--json").result
     assert found["switches"]
     for switch in found["switches"]:
@@ -229,7 +235,7 @@ def test_command_tornado_and_threshold(tmp_path: Path) -> None:
 
 
 def test_psa_prints_what_scripts_read() -> None:
-    words = ("sensitivity", "yuan2025", "psa", "--samples", "400", "--seed", "3", "--json")
+    words = ("psa", "yuan2025", "--samples", "400", "--seed", "3", "--json")
     found = run(*words).result
     assert {"start_value", "acceptability", "evpi", "evppi", "p_optimal"} <= set(found)
     assert found["draws"] == 400
@@ -252,12 +258,12 @@ def test_psa_prints_what_scripts_read() -> None:
 
 def test_psa_holds_the_policy_that_is_named() -> None:
     found = run(
-        "sensitivity", "yuan2025", "psa", "--samples", 300, "--policy", "always:directive", "--json"
+        "psa", "yuan2025", "--samples", 300, "--policy", "always:directive", "--json"
     ).result
     assert found["policy"] == "always:directive"
     assert found["regret"]["mean"] > 50
     assert found["acceptability"]["probability"][0] == 0
-    told = run("sensitivity", "yuan2025", "psa", "--samples", 300).out
+    told = run("psa", "yuan2025", "--samples", 300).out
     for words in ("EVPI", "share of draws", "expected loss", "every draw re-solved"):
         assert words in told
 
@@ -266,20 +272,20 @@ def test_psa_takes_any_model(tmp_path: Path) -> None:
     file = tmp_path / "wager.npz"
     rows = [(0, action, [(p, 1, 1), (1 - p, 2, 0)]) for action, p in enumerate(CHANCES)]
     save(MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]), file)
-    found = run("sensitivity", file, "psa", "--samples", 24, "--n-jobs", 1, "--json").result
+    found = run("psa", file, "--samples", 24, "--n-jobs", 1, "--json").result
     assert found["evpi"] > 0
     assert set(found["evppi"]) == {"(state 0, 0)", "(state 0, 1)"}
     assert found["clipped"] is None
     row = tmp_path / "row.toml"
     row.write_text('["(state 0, 0)"]\nfixed = true\n')
     words = ("--samples", 20, "--n-jobs", 1, "--json", "--effective-sample-size", row)
-    held = run("sensitivity", file, "psa", *words).result
+    held = run("psa", file, *words).result
     assert held["fixed"]["(state 0, 0): to state 1"] == "stated to be fixed"
     assert len(held["drawn"]) == 1
 
 
 def test_psa_keeps_its_work(tmp_path: Path) -> None:
-    words = ("sensitivity", "yuan2025", "psa", "--samples", 60, "--out", tmp_path, "--json")
+    words = ("psa", "yuan2025", "--samples", 60, "--out", tmp_path, "--json")
     found = run(*words).result
     assert run(*words).result == found
     kept = json.loads((tmp_path / "psa.json").read_text())
@@ -289,7 +295,7 @@ def test_psa_keeps_its_work(tmp_path: Path) -> None:
 def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "uncertain.toml"
     file.write_text('["base.angre"]\neffective_sample_size = 10\n')
-    done = run("sensitivity", "yuan2025", "psa", "--effective-sample-size", file)
+    done = run("psa", "yuan2025", "--effective-sample-size", file)
     assert done.status == 2
     assert "did you mean base.anger" in done.err
     assert "uncertain.toml" in done.err
@@ -313,7 +319,6 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
         (("threshold", "--range", "base.anger=0.25:0.25"), "empty"),
         (("threshold", "--range", "base.anger=0:2"), "outside"),
         (("threshold", "--relative", "0.1", "--whole"), "both"),
-        (("threshold", "--policy", "random"), "optimal policy"),
         (("threshold", "--ranges", "nowhere.toml"), "nowhere.toml"),
         (("sobol", "--samples", "0"), "'0' is not a whole number from 2"),
         (("sobol", "--samples", "1"), "'1' is not a whole number from 2"),
@@ -336,8 +341,6 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
         (("psa", "--effective-sample-size", "many"), "not a number"),
         (("psa", "--effective-sample-size", "none.toml"), "none.toml"),
         (("psa", "--parameter", "base.angre"), "did you mean base.anger"),
-        (("psa", "--range", "base.anger=0:1"), "not ranges"),
-        (("psa", "--relative", "0.2"), "not ranges"),
         (("psa", "--seed", "x"), "--seed"),
         (("psa", "--policy", "always:nothing"), "nothing"),
         (("robust", "--radius", "abc"), "where: --radius"),
@@ -359,7 +362,7 @@ def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:
 def test_what_cannot_be_done_is_refused_with_the_reason(
     words: tuple[str, ...], message: str
 ) -> None:
-    done = run("sensitivity", "yuan2025", *words, *SET)
+    done = run(words[0], "yuan2025", *words[1:], *SET)
     assert (done.status, done.out) == (2, "")
     assert message in done.err
     assert "fix:" in done.err

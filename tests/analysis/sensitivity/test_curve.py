@@ -291,7 +291,7 @@ def test_the_checkers_import_no_solver() -> None:
 
 
 def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
-    words = ("sensitivity", "tea", "curve", "--set", "tasks=[1]", "--set", "max_trial=2")
+    words = ("curve", "tea", "--set", "tasks=[1]", "--set", "max_trial=2")
     asked = (*words, "--parameter", "base.anxiety", "--max-relative-regret", "1/100", "--json")
     result = run(*asked, "--policy", "always:prompt").result
     found = curve(SMALL, "base.anxiety", policy="always:prompt")

@@ -39,7 +39,7 @@ def test_the_curve_covers_all_that_a_parameter_may_be() -> None:
 
 
 def test_the_command(tmp_path: object) -> None:
-    words = ("sensitivity", "tea", "curve", "--set", "tasks=[1]", "--set", "max_trial=2")
+    words = ("curve", "tea", "--set", "tasks=[1]", "--set", "max_trial=2")
     found = run(*words, "--parameter", "base.anxiety", "--json").result
     assert found["claim"] == "certified"
     pieces = found["pieces"]
@@ -61,7 +61,7 @@ def test_the_command(tmp_path: object) -> None:
 
 @pytest.mark.parametrize("more", [(), ("--parameter", "discount", "--parameter", "base.anxiety")])
 def test_one_parameter_is_named(more: tuple[str, ...]) -> None:
-    done = run("sensitivity", "tea", "curve", *more)
+    done = run("curve", "tea", *more)
     assert (done.status, done.out) == (2, "")
     assert "--parameter NAME" in done.err
 

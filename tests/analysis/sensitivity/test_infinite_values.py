@@ -117,7 +117,7 @@ def test_other_analyses_refuse_them() -> None:
 def test_commands(kind: str, mdp: MDP, more: str, worth: str, tmp_path: Path) -> None:
     """Exit status 2, with what, where and fix; no word of the range of floats."""
     mdp.save(tmp_path / "model.npz")
-    found = run("sensitivity", tmp_path / "model.npz", *kind.split(), *more.split())
+    found = run(*kind.split(), tmp_path / "model.npz", *more.split())
     assert (found.status, found.out) == (2, "")
     assert f"is worth {worth}, so that nothing can be compared" in found.err
     assert "where: the total reward at discount 1" in found.err

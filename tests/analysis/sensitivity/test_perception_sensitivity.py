@@ -47,7 +47,7 @@ def plan(tmp_path: Path) -> Path:
 
 
 def ask(kind: str, seen: Path, *words: object) -> dict[str, Any]:
-    done = run("sensitivity", "yuan2025", kind, *SET, "--perception", seen, "--json", *words)
+    done = run(kind, "yuan2025", *SET, "--perception", seen, "--json", *words)
     assert done.status == 0, done.err
     assert done.result["perception"] == str(seen)
     return done.result
@@ -70,7 +70,7 @@ def test_a_tornado_is_that_of_the_policy_held_fixed(mdp: MDP, seen: Path) -> Non
             assert bar[f"value_{end}"] == pytest.approx(solve(there).start_value, rel=1e-9)
     swings = [bar["fixed_swing"] for bar in found["bars"]]
     assert swings == sorted(swings, reverse=True)
-    text = run("sensitivity", "yuan2025", "tornado", *SET, "--perception", seen, *words)
+    text = run("tornado", "yuan2025", *SET, "--perception", seen, *words)
     flat = " ".join(text.out.split())
     assert "both ends of the policy held fixed, on what it perceives" in flat
     assert "which the policy held fixed acts on" in flat
@@ -99,9 +99,9 @@ def test_a_gradient_is_that_of_the_mixed_policy_and_says_what_is_certified(
     assert found["derivatives"]["base.anger"] == pytest.approx((above - below) / 2e-6, rel=1e-6)
     assert found["claim"] == "certified"
     assert "as rounded to floats" in found["claim_of"]
-    text = run("sensitivity", "yuan2025", "gradient", *SET, "--perception", seen, *ANGER).out
+    text = run("gradient", "yuan2025", *SET, "--perception", seen, *ANGER).out
     assert "as rounded to floats" in " ".join(text.split())
-    plain = run("sensitivity", "yuan2025", "gradient", *SET, *ANGER, "--json").result
+    plain = run("gradient", "yuan2025", *SET, *ANGER, "--json").result
     assert plain["perception"] is None
     assert "claim_of" not in plain
 
@@ -163,15 +163,8 @@ def test_the_worst_case_in_a_box(mdp: MDP, seen: Path) -> None:
     assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
 
 
-def test_thresholds_say_why_not(seen: Path) -> None:
-    done = run("sensitivity", "yuan2025", "threshold", "--perception", seen)
-    assert (done.status, done.out) == (2, "")
-    assert "thresholds are those of the optimal policy, re-optimised" in done.err
-    assert "psa" in done.err
-
-
 def test_a_model_without_statuses_is_refused(seen: Path) -> None:
     words = ("--discount", "0.9", "--perception", seen)
-    done = run("sensitivity", "gymnasium:FrozenLake-v1", "psa", *words)
+    done = run("psa", "gymnasium:FrozenLake-v1", *words)
     assert done.status == 2
     assert "no statuses" in done.err

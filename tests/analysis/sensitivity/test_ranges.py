@@ -197,7 +197,7 @@ def test_one_bar_compiles_and_solves_the_base_once_and_each_end_once(monkeypatch
     assert done == {"compiled": 3, "solved": 3}
     done.update(compiled=0, solved=0)
     words = ("--parameter", "base.anger", "--json")
-    found = run("sensitivity", "yuan2025", "tornado", *SET, *words).result
+    found = run("tornado", "yuan2025", *SET, *words).result
     assert found["bars"][0]["swing"] == bar.swing
     assert done == {"compiled": 3, "solved": 3}
 

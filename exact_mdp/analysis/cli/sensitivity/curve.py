@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.analysis.cli.render import Report, Table
-from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, stated_ranges
+from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, analysis, stated_ranges
 from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece, RationalFunction
 from exact_mdp.analysis.sensitivity.curves.curve import curve
@@ -17,12 +17,13 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 
 
+@analysis("curve")
 def curve_report(asked: Asked) -> Report:
     """Return the pieces of the function, and where a policy held fixed keeps a limit."""
     names: tuple[str, ...] = asked["parameters"] or ()
     if len(names) != 1:
         raise ModelError(
-            f"{len(names)} parameters", where="sensitivity curve", fix="name one: --parameter NAME"
+            f"{len(names)} parameters", where="curve", fix="name one: --parameter NAME"
         )
     (name,) = names
     stated = any(asked[option] for option in STATED)

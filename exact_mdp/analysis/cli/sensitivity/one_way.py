@@ -7,7 +7,7 @@ from typing import Any
 import tqdm as progress
 
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed
-from exact_mdp.analysis.cli.sensitivity.options import ROUNDED, Asked
+from exact_mdp.analysis.cli.sensitivity.options import ROUNDED, Asked, analysis
 from exact_mdp.analysis.sensitivity.gradient import Derivative, gradient
 from exact_mdp.analysis.sensitivity.one_way import Bar, tornado
 from exact_mdp.analysis.sensitivity.ranges import unit_of
@@ -18,6 +18,7 @@ from exact_mdp.solvers.solver import solve
 # ---- derivatives -------------------------------------------------------------------------------
 
 
+@analysis("gradient")
 def gradient_report(asked: Asked) -> Report:
     """Return derivatives of the start value."""
     found = gradient(asked.model, policy=asked.policy, names=asked["parameters"])
@@ -74,6 +75,7 @@ def _error(each: Derivative) -> float:
 # ---- both ends of each range -------------------------------------------------------------------
 
 
+@analysis("tornado")
 def tornado_report(asked: Asked) -> Report:
     """Return values and regrets at the ends of every range."""
     ranges, without = asked.ranges()
@@ -145,6 +147,7 @@ def _bar(bar: Bar) -> dict[str, Any]:
 # ---- where the optimum changes -----------------------------------------------------------------
 
 
+@analysis("threshold")
 def threshold_report(asked: Asked) -> Report:
     """Return every threshold within the ranges, and the range in which the policy stays."""
     ranges, without = asked.ranges()

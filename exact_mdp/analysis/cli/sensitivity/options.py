@@ -1,14 +1,24 @@
-"""What the options of `exact-mdp sensitivity` ask for: a model, a policy, ranges, workers."""
+"""What the options of an analysis of parameters ask for: a model, a policy, ranges, workers.
+
+To add an analysis, write its function (`exact_mdp.analysis.sensitivity`), a report of it here, and
+declare its command and options in `exact_mdp.analysis.cli.commands`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, wraps
+from pathlib import Path
 from typing import Any
 
-from exact_mdp.analysis.cli.options import Given, policy_from, whole_of
+import click
+
+from exact_mdp.analysis.cli.options import Given, Question, given, policy_from, whole_of
+from exact_mdp.analysis.cli.render import Report, to_json
+from exact_mdp.analysis.record import run_record
 from exact_mdp.analysis.sensitivity.ranges import (
     Ranges,
     checked,
@@ -17,6 +27,7 @@ from exact_mdp.analysis.sensitivity.ranges import (
 )
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.load import Loaded
 from exact_mdp.mdp.parametric import Parametric, Posed, parametric
 from exact_mdp.mdp.table import FLOAT_RANGE, exact, shown
@@ -84,6 +95,57 @@ class Asked:
         spans = stated_ranges(self.model, self.options)
         ranges = Ranges({name: span for name, span in spans.items() if span.low < span.high})
         return ranges, sorted(set(spans) - set(ranges))
+
+
+def analysis(kind: str) -> Callable[[Callable[[Asked], Report]], Callable[..., Report]]:
+    """Make what the command `kind` does of a report on what was asked.
+
+    The model's name, the kind, the discount and the question are added to every result. With --out
+    the result is written into that folder, with a record of its making.
+    """
+
+    def declare(report: Callable[[Asked], Report]) -> Callable[..., Report]:
+        @wraps(report)
+        def work(
+            *, model: str, sets: tuple[str, ...], discount: str | None, **options: Any
+        ) -> Report:
+            out, seen = options.get("out"), options.get("perception")
+            if out is not None and not out.strip():
+                raise ModelError("--out is empty", where="--out", fix="name a folder")
+            asking = {field.name: options.pop(field.name) for field in fields(Question)}
+            loaded = given(model, sets, discount, **asking)
+            answer = report(Asked(given=loaded, options=options))
+            result = {**loaded.head, "kind": kind, "perception": seen, **answer.result}
+            facts = {
+                "model": loaded.loaded.name,
+                "analysis": kind,
+                "question": loaded.head["question"],
+                "start": loaded.head["start"],
+                "perception": f"{seen}, which the policy held fixed acts on" if seen else None,
+            }
+            if out is not None:
+                result = _written(loaded, Path(out), kind, result)
+            return replace(
+                answer, result=result, facts={**facts, **answer.facts}, notes=loaded.notes
+            )
+
+        return work
+
+    return declare
+
+
+def _written(asked: Given, folder: Path, kind: str, result: dict[str, Any]) -> dict[str, Any]:
+    """Write the result and the record of its making into the folder of --out."""
+    context = click.get_current_context(silent=True)
+    words = (context.find_root().obj or ()) if context is not None else ()
+    paths = [folder / f"{kind}.json", folder / "run.json"]
+    result["written"] = [str(path) for path in paths]
+    record = run_record(
+        asked.mdp, model=asked.loaded.name, solver=kind, seed=result.get("seed"), command=words
+    )
+    write_atomically(paths[0], to_json(result) + "\n")
+    write_atomically(paths[1], json.dumps(record, indent=2) + "\n")
+    return result
 
 
 def stated_ranges(model: Parametric, options: Mapping[str, Any]) -> Ranges:

@@ -10,7 +10,7 @@ import numpy as np
 
 from exact_mdp.analysis.cli.options import whole_of
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
-from exact_mdp.analysis.cli.sensitivity.options import Asked
+from exact_mdp.analysis.cli.sensitivity.options import Asked, analysis
 from exact_mdp.analysis.sensitivity.draws.solver import solver_of
 from exact_mdp.analysis.sensitivity.psa.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
@@ -38,6 +38,7 @@ DRAWS, SLOW_DRAWS = "10000", "500"
 Stated = Mapping[str, Mapping[str, object]]
 
 
+@analysis("psa")
 def psa_report(asked: Asked) -> Report:
     """Return value, regret, optimal actions and the value of information over the draws."""
     model, stated, size = _stated(asked)
@@ -213,7 +214,7 @@ def _stated(asked: Asked) -> tuple[Parametric, Stated, float]:
         if file is not None:
             raise ModelError(
                 "two files with distributions",
-                where="sensitivity psa",
+                where="psa",
                 fix="put all into one of them",
             )
         text, file = None, text

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
-from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked
+from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, analysis
 from exact_mdp.analysis.sensitivity.base_case import finite_worth
 from exact_mdp.analysis.sensitivity.ranges import RELATIVE, Ranges, ranges_of, unit_of, usual
 from exact_mdp.analysis.sensitivity.robust.corners import worst_point
@@ -32,6 +32,7 @@ MEANING = {
 }
 
 
+@analysis("robust")
 def robust_report(asked: Asked) -> Report:
     """Return the value against nature's worst choice within sets around the tables."""
     kind = asked["set_kind"] or "interval"
@@ -44,7 +45,7 @@ def robust_report(asked: Asked) -> Report:
     if any(asked[name] for name in ("parameters", *STATED)):
         raise ModelError(
             "parameters and ranges are for a box",
-            where="sensitivity robust",
+            where="robust",
             fix="add --set-kind box, or give --radius instead",
         )
     radius = _radius(asked, RADII[kind])

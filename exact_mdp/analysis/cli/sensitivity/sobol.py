@@ -8,7 +8,7 @@ import numpy as np
 
 from exact_mdp.analysis.cli.options import whole_of
 from exact_mdp.analysis.cli.render import Column, Report, Table, claimed
-from exact_mdp.analysis.cli.sensitivity.options import Asked
+from exact_mdp.analysis.cli.sensitivity.options import Asked, analysis
 from exact_mdp.analysis.sensitivity.draws.sobol import Indices, Sobol, sobol
 from exact_mdp.analysis.sensitivity.ranges import Ranges, usual
 from exact_mdp.mdp.errors import ModelError
@@ -28,6 +28,7 @@ SHARES: dict[str, Column] = {
 }
 
 
+@analysis("sobol")
 def sobol_report(asked: Asked) -> Report:
     """Return Sobol indices of the optimum's value and of a policy's regret."""
     n = whole_of(asked["samples"] or "1024", "--samples", 2, 2**24)
@@ -95,7 +96,7 @@ def _drawn(asked: Asked) -> tuple[Ranges, list[str]]:
     if not ranges:
         raise ModelError(
             "every chosen parameter is 0, and a share of 0 gives no range",
-            where=f"sensitivity of {asked.loaded.name}",
+            where=f"sobol of {asked.loaded.name}",
             fix="give a range: --range NAME=LOW:HIGH",
         )
     return ranges, without
