@@ -36,8 +36,7 @@ sys.meta_path.insert(0, Missing())
 """
 
 CORE = """
-from exact_mdp import MDP, Policy, Scenario, certify, check, evaluate, solve
-from exact_mdp.analysis.gradient import, tornado
+from exact_mdp import MDP, Policy, Scenario, certify, check, evaluate, gradient, solve, tornado
 from exact_mdp.solvers import PolicyIteration, return_distribution, simulate
 
 scenario = Scenario.load("yuan2025").with_(tasks=[1])

@@ -5,6 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from cases.intervals import INTERVAL_CASES, IntervalCase, total_reward
+from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
@@ -23,9 +24,6 @@ from exact_mdp import (
     solve,
     solve_robust,
 )
-from exact_mdp.analysis.cli import options
-from exact_mdp.analysis.cli.sensitivity.options import Asked
-from exact_mdp.analysis.cli.sensitivity.robust import robust_report
 from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
 from exact_mdp.analysis.sensitivity.robust.robust import SETS, ambiguity_of
 from exact_mdp.solvers.robust.bounds import Game, margins, robust_bounds
@@ -264,12 +262,10 @@ def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
 
 
 def test_a_box_needs_a_parameter_that_moves(tmp_path) -> None:
-    from exact_mdp import save
-
-    save(risky(), tmp_path / "model.npz")
-    loaded = options.given(str(tmp_path / "model.npz"), (), None)
-    with pytest.raises(ModelError, match="no parameter moves"):
-        robust_report(Asked(given=loaded, options={"set_kind": "box"}))
+    risky().save(tmp_path / "model.npz")
+    done = run("robust", tmp_path / "model.npz", "--set-kind", "box")
+    assert (done.status, done.out) == (2, "")
+    assert "no parameter moves" in done.err
 
 
 def test_the_curve_and_its_figure() -> None:
