@@ -1,8 +1,9 @@
 """Models from arrays, from rows and from lists of outcomes, floats or exact rationals alike.
 
-Every number keeps its exact value, whatever stands beside it (`mdp.forms.numbers`), and outcomes
-that come twice are added exactly. Where all numbers are doubles, and one at least was given as a
-float, the table holds them as floats; else as integers over one denominator for each row.
+Every number keeps its exact value, whatever stands beside it (`mdp.forms.numbers`); rows of floats
+mean what `mdp.rows` says, and outcomes that come twice are added exactly. Where all numbers are
+doubles, and one at least was given as a float, the table holds them as floats; else as integers
+over one denominator for each row.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from exact_mdp.mdp.forms.numbers import (
     array_of,
     as_given,
     chance_sum,
+    chances,
     check_places,
     dense,
     grouped,
@@ -33,21 +35,18 @@ from exact_mdp.mdp.forms.numbers import (
     whole_numbers,
 )
 from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
+from exact_mdp.mdp.rows import counted, meant
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     COMPILED,
-    LONG,
     Floats,
-    Given,
     Integers,
     Numbers,
     OutcomeTable,
-    by_outcome,
-    exact,
-    fine_unit,
     integers,
+    multiply,
     ones,
-    rounding_of,
+    settle_rows,
 )
 from exact_mdp.mdp.validate import Parts as ModelParts
 from exact_mdp.mdp.validate import as_discount, as_start, check_model, last_action
@@ -59,8 +58,8 @@ the indices is that of the states."""
 
 TABLE_FIELDS = fields(OutcomeTable)
 
-Outcomes = dict[tuple[int, Any, bool], Any]
-"""Probabilities by next state, reward, and whether that may be a rounded one."""
+Outcomes = dict[tuple[int, Fraction | float], Fraction | float]
+"""Probabilities by next state and reward."""
 
 Parts = dict[str, Any]
 """What `MDP` takes, by name."""
@@ -288,7 +287,7 @@ def from_outcomes(
 ) -> Parts:
     """Return the parts of the model that `MDP.from_outcomes` makes."""
     try:
-        listed = [(index(row[0]), index(row[1]), _merged(row[2])) for row in rows]
+        listed = [(index(row[0]), index(row[1]), *_merged(row[2])) for row in rows]
         order = sorted(range(len(listed)), key=lambda number: listed[number][:2])
         listed = [listed[number] for number in order]
         state = np.array([row[0] for row in listed], dtype=np.int64)
@@ -305,64 +304,31 @@ def from_outcomes(
             "for states and actions",
         ) from error
     offsets = np.concatenate([[0], np.cumsum([len(row) for row in merged])]).astype(np.int64)
-    weight = grouped([value for row in merged for value in row.values()], offsets)
-    owned = _owned(merged)
-    if owned is None:
-        gain = grouped([reward for row in merged for reward in _earned(row)], offsets)
+    weight = chances([value for row in merged for value in row.values()], offsets)
+    rewards = [[reward for _, reward in row] for row in merged]
+    if all(len(set(row)) == 1 for row in rewards):  # whatever follows
+        gain = grouped([row[0] for row in rewards], np.arange(len(rewards) + 1))
     else:
-        gain = grouped(owned, np.arange(len(merged) + 1))
-    table = _table(offsets, following, weight, gain, of_pairs=owned is not None)
+        gain = grouped([reward for row in rewards for reward in row], offsets)
+    table = _table(offsets, following, weight, gain)
+    names["floats"] = names.get("floats", False) or any(row[3] for row in listed)
     each_component(names, lambda values, where: of_length(values, where, len(listed))[order])
     _observed(names, np.array(order, dtype=np.int64), len(order))
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
 
-def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> Outcomes:
-    """Return the positive probabilities of one pair by next state and reward, sorted.
-
-    Rewards that are equal, one given as a float and one as an exact number, are kept apart.
-    """
-    row: Outcomes = {}
-    for probability, then, reward in outcomes:
-        earned, chance = as_given(reward), as_given(probability)
-        key, known = (index(then), earned, rounding_of(earned) > 0), len(row)
-        before = row.setdefault(key, chance)  # one look-up: fractions are slow to hash
-        if len(row) == known:
-            row[key] = chance_sum(before, chance)
-    return {key: chance for key, chance in sorted(row.items(), key=itemgetter(0)) if chance}
-
-
-def _owned(rows: list[Outcomes]) -> list[Any] | None:
-    """Return the rewards of pairs where some are certain and none is of an outcome; else None.
-
-    `OutcomeTable.row` says that a reward is certain where the pair earns it in full, although the
-    probabilities do not sum to 1.
-    """
-    if not any(isinstance(key[1], Given) and key[1].certain for row in rows for key in row):
-        return None
-    for row in rows:
-        rewards = {key[1] for key in row}
-        if len(rewards) != 1 or not (_certain(row) or rewards == {0} or _total(row) == 1):
-            return None
-    return [next(iter(row))[1] for row in rows]
-
-
-def _earned(row: Outcomes) -> list[Any]:
-    """Return the rewards of a pair's outcomes, of which certain ones average what they are."""
-    rewards = [key[1] for key in row]
-    if not _certain(row):
-        return rewards
-    total = _total(row)
-    return [Given(exact(reward) / total, rounding=rounding_of(reward)) for reward in rewards]
-
-
-def _certain(row: Outcomes) -> bool:
-    return bool(row) and all(isinstance(key[1], Given) and key[1].certain for key in row)
-
-
-def _total(row: Outcomes) -> Fraction:
-    return sum(map(exact, row.values()), Fraction(0))
+def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> tuple[Outcomes, bool]:
+    """Return the positive probabilities of a pair, sorted, and whether any number is a float."""
+    every = [(as_given(p), index(then), as_given(reward)) for p, then, reward in outcomes]
+    keys = [(then, reward) for _, then, reward in every]
+    row: Outcomes = dict(zip(keys, (chance for chance, _, _ in every), strict=True))
+    if len(row) < len(keys):
+        row = {}
+        for key, chance in zip(keys, meant([chance for chance, _, _ in every]), strict=True):
+            row[key] = chance_sum(row[key], chance) if key in row else chance
+    floats = any(isinstance(number, float) for p, _, r in every for number in (p, r))
+    return {key: chance for key, chance in sorted(row.items(), key=itemgetter(0)) if chance}, floats
 
 
 def _observed(names: dict[str, Any], order: Integers, total: int) -> None:
@@ -381,22 +347,28 @@ def _observed(names: dict[str, Any], order: Integers, total: int) -> None:
 def _counted(table: OutcomeTable, seen: Integers) -> OutcomeTable:
     """Return a table in which rows that were observed n times are counts over n.
 
-    A probability is k / n for the whole number k next to p n, if it lies no farther from that than
-    its rounding. Where one does not, the table stays, and the model refuses it.
+    Where floats are not the ones next to such counts, or exact numbers not equal to them, the table
+    stays, and the model refuses it.
     """
-    lengths = np.diff(table.offsets)
-    each, off = np.repeat(seen, lengths).tolist(), table.weight_rounding().tolist()
+    lengths, watched = np.diff(table.offsets), seen > 0
     top, bottom = table.integer_weights()
-    below = np.repeat(bottom, lengths).tolist()
-    counts = []
-    for weight, denominator, n, rounding in zip(top.tolist(), below, each, off, strict=True):
-        chance = Fraction(weight, denominator)
-        counts.append(round(chance * n) if n else weight)
-        if n and abs(chance - Fraction(counts[-1], n)) > exact(rounding):
+    if table.weight.dtype == np.float64:
+        some = table.of_pairs(np.flatnonzero(watched))
+        counts = counted(some.weight, some.offsets, seen[watched])
+        if counts is None:
             return table
-    denominators = np.where(seen > 0, seen, bottom).tolist()
-    weights = integers(counts)
-    return replace(table, weight=weights, denominator=integers(denominators), weight_doubt=None)
+    else:
+        each = np.repeat(watched, lengths)
+        share, left = np.divmod(
+            multiply(top, np.repeat(seen, lengths))[each], np.repeat(bottom, lengths)[each]
+        )
+        if left.any():
+            return table
+        counts = share
+    top = np.array(top, dtype=object)
+    top[np.repeat(watched, lengths)] = counts
+    weights, below = integers(top.tolist()), integers(np.where(watched, seen, bottom).tolist())
+    return replace(table, weight=weights, denominator=below)
 
 
 def _from_rows(
@@ -416,25 +388,25 @@ def _from_rows(
     if sound is None and sp.issparse(rows):
         check_places(rows, "transition")
     if sound is not None:
-        (offsets, following, data, excess), rising = sound, True
-        weight = Grouped(data, ones(len(state)))
+        (offsets, following, data), rising = sound, True
+        weight = Grouped(data, ones(len(state)), True)
     elif sp.issparse(rows) and rows.dtype == np.float64 and _canonical(rows):
         rows, lowest = _copied(rows)
         if lowest <= 0:
             rows.eliminate_zeros()
         rising = True
         offsets, following = rows.indptr.astype(np.int64), rows.indices
-        weight = Grouped(rows.data, ones(len(state)))
+        weight = Grouped(rows.data, ones(len(state)), True)
     elif sp.issparse(rows):
-        offsets, following, values = added(rows, chance_sum)
-        weight = grouped(values, offsets)
+        offsets, following, values = added(rows, chances=True)
+        weight = chances(values, offsets)._replace(floats=rows.dtype.kind == "f")
         if below is not None:
-            weight = Grouped(integers(map(int, values)), below)
+            weight = Grouped(integers(map(int, values)), below, False)
     else:
         kept = rows.astype(bool)
         pair, following = np.nonzero(kept)
         offsets = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
-        weight = grouped(rows[pair, following], offsets)
+        weight = chances(rows[pair, following], offsets)
     if reward.ndim == 1:
         # A copy: the model freezes its arrays, and the caller's stay the caller's.
         gain = grouped(np.array(reward), np.arange(len(state) + 1))
@@ -442,17 +414,18 @@ def _from_rows(
         pair = np.repeat(np.arange(len(state)), np.diff(offsets))
         gain = grouped(picked(reward, pair, following), offsets)
     following = following if size < 2**31 else following.astype(np.int64)
-    table = _table(offsets, following, weight, gain, of_pairs=reward.ndim == 1)
-    if rising and len(table.next) == len(following):
+    table = _table(offsets, following, weight, gain)
+    names["floats"] = weight.floats or gain.floats
+    if rising:
         vars(table)["rising"] = True  # it was made so, and need not be asked again
         if sound is not None:
-            vars(table).update(sound=True, excess=excess)
+            vars(table)["sound"] = True
     return _assemble(state, action, table, size, discount, start, names)
 
 
-def _table(
-    offsets: Integers, following: Numbers, weight: Grouped, gain: Grouped, *, of_pairs: bool
-) -> OutcomeTable:
+def _table(offsets: Integers, following: Numbers, weight: Grouped, gain: Grouped) -> OutcomeTable:
+    if weight.top.dtype == np.float64:
+        settle_rows(weight.top, offsets)
     table = OutcomeTable(
         offsets=offsets,
         next=following,
@@ -460,17 +433,16 @@ def _table(
         denominator=weight.bottom,
         gain=gain.top,
         gain_denominator=gain.bottom,
-        weight_doubt=weight.doubt,
-        gain_doubt=gain.doubt,
     )
-    return table if of_pairs else by_outcome(table)
+    vars(table)["is_settled"] = True
+    return table
 
 
-def _taken(rows: Any) -> tuple[Integers, Numbers, Floats, Floats] | None:
+def _taken(rows: Any) -> tuple[Integers, Numbers, Floats] | None:
     """Return offsets (L+1,), columns and numbers (N,) of a sparse matrix, copied in one pass.
 
-    The last part is by how much each row's sum exceeds 1. None where there are too few entries for
-    compiled loops, and where rows are not sound as they are.
+    None where there are too few entries for compiled loops, and where rows are not sound as they
+    are.
     """
     wide, small = rows.shape[1] >= 2**31, rows.nnz < COMPILED
     if small or rows.dtype != np.float64 or wide or not rows.shape[0]:
@@ -478,20 +450,17 @@ def _taken(rows: Any) -> tuple[Integers, Numbers, Floats, Floats] | None:
     offsets = rows.indptr.astype(np.int64)
     columns, data = np.empty(offsets[-1], dtype=rows.indices.dtype), np.empty(offsets[-1])
     ends, given = block_ends(offsets), (rows.shape[1], offsets, rows.indices, rows.data)
-    longest, excess = int((offsets[1:] - offsets[:-1]).max()), np.empty(len(offsets) - 1)
+    longest = int((offsets[1:] - offsets[:-1]).max())
     from exact_mdp.mdp.forms import rows as loops
 
     good, size = [False] * (len(ends) - 1), max(longest, loops.DIGITS)
-    if longest >= LONG:
-        return None
-    copies = fine_unit(longest), columns, data, excess
 
     def work(number: int, first: int, last: int) -> None:
         room = np.empty((3, size), dtype=np.int64)
-        good[number] = loops.taken(first, last, *given, *copies, room)
+        good[number] = loops.taken(first, last, *given, columns, data, room)
 
     run_blocks(ends, work)
-    return (offsets, columns, data, excess) if all(good) else None
+    return (offsets, columns, data) if all(good) else None
 
 
 def _canonical(rows: sp.csr_array) -> bool:

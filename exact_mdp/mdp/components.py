@@ -23,7 +23,6 @@ from exact_mdp.mdp.table import (
     Floats,
     Numbers,
     OutcomeTable,
-    by_outcome,
     divide,
     dyadic,
     integers,
@@ -192,7 +191,7 @@ def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, An
         else:
             found = grouped(picked(values, table.pair, table.next), table.offsets)
             earning = replace(table, gain=found.top, gain_denominator=found.bottom)
-            top, bottom = by_outcome(earning).expected_gain_exact()
+            top, bottom = earning.expected_gain_exact()
         _check_finite(top, name)
         columns[name] = top, bottom
     names, known = completed(columns, table)

@@ -13,9 +13,10 @@ transition matrix (outcomes with the same next state added up), the expected rew
 sense and the goal where rewards are costs or a goal has to be reached. Names of states and actions,
 labels, reward components and events are left out: they do not change what is optimal. Models hash
 equally if and only if these exact contents are equal, so that 0.5, 1/2 and 2/4 are one and the
-same, and 0.1 (a dyadic rational) differs from 1/10. Rows are encoded by their values alone: those
-whose numbers all are doubles, exactly, as these, so that a large float model is hashed without
-touching its numbers one by one; any other as integers over their denominator in lowest terms.
+same, and so are a row of 0.1 ten times and one of 1/10. Rows are encoded by their values alone:
+those that a row of doubles means (`mdp.rows`) as these doubles, so that a large float model is
+hashed without touching its numbers one by one; any other as integers over their denominator in
+lowest terms. A reward of 0.1 (a dyadic rational) differs from 1/10.
 """
 
 from __future__ import annotations
@@ -24,20 +25,17 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
-from itertools import pairwise
-from math import fsum
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.chain import endless
 from exact_mdp.mdp.model import MDP, once
+from exact_mdp.mdp.rows import in_floats
 from exact_mdp.mdp.table import (
     EXACT_IN_FLOAT,
     EXACT_IN_INT64,
-    ROW_TOLERANCE,
     Floats,
     Integers,
     Numbers,
@@ -90,10 +88,6 @@ class BellmanRows:
     def pair(self) -> Integers:
         """(M,) the pair of each transition."""
         return np.repeat(np.arange(len(self.constant)), np.diff(self.offsets))
-
-    def slack(self) -> Numbers:
-        """Return (L,) scale less the sum of weights: positive where γ times the row sum is < 1."""
-        return np.asarray(self.scale[self.pair_state] - row_sums(self.weight, self.offsets))
 
     def of_pairs(self, pairs: Integers) -> BellmanRows:
         """Return the equations of the policy that takes `pairs` (S,), one of each state."""
@@ -154,63 +148,6 @@ def _bellman_rows(model: MDP, pairs: Integers | None) -> BellmanRows:
         next=following,
         weight=weight,
     )
-
-
-def per_step(model: MDP) -> MDP:
-    """Return the model in which all steps count alike: discount 1, each row divided by its sum.
-
-    An average reward per step needs rows that sum to 1 exactly; those of floats need not.
-    """
-    table, parts = model.table, model.component_table
-    if not table.sums_to_one:
-        weight, below = table.integer_weights()
-        whole = replace(
-            table, weight=weight, denominator=below, weight_doubt=table.weight_rounding()
-        )
-        total = whole.row_sums()
-        table = replace(whole, denominator=total)
-        if parts is not None and len(table.gain) != table.pairs:
-            amount, bottom = parts.exact()
-            parts = replace(
-                parts, amount=multiply(amount, below[:, None]), denominator=multiply(bottom, total)
-            )
-    if table is model.table and model.discount_exact == 1:
-        return model
-    names = model.component_names
-    return model.with_(discount=1, table=table, component_table=parts, component_names=names)
-
-
-def divided(model: MDP) -> MDP:
-    """Return the model itself, or where some policy never ends, with each row divided by its sum.
-
-    What goes on for ever has a total only where rows sum to 1 exactly. All that is said of such a
-    model is of this one, so that an optimum and a policy's value can be compared.
-
-    Examples
-    --------
-    >>> wait, leave = [[1, 0], [0.1, 0.9]], [[0.3, 0.7], [0, 1]]
-    >>> mdp = MDP.from_arrays([wait, leave], [[1, 1], [0, 0]], layout="ass")
-    >>> mdp.table.sums_to_one, divided(mdp).table.sums_to_one
-    (False, True)
-    """
-    if model.discount_exact != 1 or model.table.sums_to_one or not endless(model):
-        return model
-    return _divided(model)
-
-
-_divided = once(per_step)
-
-
-def slack_signs(model: MDP) -> Numbers:
-    """Return (L,) the signs of 1 - γ Σ P, exactly."""
-    table, rate = model.table, model.discount_exact
-    if rate * (1 + 2 * ROW_TOLERANCE) < 1 or table.sums_to_one:
-        return np.full(model.n_pairs, int(rate < 1))
-    if rate == 1 and table.weight.dtype == np.float64:
-        rows = pairwise(table.offsets.tolist())
-        sums = [fsum([1.0, *(-table.weight[first:last]).tolist()]) for first, last in rows]
-        return np.sign(sums)  # a sum rounded once has the sign of the sum
-    return np.sign(bellman_rows(model).slack())
 
 
 def row_sums(values: Numbers, offsets: Integers) -> Numbers:
@@ -277,12 +214,15 @@ def fingerprint(model: MDP) -> str:
     else:
         _, following, weight, denominator = merged(model.table)
         _add(digest, following, index)
-        _add_rationals(digest, weight, denominator, offsets)
+        floats, meant = in_floats(weight, denominator, offsets)
+        _add_rationals(digest, weight, denominator, offsets, floats, ~meant)
     if model.table.gain.dtype == np.float64 and len(model.table.gain) == model.n_pairs:
         _add_floats(digest, model.table.gain, model.n_pairs)
     else:
-        gain = reduced(*model.table.expected_gain_exact())
-        _add_rationals(digest, *gain, np.arange(model.n_pairs + 1))
+        top, bottom = reduced(*model.table.expected_gain_exact())
+        floats = _doubles(top, bottom)
+        each = np.arange(model.n_pairs + 1)
+        _add_rationals(digest, top, bottom, each, floats, ~np.isfinite(floats))
     if model.sense != "max":
         digest.update(f"\nsense {model.sense}".encode())
     if model.goal is not None:
@@ -302,12 +242,16 @@ def _add_floats(digest: _Hash, values: Numbers, rows: int) -> None:
     _add(digest, values + 0.0, "<f8")  # -0.0 becomes 0.0
 
 
-def _add_rationals(digest: _Hash, top: Numbers, bottom: Numbers, offsets: Integers) -> None:
-    """Add rows in lowest terms: top (M,) over bottom (L,), rows beginning at `offsets`."""
-    lengths = np.diff(offsets)
-    floats = _doubles(top, np.repeat(bottom, lengths))
-    others = ~np.logical_and.reduceat(np.isfinite(floats), offsets[:-1])
-    inside = np.repeat(others, lengths)
+def _add_rationals(
+    digest: _Hash,
+    top: Numbers,
+    bottom: Numbers,
+    offsets: Integers,
+    floats: Floats,
+    others: NDArray[np.bool_],
+) -> None:
+    """Add rows in lowest terms: `floats` (M,), or top (M,) over bottom (L,) where marked (L,)."""
+    inside = np.repeat(others, np.diff(offsets))
     _add(digest, others, "?")
     _add(digest, floats[~inside], "<f8")
     if not others.any():

@@ -94,6 +94,9 @@ class MDP(ByFields, Parts):
         observed and that are certain.
     episodes : int, optional
         How many recorded episodes `start` was counted from; None where the start is known.
+    floats : bool
+        Whether probabilities or rewards were given as floats, which stand for what they were
+        rounded from.
 
     Raises
     ------
@@ -115,8 +118,11 @@ class MDP(ByFields, Parts):
     pair_offsets: Integers = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        check_model(self)
         fill = object.__setattr__
+        fill(self, "table", self.table.settled())
+        check_model(self)
+        kinds = (self.table.weight.dtype, self.table.gain.dtype)
+        fill(self, "floats", self.floats or np.float64 in kinds)
         fill(self, "start", Told(self.start))
         if self.observations is not None:
             fill(self, "observations", whole_numbers(self.observations, "observations"))
@@ -150,11 +156,8 @@ class MDP(ByFields, Parts):
         yield from (self.pair_state, self.pair_action, self.pair_offsets)
         yield from (table.offsets, table.next, table.weight, table.denominator)
         yield from (table.gain, table.gain_denominator)
-        yield from (
-            part for part in (table.event, table.weight_doubt, table.gain_doubt) if part is not None
-        )
         yield from self.labels.values()
-        optional = (self.goal, self.observations)
+        optional = (table.event, self.goal, self.observations)
         yield from (part for part in optional if part is not None)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -532,6 +535,11 @@ class MDP(ByFields, Parts):
             sense="max" if self.sense == "min" else "min",
             unreached=-self.unreached,
         )
+
+    @cached_property
+    def undiscounted(self) -> MDP:
+        """The model itself, or the same in which all steps count alike: discount 1."""
+        return self if self.discount_exact == 1 else self.with_(discount=1)
 
     @property
     def maximised(self) -> MDP:

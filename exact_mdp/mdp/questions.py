@@ -47,17 +47,14 @@ from exact_mdp.mdp.table import (
     MOST_BYTES,
     NARROW,
     WIDE,
-    Given,
     Integers,
     Numbers,
     OutcomeTable,
-    by_outcome,
-    given,
+    exact,
     integers,
     ones,
     over_groups,
     reduced,
-    rounding_of,
     spans,
 )
 from exact_mdp.mdp.validate import Flags, Parts, by_state, counted
@@ -80,7 +77,7 @@ def reaching(model: Parts, label: str, allowed: str | None) -> dict[str, Any]:
                 fix="allow it, or start elsewhere",
             )
     states, pairs = np.append(model.pair_state, size), model.n_pairs
-    unearned = replace(model.table, gain=np.zeros(pairs, np.int64), gain_doubt=None)
+    unearned = replace(model.table, gain=np.zeros(pairs, np.int64))
     table = _ended(
         replace(unearned, gain_denominator=ones(pairs)),
         np.append((target | outside)[model.pair_state], True),
@@ -111,7 +108,7 @@ def until(model: Parts, label: str, reward: str | None) -> dict[str, Any]:
     target, table, changes = labelled(model, label), model.table, dict[str, Any]()
     if reward is not None and (reward,) != model.component_names:
         gain, below = _component(model, reward)
-        table = replace(table, gain=gain, gain_denominator=below, gain_doubt=None)
+        table = replace(table, gain=gain, gain_denominator=below)
         changes |= ONE_COMPONENT | {"component_names": (reward,)}
     ends = target[model.pair_state]
     known = model.component_table
@@ -273,15 +270,15 @@ def unrolled(
     }
     if any(values):
         rate = model.discount_exact
-        later = [Given(rate * v, rounding=float(rate) * rounding_of(v)) for v in values]
+        later = [rate * value for value in values]
         paid = _paid(
             layered, len(rows) * (count - 1), [later[s] for s in model.table.next[chosen]], by_pair
         )
         if model.component_names != ("reward",):
             components = _with_payment(model, components["component_table"], layered, paid)
-        layered, by_pair = paid, False
+        layered = paid
     return {
-        "table": layered if by_pair else by_outcome(layered),
+        "table": layered,
         **components,
         "pair_state": layers(model.pair_state[rows], np.arange(states)) + own * time,
         "pair_action": layers(model.pair_action[rows], model.pair_action[first[:-1]]),
@@ -305,19 +302,14 @@ def _values(numbers: object, space: StateSpace) -> list[Fraction]:
                 f"{type(numbers).__name__} says no value of each state",
                 fix="give one number for each state, or {state: number}",
             )
-        return [given(found.get(state, 0)) for state in range(space.size)]
+        return [exact(found.get(state, 0)) for state in range(space.size)]
 
 
-def _paid(table: OutcomeTable, first: int, more: Sequence[Given], by_pair: bool) -> OutcomeTable:
+def _paid(table: OutcomeTable, first: int, more: Sequence[Fraction], by_pair: bool) -> OutcomeTable:
     """Return a table of rewards of outcomes; those from pair `first` on earn so much more."""
-    (gain, below), doubt = table.integer_gains(), table.gain_rounding()
-    if by_pair:
-        # A reward of a pair is earned whatever its probabilities sum to, one of outcomes is not.
-        weight, whole = table.integer_weights()
-        sums = np.add.reduceat(weight.astype(object), table.offsets[:-1])
-        gain, below = reduced(gain.astype(object) * whole, below.astype(object) * sums)
-        gain, doubt = gain[table.pair], doubt[table.pair]
-    gain, below, doubt = gain.astype(object), below.astype(object), doubt.copy()
+    gain, below = table.integer_gains()
+    gain = (gain[table.pair] if by_pair else gain).astype(object)
+    below = below.astype(object)
     begin = int(table.offsets[first])
     here = slice(begin, begin + len(more))
     pair = table.pair[here]
@@ -327,13 +319,7 @@ def _paid(table: OutcomeTable, first: int, more: Sequence[Given], by_pair: bool)
         for own, bottom, later in zip(gain[here], below[pair], more, strict=True)
     ]
     gain[here], below[last] = over_groups(earned, table.offsets[first : last.stop + 1] - begin)
-    doubt[here] += [later.rounding for later in more]
-    return replace(
-        table,
-        gain=integers(gain.tolist()),
-        gain_denominator=integers(below.tolist()),
-        gain_doubt=doubt if doubt.any() else None,
-    )
+    return replace(table, gain=integers(gain.tolist()), gain_denominator=integers(below.tolist()))
 
 
 def _with_payment(

@@ -2,15 +2,12 @@
 
 Pair l has outcomes i in offsets[l] … offsets[l+1]-1. Outcome i has probability
 weight[i] / denominator[l], leads to state next[i] and earns gain[i] / gain_denominator[l].
-Weights are 64-bit integers where they fit, Python integers (dtype object) where they do not, or
-floats, each taken as the exact dyadic rational that it is. The float model is derived from this
+Weights are 64-bit integers where they fit, Python integers (dtype object) where they do not, or the
+floats next to what their row means. Rewards that are floats are the dyadic rationals that they are.
+The float model is derived from this
 table, every number rounded once; there is no second source.
 
-What a row of floats means: its probabilities are the numbers given, nothing is scaled. So they may
-sum to a little more or less than 1, by up to `ROW_TOLERANCE`; only what is binary may: a row with a
-float in it, or one whose numbers all have a power of two below the line, as floats do. Every other
-row sums to 1 exactly. The expected reward of a pair is Σ p r where rewards are of outcomes; where
-they are of pairs (an array of shape (L,)) it is r, whatever the probabilities sum to.
+Every row of a model sums to 1 exactly; `mdp.rows` says what a row of floats means.
 """
 
 from __future__ import annotations
@@ -21,87 +18,33 @@ from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from math import gcd, lcm, ulp
+from math import gcd, lcm
 from numbers import Rational
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.forms.threads import block_ends, run_blocks
+from exact_mdp.mdp.rows import FLOAT_ROW_TOLERANCE as FLOAT_ROW_TOLERANCE
+from exact_mdp.mdp.rows import LONG, exactly, fine_unit, meant, settle
+from exact_mdp.mdp.rows import Floats as Floats
+from exact_mdp.mdp.rows import Integers as Integers
+from exact_mdp.mdp.rows import Numbers as Numbers
+from exact_mdp.mdp.rows import dyadic as dyadic
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Numbers = NDArray[Any]
-
-# Transitions from which compiled loops are used. Below, NumPy takes less time than it takes to load
-# the compiler, a third of a second.
 COMPILED = 20_000
+"""Transitions from which compiled loops are used. Below, NumPy takes less time than it takes to
+load the compiler, a third of a second."""
 EXACT_IN_FLOAT = 2**53
 EXACT_IN_INT64 = 2**62
-EXPONENT = 0x7FF << 52  # the bits of a double that hold its exponent
-FLOAT_ROW_TOLERANCE = 1e-9
 FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # where floats keep all their digits
 LARGEST = Fraction(2**1024 - 2**971)  # the largest float
-COARSE, FINEST, LONG = 2.0**-40, -93, 2**22  # of sums: their units, and the most terms of a row
 MOST_BYTES = 10 * 10**9  # of the outcomes of one table
 MOST_DIGITS = 4000  # of a number that is given as text: Python itself stops at 4,300
 NARROW, WIDE = 45, 230  # bytes for each outcome, 64-bit integers or Python's
-ROW_TOLERANCE = Fraction(1, 10**9)
-
-
-class Given(Fraction):
-    """The exact value of a number of a model, and what else is known of it.
-
-    It calculates as any `Fraction` does; the results are plain ones, but for a change of sign.
-    `rounding` says how far the value may lie from the number that it was rounded from: more than 0
-    where it was given as a float. `certain` says of a reward that it is the pair's own, earned in
-    full whatever the probabilities sum to.
-
-    Examples
-    --------
-    >>> number = Given(Fraction(1, 4), rounding=2.0**-55)
-    >>> number, number + 1, (-number).rounding == number.rounding
-    (Fraction(1, 4), Fraction(5, 4), True)
-    """
-
-    __slots__ = ("certain", "rounding")
-    rounding: float
-    certain: bool
-
-    def __new__(
-        cls,
-        value: Any = 0,
-        denominator: int | None = None,
-        *,
-        rounding: float = 0.0,
-        certain: bool = False,
-    ) -> Self:
-        """Return a number, given in any way that `Fraction` takes, with what is known of it."""
-        found = super().__new__(cls, value, denominator)
-        found.rounding, found.certain = rounding, certain
-        return found
-
-    def __neg__(self) -> Given:
-        return Given(super().__neg__(), rounding=self.rounding, certain=self.certain)
-
-    def __repr__(self) -> str:
-        return f"Fraction({self.numerator}, {self.denominator})"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        value = Fraction(self.numerator, self.denominator)
-        return _again, (value, self.rounding, self.certain)
-
-    def __copy__(self) -> Self:
-        return self
-
-    def __deepcopy__(self, memo: Any) -> Self:
-        return self
-
-
-def _again(value: Fraction, rounding: float, certain: bool) -> Given:
-    return Given(value, rounding=rounding, certain=certain)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,9 +63,6 @@ class OutcomeTable:
         Reward of an outcome; of shape (L,) where the pair alone decides it.
     event : (N,) uint8, optional
         Bit b is set on outcomes where the model's event number b happens.
-    weight_doubt, gain_doubt : (N,), (N,) or (L,) float64, optional
-        How far each number may lie from what it was rounded from, where that does not follow from
-        the arrays: of floats among exact numbers, of sums, of floats shorter than 64 bits.
     """
 
     offsets: Integers
@@ -132,8 +72,6 @@ class OutcomeTable:
     gain: Numbers
     gain_denominator: Numbers
     event: NDArray[np.uint8] | None = None
-    weight_doubt: Floats | None = None
-    gain_doubt: Floats | None = None
 
     @property
     def pairs(self) -> int:
@@ -160,32 +98,24 @@ class OutcomeTable:
         shape = (self.pairs, int(self.next.max(initial=0)) + 1)
         return bool(sp.csr_array((self.next, self.next, offsets), shape).has_canonical_format)
 
-    @cached_property
-    def sums_to_one(self) -> bool:
-        """True where all rows sum to 1 exactly; rows of floats are taken not to."""
-        if self.weight.dtype == np.float64:
-            return False
-        return bool((self.row_sums() == self.denominator).all())
-
-    def row_sums(self) -> Numbers:
-        """Return (L,) sums of the weights of each pair, exact where these are integers."""
-        weight = self.weight
-        if weight.dtype == np.int64:
-            longest = int(np.diff(self.offsets).max(initial=1))
-            if magnitude(weight) * longest >= EXACT_IN_INT64:
-                weight = weight.astype(object)
-        with np.errstate(over="ignore"):  # infinity is not 1 either
-            return np.asarray(np.add.reduceat(weight, self.offsets[:-1]))
+    def settled(self) -> OutcomeTable:
+        """Return the table with the floats next to what its rows mean (`mdp.rows`)."""
+        if self.weight.dtype != np.float64 or "is_settled" in vars(self):
+            return self
+        weight = self.weight.copy()
+        settle_rows(weight, self.offsets)
+        found = self if np.array_equal(weight, self.weight) else replace(self, weight=weight)
+        vars(found)["is_settled"] = True
+        return found
 
     def of_pairs(self, pairs: Integers) -> OutcomeTable:
         """Return the table of some pairs (K,), in the order given."""
         chosen = spans(self.offsets[pairs], self.offsets[pairs + 1])
-        found = replace(
+        return replace(
             self.mapped(lambda _, values: values[pairs], lambda _, values: values[chosen]),
             offsets=np.concatenate([[0], np.cumsum(np.diff(self.offsets)[pairs])]),
             next=self.next[chosen],
         )
-        return found if len(self.gain) == self.pairs else by_outcome(found)
 
     def mapped(
         self, of_pair: Callable[[str, Numbers], Numbers], of_outcome: Callable[[str, Numbers], Any]
@@ -198,8 +128,6 @@ class OutcomeTable:
             "gain": of_pair if by_pair else of_outcome,
             "gain_denominator": of_pair,
             "event": of_outcome,
-            "weight_doubt": of_outcome,
-            "gain_doubt": of_pair if by_pair else of_outcome,
         }
         known = {name: getattr(self, name) for name in parts}
         changed = {
@@ -233,9 +161,8 @@ class OutcomeTable:
             return self.integer_gains()
         earning = np.asarray(self.gain != 0, dtype=bool)
         offsets = np.concatenate([[0], np.cumsum(earning)])[self.offsets]
-        weight, below = self.weight[earning], self.denominator
-        if weight.dtype == np.float64:
-            weight, below = dyadic(weight, offsets)
+        weight, below = self.integer_weights()
+        weight = weight[earning]
         gain, gain_below = self.gain[earning], self.gain_denominator
         if gain.dtype == np.float64:
             gain, gain_below = dyadic(gain, offsets)
@@ -246,10 +173,10 @@ class OutcomeTable:
         return total, multiply(below, gain_below)
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
-        """Return (N,), (L,) integers: floats become integers over a power of two for each row."""
+        """Return (N,), (L,) integers: what each row means, over a denominator of its own."""
         if self.weight.dtype != np.float64:
             return self.weight, self.denominator
-        return dyadic(self.weight, self.offsets)
+        return exactly(self.weight, self.offsets)
 
     def integer_gains(self) -> tuple[Numbers, Numbers]:
         """Return the rewards as integers: (N,) or (L,), over (L,) denominators."""
@@ -258,56 +185,43 @@ class OutcomeTable:
         each = np.arange(self.pairs + 1) if len(self.gain) == self.pairs else self.offsets
         return dyadic(self.gain, each)
 
-    def weight_rounding(self) -> Floats:
-        """Return (N,) how far each probability may lie from what it was rounded from.
-
-        Half a unit in the last place of a given float; 0 for an exact number, and for 0.0.
-
-        Examples
-        --------
-        >>> table = OutcomeTable(
-        ...     offsets=np.array([0, 2]),
-        ...     next=np.array([0, 1]),
-        ...     weight=np.array([0.5, 0.5]),
-        ...     denominator=ones(1),
-        ...     gain=np.array([3]),
-        ...     gain_denominator=ones(1),
-        ... )
-        >>> table.weight_rounding().tolist() == [2.0**-54] * 2, table.gain_rounding().tolist()
-        (True, [0.0])
-        """
-        return _half_ulp(self.weight) if self.weight_doubt is None else self.weight_doubt
-
-    def gain_rounding(self) -> Floats:
-        """Return (N,) or (L,) the same of each reward."""
-        return _half_ulp(self.gain) if self.gain_doubt is None else self.gain_doubt
-
     def row(self, pair: int) -> list[tuple[Fraction, int, Fraction]]:
         """Return the exact outcomes of one pair: probability, next state, reward.
-
-        Numbers that were given as floats know that (`Given`), and so do rewards of a pair whose
-        probabilities do not sum to 1: a model built of such rows is the same in all.
 
         Examples
         --------
         >>> from exact_mdp import MDP
-        >>> mdp = MDP.from_arrays([np.full((10, 10), 0.1)], np.arange(10.0), discount=0.9)
-        >>> rows = [(state, 0, mdp.table.row(state)) for state in range(10)]
-        >>> sum(p for p, _, _ in rows[0][2]) - 1  # not 0: a float is taken as it is
-        Fraction(1, 18014398509481984)
-        >>> MDP.from_outcomes(rows, 0.9).table.row(0) == mdp.table.row(0)
-        True
+        >>> mdp = MDP.from_arrays([[[0.3, 0.7], [0.0, 1.0]]], [2, 0])
+        >>> mdp.table.row(0)
+        [(Fraction(3, 10), 0, Fraction(2, 1)), (Fraction(7, 10), 1, Fraction(2, 1))]
         """
         here = slice(int(self.offsets[pair]), int(self.offsets[pair + 1]))
+        weight, below = self.weight[here].tolist(), int(self.denominator[pair])
+        floats = self.weight.dtype == np.float64
+        chances = meant(weight) if floats else [Fraction(top, below) for top in weight]
         of_pair = len(self.gain) == self.pairs
-        earned = slice(pair, pair + 1) if of_pair else here
-        chances = _rationals(self.weight, self.denominator[pair], self.weight_doubt, here)
-        gains = _rationals(self.gain, self.gain_denominator[pair], self.gain_doubt, earned)
-        if of_pair:
-            if gains[0] and sum(chances) != 1:
-                gains = [Given(gains[0], rounding=rounding_of(gains[0]), certain=True)]
-            gains *= len(chances)
-        return list(zip(chances, self.next[here].tolist(), gains, strict=True))
+        under = int(self.gain_denominator[pair])
+        gains = [exact(top) / under for top in self.gain[[pair] if of_pair else here].tolist()]
+        gains *= len(chances) if of_pair else 1
+        return list(zip(map(exact, chances), self.next[here].tolist(), gains, strict=True))
+
+
+def settle_rows(weight: Floats, offsets: Integers) -> None:
+    """Do what `mdp.rows.settle` does, in compiled loops where there are many numbers."""
+    fits = len(offsets) > 1 and offsets[0] == 0 and offsets[-1] == len(weight) == weight.size
+    if not (fits and np.diff(offsets).min() > 0):
+        return  # it is refused for that
+    longest = int(np.diff(offsets).max())
+    if len(weight) < COMPILED or longest >= LONG:
+        with np.errstate(all="ignore"):
+            settle(weight, offsets)
+        return
+    from exact_mdp.mdp.forms import rows as loops
+
+    run_blocks(
+        block_ends(offsets),
+        lambda _, first, last: loops.settle(first, last, offsets, weight, fine_unit(longest)),
+    )
 
 
 def merged(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Numbers]:
@@ -338,32 +252,6 @@ def reduced(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:
     """Return the fractions top / bottom in lowest terms, elementwise."""
     shared = np.gcd(top, bottom)
     return np.asarray(top // shared), np.asarray(bottom // shared)
-
-
-def by_outcome(table: OutcomeTable) -> OutcomeTable:
-    """Return a table whose rewards belong to outcomes beyond doubt.
-
-    With one outcome for each pair, rewards of outcomes look like rewards of pairs. That is the same
-    unless a probability is only nearly 1; such outcomes are split into two exact halves. Other
-    probabilities make no model, and stay as they are for the message that says so.
-    """
-    if len(table.next) != table.pairs or (table.weight == table.denominator).all():
-        return table
-    if (2 * table.weight < table.denominator).any() or (table.weight > 2 * table.denominator).any():
-        return table
-    floats = table.weight.dtype == np.float64
-    below = table.denominator if floats else multiply(table.denominator, integers([2]))
-    doubts = (table.weight_doubt, table.gain_doubt)
-    return replace(
-        table,
-        offsets=2 * table.offsets,
-        next=np.repeat(table.next, 2),
-        weight=np.repeat(table.weight / 2 if floats else table.weight, 2),
-        denominator=below,
-        gain=np.repeat(table.gain, 2),
-        weight_doubt=None if doubts[0] is None else np.repeat(doubts[0] / 2, 2),
-        gain_doubt=None if doubts[1] is None else np.repeat(doubts[1], 2),
-    )
 
 
 def exact(number: object) -> Fraction:
@@ -401,29 +289,6 @@ def _check_length(text: str) -> None:
     _, e, exponent = text.lower().partition("e")
     if e and abs(int(exponent)) > MOST_DIGITS:
         raise ModelError(f"{text!r} has an exponent beyond {MOST_DIGITS:,}", fix="scale the model")
-
-
-def given(number: object) -> Fraction:
-    """Return the exact value of a number, and of a float with its rounding: half an ulp of it.
-
-    Examples
-    --------
-    >>> given("1/3"), given(0.5), given(0.5).rounding == 2.0**-54
-    (Fraction(1, 3), Fraction(1, 2), True)
-    """
-    value = exact(number)
-    if isinstance(number, float) and value != 0:
-        return Given(value, rounding=ulp(number) / 2)
-    if isinstance(number, np.floating) and value != 0:
-        return Given(value, rounding=float(np.spacing(np.abs(number))) / 2)
-    return value
-
-
-def rounding_of(number: object) -> float:
-    """Return how far a number, as it was given, may lie from what it was rounded from."""
-    if isinstance(number, Given):
-        return number.rounding
-    return ulp(number) / 2 if isinstance(number, float) and number != 0 else 0.0
 
 
 def shown(number: Fraction, digits: int = 6) -> str:
@@ -519,21 +384,6 @@ def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
     return np.asarray(left.astype(object) * right.astype(object))
 
 
-def fine_unit(longest: int) -> float:
-    """Return the unit in which to add up what multiples of `COARSE` leave of a row's floats.
-
-    Sums of floats up to 1 are exact in integers: of multiples of 2^-40, and of what these leave, at
-    most 2^-41 each, in a unit so small that the sum of so many stays below 2^62. Each of the terms
-    is off by half that unit, and turning their sum into a float costs no more.
-
-    Examples
-    --------
-    >>> fine_unit(1000) == 2.0**-93, 2**20 * 2.0**-41 / fine_unit(2**20) < 2**62
-    (True, True)
-    """
-    return float(2.0 ** max(FINEST, longest.bit_length() - 103))
-
-
 def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Floats:
     """Return top / bottom as floats, each correctly rounded once.
 
@@ -559,52 +409,6 @@ def float_array(values: ArrayLike) -> Floats:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ModelError("an array holds something that is not a number") from error
-
-
-def _rationals(top: Numbers, bottom: Any, doubt: Floats | None, here: slice) -> list[Fraction]:
-    """Return the numbers of a row, those that are floats as `Given` ones."""
-    if doubt is None and top.dtype == np.float64:
-        return [given(value) for value in top[here].tolist()]
-    below = int(bottom)
-    found = [exact(value) / below for value in top[here].tolist()]
-    if doubt is None:
-        return found
-    known = zip(found, doubt[here].tolist(), strict=True)
-    return [Given(value, rounding=off) if off else value for value, off in known]
-
-
-def _half_ulp(values: Numbers) -> Floats:
-    """Return half a unit in the last place of floats, 0 of exact numbers and of 0.0."""
-    if values.dtype != np.float64:
-        return np.zeros(len(values))
-    # A number without the digits after its first is the power of two that its unit goes by.
-    found: Floats = (values.view(np.int64) & EXPONENT).view(np.float64)
-    found *= 2.0**-53
-    return found
-
-
-def dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return finite floats as integers over one power of two for each row."""
-    mantissa, exponent = np.frexp(np.asarray(values, dtype=np.float64))
-    whole = np.ldexp(mantissa, 53).astype(np.int64)
-    zeros = np.where(whole == 0, 1, whole)
-    twos = np.log2((zeros & -zeros).astype(np.float64)).astype(np.int64)
-    power = np.where(whole == 0, 0, exponent.astype(np.int64) - 53 + twos)
-    whole = whole >> twos
-    lengths = np.diff(offsets)
-    lowest = np.zeros(len(lengths), dtype=np.int64)
-    filled = lengths > 0
-    lowest[filled] = np.minimum.reduceat(power, offsets[:-1][filled])
-    lowest = np.minimum(lowest, 0)
-    shift = power - np.repeat(lowest, lengths)
-    size = np.frexp(np.abs(whole).astype(np.float64))[1] + shift
-    if values.size and int(size.max()) <= 62 and int(-lowest.min()) <= 62:
-        return whole << shift, np.left_shift(np.int64(1), -lowest)
-    top = np.empty(len(whole), dtype=object)
-    top[:] = [int(a) << int(s) for a, s in zip(whole, shift, strict=True)]
-    bottom = np.empty(len(lowest), dtype=object)
-    bottom[:] = [1 << int(-p) for p in lowest]
-    return top, bottom
 
 
 def spans(first: Numbers, last: Numbers) -> Integers:

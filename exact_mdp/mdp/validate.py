@@ -23,23 +23,27 @@ from exact_mdp.mdp.errors import (
     suggest,
 )
 from exact_mdp.mdp.forms.names import ByNumber, Told, labels_of
-from exact_mdp.mdp.forms.numbers import refuse_masked
+from exact_mdp.mdp.forms.numbers import as_given, refuse_masked
 from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
 from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.rows import meant
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     COMPILED,
+    EXACT_IN_INT64,
     FLOAT_ROW_TOLERANCE,
-    ROW_TOLERANCE,
     Integers,
+    Numbers,
     OutcomeTable,
     beside,
     exact,
+    magnitude,
     shown,
 )
 
 Flags = NDArray[np.bool_]
 SENSES = ("max", "min")
+LEFT = FLOAT_ROW_TOLERANCE / 2  # rows that `mdp.rows` settled miss 1 by rounding, others by more
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +70,7 @@ class Parts:
     unreached: float = inf
     observations: Integers | None = None
     episodes: int | None = None
+    floats: bool = False
     action_objects: tuple[Hashable, ...] = ()
 
     @property
@@ -222,25 +227,28 @@ def _check_discount(value: Fraction) -> None:
 def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ...]:
     """Return an initial distribution from a state, from {state: probability}, or from a vector.
 
-    Without any it is the first state. `mdp.forms.names` says which state is meant.
+    Without any it is the first state. `mdp.forms.names` says which state is meant, and `mdp.rows`
+    what floats mean.
     """
     if start is None or (isinstance(start, ByNumber) and not start):
         return ((0, Fraction(1)),)
     with located("start"):
         if isinstance(start, Told):
-            weights = {s: exact(p) for s, p in start}
+            weights = dict(start)
         elif _are_pairs(start) and not space.knows(start):
             if any(map(space.holds, start)):
                 raise ModelError(
                     "each of the pairs may be a state, or a state and its probability",
                     fix="give {state: probability}",
                 )
-            weights = _once(space.numbers([s for s, _ in start]), [exact(p) for _, p in start])
+            weights = _once(space.numbers([s for s, _ in start]), [p for _, p in start])
         else:
             found = by_state(start, space)
             given = {space.number(start): 1} if found is None else found
-            weights = {state: exact(weight) for state, weight in given.items()}
-    return tuple((state, weight) for state, weight in sorted(weights.items()) if weight != 0)
+            weights = given
+        chances = map(exact, meant([as_given(weight) for weight in weights.values()]))
+        told = dict(zip(weights, chances, strict=True))
+    return tuple((state, weight) for state, weight in sorted(told.items()) if weight != 0)
 
 
 def by_state(numbers: object, space: StateSpace) -> dict[int, Any] | None:
@@ -357,8 +365,6 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
         "gain": by_outcome | by_pair,
         "gain_denominator": by_pair,
         "event": by_outcome,
-        "weight_doubt": by_outcome,
-        "gain_doubt": {len(table.gain)},
     }
     for name, lengths in wanted.items():
         array = getattr(table, name)
@@ -397,7 +403,7 @@ def _sound(table: OutcomeTable, states: int) -> bool:
         begin, end = offsets[first], offsets[last]
         weight, following = table.weight[begin:end], table.next[begin:end]
         sums = np.add.reduceat(weight, offsets[first:last] - begin)
-        near = sums.min() >= 1 - FLOAT_ROW_TOLERANCE and sums.max() <= 1 + FLOAT_ROW_TOLERANCE
+        near = sums.min() >= 1 - LEFT and sums.max() <= 1 + LEFT
         inside = following.min() >= 0 and following.max() < states
         good[number] = near and inside and weight.min() > 0
 
@@ -438,14 +444,6 @@ def _check_numbers(model: Parts, *, sound: bool) -> None:
                 where="outcome table",
                 fix="use 64-bit or Python integers, or floats",
             )
-    for name, doubt in (("weight", table.weight_doubt), ("gain", table.gain_doubt)):
-        kept = doubt is None or (doubt.dtype == np.float64 and np.isfinite(doubt).all())
-        if not kept or (doubt is not None and doubt.min(initial=0) < 0):
-            raise ModelError(
-                f"{name}_doubt is not finite, or negative",
-                where="outcome table",
-                fix="say of each number how far it may lie from what it was rounded from",
-            )
     for name in ("denominator", "gain_denominator"):
         if not getattr(table, name).min(initial=1) > 0:
             raise ModelError(f"a {name} is not positive", where="outcome table", fix="make it > 0")
@@ -470,14 +468,11 @@ def _check_rows(model: Parts) -> None:
             where=model.where(pair),
             fix="probabilities are positive; leave out those that are 0",
         )
-    sums = table.row_sums()
+    sums = _row_sums(table)
     if table.weight.dtype == np.float64:
-        wrong = ~(np.abs(sums - table.denominator) <= FLOAT_ROW_TOLERANCE * table.denominator)
+        wrong = ~(np.abs(sums - table.denominator) <= LEFT * table.denominator)
     else:
         wrong = np.asarray(sums != table.denominator, dtype=bool)
-        vars(table)["sums_to_one"] = not wrong.any()
-        for pair in np.flatnonzero(wrong).tolist():
-            wrong[pair] = not _nearly(table, pair, int(sums[pair]))
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])
         total = exact(sums[pair]) / exact(table.denominator[pair])
@@ -494,17 +489,30 @@ def _check_rows(model: Parts) -> None:
         )
 
 
+def _row_sums(table: OutcomeTable) -> Numbers:
+    """Return (L,) sums of the weights of each pair, exact where these are integers."""
+    weight = table.weight
+    if weight.dtype == np.int64:
+        longest = int(np.diff(table.offsets).max(initial=1))
+        if magnitude(weight) * longest >= EXACT_IN_INT64:
+            weight = weight.astype(object)
+    with np.errstate(over="ignore"):  # infinity is not 1 either
+        return np.asarray(np.add.reduceat(weight, table.offsets[:-1]))
+
+
 def _coarse(table: OutcomeTable, pair: int, off: Fraction) -> bool:
-    """Return whether probabilities rounded more than doubles are may miss 1 by `off`.
+    """Return whether numbers of single precision or less may miss 1 by `off`.
 
     Of n numbers normalised in precision u, the sum is within n u of 1, to first order: n - 1 sums
-    and a division round. A rounding is at least u / 2 of its number.
+    and a division round.
     """
-    if table.weight_doubt is None or table.weight.dtype != np.float64:
+    row = table.weight[table.offsets[pair] : table.offsets[pair + 1]]
+    if table.weight.dtype != np.float64:
         return False
-    here = slice(table.offsets[pair], table.offsets[pair + 1])
-    ratio = float(np.max(table.weight_doubt[here] / table.weight[here]))
-    return ratio > 2.0**-53 and off <= 2 * len(table.weight[here]) * ratio
+    return any(
+        bool((row.astype(kind) == row).all()) and off <= len(row) * float(np.finfo(kind).eps)
+        for kind in (np.float32, np.float16)
+    )
 
 
 def _check_order(table: OutcomeTable) -> None:
@@ -518,15 +526,6 @@ def _check_order(table: OutcomeTable) -> None:
             where="outcome table",
             fix="use MDP.from_pairs or MDP.from_outcomes, which sort them",
         )
-
-
-def _nearly(table: OutcomeTable, pair: int, total: int) -> bool:
-    """Return whether a row of integers may sum to a little more or less than 1: it is binary."""
-    bottom = int(table.denominator[pair])
-    here = slice(int(table.offsets[pair]), int(table.offsets[pair + 1]))
-    binary = bottom & (bottom - 1) == 0
-    rounded = table.weight_doubt is not None and bool(table.weight_doubt[here].any())
-    return (binary or rounded) and abs(Fraction(total, bottom) - 1) <= ROW_TOLERANCE
 
 
 def _check_start(model: Parts) -> None:
@@ -543,7 +542,7 @@ def _check_start(model: Parts) -> None:
             fix="choose states of the model, each once",
         )
     total = sum(weights, Fraction(0))
-    if any(weight < 0 for weight in weights) or abs(total - 1) > FLOAT_ROW_TOLERANCE:
+    if any(weight < 0 for weight in weights) or total != 1:
         raise DistributionError(
             f"start probabilities sum to {beside(total, Fraction(1))}, not 1, or one is negative",
             where="start",

@@ -149,13 +149,10 @@ def test_integer_rows_are_the_model(rows: Rows) -> None:
             for p, t, r in mdp.table.row(pair):
                 earned += p * r
                 share[t] = share.get(t, F(0)) + p * mdp.discount_exact
-            if len(mdp.table.gain) == mdp.n_pairs:
-                earned = mdp.table.row(pair)[0][2]
             span = range(found.offsets[pair], found.offsets[pair + 1])
             listed = {int(found.next[i]): F(int(found.weight[i]), scale) for i in span}
             assert listed == {t: p for t, p in share.items() if p}
             assert F(int(found.constant[pair]), scale) == earned
-            assert F(int(found.slack()[pair]), scale) == 1 - sum(share.values())
 
 
 @pytest.mark.parametrize("subtasks", [1, 3])

@@ -5,9 +5,9 @@ What a model tells can be given back, and errors about numbers speak of the righ
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from fractions import Fraction as F
-from math import ulp
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ from exact_mdp import (
 )
 from exact_mdp.mdp.io.npz import load, save
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.unending import model_of
 
 Law = tuple[int, int, list[tuple[F, int, F]]]
 
@@ -198,8 +199,7 @@ def test_numbers_wider_than_doubles_keep_their_value() -> None:
 
 
 def test_outcomes_that_come_twice_are_added_exactly() -> None:
-    """0.1 + 0.2 to one state is not 0.3: neither among outcomes nor in a sparse matrix."""
-    total = F(0.1) + F(0.2)
+    """0.1 + 0.2 to one state is 3/10, among outcomes and in a sparse matrix; not of rewards."""
     rows = [(0, 0, [(0.1, 1, 0), (0.2, 1, 0), (0.7, 0, 0)]), (1, 0, [(1, 1, 0)])]
     entries = ([0.1, 0.2, 0.7, 1.0], ([0, 0, 0, 1], [1, 1, 0, 1]))
     sparse = sp.coo_array(entries, shape=(2, 2))
@@ -208,50 +208,23 @@ def test_outcomes_that_come_twice_are_added_exactly() -> None:
         MDP.from_pairs([0, 1], [0, 0], sparse, [0, 0]),
         MDP.from_arrays([sparse], [0, 0]),
     ):
-        assert sum(p for p, t, _ in mdp.table.row(0) if t == 1) == total
-        rounding = sum(float(np.spacing(x)) / 2 for x in (0.1, 0.2, 0.7))
-        assert mdp.table.weight_rounding()[:-1].sum() == rounding
+        assert sum(p for p, t, _ in mdp.table.row(0) if t == 1) == F(3, 10)
+        assert mdp.floats
     rewards = sp.coo_array(([0.1, 0.2], ([0, 0], [0, 0])), shape=(2, 1))
-    assert certify(MDP.from_arrays([EYE], rewards, 0)).value[0] == total
+    assert certify(MDP.from_arrays([EYE], rewards, 0)).value[0] == F(0.1) + F(0.2)
     third = MDP.from_outcomes([(0, 0, [(F(1, 3), 0, 1), (0.25, 0, 1), (F(5, 12), 0, 1)])], 0)
     assert third.table.row(0) == [(F(1), 0, F(1))]
 
 
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1))
-def test_a_float_is_rounded_by_half_a_unit_of_its_last_place(values: list[float]) -> None:
-    values += [0.0, -0.0, 5e-324, -1e-310, 2.0**-1022, 1.0, 1.7e308]
-    pair, rows = np.arange(len(values)), np.eye(len(values))
-    table = MDP.from_pairs(pair, 0 * pair, rows, np.array(values), "1/2").table
-    half = [ulp(value) / 2 if value else 0.0 for value in values]
-    assert table.gain_rounding().tolist() == half
-
-
-def test_it_stays_known_what_each_number_was_rounded_from(tmp_path: Any) -> None:
-    """Half an ulp of a float, of its own width; 0 of an exact number; sums of both; when saved."""
-    half = float(np.spacing(0.25)) / 2
-    short = float(np.spacing(np.float32(0.25))) / 2
-    rows = [
-        (0, 0, [(0.25, 0, 0.5), (F(1, 4), 1, 1), (np.float32(0.25), 2, F(1, 3)), ("1/4", 2, 0)]),
-        (1, 0, [(0.25, 0, 0), (0.25, 0, 0), (F(1, 2), 0, 0)]),
-        (2, 0, [(1, 2, 0)]),
-    ]
-    mdp = MDP.from_outcomes(rows, 0.5)
-    assert sorted(mdp.table.weight_rounding()[:4]) == [0, 0, half, short]
-    assert mdp.table.weight_rounding()[4:].tolist() == [2 * half, 0]
-    assert sorted(mdp.table.gain_rounding()) == [0, 0, 0, 0, 0, float(np.spacing(0.5)) / 2]
-    save(mdp, tmp_path / "m.npz")
-    pairs = np.arange(3)
-    for other in (load(tmp_path / "m.npz"), mdp.with_(discount=0.25), again(mdp)):
-        assert other.table.weight_rounding().tolist() == mdp.table.weight_rounding().tolist()
-        assert other.table.gain_rounding().tolist() == mdp.table.gain_rounding().tolist()
-        assert rows_of(other) == rows_of(mdp)
-    part = mdp.table.of_pairs(pairs[1:])
-    assert part.weight_rounding().tolist() == mdp.table.weight_rounding()[4:].tolist()
-    floating = MDP.from_arrays([np.eye(2)], np.ones(2), 0.5).table
-    assert (floating.weight.dtype, floating.weight_doubt) == (np.float64, None)
-    exact = MDP.from_arrays([EYE], ["1/3", 1], 0.5).table
-    assert not exact.weight_rounding().any()
-    assert not exact.gain_rounding().any()
+def test_it_stays_known_whether_numbers_were_floats(tmp_path: Any) -> None:
+    """In a probability or a reward; when saved, changed, unrolled; not of exact numbers."""
+    half = [(F(1, 2), 0, F(1, 3)), (F(1, 2), 1, F(1, 3))]
+    for law in ([half[0], (0.5, 1, F(1, 3))], [half[0], (F(1, 2), 1, 0.1)], half):
+        mdp = MDP.from_outcomes([(0, 0, law), (1, 0, [(1, 1, 0)])], F(1, 2))
+        assert mdp.floats == (law is not half)
+        save(mdp, tmp_path / "m.npz")
+        for other in (load(tmp_path / "m.npz"), mdp.with_(discount=0.25), mdp.within(2)):
+            assert other.floats == mdp.floats
 
 
 @pytest.mark.parametrize(
@@ -261,10 +234,11 @@ def test_it_stays_known_what_each_number_was_rounded_from(tmp_path: Any) -> None
         ["0.5", "0.4999999999999999"],
         [F(1, 3), 0.6666667],
         [0.5, 0.4999],
+        [F(1, 2), F(1, 2) - F(1, 2**60)],
     ],
 )
-def test_what_is_not_binary_sums_to_1_exactly(chances: Sequence[Any]) -> None:
-    """Only a row with a float in it, or of binary fractions alone, may miss 1, by 1e-9."""
+def test_exact_rows_sum_to_1_exactly(chances: Sequence[Any]) -> None:
+    """Only a row with a float in it may miss 1, by 1e-9."""
     with pytest.raises(ModelError, match="not 1"):
         MDP.from_arrays([[chances, [0, 1]]], [0, 0], 0.5)
 
@@ -312,7 +286,7 @@ MODELS: dict[str, MDP] = {
 
 @pytest.mark.parametrize("name", MODELS)
 def test_rows_given_back_are_the_same_model(name: str, tmp_path: Any) -> None:
-    """Read every row, build again, by any road: the same fractions, the same roundings."""
+    """Read every row, build again, by any road: the same fractions."""
     mdp = MODELS[name]
     wanted = certify(mdp)
     save(mdp, tmp_path / "m.npz")
@@ -322,29 +296,15 @@ def test_rows_given_back_are_the_same_model(name: str, tmp_path: Any) -> None:
         assert list(found.gaps) == list(wanted.gaps)
         assert found.start_value == wanted.start_value
         assert found.model == wanted.model
-        assert other.table.weight.dtype == mdp.table.weight.dtype
-        assert other.table.weight_rounding().tolist() == mdp.table.weight_rounding().tolist()
-
-
-@pytest.mark.parametrize("name", [name for name in MODELS if name != "mixed"])
-def test_plain_fractions_of_a_row_are_taken_too(name: str) -> None:
-    """What is left of a row that another program read: fractions that know of nothing else."""
-    mdp = MODELS[name]
-    rows = [(s, a, [(F(p), t, r) for p, t, r in row]) for s, a, row in rows_of(mdp)]
-    if name == "added":  # 1/3 beside a float, which alone tells why they do not sum to 1
-        rows[1] = rows_of(mdp)[1]
-    other = MDP.from_outcomes(rows, mdp.discount_exact, start=dict(mdp.start), actions=mdp.actions)
-    assert list(certify(other).value) == list(certify(mdp).value)
 
 
 def test_a_sign_can_be_flipped_a_target_frozen_and_time_unrolled() -> None:
-    """Models made of the rows of a float model, whose probabilities do not sum to 1."""
+    """Models made of the rows of a float model."""
     mdp = dense(1)
     rows, rate = rows_of(mdp), mdp.discount_exact
     costs = MDP.from_outcomes([(s, a, [(p, t, -r) for p, t, r in row]) for s, a, row in rows], rate)
     negative = certify(again(costs))
     assert rows_of(costs) == [(s, a, [(p, t, -r) for p, t, r in row]) for s, a, row in rows]
-    assert costs.table.gain_rounding().tolist() == mdp.table.gain_rounding().tolist()
     assert list(negative.value) == list(certify(costs).value)
     frozen = MDP.from_outcomes([(s, a, [(1, s, 0)] if s == 2 else row) for s, a, row in rows], rate)
     value = certify(frozen).value
@@ -377,25 +337,38 @@ def test_a_sign_can_be_flipped_a_target_frozen_and_time_unrolled() -> None:
     assert list(found[:size]) == later
 
 
-def test_rows_that_are_mixed_and_miss_1_have_bounds_that_hold() -> None:
-    """Solvers and bounds count what a row of integers misses, as they do for rows of floats."""
-    off = 2.0**-31
-    for excess in (off, -off):
-        last = 2 / 3 + excess
-        mdp = MDP.from_outcomes(
-            [(0, 0, [("1/3", 0, 5), (last, 1, "1/7")]), (1, 0, [("1/3", 0, 1), (last, 1, -2)])],
-            "99/100",
-        )
-        assert mdp.table.weight.dtype != np.float64
-        value = list(certify(mdp).value)
-        bounded = certify(mdp, bounded=True)
+@pytest.mark.parametrize("rate", ["1/2", "99/100", 1 - 1e-6, 1 - 1e-12])
+@pytest.mark.parametrize("off", [0.0, 1e-16, 9e-10, -9e-10])
+@pytest.mark.parametrize("seed", range(4))
+def test_exact_values_lie_within_the_bounds_of_floats(seed: int, off: float, rate: Any) -> None:
+    """Of rows that miss 1, too: what they mean is exact, and the floats are next to it."""
+    rng = np.random.default_rng(seed)
+    rows = rng.dirichlet(np.full(5, 0.5), (3, 5)) + 1e-6
+    rows /= rows.sum(axis=2, keepdims=True)
+    rows[..., seed] += off
+    mdp = MDP.from_arrays(rows, rng.normal(size=(5, 3)), rate, layout="ass")
+    mixed = MDP.from_outcomes(
+        [
+            (s, a, [("1/3", 0, 5), (p * 2 / 3, 1, "1/7"), ((1 - p) * 2 / 3 + off, s, 0.1)])
+            for s in range(2)
+            for a, p in enumerate(rng.random(2).tolist())
+        ],
+        rate,
+    )
+    assert mixed.table.weight.dtype != np.float64
+    for model in (mdp, mixed):
+        value = certify(model).value
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            solution = solve(model)
+        kept = evaluate(model, solution.policy)
+        exact = certify(model_of(PolicyChain.of(model, solution.policy))).value
+        bounded = certify(model, bounded=True, solution=solution)
         assert bounded.violations() == []
-        solution = solve(mdp)
-        kept = evaluate(mdp, solution.policy)
-        for s in range(2):
+        for s in range(model.n_states):
             assert F(bounded.lower[s]) <= value[s] <= F(bounded.upper[s])
-            assert abs(F(solution.value[s]) - value[s]) <= F(solution.error_bound)
-            assert abs(F(kept.value[s]) - value[s]) <= F(kept.error[s])
+            assert abs(F(solution.value[s]) - value[s]) <= F(float(solution.state_error[s]))
+            assert abs(F(kept.value[s]) - exact[s]) <= F(float(kept.error[s]))
 
 
 def test_true_is_no_number_of_iterations() -> None:
@@ -423,13 +396,13 @@ def test_float_action_numbers_are_called_what_they_are() -> None:
 
 def test_a_policy_of_single_outcomes_earns_what_the_outcomes_earn() -> None:
     """Rewards of outcomes stay those of outcomes where a policy's rows have one outcome each."""
-    near = 1 - 2.0**-40
+    near = 1 - 2.0**-31
     first, second = (0, 0, [(near, 1, 3.0)]), (0, 1, [(0.5, 1, 3.0), (0.5, 0, 1.0)])
     end = (1, 0, [(1.0, 1, 0)])
     mdp = MDP.from_outcomes([first, second, end], discount="1/2")
     top, bottom = PolicyChain.of(mdp, np.array([0, 0])).table.expected_gain_exact()
-    assert F(int(top[0]), int(bottom[0])) == 3 * F(near)
-    assert check(mdp, [0, 0], exact_values=True).regret.learned.value == 3 * F(near)
+    assert F(int(top[0]), int(bottom[0])) == 3
+    assert check(mdp, [0, 0], exact_values=True).regret.learned.value == 3
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])

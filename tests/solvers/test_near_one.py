@@ -11,10 +11,8 @@ import scipy.sparse as sp
 from exact_mdp import (
     MDP,
     GaussSeidel,
-    ModelError,
     ModifiedPolicyIteration,
     PolicyIteration,
-    SolverError,
     Status,
     ValueIteration,
     certify,
@@ -73,10 +71,11 @@ def classes(reward: str, discount: float) -> MDP:
 
 
 def alike(states: int, discount: float) -> MDP:
-    """Dense rows and a reward of 1 everywhere: what rows sum to is all that tells pairs apart."""
+    """Dense rows, and rewards that differ by little."""
     chances = np.random.default_rng(0).random((2, states, states))
     chances /= chances.sum(axis=2, keepdims=True)
-    return MDP.from_arrays(chances, np.ones((states, 2)), discount=discount)
+    rewards = 1 + np.random.default_rng(1).random((states, 2)) * 1e-9
+    return MDP.from_arrays(chances, rewards, discount=discount)
 
 
 CLOSE = {
@@ -89,7 +88,7 @@ CLOSE = {
 
 
 @pytest.mark.parametrize("name", CLOSE)
-def test_pairs_told_apart_by_their_leak_alone_are(name: str) -> None:
+def test_pairs_that_differ_by_little_are_told_apart(name: str) -> None:
     model, tol = CLOSE[name]
     found, other = solve(model, tol=tol), howard(model)
     assert found.status is Status.CONVERGED
@@ -97,14 +96,14 @@ def test_pairs_told_apart_by_their_leak_alone_are(name: str) -> None:
     assert (np.abs(found.value - other.value) <= found.state_error + other.state_error).all()
 
 
-def test_where_rows_leak_unalike_the_shift_stays_as_it_was_solved_for() -> None:
+def test_at_the_limit_of_double_precision_the_bounds_still_hold() -> None:
     """Moving to the middle of bounds went astray, to 1e23 where values are 1e12."""
     model = ring(3000, 1, 1 - 1e-12)
     with pytest.warns(UserWarning, match="double precision reaches its limit"):
         found = solve(model)
     other = howard(model)
     assert found.iterations < 150
-    assert found.error_bound <= other.error
+    assert found.error_bound < 2e-3 * np.abs(found.value).max()
     assert (np.abs(found.value - other.value) <= found.state_error + other.state_error).all()
 
 
@@ -230,13 +229,6 @@ def test_an_end_that_nothing_leads_to_costs_no_digits(
         assert abs(F(float(value)) - exact) <= F(float(error))
 
 
-def test_a_row_that_gains_by_discounting_is_named() -> None:
-    model = MDP.from_arrays([[[0.5, 0.5], [0.5, 0.5000000009]]], [1, 2], discount=1 - 1e-12)
-    said = r"\(state 1\), action 0, sums to 1 \+ 9e-10, and 1 - γ is 1e-12, .*certify\(\)"
-    with pytest.raises(SolverError, match=said):
-        solve(model)
-
-
 def test_an_audit_that_bounds_leave_open_says_so() -> None:
     model = classes("int", 1 - 1e-6)
     actions = solve(model).policy.rule.copy()
@@ -296,27 +288,28 @@ def test_a_hundred_sweeps_tell_that_ten_thousand_would_be_too_few(kind: Any, see
         assert abs(F(float(value)) - exact) <= F(float(error))
 
 
-def test_a_mixed_policy_whose_rows_do_not_sum_to_1_is_evaluated_by_its_equations() -> None:
+def test_a_mixed_policy_is_evaluated_as_the_model_that_it_makes() -> None:
     chances = np.random.default_rng(0).dirichlet(np.ones(4), (2, 4))
     model = MDP.from_arrays(chances, [[1, 2]] * 4, discount=1 - 1e-9)
     chain = PolicyChain.of(model, np.tile([0.3, 0.7], 4))
-    with pytest.raises(ModelError, match="sum to"):
-        model_of(chain)
+    exact = certify(model_of(chain)).value
     found, plain = evaluate(model, np.tile([0.3, 0.7], 4)), chain.discounted.solve(*chain.reward)
     assert (np.abs(found.value - plain.value) <= found.error + plain.error).all()
-    assert np.abs(found.value / 1.7e9 - 1).max() < 1e-6
+    for value, wanted, error in zip(found.value, exact, found.error, strict=True):
+        assert abs(F(float(value)) - wanted) <= F(float(error))
 
 
 @pytest.mark.parametrize("rate", [1 - 1e-8, 1 - 1e-9, 1 - 1e-12])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_mixed_policy_earns_its_pairs_rewards_in_full(rate: float, seed: int) -> None:
-    """Rows that sum to less than 1 are not paid less: against each state's own equations."""
+    """Of rows of floats that miss 1, too: against each state's own equations."""
     rng = np.random.default_rng(seed)
     chances = rng.dirichlet(np.ones(2), (2, 2))
     chances[0, :, 0] -= 1e-10 * (chances[0, :, 0] > 0.1)
     rewards = rng.integers(0, 4, (2, 2)) * 1.0
     model = MDP.from_arrays(chances, rewards, discount=rate, layout="ass")
-    a, b, c, d = (sum(map(F, map(float, chances[:, s, t])), F(0)) / 2 for s, t in np.ndindex(2, 2))
+    rows = [{t: p for p, t, _ in model.table.row(pair)} for pair in range(4)]
+    a, b, c, d = ((rows[2 * s][t] + rows[2 * s + 1][t]) / 2 for s, t in np.ndindex(2, 2))
     r, q = (sum(map(F, map(float, row)), F(0)) / 2 for row in rewards)
     g = F(rate)
     below = (1 - g * a) * (1 - g * d) - g * b * g * c
@@ -328,15 +321,15 @@ def test_a_mixed_policy_earns_its_pairs_rewards_in_full(rate: float, seed: int) 
         assert abs(F(float(value)) - exact) <= F(float(error))
 
 
-def test_a_mixed_policy_of_leaking_rows_fails_where_it_loses_more() -> None:
+def test_a_mixed_policy_next_to_discount_1_fails_where_it_loses_more() -> None:
     states = np.arange(600)
-    half = 0.5 - 2.0**-34  # rows sum to 1 - 2^-33
+    half = 0.5 - 2.0**-34  # rows of floats that sum to 1 - 2^-33 mean halves
     rows = np.repeat(np.arange(1200), 2), np.c_[states, (states + 1) % 600].repeat(2, 0).ravel()
     model = MDP.from_pairs(
         states.repeat(2), np.tile([0, 1], 600), sp.csr_array((np.full(2400, half), rows)),
         np.tile([0.0, -1.0], 600), discount=1 - 1e-8,
     )  # fmt: skip
-    lost = F(1, 2) / (1 - F(1 - 1e-8) * 2 * F(half))  # in all states alike, by half a step's -1
+    lost = F(1, 2) / (1 - F(1 - 1e-8))  # in all states alike, by half a step's -1
     mixed = np.full((600, 2), 0.5)
     assert not check(model, mixed, kind="policy", max_regret=lost - F(3, 1000)).passed
     assert check(model, mixed, kind="policy", max_regret=lost + F(3, 1000)).passed

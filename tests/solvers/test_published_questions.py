@@ -20,7 +20,7 @@ def posed(case: Asked) -> MDP:
     if case.until is not None:
         return mdp.until(case.until, case.reward)
     top, bottom = mdp.component(case.reward)
-    return mdp.with_(table=replace(mdp.table, gain=top, gain_denominator=bottom, gain_doubt=None))
+    return mdp.with_(table=replace(mdp.table, gain=top, gain_denominator=bottom))
 
 
 NAMES = [f"{c.model}-{c.until}-{c.reward}-{c.sense}" for c in PUBLISHED]

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_twins import gains_of, relaxed
@@ -31,13 +30,12 @@ from exact_mdp import (
     certify,
     solve,
 )
-from exact_mdp.mdp import build as build_module
 from exact_mdp.mdp.forms import threads as blocks
 from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.bounds import gains as gains_module
 from exact_mdp.solvers.bounds import sweeps as sweeps_module
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
-from exact_mdp.solvers.bounds.gains import UNIT, gains, rounding_facts
+from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.bounds.sweeps import (
     CompiledSweeps,
@@ -221,34 +219,6 @@ def test_compiled_bounds_are_proven_by_exact_inequalities(ends: bool, twice: boo
     room = F(1, 10**12)  # a ratio is rounded last of all, and `bounds` allows for it
     assert all(most[pair] <= room for pair in live)
     assert all(least[pair] >= -room for pair in set(live) & set(found.pairs.tolist()))
-
-
-@pytest.mark.parametrize("rate", [F(19, 20), 1 - F(1, 2**30), F(1)])
-@pytest.mark.parametrize("entries", [1, 2, 9, 5_000])
-def test_the_leak_of_floats_is_known_to_its_error(
-    entries: int, rate: F, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Added up as rows are taken, in compiled loops, and in NumPy: all the same."""
-    rng, states = np.random.default_rng(8), entries + 1
-    weight = rng.dirichlet(np.full(entries, 0.3), 20) + 2.0**-200
-    weight *= (1 + rng.uniform(-4e-10, 4e-10, 20))[:, None]
-    rows = sp.lil_array((20 + entries, states))
-    rows[:20, :entries], rows[20:, 1:] = weight, np.eye(entries)
-    pairs = ([0] * 20 + [*range(1, states)], [*range(20)] + [0] * entries)
-    found = []
-    for taken, compiled in ((True, True), (False, True), (False, False)):
-        monkeypatch.setattr(build_module, "COMPILED", 0 if taken else 10**9)
-        monkeypatch.setattr(gains_module, "COMPILED", 0 if compiled else 10**9)
-        mdp = MDP.from_pairs(*pairs, sp.csr_array(rows), np.zeros(20 + entries), rate)
-        assert ("excess" in vars(mdp.table)) == taken
-        found.append(rounding_facts(mdp))
-    leak, error = found[0].leak, F(found[0].leak_error)
-    assert {one.leak.tobytes() for one in found} == {leak.tobytes()}
-    assert {one.leak_error for one in found} == {found[0].leak_error}
-    assert error <= 4 * UNIT * (float(1 - rate) + 4e-9) + F(entries, 2**90)
-    for row in range(20):
-        exact = 1 - rate * sum(map(F, weight[row].tolist()))
-        assert abs(exact - F(float(leak[row]))) <= error
 
 
 @pytest.fixture(scope="module")

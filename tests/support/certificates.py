@@ -50,7 +50,7 @@ MODELS = {
     "waiting": model_of(3, WAITING, F(1)),
     "cycle": model_of(4, CYCLE, F(1)),
     "cycle, discounted": model_of(4, CYCLE, F(9, 10)),
-    # rows of floats that sum to more than 1
+    # what floats mean sums to 1
     "cycle of floats": MDP.from_outcomes(
         [
             (0, 0, [(0.8, 1, 1.0), (0.1, 0, 0.5), (0.1, 2, 0.0)]),

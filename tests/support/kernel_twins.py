@@ -12,11 +12,10 @@ def gains_of(mdp: MDP, value: np.ndarray, shift: float, margin: np.ndarray) -> n
     matrix = mdp.transition
     found = np.empty(mdp.n_pairs)
     for pair in range(mdp.n_pairs):
-        own, ahead, total = value[mdp.pair_state[pair]], 0.0, 0.0
+        own, ahead = value[mdp.pair_state[pair]], 0.0
         for i in range(matrix.indptr[pair], matrix.indptr[pair + 1]):
             ahead += matrix.data[i] * (value[matrix.indices[i]] - own)
-            total += matrix.data[i]
-        leak = 1 - mdp.discount * total
+        leak = float(1 - mdp.discount_exact)
         found[pair] = mdp.reward[pair] + mdp.discount * ahead - leak * own - shift * margin[pair]
     return found
 

@@ -55,7 +55,7 @@ def totals(mdp: MDP, names: list[str]) -> list[tuple[Fraction, ...]]:
             top, bottom = mdp.component(name)
         else:
             top, bottom = mdp.table.expected_gain_exact()
-        table = replace(mdp.table, gain=top, gain_denominator=bottom, gain_doubt=None)
+        table = replace(mdp.table, gain=top, gain_denominator=bottom)
         alone = mdp.with_(table=table)
         each.append([value_at_start(alone, choice) for choice in enumerated.policies(alone)])
     return list(zip(*each, strict=True))

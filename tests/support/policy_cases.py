@@ -18,6 +18,7 @@ from oracle import ACTIONS, END, Oracle, State
 from oracle import Policy as OraclePolicy
 
 from exact_mdp import MDP, Policy, Scenario
+from exact_mdp.mdp.rows import meant
 
 Outcome = tuple[F, int, F, bool]
 DISCOUNTS = (F(0), F(1, 2), F(19, 20), F(9999, 10_000), F(1))
@@ -69,10 +70,10 @@ class Case:
         for s, a in sorted(self.rows):
             total = sum(F(float(w)) for (state, _), w in self.policy.items() if state == s)
             share = F(float(self.policy[s, a])) / total
-            for p, t, r, event in self.rows[s, a] if share else ():
-                if self.floats:
-                    p, r = F(float(p)), F(float(r))
-                found[s].append((share * p, t, r, event))
+            row = self.rows[s, a] if share else []
+            chances = meant([float(p) if self.floats else p for p, _, _, _ in row])
+            for p, (_, t, r, event) in zip(chances, row, strict=True):
+                found[s].append((share * F(p), t, F(float(r)) if self.floats else r, event))
         return found
 
     @cached_property

@@ -19,22 +19,18 @@ move of g*: of the policy, and of an optimal one.
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
 from exact_mdp.analysis.gate.disagreements import Disagreement, action_of
 from exact_mdp.analysis.gate.exact_policy import mixed_rows
-from exact_mdp.analysis.gate.forgiveness import (
-    Flags,
-    Forgiveness,
-    exactly_per_use,
-    of_floats,
-    per_use,
-)
+from exact_mdp.analysis.gate.forgiveness import per_use
 from exact_mdp.analysis.gate.regret import Regret
-from exact_mdp.mdp.exact import bellman_rows, per_step
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Numbers, common
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.chain import ExactAverages
 from exact_mdp.solvers.average.checker import Rationals, surplus
@@ -55,7 +51,7 @@ def average_regret(
 
     Rewards are maximised; `chain` is of this model.
     """
-    step = per_step(mdp)
+    step = mdp.undiscounted
     held = PolicyChain(mdp=step, chosen=chain.chosen, policy=chain.policy)
     own: AverageEvaluation | None = None
     try:
@@ -88,7 +84,7 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
     gap = np.where(own.classes.recurrent[mdp.pair_state], lost + short, lost)
     optimal = np.asarray(gap == 0, dtype=bool)
     forgiven = Fraction(0)
-    if of_floats(mdp):
+    if mdp.floats:
         optimal |= _ties(step, best, gap)
         taken = policy_pairs(step, best.policy)
         assert taken is not None
@@ -109,14 +105,13 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=np.where(optimal, 0.0, gap.astype(np.float64)),
         optimum=None,
-        forgiveness=Forgiveness(least=forgiven, most=forgiven),
+        movable=partial(Fraction, forgiven),
     )
 
 
 def _ties(step: MDP, best: AverageCertificate, gap: Numbers) -> Flags:
     """Return (L,) where the rounding of a row, and of the best one, can cause the whole gap."""
-    bias = best.bias.astype(np.float64)
-    own = per_use(step, FixedPoint(value=bias, error=UNIT * np.abs(bias))).low
+    own = per_use(step, _rounded(best.bias))
     taken = policy_pairs(step, best.policy)
     return np.asarray(gap.astype(np.float64) * SLACK <= own + own[taken][step.pair_state])
 
@@ -133,20 +128,23 @@ def _movable(
     """
     nothing = np.array([Fraction(0)] * step.n_states, dtype=object)
 
-    def each(value: Numbers) -> Numbers:
-        known = value.tolist()
+    def each(by_pair: Floats) -> Numbers:
         return np.array(
-            [
-                sum((p * exactly_per_use(step, known, l) for l, p in use.items()), Fraction(0))
-                for use in uses
-            ],
+            [sum(p * Fraction(float(by_pair[l])) for l, p in use.items()) for use in uses],
             dtype=object,
         )
 
     inside = chain.classes.recurrent
-    moved = chain.spread(chain.mean(each(values[1])))
-    moved = moved + chain.total(np.where(inside, nothing, each(values[0]) - each(nothing)), inside)
+    moved = chain.spread(chain.mean(each(per_use(step, _rounded(values[1])))))
+    on_the_way = each(per_use(step, _rounded(values[0]), rewards=False))
+    moved = moved + chain.total(np.where(inside, nothing, on_the_way), inside)
     return sum((p * moved[state] for state, p in step.start), Fraction(0))
+
+
+def _rounded(values: Numbers) -> FixedPoint:
+    """Return exact values, each rounded once."""
+    floats = values.astype(np.float64)
+    return FixedPoint(value=floats, error=UNIT * np.abs(floats))
 
 
 def _bounded(mdp: MDP, own: AverageEvaluation) -> Regret:

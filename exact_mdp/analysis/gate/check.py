@@ -317,7 +317,7 @@ class Audit(Pictured):
         return tuple(found)
 
     def _unless_rounding(self, name: str, text: str) -> tuple[str, str]:
-        if not self.regret.forgiveness.high:
+        if not self.forgiven:
             return name, text
         moved = f"; rounding can move it by {_below(self.forgiven)}"
         return f"{name} up to the rounding of the given floats", text + moved

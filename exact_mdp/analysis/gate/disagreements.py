@@ -27,8 +27,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.analysis.gate.exact_policy import exact_visits
-from exact_mdp.analysis.gate.forgiveness import policy_taking
-from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap
+from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_taking
 from exact_mdp.analysis.gate.waiting import arrivals, attaining, kept, shares
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers

@@ -80,19 +80,10 @@ def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -
 
 
 def exact_visits(chain: PolicyChain) -> Floats:
-    """Return (S,) expected discounted visits from the start, each rounded once from a rational."""
-    return _visited(chain).value_float
+    """Return (S,) expected discounted visits from the start, each rounded once from a rational.
 
-
-def visited_exactly(chain: PolicyChain) -> list[Fraction]:
-    """Return the same as rationals, one for each state."""
-    return _visited(chain).value
-
-
-def _visited(chain: PolicyChain) -> ExactPolicy:
-    """Solve the transposed equations d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached.
-
-    Terminal states count arrivals.
+    They solve d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached; terminal states count
+    arrivals.
     """
     mdp = chain.mdp
     rows = mixed_rows(bellman_rows(mdp), chain)
@@ -101,7 +92,7 @@ def _visited(chain: PolicyChain) -> ExactPolicy:
         raise RuntimeError("exact visits of a policy do not solve their equations")
     return ExactPolicy(
         mdp=mdp, numerator=found.numerator, group=found.group, denominator=found.denominator
-    )
+    ).value_float
 
 
 def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:

@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import Any
 
 from exact_mdp.analysis.gate.exact_policy import exact_policy
-from exact_mdp.analysis.gate.forgiveness import Forgiveness
 from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -81,7 +80,6 @@ class UnderLimits:
             of.mdp.table,
             gain=integers((of.sign * of.weighted(whole).astype(object)).tolist()),
             gain_denominator=integers((scale * below).tolist()),
-            gain_doubt=None,
         )
         return of.mdp.with_(table=table, goal=None)
 
@@ -105,7 +103,6 @@ class UnderLimits:
             optimal=best,
             learned=Certified(value=self.earned),
             at_start=Certified(value=lost),
-            forgiveness=Forgiveness(),
         )
 
 

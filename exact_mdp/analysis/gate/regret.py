@@ -25,46 +25,36 @@ arithmetic decides the rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from math import inf, isfinite
 
 import numpy as np
 
-from exact_mdp.analysis.gate.exact_policy import exact_gaps, exact_policy
-from exact_mdp.analysis.gate.forgiveness import (
-    Flags,
-    Forgiveness,
-    Side,
-    exact_forgiveness,
-    exact_ties,
-    moved_at_start,
-    of_floats,
-    policy_taking,
-    tie_range,
-    widest,
-    widest_tie,
-)
+from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
+from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, ties
 from exact_mdp.analysis.gate.waiting import to_blame
 from exact_mdp.mdp.chain import components, endless, is_acyclic
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import divided
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.bounds import Bounds, bounds, lower
+from exact_mdp.mdp.validate import Flags
+from exact_mdp.solvers.bounds.bounds import Bounds, bounds, lower, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.certify import certify
 from exact_mdp.solvers.proof.margins import Values
-from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.unending import model_of
+from exact_mdp.solvers.values.unending import ended, model_of, recurrent
 
 
 def proven(mdp: MDP) -> Certificate:
@@ -104,9 +94,8 @@ class Regret(Brief):
         What a pair falls short of the optimum, 0 for optimal pairs.
     optimum : Certificate or Bounds, optional
         What vouches for the optimal values; None of an average reward.
-    forgiveness : Forgiveness
-        What the rounding of the given floats can move at the start; 0 in an exact model. Of a
-        bounded optimum, against the policy that its bounds are about.
+    movable : function
+        Works out `forgiven`. Of a bounded optimum, against the policy that its bounds are about.
     """
 
     optimal: Certified | Bounded
@@ -119,7 +108,7 @@ class Regret(Brief):
     unclear: Flags
     gap: Floats
     optimum: Certificate | Bounds | None
-    forgiveness: Forgiveness = field(default_factory=Forgiveness)
+    movable: Callable[[], Fraction] = Fraction
 
     def __repr__(self) -> str:
         optimal, learned = float(self.optimal.value), float(self.learned.value)
@@ -144,10 +133,10 @@ class Regret(Brief):
         """Certified or bounded."""
         return self.at_start.claim
 
-    @property
+    @cached_property
     def forgiven(self) -> Fraction:
-        """The regret that counts as none, a lower bound of what rounding can move."""
-        return self.forgiveness.low
+        """The regret that counts as none: what the rounding of the given floats can move."""
+        return self.movable()
 
     def decided(self, limit: Fraction) -> bool | None:
         """Return whether the regret is at most `limit`; None where the bounds do not decide."""
@@ -161,9 +150,7 @@ class Regret(Brief):
     @property
     def zero(self) -> bool | None:
         """Whether the regret is zero up to rounding; None where the bounds do not decide."""
-        exact = isinstance(self.at_start, Certified)
-        ends = (self.at_start.value,) * 2 if exact else self.at_start.interval
-        return self.forgiveness.covers(*ends)
+        return self.decided(Fraction(0)) or self.decided(self.forgiven)
 
 
 def regret(
@@ -186,7 +173,7 @@ def regret(
         chain = PolicyChain(mdp=chain.mdp.maximised, chosen=chain.chosen, policy=chain.policy)
         return regret(mdp.maximised, chain, exact=exact, optimum=optimum).negated()
     if endless(mdp):
-        mdp, exact = divided(mdp), True  # bounds are of models in which every policy ends
+        exact = True  # bounds are of models in which every policy ends
     if exact is None:
         exact = cheap(mdp) if optimum is None else isinstance(optimum, Certificate)
     if not exact:
@@ -208,10 +195,11 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     if endless(mdp):
         return _without_end(mdp, chain, best)
     own = best if best.optimal_pairs[chain.pairs].all() else exact_policy(chain)
-    lost, forgiven = best.start_value - own.start_value, exact_forgiveness(mdp, chain, own, best)
-    optimal, gap = _gaps(mdp, best)
-    if optimal[chain.pairs].all() and not forgiven.covers(lost, lost):
-        optimal, gap = _gaps(mdp, best, ties=False)  # each loses little, and all of them too much
+    lost, ideal = best.start_value - own.start_value, policy_taking(mdp, best.optimal_pairs)
+    movable = partial(forgiven, mdp, (chain, _rounded(own)), (ideal, _rounded(best)))
+    optimal, gap = _gaps(mdp, best, ideal)
+    if lost and optimal[chain.pairs].all() and lost > movable():
+        optimal, gap = _gaps(mdp, best, None)  # each loses little, and all of them too much
     return Regret(
         optimal=best.start,
         learned=Certified(value=own.start_value),
@@ -223,16 +211,37 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=gap,
         optimum=best,
-        forgiveness=forgiven,
+        movable=movable,
     )
+
+
+def _rounded(known: ExactPolicy | Certificate) -> FixedPoint:
+    """Return exact values, each rounded once; 0 where they are infinite."""
+    value = np.nan_to_num(known.value_float, posinf=0.0, neginf=0.0)
+    return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
+
+
+def _reached(known: FixedPoint) -> FixedPoint:
+    """Return values, 0 where they are not known: what is not reached."""
+    value = np.nan_to_num(known.value, posinf=0.0, neginf=0.0)
+    error = np.where(np.isfinite(known.value), np.nan_to_num(known.error, posinf=0.0), 0.0)
+    return FixedPoint(value=value, error=error)
+
+
+def policy_taking(mdp: MDP, marked: Flags) -> PolicyChain:
+    """Return the chain that takes the first marked pair (L,) of every state."""
+    numbers = np.where(marked, np.arange(mdp.n_pairs), mdp.n_pairs)
+    chosen = np.zeros(mdp.n_pairs)
+    chosen[np.minimum.reduceat(numbers, mdp.pair_offsets[:-1])] = 1.0
+    return PolicyChain(mdp=mdp, chosen=chosen)
 
 
 def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     """Return the regret at discount 1 where some policy never ends.
 
-    Something is forgiven where the policy and an optimal one do end. A pair that keeps the value of
-    a state need not attain it, so that the policy is judged by its own model, in which it is the
-    only one.
+    Rounding is forgiven on the way to where a policy stays for ever, and none there. A pair that
+    keeps the value of a state need not attain it, so that the policy is judged by its own model, in
+    which it is the only one.
     """
     own = proven(model_of(chain))
     if own.start_value == best.start_value and isinstance(best.start_value, float):
@@ -258,13 +267,15 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         if isinstance(best.start_value, Fraction) and isinstance(own.start_value, Fraction):
             lost = best.start_value - own.start_value
     ideal = PolicyChain(mdp=mdp, chosen=(mdp.pair_action == best.policy[mdp.pair_state]) * 1.0)
-    forgiven = Forgiveness()
-    if isfinite(lost) and chain.ends_from_start and ideal.ends_from_start:
-        forgiven = exact_forgiveness(mdp, chain, own, best, ideal)
+    movable: Callable[[], Fraction] = Fraction
+    if isfinite(lost):
+        movable = partial(
+            forgiven, mdp, (_settled(chain), _rounded(own)), (_settled(ideal), _rounded(best))
+        )
     # What keeps a value without attaining it is found where the policy stays for ever.
     optimal = np.array(best.optimal_pairs)
     optimal[to_blame(chain, best, by_state)] = False
-    if lost and forgiven.covers(lost, lost):  # what all of it loses is rounding, and so each part
+    if lost and lost <= movable():  # what all of it loses is rounding, and so each part
         tied = (chain.chosen > 0) & chain.reached[mdp.pair_state]
         optimal |= tied
         gap[tied] = 0.0
@@ -279,8 +290,16 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0)),
         optimum=best,
-        forgiveness=forgiven,
+        movable=movable,
     )
+
+
+def _settled(chain: PolicyChain) -> PolicyChain:
+    """Return the chain with an end wherever it stays for ever, or itself where it ends."""
+    if chain.ends_from_start:
+        return chain
+    stays = ended(chain.mdp, recurrent(chain))
+    return PolicyChain(mdp=stays, chosen=chain.chosen, policy=chain.policy)
 
 
 def _differences(best: Values, own: Values) -> Floats:
@@ -295,25 +314,26 @@ def _differences(best: Values, own: Values) -> Floats:
     return np.array(found)
 
 
-def _gaps(mdp: MDP, best: Certificate, *, ties: bool = True) -> tuple[Flags, Floats]:
-    """Return which pairs are optimal, ties of floats included, and the gaps of the others."""
+def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags, Floats]:
+    """Return which pairs are optimal, and the gaps of the others.
+
+    Ties of floats are among them where there is an `ideal` policy.
+    """
     near = gains(mdp, best.value_float)
     # The noise covers that the values are rounded, too.
     gap, doubt = -near.value, near.noise * SLACK + TINY
     optimal = np.array(best.optimal_pairs)
     others = ~optimal & ~mdp.terminal[mdp.pair_state]
     rough = others & (doubt > ACCURATE * gap)
-    if ties and of_floats(mdp):
-        value = best.value_float
-        ideal = policy_taking(mdp, best.optimal_pairs)
-        rounded = FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
-        tie = tie_range(mdp, rounded, ideal)
-        with np.errstate(invalid="ignore"):
-            equal = others & (gap + doubt <= tie.low)
-            open_ = others & ~equal & ~(gap - doubt > tie.high)
-        equal |= exact_ties(mdp, best, tie, np.flatnonzero(open_))
-        optimal |= equal
-        rough &= ~equal
+    if ideal is not None and mdp.floats:
+        with suppress(SolverError):
+            limit = ties(ideal, _rounded(best))
+            equal = others & (gap + doubt <= limit)
+            open_ = np.flatnonzero(others & ~equal & (gap - doubt <= limit)).tolist()
+            for pair, (top, bottom) in exact_gaps(mdp, best, open_).items():
+                equal[pair] = Fraction(top, bottom) <= Fraction(float(limit[pair]))
+            optimal |= equal
+            rough &= ~equal
     for pair, (top, bottom) in exact_gaps(mdp, best, np.flatnonzero(rough).tolist()).items():
         gap[pair] = top / bottom
     return optimal, np.where(optimal, 0.0, np.maximum(gap, 0.0))
@@ -332,7 +352,10 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     near = ActionBounds.of(mdp, optimum)
     best = at_start(mdp, FixedPoint(value=value, error=optimum.state_error))
     mine = at_start(mdp, own)
-    forgiveness, loses = _bounded_forgiveness(mdp, chain, own, optimum, near.least_gap)
+    taken = np.zeros(mdp.n_pairs, dtype=bool)
+    taken[optimum.pairs] = True
+    ideal, known = policy_taking(mdp, taken), FixedPoint(value=value, error=optimum.state_error)
+    loses = _losing(ideal, known, near.least_gap)
     lost: Certified | Bounded
     if near.all_best(chain):
         lost = Certified(value=Fraction(0))
@@ -355,29 +378,23 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         unclear=~loses & (near.most_gap > 0),
         gap=np.where(loses, near.gap, 0.0),
         optimum=optimum,
-        forgiveness=forgiveness,
+        movable=partial(forgiven, mdp, (chain, _reached(own)), (ideal, known)),
     )
 
 
-def _bounded_forgiveness(
-    mdp: MDP, chain: PolicyChain, own: FixedPoint, optimum: Bounds, least_gap: Floats
-) -> tuple[Forgiveness, Flags]:
-    """Return what rounding can move at the start, and the pairs (L,) that lose more than that."""
-    if not of_floats(mdp):
-        return Forgiveness(), least_gap > 0
-    taken = np.zeros(mdp.n_pairs, dtype=bool)
-    taken[optimum.pairs] = True
-    ideal = policy_taking(mdp, taken)
-    if np.array_equal(ideal.weights, chain.weights):
-        ideal = chain  # what is known of it need not be found again
-    best = FixedPoint(value=optimum.value, error=optimum.state_error)
-    # Few pairs are so near to the best that rounding could make them tie.
-    loses = least_gap > 0
-    open_ = np.flatnonzero(loses & ~(least_gap > widest_tie(mdp, best)))
-    loses[open_] = least_gap[open_] > tie_range(mdp, best, ideal, open_).high
-    sides = Side(chain=chain, found=own), Side(chain=ideal, found=best)
-    moved = Forgiveness(most=widest(mdp, own, best), narrow=partial(moved_at_start, mdp, *sides))
-    return moved, loses
+def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
+    """Return the pairs (L,) that lose more than rounding can move."""
+    mdp, loses = ideal.mdp, least_gap > 0
+    if mdp.floats:
+        # Few pairs are so near to the best that it could: F ≤ E w / m, as w - γ P w ≥ m > 0.
+        weights = margin_weights(mdp)
+        uses = float(weights.value.max() / weights.least.min())
+        widest = per_use(mdp, known).max() * (1 + 2 * uses) * SLACK
+        open_ = loses & (least_gap <= widest)
+        if open_.any():
+            with suppress(SolverError):
+                loses &= ~open_ | (least_gap > ties(ideal, known))
+    return np.asarray(loses)
 
 
 def _optimum(mdp: MDP) -> Bounds:

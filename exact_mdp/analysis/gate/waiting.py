@@ -25,10 +25,10 @@ from fractions import Fraction
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.analysis.gate.forgiveness import Flags
 from exact_mdp.mdp.chain import closure, strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.proof.certificate import Certificate
 from exact_mdp.solvers.proof.margins import alike
 from exact_mdp.solvers.values.policy_chain import PolicyChain

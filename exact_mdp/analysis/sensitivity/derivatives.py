@@ -165,7 +165,6 @@ def _rewarded(mdp: MDP, pairs: Integers, gains: Sequence[Fraction]) -> MDP:
             gain=integers(top),
             gain_denominator=integers([bottom] * len(pairs)),
             event=None,
-            gain_doubt=None,
         ),
         pair_state=mdp.pair_state[pairs],
         pair_action=mdp.pair_action[pairs],

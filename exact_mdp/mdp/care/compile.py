@@ -381,7 +381,6 @@ def _repeated(rules: Rules, small: MDP, order: Integers) -> MDP:
     shape = (len(indptr) - 1, end + 1)
     parts["transition"] = sp.csr_array((lay(matrix.data, entries), indices, indptr), shape)
     parts["transition"].has_canonical_format = True
-    vars(parts["table"])["sums_to_one"] = table.sums_to_one
     mdp = object.__new__(MDP)
     mdp.__setstate__(parts)
     return mdp

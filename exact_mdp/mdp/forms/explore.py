@@ -19,7 +19,8 @@ from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.names import ByNumber, Told
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
-from exact_mdp.mdp.table import Given, exact, given, rounding_of
+from exact_mdp.mdp.rows import meant
+from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import counted
 
 MOST_STATES = 1_000_000
@@ -87,10 +88,13 @@ def explored(
         else holds
         for name, holds in (labels or {}).items()
     }
-    named = _components([list(outcomes) for _, _, outcomes in rows])
+    outcomes_of = [list(each) for _, _, each in rows]
+    named = _components(outcomes_of)
     if named:  # nothing is earned in an end
         ends = [0] * (len(found) - len(rows))
         names["components"] = {name: amounts + ends for name, amounts in named.items()}
+        every = (amount for amounts in _amounts(outcomes_of) for amount in amounts.values())
+        names["floats"] = any(isinstance(as_given(amount), float) for amount in every)
         found = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in found]
     places = ByNumber({states.number[state]: chance for state, chance in begins.items()})
     return found, names | {"start": places, "labels": flags}
@@ -144,26 +148,36 @@ def _noted(where: str) -> Iterator[None]:
 
 def _components(rows: list[list[Any]]) -> dict[str, list[Fraction]]:
     """Return the expected amount of each component in each row, where rewards are dictionaries."""
-    rewards = [reward for row in rows for _, _, reward in row if isinstance(reward, Mapping)]
-    names = dict.fromkeys(name for reward in rewards for name in reward)
-    found: dict[str, list[Fraction]] = {}
-    for name in names:
-        amounts = [
-            [(p, r.get(name, 0)) for p, _, r in row if isinstance(r, Mapping)] for row in rows
+    names = dict.fromkeys(name for amounts in _amounts(rows) for name in amounts)
+    if not names:
+        return {}
+    chances = [meant([as_given(p) for p, _, _ in row]) for row in rows]
+    return {
+        str(name): [
+            sum(
+                (
+                    exact(p) * exact(reward.get(name, 0))
+                    for p, (_, _, reward) in zip(each, row, strict=True)
+                    if isinstance(reward, Mapping)
+                ),
+                Fraction(0),
+            )
+            for each, row in zip(chances, rows, strict=True)
         ]
-        found[str(name)] = [
-            sum((exact(p) * exact(x) for p, x in row), Fraction(0)) for row in amounts
-        ]
-    return found
+        for name in names
+    }
+
+
+def _amounts(rows: list[list[Any]]) -> Iterator[Mapping[Any, Any]]:
+    """Yield the rewards that are dictionaries."""
+    return (reward for row in rows for _, _, reward in row if isinstance(reward, Mapping))
 
 
 def _total(reward: Any) -> Any:
-    """Return a reward that is a dictionary of amounts as their sum, with its rounding."""
+    """Return a reward that is a dictionary of amounts as their exact sum."""
     if not isinstance(reward, Mapping):
         return reward
-    amounts = [given(amount) for amount in reward.values()]
-    total, off = sum(amounts, Fraction(0)), sum(map(rounding_of, amounts))
-    return Given(total, rounding=off) if off else total
+    return sum(map(exact, reward.values()), Fraction(0))
 
 
 def _outcome(given: Any) -> tuple[Any, Hashable, Any]:

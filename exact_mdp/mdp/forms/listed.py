@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
 from exact_mdp.mdp.forms.numbering import Numbering, action_names, numbered
-from exact_mdp.mdp.forms.numbers import array_of, dense, refuse_masked
-from exact_mdp.mdp.table import Given, exact, given, rounding_of
+from exact_mdp.mdp.forms.numbers import array_of, as_given, dense, refuse_masked
+from exact_mdp.mdp.table import exact
 
 Flags = NDArray[np.bool_]
 Path = tuple[Any, ...]
@@ -313,15 +313,12 @@ def _lists(P: Any, state: Any, action: Any) -> bool:
 
 
 def _reward(rewards: Mapping[Path, Any], state: Any, action: Any, then: Any) -> Any:
-    """Return the reward of a transition: its own, or that of its pair or state, earned in full."""
+    """Return the reward of a transition: its own, or that of its pair or state."""
     where = f"R, state {state}, action {action}"
     with located(where):
-        if (state, action, then) in rewards:
-            return given(rewards[state, action, then])
-        for path in ((state, action), (state,)):
+        for path in ((state, action, then), (state, action), (state,)):
             if path in rewards:
-                value = given(rewards[path])
-                return Given(value, rounding=rounding_of(value), certain=True)
+                return as_given(rewards[path])
     raise ModelError("there is no reward", where=where, fix="give 0 where nothing is earned")
 
 

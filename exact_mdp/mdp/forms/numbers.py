@@ -9,9 +9,9 @@ floats with 1 below: `grouped` makes these of numbers of any kind.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from fractions import Fraction
 from functools import reduce
+from itertools import pairwise
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -20,18 +20,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.table import (
-    Floats,
-    Given,
-    Integers,
-    Numbers,
-    as_float,
-    exact,
-    given,
-    ones,
-    over_groups,
-    rounding_of,
-)
+from exact_mdp.mdp.rows import meant
+from exact_mdp.mdp.table import Integers, Numbers, as_float, exact, ones, over_groups
 
 
 def array_of(values: object, where: str, *, columns: bool = True) -> Any:
@@ -55,7 +45,9 @@ def as_given(value: object) -> Fraction | float:
     """Return an exact number, or the double itself where one was given."""
     if isinstance(value, Fraction) or type(value) is float:
         return value
-    return float(value) if isinstance(value, float) else given(value)
+    if isinstance(value, np.floating) and float(value) == value:
+        return float(value)
+    return float(value) if isinstance(value, float) else exact(value)
 
 
 def refuse_masked(values: object, where: str = "") -> None:
@@ -197,12 +189,11 @@ def _leaves(values: Any) -> Any:
 
 
 def exact_sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
-    """Return the exact sum of two numbers, of which each may be off by its rounding."""
+    """Return the exact sum of two numbers."""
     for value in (left, right):
         if isinstance(value, float) and not isfinite(value):
             return value  # no model: it is refused by its place
-    total, off = exact(left) + exact(right), rounding_of(left) + rounding_of(right)
-    return Given(total, rounding=off) if off else total
+    return exact(left) + exact(right)
 
 
 def chance_sum(left: Fraction | float, right: Fraction | float) -> Fraction | float:
@@ -211,10 +202,11 @@ def chance_sum(left: Fraction | float, right: Fraction | float) -> Fraction | fl
     return least if least < 0 else exact_sum(left, right)
 
 
-def added(
-    matrix: sp.csr_array, joined: Callable[[Any, Any], Any] = exact_sum
-) -> tuple[Integers, Numbers, Any]:
-    """Return where rows begin, columns in rising order, and values, equal places joined to one."""
+def added(matrix: sp.csr_array, *, chances: bool = False) -> tuple[Integers, Numbers, Any]:
+    """Return where rows begin, columns in rising order, and values, equal places joined to one.
+
+    Rows of `chances` mean what they do before that (`mdp.rows`).
+    """
     matrix = matrix.copy()
     matrix.sort_indices()
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
@@ -224,6 +216,10 @@ def added(
     if not fresh.all():
         first = np.flatnonzero(fresh)
         parts = [as_given(value) for value in matrix.data]
+        if chances:
+            bounds = pairwise(matrix.indptr.tolist())
+            parts = [value for begin, end in bounds for value in meant(parts[begin:end])]
+        joined = chance_sum if chances else exact_sum
         values = np.empty(len(first), dtype=object)
         ends = [*first[1:].tolist(), len(parts)]
         values[:] = [
@@ -260,47 +256,59 @@ def dense(values: Any) -> Any:
 
 
 class Grouped(NamedTuple):
-    """Numbers as the arrays of a table: top over one bottom for each group, and their roundings."""
+    """Numbers as the arrays of a table: top over one bottom for each group.
+
+    `floats` says whether any of them was given as a float.
+    """
 
     top: Numbers
     bottom: Numbers
-    doubt: Floats | None = None
+    floats: bool
 
 
 def grouped(values: Any, offsets: Integers) -> Grouped:
     """Return numbers as an array with one denominator for each group of them."""
     groups = len(offsets) - 1
     if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
-        return Grouped(np.ascontiguousarray(values), ones(groups))
+        return Grouped(np.ascontiguousarray(values), ones(groups), values.dtype == np.float64)
+    flat = [as_given(value) for value in values]
+    floats = any(isinstance(value, float) for value in flat)
+    if any(isinstance(value, float) and not isfinite(value) for value in flat):
+        # The model is refused, by the place of the number.
+        return Grouped(np.array([as_float(value) for value in flat]), ones(groups), True)
+    if floats and all(isinstance(value, float) or _is_double(value) for value in flat):
+        return Grouped(np.array([float(value) for value in flat]), ones(groups), True)
+    return Grouped(*over_groups([exact(value) for value in flat], offsets), floats)
+
+
+def chances(values: Any, offsets: Integers) -> Grouped:
+    """Return probabilities likewise: what the rows mean, which `offsets` delimits.
+
+    They are floats where all rows are made of floats, or mean the same as if they were.
+    """
     if isinstance(values, np.ndarray) and values.dtype != object:
-        with np.errstate(over="ignore"):
-            doubles = values.astype(np.float64)
-        if values.dtype.kind == "f" and not (doubles != values).any():
-            off = np.where(values == 0, 0, np.spacing(np.abs(values)).astype(np.float64) / 2)
-            return Grouped(doubles, ones(groups), _doubt(doubles, off))
-        values = [as_given(value) for value in values]
-    flat = list(values)
-    if set(map(type, flat)) == {float}:
-        return Grouped(np.array(flat), ones(groups))
-    off = np.array([rounding_of(value) for value in flat])
-    if off.any() or any(isinstance(value, float) for value in flat):
-        if any(isinstance(value, float) and not isfinite(value) for value in flat):
-            # The model is refused, by the place of the number.
-            return Grouped(np.array([as_float(value) for value in flat]), ones(groups))
-        if all(isinstance(value, float) or _is_double(value) for value in flat):
-            doubles = np.array([float(value) for value in flat])
-            return Grouped(doubles, ones(groups), _doubt(doubles, off))
-    top, bottom = over_groups([exact(value) for value in flat], offsets)
-    return Grouped(top, bottom, off if off.any() else None)
+        short = values.dtype.kind == "f" and values.dtype != np.float64
+        return grouped(values.astype(np.float64) if short else values, offsets)
+    flat = [as_given(value) for value in values]
+    rows = [flat[first:last] for first, last in pairwise(offsets.tolist())]
+    if not any(isinstance(value, float) for value in flat):
+        return grouped(flat, offsets)
+    if all(_in_floats(row) for row in rows):
+        return grouped(np.array([float(value) for value in flat]), offsets)
+    exactly = [value for row in rows for value in meant(row)]
+    if any(isinstance(value, float) and not isfinite(value) for value in exactly):
+        return grouped(exactly, offsets)
+    return Grouped(*over_groups(list(map(exact, exactly)), offsets), True)
 
 
-def _doubt(doubles: Floats, off: Floats) -> Floats | None:
-    """Return the roundings of doubles, None where they are those of any doubles."""
-    usual = np.where(doubles == 0, 0.0, np.spacing(np.abs(doubles)) / 2)
-    return None if np.array_equal(usual, off) else np.asarray(off, dtype=np.float64)
+def _in_floats(row: list[Fraction | float]) -> bool:
+    """Return whether floats alone mean what a row of floats and exact numbers means."""
+    if all(isinstance(value, float) for value in row) or row == [1]:
+        return True
+    return all(map(_is_double, row)) and meant(row) == meant([float(value) for value in row])
 
 
-def _is_double(value: Fraction) -> bool:
+def _is_double(value: Fraction | float) -> bool:
     """Return whether a double has exactly this value."""
     try:
         return float(value) == value

@@ -1,4 +1,4 @@
-"""A model's pairs checked, and rows of a sparse matrix taken over, in one pass over each.
+"""Compiled loops over rows: pairs checked, rows of a sparse matrix taken over, floats settled.
 
 A row of a model is a distribution over states, each named once. While a row is in the cache its
 numbers are looked at and added up, and it is copied; where its columns are in no order, each entry
@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
-from exact_mdp.mdp.table import COARSE, Floats, Numbers
+from exact_mdp.mdp.rows import COARSE, FLOAT_ROW_TOLERANCE, NEXT, WHOLE, Floats, Integers, Numbers
 
 COMPARED = 32  # entries of a row at most that are compared each with each
 DIGIT, DIGITS = 8, 256  # bits, and numbers, of a digit
 PLACE = 32  # bits of an entry's place in its row
-NEAR = 5e-10  # how far from 1 a sum may be
+NEAR = 5e-10  # how far from 1 the sum of a row that is taken as it is may be
 
 
 @inlined
@@ -53,24 +53,47 @@ def by_digits(begin: int, end: int, states: int, indices: Numbers, room: Numbers
 def parted(share: float, scale: float) -> tuple[Any, Any]:
     """Return a number from 0 to 2 in multiples of `COARSE`, and the rest in those of 1 / `scale`.
 
-    So that sums of many are exact: see `mdp.table.fine_unit`.
+    So that sums of many are exact: see `mdp.rows.fine_unit`.
     """
     coarse = np.rint(share / COARSE)
     return np.int64(coarse), np.int64(np.rint((share - coarse * COARSE) * scale))
 
 
 @compiled
-def exceed(
-    first: int, last: int, offsets: Numbers, data: Floats, fine: float, excess: Floats
-) -> None:
-    """Write by how much the sums of rows first … last-1 exceed 1 into `excess` (L,)."""
+def settle(first: int, last: int, offsets: Integers, weight: Floats, fine: float) -> None:
+    """Do for rows first … last-1 what `mdp.rows.settle` does."""
     scale = 1 / fine
     for row in range(first, last):
-        whole, rest = np.int64(0), np.int64(0)
-        for i in span(offsets[row], offsets[row + 1]):
-            coarse, left = parted(data[i], scale)
-            whole, rest = whole + coarse, rest + left
-        excess[row] = (whole - 2**40) * COARSE + rest * fine
+        begin, end = offsets[row], offsets[row + 1]
+        while True:
+            sound, most, count, whole, rest = True, 0.0, 0, np.int64(0), np.int64(0)
+            for i in span(begin, end):
+                share = weight[i]
+                sound &= (share > 0) & (share < 2)
+                coarse, left = parted(share, scale)
+                whole, rest = whole + coarse, rest + left
+                count = 1 if share > most else count + (share == most)
+                most = max(most, share)
+            excess = (whole - 2**40) * COARSE + rest * fine
+            if not (sound and abs(excess) <= FLOAT_ROW_TOLERANCE):
+                break
+            written, total = True, 0.0
+            for i in range(begin, end):
+                top = np.rint(weight[at(i)] * WHOLE)
+                total += top
+                if abs(top / WHOLE - weight[at(i)]) > NEXT * weight[at(i)]:
+                    written = False
+                    break
+            if written and total == WHOLE:
+                for i in span(begin, end):
+                    weight[i] = np.rint(weight[i] * WHOLE) / WHOLE
+                break
+            given = most - excess / count
+            if given == most:
+                break
+            for i in span(begin, end):
+                if weight[i] == most:
+                    weight[i] = given
 
 
 @compiled
@@ -98,35 +121,27 @@ def taken(
     indptr: Numbers,
     indices: Numbers,
     data: Floats,
-    fine: float,
     columns: Numbers,
     weights: Floats,
-    excess: Floats,
     room: Numbers,
 ) -> bool:
     """Copy rows first … last-1 into `columns` and `weights` (N,), columns rising in each.
 
-    By how much their sums exceed 1 goes into `excess` (L,); `fine` is for that. `room` (3, ·) is
-    for the longest of them, and `DIGITS` at least; columns fit in 31 bits.
+    `room` (3, ·) is for the longest of them, and `DIGITS` at least; columns fit in 31 bits.
 
     Return whether each row is one of positive numbers, of different states, with sum 1.
     """
-    scale = 1 / fine
     for row in range(first, last):
         begin, end = indptr[row], indptr[row + 1]
-        sound, falls, whole, rest = begin < end, np.int64(0), np.int64(0), np.int64(0)
+        sound, falls, total = begin < end, np.int64(0), 0.0
         for i in span(begin, end):
             weights[i] = data[i]
             sound &= (data[i] > 0) & (data[i] < 2)
-            coarse, left = parted(data[i], scale)
-            whole, rest = whole + coarse, rest + left
+            total += data[i]
         for i in span(begin, end):
             columns[i] = indices[i]
             sound &= (indices[i] >= 0) & (indices[i] < states)
-        if not sound:
-            return False
-        excess[row] = (whole - 2**40) * COARSE + rest * fine
-        if not abs(excess[row]) <= NEAR:
+        if not (sound and abs(total - 1) <= NEAR):
             return False
         for i in range(begin + 1, end):
             falls += np.int64(indices[at(i)] <= indices[at(i - 1)])

@@ -10,10 +10,10 @@ import threading
 from collections.abc import Callable, Sequence
 from contextvars import copy_context
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-
-from exact_mdp.mdp.table import Numbers
+from numpy.typing import NDArray
 
 SMALLEST = 500_000  # transitions for which another thread pays: each is begun anew for a pass
 PER_THREAD = 3
@@ -27,7 +27,9 @@ def cores() -> int:
     return min(2, os.cpu_count() or 1)
 
 
-def block_ends(work: Numbers, threads: int | None = None, most: int | None = None) -> list[int]:
+def block_ends(
+    work: NDArray[Any], threads: int | None = None, most: int | None = None
+) -> list[int]:
     """Return 0, …, N: where to cut N items into blocks of about the same work.
 
     `work` (N+1,) is that of all items before each, such as the transitions of all states before a

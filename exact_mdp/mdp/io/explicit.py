@@ -26,7 +26,6 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
-    by_outcome,
     dyadic,
     magnitude,
     multiply,
@@ -250,7 +249,7 @@ def table_of(found: Explicit, reward: Mapping[str, Ratios]) -> OutcomeTable:
         spread = Ratios(*(np.repeat(part, np.diff(offsets)) for part in fixed))
         fixed, each = _plus(spread, reward["branches"]), offsets
     gain, gain_denominator = over(fixed, each)
-    table = OutcomeTable(
+    return OutcomeTable(
         offsets=offsets,
         next=found.target,
         weight=weight,
@@ -258,7 +257,6 @@ def table_of(found: Explicit, reward: Mapping[str, Ratios]) -> OutcomeTable:
         gain=gain,
         gain_denominator=gain_denominator,
     )
-    return by_outcome(table) if each is offsets else table
 
 
 def _fixed(found: Explicit, reward: Mapping[str, Ratios]) -> Ratios:

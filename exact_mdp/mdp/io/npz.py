@@ -8,20 +8,17 @@ The arrays of an archive, nothing in it being a pickle:
     offsets       (L+1,) int64   outcomes of pair l are offsets[l] … offsets[l+1]-1
     next          (N,) int32 or int64   next state of each outcome
     weight        (N,) integers or float64   probability of outcome i of pair l is
-    denominator   (L,) integers              weight[i] / denominator[l]
+    denominator   (L,) integers              weight[i] / denominator[l]; `mdp.rows` says what a row
+                                             of floats means, which the denominator 1 is of
     gain          (N,) or (L,) integers or float64   reward of an outcome, or of a pair, is
     gain_denominator (L,) integers                   gain[i] / gain_denominator[l]
     event         (N,) uint8     optional: bit b is set where event number b happens
     components    (L, C) integers or float64     optional: expected reward of each pair by
     component_denominator (L,) integers          component, components[l, c] over the denominator;
                                            1 in older files, which have all components in floats
-    weight_doubt  (N,) float64   optional: how far each probability, and each reward, may lie from
-    gain_doubt    (N,) or (L,) float64     what it was rounded from, where the arrays do not tell
     labels        (K, S) uint8   optional: 1 where the label's states are, of the header's names
     goal          (S,) uint8     optional: 1 in the states that a run has to reach
     observations  (L,) int64     optional: how often each pair was observed; weights are counts then
-
-and any other array of floats that a table of outcomes may have, under its name.
 
 Integers are int64 where they fit. Where they do not, the array is uint8 of shape (…, k): each row
 is one integer of k ≥ 8 bytes, little-endian, two's complement. The header has the keys `format`
@@ -31,8 +28,8 @@ values in row-major order), `objects` (of a column and of the actions: what thes
 `extra` (names of the states after those), `component_names`, `events`,
 `parameters` ([{"name", "value", "low", "high"}, …], low and high may be null), `time_limit` (a
 number of steps or null), `sense` ("max" or "min"), `labels` (their names), `unreached` ("inf" or
-"-inf", what a run that misses the goal is worth) and `arrays` (the names of the others); older
-files lack some of the last five and `objects`.
+"-inf", what a run that misses the goal is worth), `floats` (whether numbers were given as floats)
+and `arrays` (the names of the others); older files lack some of the last six and `objects`.
 
 `np.load(path)["pair_state"]` and so on read the arrays, `json.loads` reads the bytes of the header.
 """
@@ -42,7 +39,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Collection, Hashable, Mapping, Sequence
-from dataclasses import fields
 from fractions import Fraction
 from math import isfinite
 from pathlib import Path
@@ -100,6 +96,7 @@ def as_header(mdp: MDP) -> dict[str, Any]:
         "sense": mdp.sense,
         "labels": list(mdp.labels),
         "unreached": str(mdp.unreached),
+        "floats": mdp.floats,
     }
 
 
@@ -160,6 +157,7 @@ def parts_of(content: object, *, pairs: int, labels: Sequence[Any] = ()) -> dict
         "sense": _of_kind(header.get("sense", "max"), "sense", str),
         "labels": dict(zip(named, labels, strict=True)),
         "unreached": float(unreached),
+        "floats": _of_kind(header.get("floats", False), "floats", bool),
     }
 
 
@@ -230,7 +228,13 @@ def _weight(entry: object) -> tuple[int, Fraction]:
     return entry[0], _rational(entry[1], "start")
 
 
-WANTED = {dict: "an object", list: "a list", str: "a string", int: "a whole number"}
+WANTED = {
+    dict: "an object",
+    list: "a list",
+    str: "a string",
+    int: "a whole number",
+    bool: "true or false",
+}
 
 
 def _of_kind(value: object, key: str, kind: type[T]) -> T:
@@ -281,8 +285,8 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
 }
 """Types that an array of the table may have; uint8 among several means rows of bytes."""
 
-OPTIONAL = tuple(field.name for field in fields(OutcomeTable) if field.default is None)
-"""Arrays that a table may lack. Those that are not above are floats."""
+OPTIONAL = ("event",)
+"""Arrays that a table may lack."""
 
 COMPONENTS = ("components", "component_denominator")
 """Where a model has more than its reward; (L, C) integers in bytes have one row for each pair."""
@@ -290,12 +294,11 @@ COMPONENTS = ("components", "component_denominator")
 FLAGS = ("labels", "goal")
 """Truth values about states, which a model may lack."""
 
-TABLE = {field.name: FIELDS.get(field.name, ("float64",)) for field in fields(OutcomeTable)}
 KINDS: Mapping[str, tuple[str, ...]] = {
     "header": ("uint8",),
     "pair_state": ("int64",),
     "pair_action": ("int64",),
-    **TABLE,
+    **FIELDS,
     "components": ("int64", "float64", "uint8"),
     "component_denominator": ("int64", "uint8"),
     "labels": ("uint8",),
@@ -317,7 +320,7 @@ def save(model: MDP, path: str | Path) -> None:
     ...     load(f"{folder}/small.npz").table.row(0)
     [(Fraction(1, 3), 0, Fraction(1, 7)), (Fraction(2, 3), 1, Fraction(0, 1))]
     """
-    parts = {name: getattr(model.table, name) for name in TABLE}
+    parts = {name: getattr(model.table, name) for name in FIELDS}
     arrays = {
         "pair_state": model.pair_state,
         "pair_action": model.pair_action,
@@ -360,7 +363,7 @@ def load(path: str | Path) -> MDP:
                 "the archive lacks an array that its header names", fix="save it again"
             )
         table = OutcomeTable(
-            **{name: _as_integers(arrays[name]) for name in TABLE if name in arrays}
+            **{name: _as_integers(arrays[name]) for name in FIELDS if name in arrays}
         )
         state, action = arrays["pair_state"], arrays["pair_action"]
         known = _components(arrays, len(parts["component_names"]))

@@ -8,7 +8,7 @@ called `reward`, components and labels are numbered. What the header says has to
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any, TypeVar
 
@@ -28,18 +28,7 @@ GROUP = "exact-mdp"
 CARRIER = "start"
 """The annotation whose description is the header: what the format has no place for, as JSON."""
 
-DOUBTS = tuple(
-    field.name for field in fields(OutcomeTable) if field.default is None and field.name != "event"
-)
-"""Arrays of floats that a table of outcomes may have, each an annotation where it has it."""
-
-
 OBSERVED = "observations"
-
-
-def key_of(name: str) -> str:
-    """Return the identifier of the annotation that holds an array of the table."""
-    return name.replace("_", "-")
 
 
 def component_key(number: int) -> str:
@@ -92,7 +81,7 @@ def restored(
     table = table_of(found, found.rewards[chosen])
     coarse, finer = table, ours and "gain" in own
     if ours:
-        changes = {name: own[key_of(name)].top for name in DOUBTS if key_of(name) in own}
+        changes = dict[str, Any]()
         if "event" in own:
             changes["event"] = own["event"].top.astype(np.uint8)
         if finer:

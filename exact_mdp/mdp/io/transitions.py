@@ -628,10 +628,10 @@ def _table(outcomes: Integers, count: Integers, values: Sequence[Any]) -> dict[s
         denominator=np.maximum(observations, 1),
         gain=gain.top,
         gain_denominator=gain.bottom,
-        gain_doubt=gain.doubt,
     )
     return {
         "table": table,
+        "floats": gain.floats,
         "pair_state": pair[first, 0].copy(),
         "pair_action": pair[first, 1].copy(),
         "observations": observations,

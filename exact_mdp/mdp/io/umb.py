@@ -8,7 +8,6 @@ other tools pass over:
     gain         the reward of each branch, where it is not the choice's alone
     event        the events of each branch, as the bits of a number
     observations how often each choice was observed, in a model from data
-    …-doubt      how far numbers may lie from what they were rounded from
 
 The description of `start` is the header of `mdp.io.npz` as JSON: discount, columns and names
 of the states, components, events, parameters. So nothing of a model is lost. A file of another
@@ -51,11 +50,9 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.npz import as_header
 from exact_mdp.mdp.io.own import (
     CARRIER,
-    DOUBTS,
     GROUP,
     OBSERVED,
     component_key,
-    key_of,
     label_key,
     restored,
 )
@@ -195,11 +192,8 @@ def _umb_of(model: MDP) -> Any:
     if len(table.gain) != model.n_pairs:
         gains = _ratios(table.gain, table.gain_denominator, table.offsets)
         _annotate(umb, GROUP, "gain", "branches", gains)
-    for name in ("event", *DOUBTS):
-        values = getattr(table, name)
-        if values is not None:
-            over = "choices" if len(values) == model.n_pairs and name != "event" else "branches"
-            _annotate(umb, GROUP, key_of(name), over, values.tolist())
+    if table.event is not None:
+        _annotate(umb, GROUP, "event", "branches", table.event.tolist())
     return umb
 
 

@@ -20,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -28,7 +28,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError, check_names, located, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.table import Given, Numbers, OutcomeTable, beside, exact, shown
+from exact_mdp.mdp.table import Numbers, OutcomeTable, beside, exact, shown
 
 DISCOUNT = "discount"
 MOST_REWARDS = 20  # of a plain MDP, that are parameters without being named
@@ -291,8 +291,7 @@ def moving(
     Returns
     -------
     Family
-        Its rows with named entries sum to 1 at every value. Floats that miss 1 are made to, today,
-        too: the entries that are not named share what the named ones leave.
+        Entries that are not named share what the named ones of their row leave.
 
     Raises
     ------
@@ -364,16 +363,10 @@ class Moved:
     rest: Mapping[int, Fraction]
     earned: Mapping[Fraction, str]
 
-    @cached_property
-    def _whole(self) -> bool:
-        """Whether the rows with named entries sum to 1 today."""
-        table = self.model.table
-        return all(sum(p for p, _, _ in table.row(pair)) == 1 for pair in self.named)
-
     def __call__(self, values: Mapping[str, Fraction]) -> MDP:
         """Return the model at values of all parameters."""
         model = self.model
-        if self._whole and all(values[p.name] == p.value for p in self.parameters):
+        if all(values[p.name] == p.value for p in self.parameters):
             return model.with_(discount=values[DISCOUNT])
         moved = {r: values[name] for r, name in self.earned.items() if values[name] != r}
         rows = []
@@ -382,7 +375,7 @@ class Moved:
             if pair in self.named:
                 outcomes = _rebalanced(model, pair, self.named[pair], self.rest[pair], values)
             if moved:
-                outcomes = [(p, to, _replaced(gain, moved)) for p, to, gain in outcomes]
+                outcomes = [(p, to, moved.get(gain, gain)) for p, to, gain in outcomes]
             rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
         return MDP.from_outcomes(
             rows,
@@ -396,6 +389,7 @@ class Moved:
             labels=model.labels,
             goal=model.goal,
             unreached=model.unreached,
+            floats=model.floats,
         )
 
 
@@ -432,13 +426,6 @@ def _earned(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
                 fix="give each parameter a reward of the model",
             )
     return named
-
-
-def _replaced(gain: Fraction, moved: Mapping[Fraction, Fraction]) -> Fraction:
-    """Return what a reward becomes; one that a pair earns in full still is."""
-    new = moved.get(gain, gain)
-    certain = isinstance(gain, Given) and gain.certain and type(new) is Fraction
-    return Given(new, certain=True) if certain else new
 
 
 def _rooms(
@@ -507,7 +494,6 @@ def _entry(mdp: MDP, pair: int, state: int) -> Fraction:
 
 
 def _rest(mdp: MDP, pair: int, states: Mapping[int, str]) -> Fraction:
-    # What is there, not 1 less the others: float rows sum to 1 only up to rounding.
     outcomes = mdp.table.row(pair)
     rest = sum((p for p, following, _ in outcomes if following not in states), Fraction(0))
     if rest <= 0 or any(_entry(mdp, pair, state) == 0 for state in states):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.exact import bellman_rows, per_step
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers
@@ -78,7 +78,7 @@ class AverageCertificate(AverageClaims, Pictured):
         Raises ModelError where the certificate was read from a file.
         """
         mdp = model_of(None, self.mdp, "losses")
-        rows, claimed = bellman_rows(per_step(mdp.maximised)), (self.g, self.h, self.w)
+        rows, claimed = bellman_rows(mdp.maximised.undiscounted), (self.g, self.h, self.w)
         if mdp.sense == "min":
             claimed = (self.g.negated(), self.h.negated(), self.w.negated())
         gain, bias, _ = surplus(rows, *claimed)

@@ -17,7 +17,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.exact import bellman_rows, fingerprint, per_step
+from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, common
 from exact_mdp.solvers.average.certificate import AverageCertificate
@@ -40,7 +40,7 @@ def certify_average(mdp: MDP) -> AverageCertificate:
             w=found.w.negated(),
             start_value=-found.start_value,
         )
-    step = per_step(mdp)
+    step = mdp.undiscounted
     rows = bellman_rows(step)
     try:
         pairs = improved(step).pairs

@@ -12,7 +12,7 @@ As equations, they have one solution g, h for each policy: its gain and its bias
 As inequalities, they say of v = g / ρ + h + ρ w, for every small interest rate ρ > 0, that
 r + P v - (1 + ρ) v = d(g) / ρ + (r - g + d(h)) + ρ (d(w) - h) - ρ² w is of order ρ² at most. So no
 policy has a value v' > v + O(ρ): g is the greatest gain, and h the greatest bias among the
-policies of that gain. The rows are those of `mdp.exact.per_step`, which sum to 1.
+policies of that gain. The rows are those without a discount.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows, per_step, row_sums
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, row_sums
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.proof.checker import not_of, policy_pairs
@@ -71,7 +71,7 @@ def average_violations(found: AverageClaims, mdp: MDP) -> list[str]:
     if pairs is None:
         return wrong or ["the policy takes an action that is not available"]
     tied, claimed = np.ones(mdp.n_pairs, dtype=bool), (found.g, found.h, found.w)
-    step = bellman_rows(per_step(mdp.maximised))
+    step = bellman_rows(mdp.maximised.undiscounted)
     if mdp.sense == "min":  # the least costs are minus the greatest rewards
         claimed = (found.g.negated(), found.h.negated(), found.w.negated())
     losses = surplus(step, *claimed)

@@ -26,7 +26,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError, extra
-from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.average.evaluate import evaluated
@@ -65,7 +64,7 @@ class AverageSolution(Solution):
     @property
     def q(self) -> Floats:
         """(L,) r - g + P h: what a step by the pair adds, beyond the gain of its state."""
-        step = per_step(self.mdp)
+        step = self.mdp.undiscounted
         return np.asarray(step.backup(self.bias) - self.value[step.pair_state])
 
     def negated(self, mdp: MDP) -> AverageSolution:
@@ -95,7 +94,7 @@ def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> Average
         raise ModelError(
             "no start applies to an average reward", where="solve", fix="leave start out"
         )
-    step = per_step(mdp)
+    step = mdp.undiscounted
     reached = METHODS[solver.name](step, solver)
     taken = np.zeros(step.n_pairs)
     taken[reached.pairs] = 1.0

@@ -23,7 +23,6 @@ and the margins are verified. Every d and m comes with a bound on its rounding e
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
@@ -174,8 +173,8 @@ def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
     """Return the margins (L,) w - γ P w, 1 for pairs of terminal states, and their error."""
     if (weight == 1.0).all():
         facts = rounding_facts(mdp)
-        size = max(map(abs, facts.extremes))
-        return facts.leak, float((gamma(4) * size + facts.leak_error + TINY) * SLACK)
+        error = float((gamma(4) * facts.leak + facts.leak_error + TINY) * SLACK)
+        return np.full(mdp.n_pairs, facts.leak), error
     margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
     open_pairs = ~mdp.terminal[mdp.pair_state]
     error = margin.error[open_pairs].max(initial=0.0)
@@ -190,23 +189,16 @@ def _verified(mdp: MDP, weight: Floats) -> Weights:
         and (weight[~mdp.terminal] > 0).all()
         and found.extremes[0] - error > 0
     ):
-        raise SolverError(Status.NO_BOUND, _why_not(mdp, weight, margin))
+        raise SolverError(Status.NO_BOUND, _why_not(mdp, weight))
     return found
 
 
-def _why_not(mdp: MDP, weight: Floats, margin: Floats) -> str:
-    """Return what keeps a margin from being proven: the end, a row, or the discount."""
+def _why_not(mdp: MDP, weight: Floats) -> str:
+    """Return what keeps a margin from being proven: the end, or the discount."""
     if mdp.discount_exact == 1 or not (weight[~mdp.terminal] == 1).all():
         return "the end is too many steps away"
-    pair, lost = int(np.argmin(margin)), float(1 - mdp.discount_exact)
-    if margin[pair] > 0:
-        return f"1 - γ is {lost:.2g}, of which rounding leaves too little"
-    over = float(sum(map(Fraction, mdp.transition[[pair]].data.tolist())) - 1)
-    where = mdp.space.label(mdp.pair_state[pair]), mdp.actions[mdp.pair_action[pair]]
-    return (
-        f"the row of state ({where[0]}), action {where[1]}, sums to 1 + {over:.2g}, "
-        f"and 1 - γ is {lost:.2g}, so that values may grow for ever"
-    )
+    lost = float(1 - mdp.discount_exact)
+    return f"1 - γ is {lost:.2g}, of which rounding leaves too little"
 
 
 def ladder(step: Floats, rate: float, total: Floats) -> None:

@@ -12,18 +12,17 @@ of nonnegative terms, and these keep a relative error of at most γ(n + few).
 What each pair would add to V, with a bound on the rounding error.
 
     d(l) = r(l) + γ Σ_s' P(l, s') V(s') - V(s)
-         = r(l) + γ Σ_s' P(l, s') (V(s') - V(s)) - (1 - γ Σ_s' P(l, s')) V(s)
+         = r(l) + γ Σ_s' P(l, s') (V(s') - V(s)) - (1 - γ) V(s)
 
-The second form is computed. Its rounding errors are set by how values differ between neighbours,
-not by how large they are, and the leak 1 - γ Σ P is known almost exactly. The error is bounded
-against the exact model, of which the floats are a rounding (Higham, Accuracy and Stability of
+The second form is computed, as rows sum to 1 exactly. Its rounding errors are set by how values
+differ between neighbours, not by how large they are. The error is bounded against the exact model,
+of which each float is a rounding (Higham, Accuracy and Stability of
 Numerical Algorithms, SIAM 2002, section 3.1).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -32,7 +31,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import COARSE, COMPILED, Floats, Integers, fine_unit
+from exact_mdp.mdp.table import COMPILED, Floats, Integers
 from exact_mdp.solvers.solution import SolverError, Status
 
 UNIT = 2.0**-53
@@ -105,7 +104,7 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
         own = value[mdp.pair_state[here]]
         earned = (mdp.reward if reward is None else reward)[here]
         earned_error = facts.reward_errors(mdp, first, last) if reward is None else 0.0
-        leak, terms = facts.leak[here] * own, facts.terms(mdp, first, last)
+        leak, terms = facts.leak * own, facts.terms(mdp, first, last)
         size = np.abs(earned) + np.abs(leak)
         error = gamma(terms + 8) * flow + gamma(4) * size
         error += facts.leak_error * np.abs(own) + tiny * (terms + 1)
@@ -153,14 +152,9 @@ class RoundingFacts:
 
     merged: NDArray[np.int32]  # (L,) int32 or (0,)
     reward_error: Floats  # (L,) or (0,) how far each reward may be from the exact one
-    leak: Floats  # (L,) 1 - γ Σ p
-    leak_error: float  # the greatest error of `leak`
+    leak: float  # 1 - γ
+    leak_error: float  # the error of `leak`
     size: float  # the greatest |reward|
-
-    @cached_property
-    def extremes(self) -> tuple[float, float]:
-        """The least and the greatest leak, as computed."""
-        return float(self.leak.min()), float(self.leak.max())
 
     def terms(self, mdp: MDP, first: int, last: int) -> Integers:
         """Return the number of roundings in a row of pairs first … last-1."""
@@ -187,7 +181,7 @@ class RoundingFacts:
 @once
 def rounding_facts(mdp: MDP) -> RoundingFacts:
     """Return the facts, computed once for each model."""
-    leak, leak_error = _leak(mdp)
+    leak = float(1 - mdp.discount_exact)
     merged = np.empty(0, dtype=np.int32)
     if mdp.table.weight.dtype == np.float64 and mdp.n_transitions < len(mdp.table.next):
         merged = (2 * np.diff(mdp.table.offsets)).astype(np.int32)
@@ -195,55 +189,9 @@ def rounding_facts(mdp: MDP) -> RoundingFacts:
         merged=merged,
         reward_error=_reward_error(mdp),
         leak=leak,
-        leak_error=leak_error,
+        leak_error=leak * UNIT,
         size=max(-float(mdp.reward.min()), float(mdp.reward.max())),
     )
-
-
-def _leak(mdp: MDP) -> tuple[Floats, float]:
-    """Return 1 - γ Σ p by pair: exact rows sum to 1, those with floats nearly so."""
-    leak = float(1 - mdp.discount_exact)
-    weight, offsets = mdp.table.weight, mdp.table.offsets
-    if mdp.table.sums_to_one:
-        return np.full(mdp.n_pairs, leak), leak * UNIT
-    if weight.dtype != np.float64:
-        rate, below = mdp.discount_exact, mdp.table.denominator.tolist()
-        totals = mdp.table.row_sums().tolist()
-        found = np.array(
-            [float(1 - rate * Fraction(a, b)) for a, b in zip(totals, below, strict=True)]
-        )
-        return found, float(np.abs(found).max()) * UNIT
-    longest = int((offsets[1:] - offsets[:-1]).max())
-    excess = vars(mdp.table).pop("excess", None)  # where rows were looked at as they were taken
-    if excess is None:
-        excess = _excess(offsets, weight, fine_unit(longest))
-    excess = mdp.discount * excess
-    most = max(float(excess.max()), -float(excess.min()))
-    error = 2 * UNIT * leak + 8 * UNIT * most + longest * fine_unit(longest)
-    return leak - excess, error
-
-
-def _excess(offsets: Integers, weight: Floats, fine: float) -> Floats:
-    """Return Σ p - 1 of each row (L,), as `mdp.forms.rows` has it."""
-    found, large = np.empty(len(offsets) - 1), len(weight) >= COMPILED
-    ends = threads.block_ends(offsets, most=None if large else threads.IN_CACHE)
-    if large:
-        from exact_mdp.mdp.forms import rows
-
-    def work(_: int, first: int, last: int) -> None:
-        if large:
-            rows.exceed(first, last, offsets, weight, fine, found)
-            return
-        begins = offsets[first:last]
-        share, row = weight[begins[0] : offsets[last]], begins - begins[0]
-        scaled = np.rint(share / COARSE)
-        left = np.rint((share - scaled * COARSE) / fine)
-        whole = np.add.reduceat(scaled.astype(np.int64), row) - 2**40
-        rest = np.add.reduceat(left.astype(np.int64), row)
-        found[first:last] = whole * COARSE + rest * fine
-
-    threads.run_blocks(ends, work)
-    return found
 
 
 def _reward_error(mdp: MDP) -> Floats:

@@ -1,8 +1,8 @@
 """What bounds all pairs' numbers at once, without a look at any: numbers in, numbers out.
 
-For h from a to b, and the greatest reward r, leak and number of terms n of any pair,
+For h from a to b, and the greatest reward r and number of terms n of any pair,
 
-    |d| ≤ r + γ 1.001 (b - a) + leak max(|a|, |b|),   |error of d| ≤ γ(n + 8) γ (b - a) + …
+    |d| ≤ r + γ 1.001 (b - a) + (1 - γ) max(|a|, |b|),   |error of d| ≤ γ(n + 8) γ (b - a) + …
 
 as `solvers.bounds.gains` has it of each pair. Passes in Python (`solvers.bounds.sweeps`) and the
 compiled run (`solvers.kernels.rounds`) ask the same functions, so that both pass over the same
@@ -19,7 +19,7 @@ SLACK = 1 + 2.0**-20
 
 
 class Greatest(NamedTuple):
-    """Of a model's pairs, the greatest: reward and leak in size, roundings in a row, and errors.
+    """Of a model's pairs, the greatest: reward in size, roundings in a row, errors; the leak 1 - γ.
 
     γ Σ_s' P(l, s') is from `least_flow` to `most_flow` for all of them.
     """
@@ -49,7 +49,7 @@ def sizes(bottom: float, top: float, discount: float, most: Greatest) -> Sizes:
     """Return bounds for any h from `bottom` to `top`; see `solvers.bounds.gains` for the form."""
     span, size, count = top - bottom, max(abs(bottom), abs(top)), (most.terms + 8) * UNIT
     rounded, few = count / (1 - count) * (1 + 4 * UNIT), 4 * UNIT / (1 - 4 * UNIT) * (1 + 4 * UNIT)
-    # No row sums up to 1.001.
+    # No row of floats sums up to 1.001.
     flow, lost = 1.001 * discount * span, most.leak * size
     error = rounded * flow + few * (most.reward + lost)
     error += most.leak_error * size + TINY * (1 + size) * (most.terms + 1) + most.reward_error

@@ -3,7 +3,7 @@
 An iterate is V = h + c w, kept as h (S,) and the shift c, with the weights w of
 `solvers.bounds.bounds`. With d and the margins m as there,
 
-    d_c(l) = d(l) - c m(l),   d(l) = r(l) + γ Σ_s' P(l, s') (h(s') - h(s)) - leak(l) h(s)
+    d_c(l) = d(l) - c m(l),   d(l) = r(l) + γ Σ_s' P(l, s') (h(s') - h(s)) - (1 - γ) h(s)
 
 is what pair l of state s would add to V(s). One pass over all pairs gives T V - V and a greedy
 policy; one over the pairs of a policy gives T_π V - V. Where γ < 1 and no state is terminal, w is 1
@@ -249,13 +249,13 @@ class Sweeps:
     def _follow(self, value: Floats, shift: float, pairs: Integers) -> tuple[Floats, float, float]:
         mdp = self.mdp
         if self._rows[0] is not pairs:
-            leak, margin = self.facts.leak[pairs], self.weights.margin[pairs]
-            self._rows = (pairs, mdp.transition[pairs], mdp.reward[pairs], leak, margin)
-        _, matrix, reward, leak, margin = self._rows
+            margin = self.weights.margin[pairs]
+            self._rows = (pairs, mdp.transition[pairs], mdp.reward[pairs], margin)
+        _, matrix, reward, margin = self._rows
         counts = np.diff(matrix.indptr)
         ahead = matrix.data * (value[matrix.indices] - np.repeat(value, counts))
         flow = mdp.discount * added(ahead, counts)
-        step = reward + (flow - leak * value) - shift * margin
+        step = reward + (flow - self.facts.leak * value) - shift * margin
         step[mdp.terminal] = 0.0
         ratio = (step / margin)[~mdp.terminal]
         return step, float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
@@ -312,7 +312,7 @@ class Remembered:
                 ends=slots[:-1].copy(),
                 indices=indices,
                 data=data,
-                numbers=np.empty((3, mdp.n_states)),
+                numbers=np.empty((2, mdp.n_states)),
                 pairs=np.empty(mdp.n_states, dtype=np.int64),
                 ceilings=mdp.reward + 4 * facts.reward_error_bound,  # rounded, too
                 rise=0.0,
@@ -513,17 +513,15 @@ class CompiledSweeps(Sweeps):
     @cached_property
     def _greatest(self) -> Greatest:
         facts, mdp = self.facts, self.mdp
-        least, most = facts.extremes
-        below, above = least - facts.leak_error, most + facts.leak_error
-        lost = 4 * UNIT * (1 + abs(below) + abs(above))
+        flow, off = 1 - facts.leak, facts.leak_error + 8 * UNIT
         return Greatest(
             reward=facts.size,
-            leak=max(abs(least), abs(most)),
+            leak=facts.leak,
             terms=int(facts.terms(mdp, 0, mdp.n_pairs).max()),
             reward_error=facts.reward_error_bound,
             leak_error=facts.leak_error,
-            least_flow=1 - above - lost,
-            most_flow=1 - below + lost,
+            least_flow=flow - off,
+            most_flow=flow + off,
         )
 
     @cached_property

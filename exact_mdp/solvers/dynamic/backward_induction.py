@@ -14,7 +14,7 @@ fall with the level; therefore V* ≤ V + W_level. In the same way V - W' ≤ V^
 made of the errors of the pairs that π takes and of what these lack to the best one. This is the
 lemma of `solvers.bounds.bounds` with weights made to measure.
 
-Where rows are known to sum to 1, q is computed from differences r + γ (b + Σ p (V(s') - b)), b the
+As rows sum to 1, q is computed from differences r + γ (b + Σ p (V(s') - b)), b the
 value of the first successor: its error is set by how values differ, not by how large they are.
 
 Two forms give the same bits: a loop in NumPy over runs of states that do not lead to each other,
@@ -42,7 +42,6 @@ from exact_mdp.solvers.solution import Solution, SolverError, Status
 # NumPy takes as long as loading the compiled loop for four million transitions of the care model;
 # the loop needs 6 ms a million.
 COMPILED_FROM = 500_000
-ROW_EXCESS = 2.0**-29  # rows of floats may sum to a little more than 1; see mdp.validate
 UNITS = UNIT * (1 + 2.0**-10)
 SMALLEST = float(np.finfo(np.float64).tiny)  # of those floats that have all their digits
 
@@ -113,8 +112,7 @@ class Pass:
 
     def bounded(self, mdp: MDP) -> _Reached:
         """Return the values with their error bounds: V* above and V^π below them, by level."""
-        rows = not mdp.table.sums_to_one
-        rate = mdp.discount * (1 + (ROW_EXCESS if rows else 0.0) + 8 * UNIT)
+        rate = mdp.discount * (1 + 8 * UNIT)
         size = float(np.abs(self.value).max())
         longest = int(np.diff(mdp.table.offsets).max())
         lost = size > 0 or _underflows(mdp)
@@ -172,7 +170,6 @@ def _compiled_pass(mdp: MDP, level: Integers | None) -> Pass:
         mdp.reward,
         mdp.discount,
         mdp.terminal,
-        mdp.table.sums_to_one,
         _extra(mdp),
         value,
         pairs,
@@ -198,7 +195,6 @@ def _array_pass(mdp: MDP, level: Integers | None) -> Pass:
         matrix, reward = matrix[rows], reward[rows]
         first = np.concatenate([[0], np.cumsum(np.diff(first)[order])])
     own, rate, extra = mdp.pair_offsets[:-1], mdp.discount, _extra(mdp)
-    centred = mdp.table.sums_to_one
     value, pairs = np.zeros(states), own.copy()
     height = np.zeros(states, dtype=np.int32)
     above, below = np.zeros(states + 1), np.zeros(states + 1)
@@ -210,7 +206,7 @@ def _array_pass(mdp: MDP, level: Integers | None) -> Pass:
             continue  # worth 0
         following, counts = matrix.indices[i:j], np.diff(matrix.indptr[l : m + 1])
         begin, row = matrix.indptr[l:m] - i, np.repeat(np.arange(m - l), counts)
-        base = value[following[begin]] if centred else np.zeros(m - l)
+        base = value[following[begin]]
         # Sums in the order of the entries, as the compiled loop has them.
         term = matrix.data[i:j] * (value[following] - base[row])
         total, flow = np.bincount(row, term), np.bincount(row, np.abs(term))

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import flint
 import numpy as np
 
-from exact_mdp.mdp.exact import bellman_rows, fingerprint, per_step
+from exact_mdp.mdp.exact import bellman_rows, fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.endless.derived import Derived
@@ -67,7 +67,7 @@ def certify_total(mdp: MDP) -> Certificate:
 
     Raises ModelError where the total swings for ever, or is +∞ from one start and -∞ from another.
     """
-    found = structure(per_step(mdp))
+    found = structure(mdp)
     whole, swings = finite(found)
     best = _optimum(whole)
     chosen = _choice(found, whole, best.optimal & ~swings)

@@ -17,7 +17,6 @@ from time import perf_counter
 
 import numpy as np
 
-from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gains
 from exact_mdp.solvers.endless.derived import Derived
@@ -37,7 +36,7 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     mixes +∞ and -∞; SolverError where floats do not bound the values.
     """
     started = perf_counter()
-    found = structure(per_step(mdp))
+    found = structure(mdp)
     sign_at_start(mdp, found.sign)
     whole, swings = finite(found)
     if swings.any():

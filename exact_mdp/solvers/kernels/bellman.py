@@ -2,7 +2,7 @@
 
 For an iterate V = h + c w, held as h (S,) and the shift c, the loops compute from
 
-    d(l) = r(l) + γ Σ_s' P(l, s') (h(s') - h(s)) - leak(l) h(s),    d_c(l) = d(l) - c m(l)
+    d(l) = r(l) + γ Σ_s' P(l, s') (h(s') - h(s)) - (1 - γ) h(s),    d_c(l) = d(l) - c m(l)
 
 what pair l of state s would add to V(s); see `solvers.bounds.gains` for the form and its rounding
 errors, and `solvers.bounds.bounds` for weights w and margins m. Each reads a transition at most
@@ -26,17 +26,17 @@ SLACK = 1 + 2.0**-20
 
 
 class Model(NamedTuple):
-    """A model's pairs: their rows, rewards r, leaks and margins m (L,); `ended` (S,) states."""
+    """A model's pairs: their rows, rewards r and margins m (L,); `ended` (S,); the leak 1 - γ."""
 
     offsets: Numbers
     indptr: Numbers
     indices: Numbers
     data: Floats
     reward: Floats
-    leak: Floats
     margin: Floats
     ended: Numbers
     discount: float
+    leak: float
 
 
 class Slow(NamedTuple):
@@ -48,7 +48,7 @@ class Slow(NamedTuple):
 
 
 class Facts(NamedTuple):
-    """Rounding errors: of rewards (L,) or (0,), leaks and margins; `rounding[n]` is γ(n + 8).
+    """Rounding errors: of rewards (L,) or (0,), the leak and margins; `rounding[n]` is γ(n + 8).
 
     `merged` (L,) counts the roundings in a row, (0,) where there is one for each transition, and
     `tiny` is what underflow may cost each term.
@@ -67,8 +67,8 @@ class Known(NamedTuple):
 
     The row of state s is slots[s] … ends[s]-1 of `indices` and `data`, which are the model's own
     or, where rows are copied to stand side by side, those that can be written to as `columns` and
-    `weights`; these have room for the longest row of each state, or are empty. `numbers` (3, S) are
-    the reward, leak and margin of its pair. r(l) + γ P_l h is at most the ceiling and `rise`, how
+    `weights`; these have room for the longest row of each state, or are empty. `numbers` (2, S) are
+    the reward and margin of its pair. r(l) + γ P_l h is at most the ceiling and `rise`, how
     much γ P_l h has risen in all. Where not `known`, there is no policy yet.
     """
 
@@ -154,8 +154,7 @@ def take_row(state: int, pair: int, model: Model, policy: Known) -> None:
         policy.ends[state] = place
     else:
         policy.slots[state], policy.ends[state] = model.indptr[pair], model.indptr[pair + 1]
-    policy.numbers[0, state], policy.numbers[1, state] = model.reward[pair], model.leak[pair]
-    policy.numbers[2, state] = model.margin[pair]
+    policy.numbers[0, state], policy.numbers[1, state] = model.reward[pair], model.margin[pair]
 
 
 @compiled
@@ -199,7 +198,7 @@ def improve(
                 if ceilings[pair] > ceilings[before]:
                     before = pair
             ahead = ahead_of(indptr[before], indptr[before + 1], indices, data, value, own)
-        first_gain = reward[before] + (discount * ahead - leak[before] * own)
+        first_gain = reward[before] + (discount * ahead - leak * own)
         best, chosen, most = first_gain - shift * margin[at(before)], before, first_gain
         high = max(high, first_gain / margin[at(before)])
         for pair in range(begin, end):
@@ -207,7 +206,7 @@ def improve(
             if pair == before or ceilings[place] + (rise - own) + spare < best:
                 continue
             ahead = ahead_of(indptr[place], indptr[at(pair + 1)], indices, data, value, own)
-            gain = reward[place] + (discount * ahead - leak[place] * own)
+            gain = reward[place] + (discount * ahead - leak * own)
             ceilings[place] = gain + error + (own - rise)
             high = max(high, gain / margin[place])
             if gain - shift * margin[place] > best:
@@ -216,7 +215,7 @@ def improve(
             ceilings[before] = first_gain + error + (own - rise)
             take_row(state, chosen, model, policy)
         step[state], pairs[state] = best, chosen
-        low = min(low, most / policy.numbers[2, state])
+        low = min(low, most / policy.numbers[1, state])
     extremes[0], extremes[1] = low, high
 
 
@@ -275,7 +274,7 @@ def judge(
                 if ceiling + spare < sure and ceiling <= limit:
                     room[1, place] = -np.inf
                     continue
-            ahead, flow, earned, lost = 0.0, 0.0, reward[pair], leak[pair] * own
+            ahead, flow, earned, lost = 0.0, 0.0, reward[pair], leak * own
             start, stop = indptr[pair], indptr[pair + 1]
             if known and turn < begin:
                 begins, done = policy.slots[state], policy.ends[state]
@@ -335,10 +334,10 @@ def follow(
         if model.ended[state]:
             step[state] = 0.0
             continue
-        own, margin = value[state], policy.numbers[2, state]
+        own, margin = value[state], policy.numbers[1, state]
         begin, end = policy.slots[state], policy.ends[state]
         ahead = ahead_of(begin, end, policy.indices, policy.data, value, own)
-        gain = policy.numbers[0, state] + (model.discount * ahead - policy.numbers[1, state] * own)
+        gain = policy.numbers[0, state] + (model.discount * ahead - model.leak * own)
         gain -= shift * margin
         step[state] = gain
         ratio = gain / margin
@@ -414,7 +413,7 @@ def relax(backward: bool, model: Model, value: Floats, shift: float) -> float:
                 ahead += model.data[i] * (value[at(model.indices[i])] - own)
                 if model.indices[i] == state:
                     stay = model.data[i]
-            gain = model.reward[pair] + (discount * ahead - model.leak[pair] * own)
+            gain = model.reward[pair] + (discount * ahead - model.leak * own)
             gain -= shift * model.margin[pair]
             best = max(best, gain / (1 - discount * stay))
         value[state] = own + best

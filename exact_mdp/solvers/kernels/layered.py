@@ -73,7 +73,6 @@ def backward(
     reward: Floats,
     discount: float,
     terminal: Numbers,
-    centred: bool,
     extra: int,
     value: Floats,
     chosen: Numbers,
@@ -89,8 +88,6 @@ def backward(
     ----------
     order : (S,) or (0,) ints
         States, each behind all that it leads to; from the last number to the first if empty.
-    centred : bool
-        Whether rows sum to 1, so that differences from the first successor's value will do.
     extra : int
         How often each probability was rounded.
     q, doubt : (at least the greatest number of pairs of a state,)
@@ -111,7 +108,7 @@ def backward(
         height, best, worst = 0, -INFINITY, 0.0
         for pair in range(begin, end):
             first, last = indptr[pair], indptr[pair + 1]
-            base = value[indices[first]] if centred else 0.0
+            base = value[indices[first]]  # rows sum to 1: differences from it will do
             total, flow = 0.0, 0.0
             for i in span(first, last):
                 following = at(indices[i])

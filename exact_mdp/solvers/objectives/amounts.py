@@ -83,7 +83,6 @@ class Objectives:
         earning = np.any([top != 0 for top, _ in columns], axis=0)
         table = replace(
             mdp.table, gain=earning.astype(np.int64), gain_denominator=ones(mdp.n_pairs),
-            gain_doubt=None,
         )  # fmt: skip
         ending = mdp.with_(table=table, goal=None, sense="max")
         rows, first = bellman_rows(ending), mdp.pair_offsets[:-1]

@@ -36,7 +36,6 @@ class Proof(NamedTuple):
     """What proves that the equations of every policy have one solution; see `Certificate`."""
 
     rank: Integers | None
-    weight: list[int] | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +52,7 @@ class Attained:
 
 def sound(of: Objectives, proof: Proof) -> list[str]:
     """Return why the equations may have several solutions; nothing where they have one."""
-    if one_solution(of.ending, *proof):
+    if one_solution(of.ending, proof.rank):
         return []
     return ["nothing proves that the equations of every policy have one solution"]
 

@@ -7,7 +7,7 @@ All have the keys format, version, kind, model, and
 
 An exact front, of kind "front", has besides them
 
-    rank, weight  [S integers], or null: why equations have one solution
+    rank          [S integers], or null: why equations have one solution
     vertices      [{"pairs": [S pairs], "values": [vector, …], "totals": [rational, …]}]: of each
                   policy, by objective
     bounds        [{"weights": [rational, …], "values": vector}]
@@ -15,7 +15,7 @@ An exact front, of kind "front", has besides them
 where a rational is [numerator, denominator], and a vector {"top": [S integers], "below": integer}.
 An optimum under limits, of kind "limits" (`.constrained`), has
 
-    rank, weight  as above
+    rank          as above
     limits        [{"name": text, "sign": 1 or -1, "bound": rational}]
     shift, price  rational, [rational, …]
     pairs, flow   [pairs visited], [rational, …]: their expected visits
@@ -55,7 +55,6 @@ from exact_mdp.solvers.proof.file import (
     digest,
     hexed,
     hexed_ratio,
-    integer,
     list_of,
     or_none,
     over_one,
@@ -180,10 +179,7 @@ def _ratios(numbers: Sequence[Fraction]) -> list[object]:
 
 
 def _proof(proof: Proof) -> Written:
-    return {
-        "rank": None if proof.rank is None else proof.rank.tolist(),
-        "weight": None if proof.weight is None else hexed(proof.weight),
-    }
+    return {"rank": None if proof.rank is None else proof.rank.tolist()}
 
 
 def _vertices(vertices: Sequence[Attained]) -> list[Written]:
@@ -229,8 +225,7 @@ def _bounds(limits: Sequence[Limit]) -> list[Written]:
 
 
 def _read_proof(file: ProofFile, states: int) -> Proof:
-    weight = file.get("weight", or_none(list_of(integer, states)))
-    return Proof(file.get("rank", or_none(array_of(states))), weight)
+    return Proof(file.get("rank", or_none(array_of(states))))
 
 
 def _values(states: int) -> Callable[[Any], Values]:

@@ -229,7 +229,7 @@ def equations(
 
 def proof(of: Objectives) -> Proof:
     """Return what proves that the equations of every policy have one solution."""
-    return Proof(*uniqueness(of.ending))
+    return Proof(uniqueness(of.ending))
 
 
 def _values(found: ExactValues, times: int) -> Values:

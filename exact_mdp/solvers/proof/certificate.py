@@ -4,8 +4,8 @@
     certificate = certify(mdp, bounded=True)    # lower ≤ V^π ≤ V ≤ upper, for large models
 
 A certificate claims; `violations` checks every claim against the model, in code that shares nothing
-with the solvers (`solvers.proof.checker`). Floats of a model count as the dyadic rationals that
-they are; `mdp.table` says what rows mean that do not sum to 1 exactly.
+with the solvers (`solvers.proof.checker`). Rewards that are floats count as the dyadic rationals
+that they are; `mdp.rows` says what rows of floats mean.
 """
 
 from __future__ import annotations
@@ -66,8 +66,6 @@ class Certificate(ExactClaims, Pictured):
         Optimal value of the start distribution.
     rank : (S,) int64, optional
         Proof that every policy ends, where the discount alone does not make values unique.
-    weight : (S,) sequence of int, optional
-        Another such proof, for floats on a cycle whose rows sum to more than 1.
     endless : EndlessClaims, optional
         What proves the values, and tells the infinite ones, where some policy never ends.
     mdp : MDP, optional

@@ -1,6 +1,6 @@
 """Make certificates: solve exactly and say what is optimal, or widen a solution to proven bounds.
 
-An exact certificate needs a proof that values are unique: a discount, a rank, or weights.
+An exact certificate needs a proof that values are unique: a discount, or a rank.
 
 A bounded one takes the values V of a solution and the weights w of `solvers.bounds.bounds`:
 upper = V + c w and lower = V - c' w, c and c' being the least that satisfy the inequalities of
@@ -83,8 +83,7 @@ def certify(
     ModelError
         At discount 1: where rewards cancel for ever and the total swings, and that may be best;
         where +∞ and -∞ come together with a mean of 0, or in the start; where the start's costs can
-        fall without end before a goal. For rows of floats on a cycle that sum to more than 1, too
-        much for the discount. Where a cycle has too many states to be solved exactly.
+        fall without end before a goal. Where a cycle has too many states to be solved exactly.
     SolverError
         Only with `bounded`: where double precision does not suffice.
 
@@ -134,7 +133,7 @@ def certify(
         )
     if endless(mdp):
         return certify_total(mdp)
-    rank, weight = uniqueness(mdp)
+    rank = uniqueness(mdp)
     pairs, optimal = _contenders(mdp), np.zeros(mdp.n_pairs, dtype=bool)
     same = alike(mdp, pairs)
     distinct = np.unique(same)
@@ -154,7 +153,6 @@ def certify(
         unique=one_optimum(mdp, optimal),
         start_value=on_average(mdp.start, found.numerator, found.group, found.denominator),
         rank=rank,
-        weight=weight,
         mdp=mdp,
     )
 

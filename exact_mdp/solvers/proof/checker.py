@@ -1,10 +1,8 @@
 """Checks an exact certificate against the model alone, in integers, however it was found.
 
 V is the optimal value because it is 0 in terminal states, elsewhere V(s) = max over pairs l of s of
-r(l) + γ P_l V, and this has one solution: where γ Σ P_l < 1 for all pairs; where a rank falls along
-all transitions, or γ Σ P_l ≤ 1 and it falls along one of each pair (Bertsekas and Tsitsiklis,
-Mathematics of Operations Research 16, 1991); or where w > γ P w for some w > 0 (a contraction in
-the norm weighted by w).
+r(l) + γ P_l V, and this has one solution: where γ < 1, or a rank falls along one transition of each
+pair (Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991).
 
 Where some policy never ends, `solvers.proof.endless` takes the place of such a proof.
 
@@ -32,9 +30,6 @@ from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.exact import (
     bellman_rows,
     fingerprint,
-    per_step,
-    row_sums,
-    slack_signs,
 )
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
@@ -45,7 +40,7 @@ from exact_mdp.solvers.proof.endless import (
     optimal_infinite,
 )
 from exact_mdp.solvers.proof.equations import equation_violations, finite_part
-from exact_mdp.solvers.proof.margins import alike, falling, gains, others, undecided
+from exact_mdp.solvers.proof.margins import alike, gains, undecided
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +58,6 @@ class ExactClaims:
     unique: bool
     start_value: Fraction | float
     rank: Integers | None = None
-    weight: Sequence[int] | None = None
     endless: EndlessClaims | None = None
 
     def __post_init__(self) -> None:
@@ -90,13 +84,12 @@ class BoundedClaims:
 def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
     """Return what does not hold of an exact certificate, in words; nothing where it is sound."""
     wrong = not_of(mdp, found.model, found.numerator, found.group, found.gap, found.gap_scale)
-    weight = () if found.weight is None else found.weight
     halves: Any = [getattr(found.start_value, name, None) for name in ("numerator", "denominator")]
     halves = [0, 1] if found.start_value in (inf, -inf) else halves
     wrong += [f"its {name} are not all of type int, which holds any integer" for name, values in (
         ("numerators", found.numerator), ("denominators", found.denominator),
         ("gaps", [gap for gap in found.gap if gap is not None]), ("gap scales", found.gap_scale),
-        ("weights", weight), ("numbers of the start value", halves),
+        ("numbers of the start value", halves),
     ) if {*map(type, values)} - {int}]  # fmt: skip
     if not wrong and found.optimal_pairs.shape != (mdp.n_pairs,):
         wrong.append(f"it marks {found.optimal_pairs.shape} pairs, the model has {mdp.n_pairs}")
@@ -125,7 +118,7 @@ def exact_violations(found: ExactClaims, mdp: MDP) -> list[str]:
         wrong += _without_end(found, found.endless, mdp, pairs)
     else:
         missed = mdp.goal is not None and bool((ends & ~mdp.goal).any())
-        if missed or not one_solution(mdp, found.rank, found.weight):
+        if missed or not one_solution(mdp, found.rank):
             wrong.append("nothing proves that the Bellman equations have one solution")
         open_pairs = undecided(mdp, found)
         first = alike(mdp, open_pairs)
@@ -171,8 +164,7 @@ def _without_end(found: ExactClaims, claims: EndlessClaims, mdp: MDP, pairs: Int
     wrong = malformed(claims, mdp.n_states)
     if mdp.discount_exact != 1:
         wrong.append("below discount 1 no value is infinite")
-    step = per_step(mdp)
-    rows = bellman_rows(step)
+    rows = bellman_rows(mdp)
     part = None if wrong else finite_part(claims.sign, rows)
     if part is None:
         return wrong or ["a finite state has no pair that leads to finite states only"]
@@ -198,7 +190,7 @@ def _without_end(found: ExactClaims, claims: EndlessClaims, mdp: MDP, pairs: Int
 
     marks = found.optimal_pairs
     signs = np.array([(number > 0) - (number < 0) for number in found.numerator])
-    return wrong + endless_violations(claims, step, rows, pairs, marks, value, signs)
+    return wrong + endless_violations(claims, mdp, rows, pairs, marks, value, signs)
 
 
 def not_of(mdp: MDP, model: str, *by_state: Sequence[object] | Numbers) -> list[str]:
@@ -226,26 +218,15 @@ def one_optimum(mdp: MDP, optimal: NDArray[np.bool_]) -> bool:
     return not (other.any() and (other & reachable(mdp, pairs=optimal)).any())
 
 
-def one_solution(mdp: MDP, rank: Integers | None, weight: Sequence[int] | None) -> bool:
-    """Return whether a discount, a rank or weights prove that equations have one solution."""
-    live, state = ~mdp.terminal, mdp.pair_state
-    open_pairs = live[state]
-    slack = slack_signs(mdp)[open_pairs]  # of 1 - γ Σ P
-    if (slack > 0).all():
+def one_solution(mdp: MDP, rank: Integers | None) -> bool:
+    """Return whether the discount or a rank proves that equations have one solution."""
+    if mdp.discount_exact < 1:
         return True
-    if weight is not None and len(weight) == len(live):
-        w = np.where(live, np.array(weight, dtype=object), 0)
-        kept = others(mdp, falling(mdp, w))
-        rows, of = bellman_rows(mdp, kept), state[kept]
-        margin = rows.scale[of] * w[of] - row_sums(rows.weight * w[rows.next], rows.offsets)
-        return bool((w[live] > 0).all() and (margin[open_pairs[kept]] > 0).all())
+    live, state = ~mdp.terminal, mdp.pair_state
     if rank is None or rank.shape != live.shape or (rank[~live] != 0).any():
         return False
-    after, first = rank[mdp.table.next], mdp.table.offsets[:-1]
-    falls = np.minimum.reduceat(after, first) < rank[state]
-    falls_always = np.maximum.reduceat(after, first) < rank[state]
-    proven = falls[open_pairs].all() and (rank[live] > 0).all()
-    return bool(proven and (falls_always[open_pairs].all() or (slack >= 0).all()))
+    falls = np.minimum.reduceat(rank[mdp.table.next], mdp.table.offsets[:-1]) < rank[state]
+    return bool(falls[live[state]].all() and (rank[live] > 0).all())
 
 
 def bounded_violations(found: BoundedClaims, mdp: MDP) -> list[str]:

@@ -24,7 +24,6 @@ An exact certificate has besides them
     gap_scales    [S integers]: the gap is gaps[s] / (gap_scales[s] · denominators[group[s]])
     optimal       a string of L digits, 1 for optimal pairs
     rank          [S integers], or null
-    weight        [S integers], or null
     endless       only where some policy never ends (`solvers.proof.endless`):
                   {"sign": [S of -1, 0, 1: 1 where the value is infinite], "rank": [S integers],
                   "order": [S integers], "potential": [S rationals], "drift": null, or two lists
@@ -124,7 +123,6 @@ def _exact(found: ExactClaims) -> dict[str, object]:
         "gap_scales": hexed(found.gap_scale),
         "optimal": "".join(np.where(found.optimal_pairs, "1", "0")),
         "rank": None if found.rank is None else found.rank.tolist(),
-        "weight": None if found.weight is None else hexed(found.weight),
         **({} if found.endless is None else {"endless": _endless(found.endless)}),
     }
 
@@ -162,7 +160,6 @@ def exact_fields(path: str | Path) -> dict[str, Any]:
         "unique": file.get("unique", typed(bool)),
         "start_value": file.get("start_value", _value),
         "rank": file.get("rank", or_none(array_of(states))),
-        "weight": file.get("weight", or_none(list_of(integer, states))),
     }
     if "endless" in file.data:
         found["endless"] = file.get("endless", partial(_endless_of, states))

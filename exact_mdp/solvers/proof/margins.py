@@ -142,15 +142,6 @@ def _same(left: Numbers, right: Numbers) -> NDArray[np.bool_]:
     return np.asarray(left == right, dtype=bool)
 
 
-def falling(mdp: MDP, weight: Numbers) -> NDArray[np.bool_]:
-    """Return (L,) the pairs of which floats prove w > γ P w."""
-    largest = max(1, *(abs(int(number)) for number in weight))
-    value = np.array(_quotients([int(number) for number in weight], [largest] * len(weight)))
-    with np.errstate(all="ignore"):
-        gain, error = _about(mdp, value, earning=False)
-        return np.asarray(-gain - error > 0)
-
-
 def _quotients(tops: Sequence[int], bottoms: Sequence[int]) -> list[float]:
     """Return `quotient` of each two numbers."""
     if max(bottoms, default=0).bit_length() < LONG > max(tops, default=0).bit_length():
@@ -183,7 +174,7 @@ def gains(mdp: MDP, value: Floats, *, earning: bool = True) -> tuple[Floats, Flo
     """Return r + γ P V - V(s) for each pair (L,) with a bound (L,) on its rounding error."""
     table, matrix, rate = mdp.table, mdp.transition, mdp.discount
     terms = np.diff(table.offsets) * 1.0
-    steps, flow, total = np.empty(mdp.n_pairs), np.empty(mdp.n_pairs), np.empty(mdp.n_pairs)
+    steps, flow = np.empty(mdp.n_pairs), np.empty(mdp.n_pairs)
     cuts = np.unique([*np.searchsorted(matrix.indptr, range(0, matrix.nnz, CHUNK)), mdp.n_pairs])
     with np.errstate(all="ignore"):
         for first, last in pairwise(cuts.tolist()):
@@ -195,9 +186,8 @@ def gains(mdp: MDP, value: Floats, *, earning: bool = True) -> tuple[Floats, Flo
             term = share * (value[matrix.indices[begin:end]] - own)
             steps[first:last] = np.add.reduceat(term, begins)
             flow[first:last] = np.add.reduceat(np.abs(term), begins)
-            total[first:last] = np.add.reduceat(share, begins)
         own = value[mdp.pair_state]
-        leak = float(1 - mdp.discount_exact)  # of 1 - γ Σ P, where rows sum to 1
+        leak = float(1 - mdp.discount_exact)
         reward, reward_error = mdp.reward * earning, UNIT * np.abs(mdp.reward) * earning
         floats = np.float64 in (table.weight.dtype, table.gain.dtype)
         if earning and floats and table.joint:
@@ -207,7 +197,5 @@ def gains(mdp: MDP, value: Floats, *, earning: bool = True) -> tuple[Floats, Flo
             reward_error = (terms + 4) * UNIT * size
         error = (2 * terms + 8) * UNIT * rate * flow + reward_error
         error += 4 * UNIT * (np.abs(reward) + np.abs(leak * own))
-        if not table.sums_to_one:
-            error += rate * (np.abs(total - 1) + 2 * terms * UNIT) * np.abs(own)
         error = error * SLACK + TINY * (terms + 1) * (1 + np.abs(value).max())
         return np.asarray(reward + rate * steps - leak * own), np.asarray(error)

@@ -23,7 +23,6 @@ import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
@@ -191,7 +190,7 @@ class Evaluation(Pictured):
         if mdp.goal is not None:  # a run that misses it is infinite in all, not in its parts
             return UNKNOWN
         gain, below = mdp.component(name)
-        table = replace(mdp.table, gain=gain, gain_denominator=below, gain_doubt=None)
+        table = replace(mdp.table, gain=gain, gain_denominator=below)
         alone = mdp.with_(table=table, component_table=None, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=self.chain.chosen, policy=self.chain.policy)
         try:
@@ -251,9 +250,6 @@ class Evaluation(Pictured):
         doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
         rounding = gamma(chain.outcomes + chain.roundings + 5)
         doubt += rounding * constant + TINY
-        if not chain.table.sums_to_one:
-            # Probabilities that do not quite sum to 1 make E[G²] - V² differ by this much of V².
-            doubt += (np.abs(1 - chain.total(chain.probability)) + rounding) * value**2
         system = chain.discounted
         if self.mdp.discount_exact != 1:
             # The square of a rounded γ is off by three roundings where one is allowed for.
@@ -469,7 +465,7 @@ def evaluate(
         if isinstance(policy, str) and policy == "optimal":
             policy = solve(mdp, criterion="average")
         held = PolicyChain.of(mdp, policy, kind=kind)
-        return evaluated(per_step(mdp), held.weights, held.roundings, held.policy)
+        return evaluated(mdp.undiscounted, held.weights, held.roundings, held.policy)
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)
@@ -503,7 +499,7 @@ def evaluate(
 def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
     """Return a policy's values by its equations, or next to discount 1 by closer rounds.
 
-    Rounds are of models: a mixed policy's rows make one where, put together exactly, they sum to 1.
+    Rounds are of models: those that a mixed policy leaves are put together exactly.
     """
     mdp, plain, doubt = chain.mdp, None, inf
     try:

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.chain import closure
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import divided
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.table import (
@@ -81,10 +80,8 @@ class PolicyChain:
 
         Beside all that `Policy.of` takes, these are "optimal", for which the model is solved; a
         solution or a certificate, for its policy; a chain of this model; and (L,) probabilities
-        of pairs. Where some policy never ends at discount 1, rows of floats count as divided by
-        their sums (`mdp.exact.divided`).
+        of pairs.
         """
-        mdp = divided(mdp)
         if isinstance(policy, PolicyChain):
             if policy.mdp is not mdp:
                 raise ModelError("a chain of another model", fix="give the policy itself")

@@ -18,15 +18,12 @@ import numpy as np
 from exact_mdp.mdp.chain import closure, strong_components
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import per_step
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Given, Numbers
+from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.average.evaluate import evaluated
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
-
-SILENT = ("gain", "gain_doubt")
 
 
 def arrives(chain: PolicyChain) -> bool:
@@ -97,7 +94,7 @@ def parted(chain: PolicyChain) -> Parted:
         lost, rest = {mdp.unreached: astray}, astray
     else:
         rest = _resting(chain)
-        lost = _for_ever(chain, chain.reached & _recurrent(chain) & ~rest & ~mdp.terminal)
+        lost = _for_ever(chain, chain.reached & recurrent(chain) & ~rest & ~mdp.terminal)
     gone = np.logical_or.reduce([rest, *lost.values()])
     ending = PolicyChain(mdp=ended(mdp, gone), chosen=chain.chosen, policy=chain.policy)
     lost = {sign: each for sign, each in lost.items() if each.any()}
@@ -109,11 +106,11 @@ def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
     """Return the `busy` states (S,), which earn for ever, that gain, and those that lose."""
     if not busy.any():
         return {}
-    mdp = per_step(chain.mdp)
+    mdp = chain.mdp.undiscounted
     found = evaluated(mdp, chain.weights, chain.roundings)
     gain, open_ = found.value, busy & (np.abs(found.value) <= found.error)
     if open_.any():
-        exactly = certify_average(per_step(model_of(chain))).value
+        exactly = certify_average(model_of(chain)).value
         gain = np.array([(each > 0) - (each < 0) for each in exactly])
         if (flat := busy & (gain == 0)).any():
             state = int(np.flatnonzero(flat)[0])
@@ -140,11 +137,8 @@ def model_of(chain: PolicyChain) -> MDP:
     for state in range(mdp.n_states):
         taken = chain.exact_weights(state).items()
         mean = sum((w * Fraction(int(earned[l]), int(below[l])) for l, w in taken), Fraction(0))
-        gain = Given(
-            mean, certain=True
-        )  # a pair's reward is earned in full, whatever its row sums to
         rows.append(
-            (state, 0, [(w * p, t, gain) for l, w in taken for p, t, _ in mdp.table.row(l)])
+            (state, 0, [(w * p, t, mean) for l, w in taken for p, t, _ in mdp.table.row(l)])
         )
     return replace(
         MDP.from_outcomes(rows, mdp.discount_exact, start=dict(mdp.start), actions=["mixed"]),
@@ -152,6 +146,7 @@ def model_of(chain: PolicyChain) -> MDP:
         sense=mdp.sense,
         goal=mdp.goal,
         unreached=mdp.unreached,
+        floats=mdp.floats,
     )
 
 
@@ -160,10 +155,10 @@ def _resting(chain: PolicyChain) -> Mask:
     busy = (chain.gain != 0) & ~chain.mdp.terminal[chain.source]
     if chain.table.event is not None:
         busy |= chain.table.event != 0
-    return _recurrent(chain, busy)
+    return recurrent(chain, busy)
 
 
-def _recurrent(chain: PolicyChain, busy: Mask | None = None) -> Mask:
+def recurrent(chain: PolicyChain, busy: Mask | None = None) -> Mask:
     """Return (S,) True in recurrent classes, or in those alone without a `busy` outcome (N,)."""
     label = strong_components(chain.graph)
     source, target = chain.source, chain.table.next
@@ -204,7 +199,7 @@ def ended(mdp: MDP, rest: Mask) -> MDP:
         return kept
 
     def of_pair(name: str, values: Numbers) -> Numbers:
-        found: Numbers = np.where(still, 0, values) if name in SILENT else values
+        found: Numbers = np.where(still, 0, values) if name == "gain" else values
         return found
 
     following = table.next[chosen]

@@ -103,13 +103,13 @@ def test_rows_make_room_in_proportion() -> None:
 
 
 def test_what_is_left_of_a_float_row_is_what_is_there() -> None:
-    """A row of floats misses 1: the other outcomes share what the named ones leave of 1."""
+    """A row of floats means tenths: the other outcomes share what the named ones leave of 1."""
     given = [0.1, 0.2, 0.7 - 2.0**-34]
     assert sum(map(F, given)) < 1 - F(1, 10**11)
     family = moving(MDP.from_arrays([[given, [0, 1, 0], [0, 0, 1]]], [1, 0, 0]), {"a": [(0, 0)]})
     row = [p for p, _, _ in family.at({"a": "1/4"}).table.row(0)]
     assert (row[0], sum(row)) == (F(1, 4), 1)
-    assert row[1] / row[2] == F(given[1]) / F(given[2])
+    assert row[1] / row[2] == F(2, 7)
 
 
 # ---- one-way ---------------------------------------------------------------------------------

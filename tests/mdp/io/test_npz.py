@@ -19,6 +19,7 @@ from model_equality import assert_same
 from saved_models import MODELS
 
 from exact_mdp import MDP, ModelError, load, save
+from exact_mdp.mdp.rows import meant
 
 
 def test_any_program_can_read_it(tmp_path: Path) -> None:
@@ -47,6 +48,9 @@ def test_any_program_can_read_it(tmp_path: Path) -> None:
                 chance = number("weight", i) / number("denominator", pair)
                 gain = number("gain", pair if per_pair else i) / number("gain_denominator", pair)
                 row.append((chance, int(arrays["next"][i]), gain))
+            if arrays["weight"].dtype == np.float64:
+                exact = meant([float(chance) for chance, _, _ in row])
+                row = [(p, *rest) for p, (_, *rest) in zip(exact, row, strict=True)]
             assert row == mdp.table.row(pair)
 
 
@@ -223,8 +227,7 @@ def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:
             refusals += 1
         else:
             assert_same(mdp, again)
-            for name in ("weight_doubt", "gain_doubt"):
-                assert np.array_equal(getattr(mdp.table, name), getattr(again.table, name))
+            assert again.floats == mdp.floats
     assert refusals > len(places) * 0.6
 
 

@@ -16,7 +16,7 @@ from hypothesis import assume, given, settings
 from strategies import Rows, models
 
 from exact_mdp import MDP, AverageCertificate, ModelError, certify
-from exact_mdp.mdp.exact import bellman_rows, per_step
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.solvers.average import checker
 from exact_mdp.solvers.average.chain import ExactAverages
 from exact_mdp.solvers.average.checker import Rationals
@@ -133,20 +133,18 @@ def test_periodic_chains_average_out() -> None:
     assert found.bias[:2].tolist() == [-1, 1]
 
 
-def test_rows_of_floats_are_divided_by_their_sums() -> None:
+def test_rows_of_floats_mean_what_was_written() -> None:
     wait, cut = [[0.1, 0.9, 0], [0.1, 0, 0.9], [0.1, 0, 0.9]], [[1, 0, 0]] * 3
     mdp = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], 0.5)
-    assert sum(p for p, *_ in mdp.table.row(0)) != 1
-    found, (grow, old) = proven(mdp), (F(0.9), F(0.1))
-    assert found.value[0] == 4 * (grow / (grow + old)) ** 2
-    step = per_step(mdp)
-    assert per_step(step) is step
-    assert step.table.weight_rounding().any()
+    assert proven(mdp).value[0] == 4 * F(9, 10) ** 2
+    step = mdp.undiscounted
+    assert step.undiscounted is step
+    assert (step.discount, step.floats) == (1, True)
 
 
 def test_expansions_in_fractions_satisfy_their_equations() -> None:
     mdp = forest("1/2")
-    rows = bellman_rows(per_step(mdp)).of_pairs(np.array([0, 3, 4]))
+    rows = bellman_rows(mdp.undiscounted).of_pairs(np.array([0, 3, 4]))
     chain = ExactAverages(rows)
     g, h, w = chain.expansion(chain.reward)
     following = [dict(enumerate(row)) for row in ([F(1, 10), F(9, 10), 0], [1, 0, 0])]

@@ -130,7 +130,6 @@ BAD: dict[str, list[Any]] = {
     "gap_scales": [["0"] * 4, [1] * 4, [None] * 4, ["1"] * 5],
     "optimal": ["", "1" * 5, "2" * 6, [1] * 6, None, "１" * 6],
     "rank": [[0] * 3, [0, 1, 2, -3], "1", [0, 0, 0, None]],
-    "weight": [[1] * 4, ["1"] * 3, "1"],
 }
 
 
@@ -140,7 +139,7 @@ def test_damage_is_named(key: str, tmp_path: Path) -> None:
     certified("cycle").save(path)
     data = json.loads(path.read_text("utf-8"))
     assert set(BAD) == set(data)
-    values = [*BAD[key], *([] if key in ("rank", "weight") else [...])]
+    values = [*BAD[key], *([] if key == "rank" else [...])]
     for value in values:
         changed = {k: v for k, v in data.items() if k != key}
         if value is not ...:

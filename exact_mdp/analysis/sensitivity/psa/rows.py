@@ -2,8 +2,7 @@
 
 Each row with more than one outcome is a distribution: all of its probabilities but the largest are
 parameters, and what they leave is the largest one's. Drawn together, they are Dirichlet, as the
-family's `rows` say. Rows made of floats, whose sum may be off by a rounding error, are first
-scaled to sum to 1 exactly.
+family's `rows` say.
 """
 
 from __future__ import annotations
@@ -13,14 +12,13 @@ from dataclasses import replace
 from fractions import Fraction
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Family, moving
 
 MOST_ROWS = 2000
 
 
-def row_family(model: MDP) -> Family:
+def row_family(mdp: MDP) -> Family:
     """Return the family; its `rows` are the parameters of each row by the row's label.
 
     Raises
@@ -28,7 +26,6 @@ def row_family(model: MDP) -> Family:
     ModelError
         Where no row is random, or more than 2,000 are.
     """
-    mdp = _summing_to_one(model)
     entries: dict[str, list[tuple[int, str]]] = {}
     rows: dict[str, tuple[str, ...]] = {}
     labels = mdp.space.labels(range(mdp.n_states))
@@ -52,21 +49,3 @@ def row_family(model: MDP) -> Family:
             f"to {MOST_ROWS:,} of them",
         )
     return replace(moving(mdp, entries), rows=rows)
-
-
-def _summing_to_one(mdp: MDP) -> MDP:
-    """Return the model with rows that sum to 1 exactly."""
-    rows, changed = [], False
-    for pair in range(mdp.n_pairs):
-        outcomes = mdp.table.row(pair)
-        total = sum((p for p, _, _ in outcomes), Fraction(0))
-        changed |= total != 1
-        scaled = [(p / total, state, gain) for p, state, gain in outcomes]
-        rows.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), scaled))
-    if not changed:
-        return mdp
-    start, space = ByNumber(mdp.start), mdp.space
-    found = MDP.from_outcomes(
-        rows, mdp.discount_exact, start=start, space=space, actions=mdp.actions, name=mdp.name
-    )
-    return found.with_(sense=mdp.sense, goal=mdp.goal, labels=mdp.labels)
