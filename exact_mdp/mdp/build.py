@@ -132,24 +132,25 @@ def from_arrays(
 def _of_only_reading(
     P: Any, R: Any, discount: object, start: object, names: dict[str, Any]
 ) -> Parts:
-    """Return the model of P whose shape fits both layouts; raise ModelError where these differ."""
+    """Return the model of P whose shape fits both layouts; ModelError unless both make the same."""
     read: list[Parts] = []
-    errors: list[ModelError] = []
+    errors: dict[str, ModelError] = {}
     for layout in LAYOUTS:
         try:
             parts = from_arrays(P, R, discount, layout=layout, start=start, **names)
             check_model(ModelParts(**parts))
             read.append(parts)
         except ModelError as error:
-            errors.append(error)
+            errors[layout] = error
+    texts = {*map(str, errors.values())}
+    for layout, fault in errors.items():
+        if isinstance(fault, DistributionError) and (read or len(texts) == 2):
+            other, shape = {"ass": ("sas", "(S, A, S)"), "sas": ("ass", "(A, S, S)")}[layout]
+            fix = f'{fault.fix}; for P {shape} say layout="{other}"'
+            raise type(fault)(fault.what, where=fault.where, fix=fix) from fault
     if not read:
-        first, second = errors
-        if str(first) == str(second) or not isinstance(first, DistributionError):
-            raise first
-        fix = f'{first.fix}; for P (S, A, S) say layout="sas"'
-        raise type(first)(first.what, where=first.where, fix=fix) from first
-    clear = _same(*read) if len(read) == 2 else isinstance(errors[0], DistributionError)
-    if not clear:
+        raise errors["ass"]
+    if errors or not _same(*read):
         raise ModelError(
             "there are as many actions as states: P may go by action, then state, or by state, "
             "then action, and the models differ",

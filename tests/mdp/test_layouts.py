@@ -12,7 +12,7 @@ import pytest
 import scipy.sparse as sp
 from laws import laws
 
-from exact_mdp import MDP, ModelError, Policy, ShapeError, certify, check
+from exact_mdp import MDP, DistributionError, ModelError, Policy, ShapeError, certify, check
 
 ROWS = ([1, 0], [0, 1], [0.5, 0.5])
 CUBES = [np.array(rows).reshape(2, 2, 2) for rows in product(ROWS, repeat=4)]
@@ -97,12 +97,22 @@ def test_rewards_of_transitions_follow_the_layout() -> None:
     assert MDP.from_arrays(P, R + R.transpose(1, 0, 2)).reward.tolist() == [1, 7, 7, 13]
 
 
-def test_rows_that_fit_one_layout_alone_say_which() -> None:
-    """What is not offered may hold anything: in the other layout it is offered, and no row."""
-    P = np.array([[[1, 0], [7, 7]], [[0, 1], [0, 1]]])
+@pytest.mark.parametrize(
+    ("row", "what"),
+    [([7, 7], "sum to 14"), ([0, 0.9], r"sum to 0\.9"), ([0, np.nan], "is nan"),
+     ([-0.5, 1.5], r"is -0\.5"), ([0, 0], "sum to 0")],
+)  # fmt: skip
+def test_a_faulty_row_does_not_say_the_layout(row: list[float], what: str) -> None:
+    """What is not offered may hold anything; what is offered in the other layout may be a fault."""
+    P = np.array([[[1, 0], row], [[0, 1], [0, 1]]])
     R = np.array([[1, -np.inf], [2, 3]])
     wanted = MDP.from_pairs([0, 1, 1], [0, 0, 1], [[1, 0], [0, 1], [0, 1]], [1, 2, 3])
-    assert laws(MDP.from_arrays(P, R)) == laws(wanted)
+    for layout, given in (("sas", P), ("ass", P.transpose(1, 0, 2))):
+        assert laws(MDP.from_arrays(given, R, layout=layout)) == laws(wanted)
+        with pytest.raises(DistributionError, match=what) as caught:
+            MDP.from_arrays(given, R)
+        assert f'layout="{layout}"' in caught.value.fix
+        assert "(state 1)" in caught.value.where
 
 
 def test_matrices_by_the_name_of_an_action() -> None:
