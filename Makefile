@@ -40,9 +40,10 @@ test-slow: ## the tests that take long, and every property on examples never see
 	EXPLORE=1 $(call TESTS,$(VENV)) -m "(slow or hypothesis) and not bench"
 test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versions, in .venv-lowest
 	$(call TESTS,$(LOWEST)) -k "not compiled_draws" $(addprefix tests/,mdp solvers/proof solvers/values \
-	    solvers/robust solvers/test_solvers.py solvers/test_equations.py solvers/test_parallel.py \
-	    analysis/cli/test_commands.py analysis/cli/test_train.py analysis/gate/test_check_command.py \
-	    analysis/sensitivity/test_sobol.py project/test_versions.py)
+	    solvers/test_solvers.py analysis/cli/test_commands.py analysis/cli/test_train.py \
+	    analysis/gate/test_check_command.py analysis/sensitivity/test_sobol.py project/test_versions.py \
+	    inner/mdp inner/analysis/test_draws.py $(patsubst %,inner/solvers/test_%.py,equations exact_solving \
+	    margins parallel returns robust robust_sets solvers))
 lint: ## ruff's checks, its formatting among them
 	$(PY) -m ruff check . && $(PY) -m ruff format --check .
 format: ## rewrite the files as ruff formats them

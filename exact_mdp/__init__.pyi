@@ -13,6 +13,7 @@ from exact_mdp.analysis.gate.comparison import compare as compare
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy as OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior as Posterior
 from exact_mdp.analysis.gate.data.robust import Robust as Robust
+from exact_mdp.analysis.graph import dot as dot
 from exact_mdp.analysis.learning.curves import learning_curve as learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes as outcomes
 from exact_mdp.analysis.learning.trainers import check_trainer as check_trainer

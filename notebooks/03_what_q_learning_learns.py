@@ -25,11 +25,21 @@
 
 # %%
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 
-from exact_mdp import QLearning, Scenario, check, learning_curve, outcomes, plots, solve, train
-from exact_mdp.analysis.learning.curves import exact_curves
-from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING
+from exact_mdp import (
+    Constant,
+    Exponential,
+    QLearning,
+    Scenario,
+    check,
+    learning_curve,
+    outcomes,
+    plots,
+    solve,
+    train,
+)
 
 mdp = Scenario.load("yuan2025").compile()
 optimum = solve(mdp).start_value
@@ -41,7 +51,10 @@ optimum = solve(mdp).start_value
 # explore. Twenty seeds of each; the full reproduction takes a thousand.
 
 # %%
-schedules = {"constant ε": PAPER_CONSTANT, "decaying ε": PAPER_DECAYING}
+schedules = {
+    "constant ε": Constant(0.1),
+    "decaying ε": Exponential.through(0.8, at=300, minimum=0.03),
+}
 runs = {
     label: train(mdp, QLearning(exploration=exploration), 20, rng=0, n_jobs=2)
     for label, exploration in schedules.items()
@@ -72,7 +85,10 @@ with plots.style():
 # %%
 with plots.style():
     figure, ax = plt.subplots(figsize=(8, 3.6))
-    bands = {label: exact_curves(mdp, each) for label, each in runs.items()}
+    bands = {
+        label: np.array([learning_curve(mdp, run, rng=1).value for run in each])
+        for label, each in runs.items()
+    }
     plots.plot_value_bands(bands, optimum=optimum, ax=ax)
     plt.show()
 

@@ -49,7 +49,6 @@ from exact_mdp import (
     tradeoff,
     two_way,
 )
-from exact_mdp.solvers.average.certify import certify_average
 
 POLICY = [1, 0, 0, 0]
 Told = tuple[Any, Any]
@@ -254,7 +253,7 @@ def measured(sign: int) -> Told:
 
 
 def averaged(sign: int) -> Told:
-    found = certify_average(endless(sign))
+    found = certify(endless(sign), criterion="average")
     mine = evaluate(endless(sign), [0, 0], criterion="average")
     signed = [*found.value, *found.bias, *solve(endless(sign), criterion="average").value]
     return [*signed, mine.start.value], [*found.policy, found.violations()]

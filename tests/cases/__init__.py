@@ -1,15 +1,6 @@
 """Published models with known answers, in exact rationals; they import nothing of the project."""
 
-from . import (
-    checkers,
-    gambling,
-    gridworlds,
-    handwashing,
-    howard,
-    msdm,
-    puterman,
-    toolbox,
-)
+from . import checkers, gambling, gridworlds, handwashing, howard, msdm, puterman, toolbox
 from .case import Case
 
 CASES: tuple[Case, ...] = (

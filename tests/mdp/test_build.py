@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from laws import laws
 
 from exact_mdp import MDP, DistributionError, ModelError, NegativeError, ShapeError, StateSpace
-from exact_mdp.mdp import build
 
 HALF = Fraction(1, 2)
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])
@@ -189,52 +188,6 @@ def test_pairs_may_be_missing_and_unsorted() -> None:
         assert list(mdp.pairs_of(0)) == [0, 1]
 
 
-@pytest.mark.parametrize(
-    ("states", "entries", "wrong"),
-    [
-        *[(40, 7, None), (300, 32, None), (300, 33, None), (200, 200, None), (70_000, 90, None)],
-        *[(300, 20, "twice"), (300, 50, "twice"), (200, 200, "twice"), (70_000, 90, "nothing")],
-    ],
-)
-def test_columns_may_stand_in_any_order(
-    states: int, entries: int, wrong: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Compiled loops take rows of any length over as NumPy does."""
-    pairs, rng = 30, np.random.default_rng(entries)
-    columns = np.array([rng.permutation(states)[:entries] for _ in range(pairs)], dtype=np.int32)
-    chances = rng.dirichlet(np.full(entries, 5.0), pairs)
-    if wrong == "twice":
-        columns[7, 3] = columns[7, 5]
-    if wrong == "nothing":
-        chances[7, 3] = 0.0
-        chances[7] /= chances[7].sum()
-    offsets, found = np.arange(0, pairs * entries + 1, entries), []
-    for least in (0, pairs * entries + 1):
-        given = (chances.ravel(), columns.ravel(), offsets)
-        monkeypatch.setattr(build, "COMPILED", least)
-        matrix = sp.csr_array(given, shape=(pairs, states))
-        taken = build._taken(matrix)
-        assert (taken is not None) == (not least and wrong is None)
-        table = build.from_pairs(range(pairs), [0] * pairs, matrix, np.ones(pairs), "1/2")["table"]
-        found.append([part.tobytes() for part in (table.offsets, table.next, table.weight)])
-    assert found[0] == found[1]
-
-
-@pytest.mark.parametrize("least", [0, 10**9])
-def test_what_a_matrix_remembers_of_its_order_is_not_believed(
-    least: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """SciPy keeps what it once found, though indices may be written in place since."""
-    monkeypatch.setattr(build, "COMPILED", least)
-    parts = (np.array([1.0, 0.5, 0.5, 1]), np.array([1, 0, 2, 2]), np.array([0, 1, 3, 4]))
-    matrix = sp.csr_array(parts, shape=(3, 3))
-    assert matrix.has_canonical_format
-    matrix.indices[1:3] = [2, 0]
-    mdp = MDP.from_pairs([0, 1, 2], [0] * 3, matrix, [1.0, 1, 0])
-    assert mdp.table.next.tolist() == [1, 0, 2, 2]
-    assert matrix.indices.tolist() == [1, 2, 0, 2]
-
-
 def test_rewards_of_moves_may_be_sparse() -> None:
     rows, gains = np.array([[0.5, 0.5], [0, 1]]), np.array([[0, 4.0], [9, 1]])
     dense = MDP.from_pairs([0, 1], [0, 0], rows, gains)
@@ -360,8 +313,6 @@ BAD_ARRAYS: dict[str, tuple[Any, Any, Any, str]] = {
     "discount bool": (P, R_PAIR, True, "not a number"),
     "discount nothing": (P, R_PAIR, None, "not a number"),
 }  # fmt: skip
-
-
 KINDS = {
     "row": DistributionError,
     "nan": DistributionError,

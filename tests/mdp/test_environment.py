@@ -63,8 +63,8 @@ def test_the_entry_point_registers_it() -> None:
 def test_without_gymnasium_the_error_names_the_extra() -> None:
     code = (
         "import sys; sys.modules['gymnasium'] = None\n"
-        "from exact_mdp.mdp.errors import ModelError\n"
-        "try:\n    import exact_mdp.mdp.environment\n"
+        "from exact_mdp import ModelError\n"
+        "try:\n    from exact_mdp import MDPEnv\n"
         "except ModelError as error:\n    print(error.fix)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)

@@ -10,8 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp import MDP, ModelError, Policy, check, return_distribution, save
-from exact_mdp.analysis.gate.regret import regret
-from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 TINY = Fraction(1, 10**30)
 
@@ -68,8 +66,6 @@ def test_random_is_uniform_exactly() -> None:
     assert exactly(model, "random") == Fraction(2, 3)
     assert check(model, "random", max_regret="2/3").passed
     assert not check(model, "random", max_regret=Fraction(2, 3) - TINY).passed
-    weights = PolicyChain.of(model, "random").exact_weights(0)
-    assert set(weights.values()) == {Fraction(1, 3)}
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".json"])
@@ -138,8 +134,7 @@ def test_a_mixed_policy_is_worth_the_sum_over_its_paths(
     policy = {
         str(s): {str(a): str(share[s][a]) for a in (0, 1)} for s in range(3)
     } | {"3": "0"}  # fmt: skip
-    found = regret(model, PolicyChain.of(model, policy), exact=True)
-    assert found.learned.value == expected
+    assert check(model, policy, exact_values=True).regret.learned.value == expected
 
 
 def test_the_exact_law_of_a_return_has_the_exact_shares() -> None:

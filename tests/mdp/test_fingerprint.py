@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from strategies import Rows, models
 
 from exact_mdp import MDP, Scenario, fingerprint
-from exact_mdp.mdp.exact import bellman_rows
 
 DYADIC = [[[0.5, 0.5, 0], [0.25, 0.5, 0.25], [0, 0, 1]], [[0, 0.125, 0.875], [0, 0, 1], [0, 0, 1]]]
 REWARD = [[1, -2.5], [0.75, 3], [0, 0]]
@@ -69,7 +68,6 @@ def test_a_tenth_is_not_the_float_nearest_to_it() -> None:
 def test_denominators_do_not_matter(rows: Rows, factor: int) -> None:
     mdp = rows.model()
     assert fingerprint(scaled(mdp, factor)) == fingerprint(mdp)
-    assert bellman_rows(scaled(mdp, factor)).scale.tolist() == bellman_rows(mdp).scale.tolist()
 
 
 @settings(max_examples=60, deadline=None)
@@ -133,26 +131,6 @@ def test_numbers_of_any_size() -> None:
     tiny = MDP.from_outcomes([(0, 0, [(1, 0, 5e-324)])], "1/2")
     same = MDP.from_outcomes([(0, 0, [(1, 0, F(1, 2**1074))])], "1/2")
     assert fingerprint(tiny) == fingerprint(same)
-
-
-@settings(max_examples=100, deadline=None)
-@given(models())
-def test_integer_rows_are_the_model(rows: Rows) -> None:
-    for floats in (False, True):
-        mdp = rows.model(floats=floats)
-        found = bellman_rows(mdp)
-        assert found is bellman_rows(mdp)
-        assert not any(array.flags.writeable for array in vars(found).values())
-        for pair in range(mdp.n_pairs):
-            scale = int(found.scale[mdp.pair_state[pair]])
-            earned, share = F(0), {}
-            for p, t, r in mdp.table.row(pair):
-                earned += p * r
-                share[t] = share.get(t, F(0)) + p * mdp.discount_exact
-            span = range(found.offsets[pair], found.offsets[pair + 1])
-            listed = {int(found.next[i]): F(int(found.weight[i]), scale) for i in span}
-            assert listed == {t: p for t, p in share.items() if p}
-            assert F(int(found.constant[pair]), scale) == earned
 
 
 @pytest.mark.parametrize("subtasks", [1, 3])

@@ -28,13 +28,12 @@ from exact_mdp import (
     check,
     evaluate,
     fingerprint,
+    load,
     return_distribution,
+    save,
     solve,
     solve_robust,
 )
-from exact_mdp.mdp.io.npz import load, save
-from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.unending import model_of
 
 Law = tuple[int, int, list[tuple[F, int, F]]]
 
@@ -362,7 +361,9 @@ def test_exact_values_lie_within_the_bounds_of_floats(seed: int, off: float, rat
             warnings.simplefilter("ignore")
             solution = solve(model)
         kept = evaluate(model, solution.policy)
-        exact = certify(model_of(PolicyChain.of(model, solution.policy))).value
+        pairs = [model.pair(s, int(action)) for s, action in enumerate(solution.policy)]
+        own = [(s, 0, model.table.row(pair)) for s, pair in enumerate(pairs)]
+        exact = certify(MDP.from_outcomes(own, model.discount_exact)).value
         bounded = certify(model, bounded=True, solution=solution)
         assert bounded.violations() == []
         for s in range(model.n_states):
@@ -400,8 +401,6 @@ def test_a_policy_of_single_outcomes_earns_what_the_outcomes_earn() -> None:
     first, second = (0, 0, [(near, 1, 3.0)]), (0, 1, [(0.5, 1, 3.0), (0.5, 0, 1.0)])
     end = (1, 0, [(1.0, 1, 0)])
     mdp = MDP.from_outcomes([first, second, end], discount="1/2")
-    top, bottom = PolicyChain.of(mdp, np.array([0, 0])).table.expected_gain_exact()
-    assert F(int(top[0]), int(bottom[0])) == 3
     assert check(mdp, [0, 0], exact_values=True).regret.learned.value == 3
 
 

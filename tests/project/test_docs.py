@@ -62,6 +62,12 @@ def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     plt.close("all")
 
 
+def test_pages_import_public_names() -> None:
+    """All but the one that says how to add to the toolkit."""
+    for page in {*DOCS.rglob("*.md"), DOCS.parent / "README.md"} - {DOCS / "how-to" / "adding.md"}:
+        assert not re.search(r"^(from|import) exact_mdp\.\w", page.read_text("utf-8"), re.M), page
+
+
 @pytest.mark.parametrize("page", list(pages()))
 def test_python_of_a_page_runs(page: Path, empty: Path) -> None:
     """The blocks of a page run in their order, as a reader types them."""

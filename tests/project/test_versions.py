@@ -8,55 +8,13 @@ import sys
 import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-import scipy.sparse as sp
-import scipy.sparse.linalg
-
-from exact_mdp import MDP, BackwardInduction, LinearProgram, certify, evaluate, solve
-from exact_mdp.solvers.bounds import elimination
-from exact_mdp.solvers.bounds.elimination import substitution
 
 ROOT = Path(__file__).resolve().parents[2]
 TOML = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT, GROUPS = TOML["project"], TOML["dependency-groups"]
 LOCKS = ("requirements.lock", "requirements-lowest.lock")
-
-
-@pytest.fixture
-def solved(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The index types of all matrices that SciPy's triangular solve is given."""
-    found: list[Any] = []
-    true = scipy.sparse.linalg.spsolve_triangular
-
-    def watched(matrix: Any, *given: Any, **how: Any) -> Any:
-        found.extend([matrix.indices.dtype, matrix.indptr.dtype])
-        return true(matrix, *given, **how)
-
-    monkeypatch.setattr(elimination.linalg, "spsolve_triangular", watched)
-    return found
-
-
-@pytest.mark.parametrize("kind", [np.int32, np.int64])
-def test_a_triangular_solve_gets_cs_integers(kind: Any, solved: list[Any]) -> None:
-    """SciPy before 1.17.1 raises a TypeError for wider indices: they are cast, whatever comes."""
-    chain = sp.csr_array([[0.0, 0.5, 0.25], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
-    chain.indices, chain.indptr = chain.indices.astype(kind), chain.indptr.astype(kind)
-    found = substitution(chain, 0.5, np.array([2, 1, 0]))(np.array([1.0, 2.0, 4.0]))
-    assert found.tolist() == [1 + 0.25 * 3 + 0.125 * 4, 3.0, 4.0]
-    assert solved == [np.intc, np.intc]
-
-
-def test_commands_that_solve_by_substitution_work(solved: list[Any]) -> None:
-    """Solving, evaluating and certifying a small model without cycles hand over C's integers."""
-    mdp = MDP.from_arrays([[[0, 1, 0], [0, 0, 1], [0, 0, 1]]], [1, 2, 0])
-    assert evaluate(mdp, "random").mean == 3
-    for solver in (BackwardInduction(), LinearProgram()):
-        assert solve(mdp, solver).value.tolist() == [3, 2, 0]
-    assert certify(mdp).value[0] == 3
-    assert set(solved) <= {np.dtype(np.intc)}
 
 
 def test_one_module_asks_for_a_triangular_solve() -> None:

@@ -26,7 +26,6 @@ from exact_mdp import (
     evaluate,
     solve,
 )
-from exact_mdp.analysis.optimum import optimum
 
 F = Fraction
 COSTS = MDP.from_arrays(
@@ -114,12 +113,6 @@ def test_what_columns_cannot_express_of_costs() -> None:
     assert best.upper_bound <= best.value.value + 1e-9
     audit = check(COSTS, "always:0")
     assert audit.representation is None or audit.representation.loss.value >= 0
-
-
-def test_optimal_pairs_of_costs_in_floats() -> None:
-    assert optimum(COSTS).optimal.tolist() == certify(COSTS).optimal_pairs.tolist()
-    both = optimum(COSTS, certify=True)
-    assert both.start_value == pytest.approx(float(certify(COSTS).start_value))
 
 
 def test_the_least_average_costs() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from fractions import Fraction as F
 from pathlib import Path
 from typing import Any
@@ -364,14 +363,3 @@ def test_solve_with_a_horizon_is_proved_written_and_given_back(tmp_path: Path) -
         own = run("evaluate", model, file, *limit, "--json").result
         assert own["mean"] == pytest.approx(float(wanted[0]), abs=1e-13)
         assert run("check", model, file, *limit, "--no-explain", "--json").status == 0
-
-
-def test_a_file_of_before_has_no_limit(tmp_path: Path) -> None:
-    """Files that were written without the field are read as they were."""
-    from exact_mdp.mdp.io.npz import as_header, parts_of
-
-    mdp = MDP.from_gymnasium(LAKE)
-    header = json.loads(json.dumps(as_header(mdp) | {"labels": []}))
-    assert parts_of(header, pairs=mdp.n_pairs)["time_limit"] == 100
-    del header["time_limit"]
-    assert parts_of(header, pairs=mdp.n_pairs)["time_limit"] is None

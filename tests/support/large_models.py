@@ -50,3 +50,26 @@ def gridworld(width: int) -> MDP:
                     outcomes = [(F(1), at(i, j), 0)]
                 rows.append((at(i, j), action, outcomes))
     return MDP.from_outcomes(rows, F(99, 100))
+
+
+def sparse(rows: np.ndarray, weight: np.ndarray, reward: np.ndarray, discount: float) -> MDP:
+    """The model of `rows` (L, k) of next states and their weights, as many pairs in each state."""
+    pairs, states = len(rows), int(rows.max()) + 1
+    given = weight.ravel(), rows.ravel(), np.arange(0, rows.size + 1, rows.shape[1])
+    transition = sp.csr_array(given, shape=(pairs, states))
+    transition.sum_duplicates()
+    state, action = np.divmod(np.arange(pairs), pairs // states)
+    return MDP.from_pairs(state, action, transition, reward, discount=discount)
+
+
+def classes(reward: str, discount: float) -> MDP:
+    """Ways round a ring, in which some states may be stayed in for ever."""
+    rng, states, actions = np.random.default_rng(0), 3000, 3
+    pairs = states * actions
+    state = np.repeat(np.arange(states), actions)[:, None]
+    rows = (state + rng.integers(0, 4, (pairs, 3)) * (rng.random((pairs, 1)) > 0.03)) % states
+    weight = rng.dirichlet(np.ones(3), pairs)
+    rare = (rng.random(pairs) < 5 / pairs) * 1.0
+    return sparse(
+        rows, weight, rare if reward == "rare" else rng.integers(-3, 4, pairs) * 1.0, discount
+    )

@@ -9,12 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from exact_mdp.solvers.kernels.tables import Tables
 
 WORD = 2**64 - 1
 
@@ -47,7 +44,7 @@ class Stream:
 class Twin:
     """A learner with dictionaries; rows and actions as the settings name them."""
 
-    tables: Tables
+    tables: Any  # the laid-out model
     actions: int
     method: str
     ties: str

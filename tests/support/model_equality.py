@@ -1,12 +1,36 @@
-"""When two models are the same: every exact number, name and label."""
+"""What a model says: whether it has cycles, and when two say the same in every exact number."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from fractions import Fraction
+from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 import numpy as np
 
 from exact_mdp import MDP
+
+
+def meant(row: Sequence[float | Fraction]) -> list[Fraction]:
+    """The exact probabilities that a model has where it is given this row of positive numbers."""
+    ends = [(k, 0, [(1, k, 0)]) for k in range(1, len(row))]
+    mdp = MDP.from_outcomes([(0, 0, [(p, k, 0) for k, p in enumerate(row)]), *ends], "1/2")
+    return [p for p, _, _ in mdp.table.row(0)]
+
+
+def is_acyclic(mdp: MDP) -> bool:
+    """Whether no state that is not absorbing can be visited twice."""
+    before = {
+        state: {t for pair in mdp.pairs_of(state) for _, t, _ in mdp.table.row(pair)}
+        for state in range(mdp.n_states)
+        if not mdp.terminal[state]
+    }
+    try:
+        TopologicalSorter(before).prepare()
+    except CycleError:
+        return False
+    return True
 
 
 def assert_same(left: MDP, right: MDP) -> None:

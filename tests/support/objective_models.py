@@ -9,11 +9,12 @@ from itertools import combinations, product
 
 import enumerated
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from strategies import models
 
-from exact_mdp import MDP
+from exact_mdp import MDP, ConstrainedSolution, evaluate
 
 F = Fraction
 AMOUNTS = st.sampled_from([F(-2), F(-1), F(0), F(0), F(1, 3), F(1), F(3)])
@@ -171,3 +172,18 @@ def vertices(points: Sequence[tuple[Fraction, Fraction]], sense: int) -> set[Vec
             hull.pop()
         hull.append((x, y))
     return {(sense * x, sense * y) for x, y in hull}
+
+
+LIMITS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(0), F(1, 7), F(1), F(5, 2)])
+
+
+def sound(found: ConstrainedSolution, binding: int) -> None:
+    """What holds of every solution: the proof, the totals of its policy, few randomised states."""
+    assert found.violations() == []
+    assert sum(len(own) - 1 for own in found.chances.values()) <= binding
+    measured = evaluate(found.mdp, found.policy)
+    if found.start_value is not None:
+        low, high = measured.start.interval
+        assert low <= found.start_value <= high
+    for name, total in found.totals.items():
+        assert measured.components[name] == pytest.approx(float(total), abs=1e-6)

@@ -6,8 +6,22 @@ from collections import defaultdict
 from collections.abc import Iterable
 from fractions import Fraction
 from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import exact_mdp
 from exact_mdp import Scenario
+
+PACKAGE = Path(exact_mdp.__file__).parent
+SHIPPED = {path.stem: path.read_text("utf-8") for path in PACKAGE.glob("*/scenarios/*.toml")}
+
+
+def scenario_of(text: str) -> Scenario:
+    """Read a scenario as from a file."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scenario.toml"
+        path.write_text(text, encoding="utf-8")
+        return Scenario.load(path)
 
 
 def independent_law(scenario: Scenario, status: tuple[int, ...], action: str) -> list[Fraction]:

@@ -14,11 +14,11 @@ from functools import cached_property
 
 import numpy as np
 from hypothesis import strategies as st
+from model_equality import meant
 from oracle import ACTIONS, END, Oracle, State
 from oracle import Policy as OraclePolicy
 
 from exact_mdp import MDP, Policy, Scenario
-from exact_mdp.mdp.rows import meant
 
 Outcome = tuple[F, int, F, bool]
 DISCOUNTS = (F(0), F(1, 2), F(19, 20), F(9999, 10_000), F(1))

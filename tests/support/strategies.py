@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 from hypothesis import strategies as st
 
-from exact_mdp import MDP
+from exact_mdp import MDP, Column, StateSpace
 
 F = Fraction
 Row = tuple[int, int, Fraction, Mapping[int, Fraction]]
@@ -135,3 +135,37 @@ def exact_gains(mdp: MDP, value: Sequence[Fraction]) -> list[Fraction]:
         reward = F(int(top[pair]), int(bottom[pair]))
         added.append(reward + mdp.discount_exact * later - value[int(mdp.pair_state[pair])])
     return added
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> MDP:
+    """A model of a few steps or of a cycle, whose states have a row and something else."""
+    times, rows, actions = draw(st.tuples(*[st.integers(1, 3)] * 2, st.integers(2, 3)))
+    cyclic = draw(st.booleans())
+    end = times * rows
+    outcomes = []
+    for s in range(end):
+        later = range((s // rows + 1) * rows, min(end, (s // rows + 2) * rows))
+        targets = [*range(end), end] if cyclic else [*later] or [end]
+        for a in range(actions):
+            weights = draw(
+                st.lists(st.integers(0, 3), min_size=len(targets), max_size=len(targets))
+            )
+            weights[-1] += 1
+            reward = draw(st.integers(-4, 4))
+            outcomes.append(
+                (
+                    s,
+                    a,
+                    [
+                        (F(w, sum(weights)), t, reward)
+                        for t, w in zip(targets, weights, strict=True)
+                        if w
+                    ],
+                )
+            )
+    outcomes.append((end, 0, [(F(1), end, 0)]))
+    columns = (Column(name="time", size=times), Column(name="row", size=rows))
+    space = StateSpace(columns=columns, extra=("end",))
+    discount = F(9, 10) if cyclic else draw(st.sampled_from([F(1), F(1, 2)]))
+    return MDP.from_outcomes(outcomes, discount).with_(space=space)

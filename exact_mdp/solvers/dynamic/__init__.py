@@ -28,7 +28,7 @@ values step by step, its settings are `tol` and `max_iterations`, checked by
 - What `solve(model, solver, tol=…)` does with it: it sets the setting `tol` where there is one.
 
 The tests in `tests/solvers/test_solvers.py` run over all of `SOLVERS`. Name a solver that only
-sweeps in `ONLY_SWEEPS` there: it solves no equations before a hundred passes brought too little
-(`Run.hurry`), so that where chains mix slowly it may reach the low limit of iterations that the
-tests give it. They allow that to no other solver.
+sweeps in `ONLY_SWEEPS` of `tests/support/solver_checks.py`: it solves no equations before a hundred
+passes brought too little (`Run.hurry`), so that where chains mix slowly it may reach the low limit
+of iterations that the tests give it. They allow that to no other solver.
 """

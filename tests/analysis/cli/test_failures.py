@@ -1,26 +1,18 @@
 """Every refusal and failure has its exit status and its sentence; nothing is half-written."""
 
-import errno
 import json
 import os
 import re
 import subprocess
 import sys
-from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from cli_runner import PROGRAM, launch, run
-from click.testing import CliRunner
 
 from exact_mdp import MDP, ModelError, load, save
-from exact_mdp.mdp.table import beside
-from exact_mdp.paper_repro.__main__ import main as reproduce
-from exact_mdp.paper_repro.agents.__main__ import main as agents
 
 LONG_HEX = "0x" + "f" * 9000
 YUAN = Path(__file__).parents[3] / "exact_mdp" / "mdp" / "scenarios" / "yuan2025.toml"
@@ -113,28 +105,6 @@ def test_a_value_beyond_all_limits_is_refused_with_the_name_of_its_option(
     assert f"  where: {LINES[line]}\n" in done.err
 
 
-FAULTS = {
-    "OverflowError": OverflowError("integer division result too large for a float"),
-    "RecursionError": RecursionError("maximum recursion depth exceeded"),
-    "MemoryError": MemoryError(),
-    "ValueError": ValueError("Exceeds the limit (4300 digits) for integer string conversion"),
-    "OSError": OSError(errno.EMFILE, "Too many open files"),
-    "ImportError": ImportError("no such library"),
-    "KeyError": KeyError("a slip"),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS.keys())
-def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
-    monkeypatch: pytest.MonkeyPatch, fault: Exception
-) -> None:
-    """A crash is not 1, which says that the policy is bad."""
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", Mock(side_effect=fault))
-    done = run("check", "yuan2025", "optimal")
-    assert (done.status, done.out) == (3, "")
-    told(done.err)
-
-
 ENDS = {
     "0": "import sys; sys.exit(0)",
     "1": "import sys; sys.exit(1)",
@@ -182,23 +152,6 @@ def test_what_is_registered_for_the_end_does_not_change_the_status(tmp_path: Pat
         env=os.environ | {"PYTHONPATH": path},
     )
     assert end.returncode == 1, end.stderr
-
-
-def test_the_other_programs_end_in_the_same_way(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    fail = Mock(side_effect=OverflowError("too large"))
-    monkeypatch.setattr("exact_mdp.paper_repro.run.run", fail)
-    done = CliRunner().invoke(reproduce, ["--quick", "--out", str(tmp_path)])
-    assert (done.exit_code, done.stdout) == (3, "")
-    told(done.stderr)
-    monkeypatch.setattr("exact_mdp.paper_repro.agents.log.read", fail)
-    done = CliRunner().invoke(agents, ["run", "--out", str(tmp_path)])
-    assert (done.exit_code, done.stdout) == (3, "")
-    told(done.stderr)
-    done = CliRunner().invoke(agents, ["rnu"])
-    assert (done.exit_code, done.stdout) == (2, "")
-    told(done.stderr)
 
 
 # ---- streams and disks ---------------------------------------------------------------------------
@@ -406,51 +359,6 @@ def test_what_was_refused_leaves_no_file(bad: Path) -> None:
     assert sorted(bad.iterdir()) == before
 
 
-def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = Mock(side_effect=ValueError("a mistake"))
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", broken)
-    done = run("info", "yuan2025")
-    assert (done.status, done.out) == (3, "")
-    assert done.err.startswith("ValueError: an error in the program, not in your input: a mis")
-    assert "where: exact-mdp info, in analysis/cli/options.py, line " in done.err
-    assert "EXACT_MDP_TRACEBACK=1" in done.err
-    monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")
-    assert "Traceback (most recent call last)" in run("info", "yuan2025").err
-
-
-def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
-    from exact_mdp import SolverError, Status
-
-    give_up = Mock(side_effect=SolverError(Status.NO_BOUND))
-    monkeypatch.setattr("exact_mdp.analysis.optimum.solve", give_up)
-    done = run("solve", "yuan2025", "--json")
-    assert (done.status, done.out) == (3, "")
-    assert done.err.startswith("SolverError: double precision cannot bound")
-
-
-def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
-
-    from exact_mdp import solvers
-
-    solve = solvers.solve
-
-    def wrong(*words: Any, **settings: Any) -> solvers.Solution:
-        found = solve(*words, **settings)
-        return replace(found, value=found.value + 1e-6)
-
-    monkeypatch.setattr("exact_mdp.analysis.optimum.solve", wrong)
-    done = run("solve", "yuan2025", "--certify", "--json")
-    assert (done.status, done.out) == (3, "")
-    assert done.err.startswith("Contradiction: exact values differ")
-
-
-def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    stop = Mock(side_effect=KeyboardInterrupt)
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", stop)
-    done = run("info", "yuan2025")
-    assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -466,14 +374,6 @@ def test_a_refused_number_is_shown_outside_its_limits(words: tuple[str, ...], sa
     done = run("info", "yuan2025", *words)
     assert done.status == 2
     assert done.err.startswith(f"ModelError: {said}")
-
-
-@pytest.mark.parametrize("off", [Fraction(1, 10**22), -Fraction(1, 10**22), Fraction(1, 3)])
-def test_every_number_stands_on_its_own_side(off: Fraction) -> None:
-    text = beside(1 + off, Fraction(0), Fraction(1))
-    assert text not in ("1", "0")
-    top, _, rest = text.replace(" - ", " + -").partition(" + ")
-    assert (Fraction(top) + Fraction(rest or "0") > 1) == (off > 0)
 
 
 def test_sums_are_shown_apart_from_1() -> None:

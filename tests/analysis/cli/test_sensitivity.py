@@ -10,13 +10,11 @@ from typing import Any
 import pytest
 from cli_runner import run
 
-from exact_mdp import MDP, Scenario, psa, sobol, solve, worst_point
-from exact_mdp.mdp.io.npz import save
+from exact_mdp import MDP, Scenario, psa, save, sobol, solve, worst_point
 
 YUAN = Scenario.load("yuan2025")
 SMALL = YUAN.with_(tasks=[1], max_trial=2)
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
-CHANCES = (Fraction(3, 10), Fraction(2, 5))
 HELD = ("--policy", "always:directive")
 
 
@@ -266,6 +264,9 @@ def test_psa_holds_the_policy_that_is_named() -> None:
     told = run("psa", "yuan2025", "--samples", 300).out
     for words in ("EVPI", "share of draws", "expected loss", "every draw re-solved"):
         assert words in told
+
+
+CHANCES = (Fraction(3, 10), Fraction(2, 5))
 
 
 def test_psa_takes_any_model(tmp_path: Path) -> None:

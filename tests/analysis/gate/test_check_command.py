@@ -15,7 +15,6 @@ from oracle import Oracle, acting
 from exact_mdp import (
     MDP,
     Constant,
-    ModelError,
     Policy,
     QLearning,
     Scenario,
@@ -25,7 +24,6 @@ from exact_mdp import (
     save,
     solve,
 )
-from exact_mdp.analysis.gate.junit import Case, junit, write_junit
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 KEYS = {"passed", "regret", "relative_regret", "optimal_value", "learned_value", "agreement"}
@@ -188,17 +186,6 @@ def test_junit_of_the_installed_program(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [report]
 
 
-def test_what_xml_cannot_hold(tmp_path: Path) -> None:
-    nasty = 'a\x00b\x1b[0m<&>"\ud800\uffff ]]> é \U0001f600\n'
-    case = Case(name=nasty, failure=nasty, text=nasty)
-    root = ElementTree.fromstring(junit(nasty, [case], seconds=1, properties={nasty: nasty}))
-    failure = root.find(".//failure")
-    assert failure is not None
-    assert failure.text == 'a?b?[0m<&>"?? ]]> é \U0001f600\n'
-    with pytest.raises(ModelError):
-        write_junit(tmp_path / "no" / "r.xml", "s", [case], seconds=0, properties={})
-
-
 # ---- the pytest fixture ------------------------------------------------------------------------
 
 TESTS = """
@@ -335,25 +322,6 @@ def test_bad_input_becomes_an_error_case(tmp_path: Path, line: str) -> None:
     assert found is not None
     assert found.get("message") == done.err.partition("\n")[0]
     assert str(found.text).strip() == done.err.strip()
-
-
-@pytest.mark.parametrize("fault", [OverflowError("too large"), KeyboardInterrupt()])
-def test_so_does_whatever_else_ends_the_check(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: BaseException
-) -> None:
-    path = stale(tmp_path)
-
-    def fail(*_: object, **__: object) -> None:
-        before = ElementTree.parse(path).find(".//error")  # what a killed process leaves
-        assert before is not None
-        assert "did not end" in str(before.get("message"))
-        raise fault
-
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", fail)
-    assert run("check", "tea", "optimal", "--junit", path).status in (3, 130)
-    found = ElementTree.parse(path).find(".//error")
-    assert found is not None
-    assert "did not end" not in str(found.get("message"))
 
 
 def test_a_verdict_is_written_as_before(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
+from strategies import tables
 
 from exact_mdp import (
     MDP,
@@ -24,15 +24,9 @@ from exact_mdp import (
     evaluate,
     solve,
 )
-from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
-from exact_mdp.analysis.gate.relaxation import Rows as TableRows
 
 CARE = Scenario.load("yuan2025")
-
-
 SMALL = CARE.with_(tasks=[2], max_trial=2, readings={"influence_orientation": "column-to-row"})
-
-
 TEMPTING = CARE.with_(
     tasks=[2],
     max_trial=3,
@@ -40,48 +34,18 @@ TEMPTING = CARE.with_(
 )
 
 
-@st.composite
-def tables(draw: st.DrawFn) -> MDP:
-    """A model of a few steps or of a cycle, whose states have a row and something else."""
-    times, rows, actions = draw(st.tuples(*[st.integers(1, 3)] * 2, st.integers(2, 3)))
-    cyclic = draw(st.booleans())
-    end = times * rows
-    outcomes = []
-    for s in range(end):
-        later = range((s // rows + 1) * rows, min(end, (s // rows + 2) * rows))
-        targets = [*range(end), end] if cyclic else [*later] or [end]
-        for a in range(actions):
-            weights = draw(
-                st.lists(st.integers(0, 3), min_size=len(targets), max_size=len(targets))
-            )
-            weights[-1] += 1
-            reward = draw(st.integers(-4, 4))
-            outcomes.append(
-                (
-                    s,
-                    a,
-                    [
-                        (F(w, sum(weights)), t, reward)
-                        for t, w in zip(targets, weights, strict=True)
-                        if w
-                    ],
-                )
-            )
-    outcomes.append((end, 0, [(F(1), end, 0)]))
-    columns = (Column(name="time", size=times), Column(name="row", size=rows))
-    space = StateSpace(columns=columns, extra=("end",))
-    discount = F(9, 10) if cyclic else draw(st.sampled_from([F(1), F(1, 2)]))
-    return MDP.from_outcomes(outcomes, discount).with_(space=space)
-
-
 def every_policy(mdp: MDP, columns: tuple[str, ...]) -> list[float]:
-    rows = TableRows.of(mdp, columns)
-    return [
-        evaluate(mdp, rows.policy(np.array(choice))).mean
-        for choice in product(
-            range(mdp.n_actions), repeat=int((rows.available.sum(axis=1) > 0).sum())
-        )
+    """The values of all policies that take one action where these columns agree."""
+    read = [
+        tuple(mdp.space.as_dict(state)[c] for c in columns) for state in range(mdp.space.regular)
     ]
+    rows = sorted(set(read))
+    found = []
+    for choice in product(range(mdp.n_actions), repeat=len(rows)):
+        actions = [choice[rows.index(each)] for each in read]
+        actions += [0] * (mdp.n_states - len(actions))
+        found.append(evaluate(mdp, Policy.from_choices(mdp, actions)).mean)
+    return found
 
 
 @settings(max_examples=25)
@@ -103,30 +67,6 @@ def test_the_best_policy_is_the_best_of_all(mdp: MDP) -> None:
     exact = float(certify(mdp).start_value)
     assert best_policy(mdp, ("time", "row")).value.value == pytest.approx(exact, abs=1e-9)
     assert best.mixed_upper_bound == pytest.approx(exact, abs=1e-9)
-
-
-@settings(max_examples=30)
-@given(tables(), st.integers(0, 2**32))
-def test_no_policy_that_a_relaxation_allows_is_worth_more(mdp: MDP, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    rows = TableRows.of(mdp, ("row",))
-    allowed = random.random((8, *rows.available.shape)) < 0.6
-    allowed |= one_hot(random.integers(mdp.n_actions, size=allowed.shape[:2]), mdp.n_actions)
-    found = Relaxations(rows).expand(allowed)
-    assert found.kept.tolist() == list(range(8))
-    for n in range(8):
-        mixed = random.random(rows.available.shape) * allowed[n]
-        policy = Policy.by(mdp, ("row",), mixed / mixed.sum(axis=1, keepdims=True))
-        worth = evaluate(mdp, policy)
-        assert worth.mean - worth.start.error <= found.upper[n]
-        own = evaluate(mdp, rows.policy(found.choice[n])).mean
-        assert own == pytest.approx(found.value[n], abs=1e-9)
-        assert allowed[n][np.arange(allowed.shape[1]), found.choice[n]].all()
-        assert found.loss[n].sum() == pytest.approx(found.upper[n] - own, abs=1e-8)
-    values, errors = Relaxations(rows).evaluate(found.choice)
-    for value, error, choice in zip(values, errors, found.choice, strict=True):
-        truth = evaluate(mdp, rows.policy(choice))
-        assert abs(truth.mean - value) <= error + truth.start.error
 
 
 def test_what_a_status_policy_cannot_express() -> None:
@@ -194,11 +134,7 @@ def test_rows_that_share_no_action_are_refused() -> None:
 
 
 STEPS = 5
-
-
 REWARDS = [[0, -5, 0], [3, 2, 12], [-1, 0, -10], [-12, -5, -10]]
-
-
 TARGETS = [[3, 0, 3], [2, 2, 3], [1, 1, 1], [1, 2, 2]]
 
 

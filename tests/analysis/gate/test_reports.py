@@ -12,12 +12,7 @@ import numpy as np
 import pytest
 from cli_runner import Done, launch, run
 
-from exact_mdp import MDP, ModelError, Scenario, check, save
-from exact_mdp.analysis import github
-from exact_mdp.analysis.cli.render import Report, Table, markdown
-from exact_mdp.analysis.layout import arrange, symbols
-from exact_mdp.analysis.pages.audit import audit_page
-from exact_mdp.analysis.pages.page import render
+from exact_mdp import MDP, check, save
 
 NASTY = [
     "<script>alert(1)</script>", "$x^$", "::error::x", "##[add-mask]x", "a | b", "`|` *b* _c_",
@@ -121,74 +116,11 @@ def test_markdown_shows_names_as_they_are(nasty: Path) -> None:
     assert run("check", "m.npz", "lazy.npy", "--markdown", "--json").status == 2
 
 
-def test_markdown_shows_facts_and_notes() -> None:
-    table = Table(title="t", rows=[{"a": 1}], columns={"a": "a"}, note="what a is")
-    report = Report(result={}, facts={"x": None, "y": 2}, tables=[table])
-    assert markdown(report, "*").splitlines() == [
-        r"## \*", "", "|  |  |", "| --- | --- |", "| y | 2 |", "", "### t", "", "what a is", "",
-        "| a |", "| ---: |", "| 1 |",
-    ]  # fmt: skip
-
-
 def test_a_page_that_cannot_be_written_is_refused_before_any_work(nasty: Path) -> None:
     for name in ("p.txt", "nowhere/p.html"):
         done = run("check", "m.npz", "lazy.npy", "--html", name)
         assert (done.status, done.out) == (2, "")
     assert not (nasty / "p.txt").exists()
-
-
-def test_unsafe_characters_are_written_as_codes() -> None:
-    """Names cannot hold them, but names of files and messages can."""
-    page = render("base.html.j2")
-    assert "\x1b" not in page
-    audit = check(corridor(["a", "b"]), [1, 0])
-    shown = audit_page(
-        audit,
-        model="m\x1b[31m\u202e",
-        policy="p",
-        facts={},
-        tables=[],
-        notes=["it stops"],
-        rerun="x\ny",
-    )
-    assert r"m\x1b[31m\u202e" in shown
-    assert "x\ny" in shown
-    assert "Note: it stops" in shown
-
-
-# ---- places ------------------------------------------------------------------------------------
-
-
-def test_every_state_has_a_place_of_its_own() -> None:
-    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
-    for words in ({}, {"across": ["trial"]}, {"down": ["status"], "across": ["trial", "subtask"]}):
-        found = arrange(mdp, **words)
-        places = set(zip(found.row[found.shown], found.column[found.shown], strict=True))
-        assert len(places) == len(found.shown) == mdp.space.regular
-        assert len(found.rows) * len(found.columns) == mdp.space.regular
-    part = arrange(mdp, subtask=1, trial=0)
-    assert (len(part.shown), part.rows, part.columns) == (16, *[("00", "01", "10", "11")] * 2)
-    for state in part.shown:
-        digits = part.rows[part.row[state]] + part.columns[part.column[state]]
-        assert mdp.space.as_dict(state)["status"] == digits
-    assert {mdp.space.label(s).split(",")[0] for s in part.shown} == {"subtask 1"}
-    for bad in ({"subtask": 5}, {"nothing": 0}, {"shape": (3, 4)}):
-        with pytest.raises(ModelError):
-            arrange(mdp, **bad)
-
-
-@pytest.mark.parametrize(
-    ("actions", "expected"),
-    [
-        ("UP down Left right", "↑↓←→"),
-        ("north east south west", "↑→↓←"),
-        ("u d l r", "↑↓←→"),
-        ("s m", "sm"),
-        ("stop go", ["a0", "a1"]),  # where some names are long, "a1" must not be a name too
-    ],
-)
-def test_signs_of_actions(actions: str, expected: str | list[str]) -> None:
-    assert symbols(actions.split()) == list(expected)
 
 
 # ---- GitHub Actions ----------------------------------------------------------------------------
@@ -245,10 +177,3 @@ def test_a_summary_that_cannot_be_written_is_named(
     assert (done.status, done.out) == (2, "")
     assert "GITHUB_STEP_SUMMARY" in done.err
     assert not [*tmp_path.iterdir()]
-
-
-def test_nothing_is_said_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
-    github.annotate("a", "b")
-    github.summarise("c")
-    assert capsys.readouterr() == ("", "")
-    assert github.inert("::error::x ##[y]") == "::error::x ##[y]"

@@ -3,127 +3,14 @@
 import os
 import sys
 from collections.abc import Callable, Iterator
-from fractions import Fraction as F
-from importlib import import_module
-from itertools import count
-from math import log
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from cli_runner import run
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.special import betaln
-from scipy.stats import binomtest
 
 from exact_mdp import MDP, ModelError, Policy, QLearning, Scenario, check, check_trainer
-from exact_mdp.analysis.learning.anytime import GRID, excluded, fewest, share_intervals
-from exact_mdp.analysis.learning.trainers import _decided
-
-SHARES = st.fractions(F(1, 50), F(49, 50), max_denominator=50)
-ROUNDING = 1 - F(1, 10**9)
-
-
-def won(share: F, hits: int, misses: int) -> F:
-    """E_n as a bettor earns it: trial by trial, on the share that Krichevsky and Trofimov guess."""
-    purse, k, n = F(1), 0, 0
-    for trial in [True] * hits + [False] * misses:
-        guess = (k + F(1, 2)) / (n + 1)
-        purse *= guess / share if trial else (1 - guess) / (1 - share)
-        k, n = k + trial, n + 1
-    return purse
-
-
-# ---- the interval --------------------------------------------------------------------------------
-
-
-@given(SHARES, st.integers(0, 30), st.integers(0, 30))
-def test_what_is_won_is_the_mixture_and_a_martingale(share: F, hits: int, misses: int) -> None:
-    purse = won(share, hits, misses)
-    expected = share * won(share, hits + 1, misses) + (1 - share) * won(share, hits, misses + 1)
-    assert expected == purse
-    if purse > 1:  # `excluded` finds the same number, to a billionth
-        assert excluded(share, hits, misses, 1 / purse)
-        assert not excluded(share, hits, misses, ROUNDING / purse)
-    p = float(share)
-    mixture = betaln(hits + 0.5, misses + 0.5) - betaln(0.5, 0.5)
-    assert log(purse) == pytest.approx(mixture - hits * log(p) - misses * log(1 - p), abs=1e-9)
-
-
-@given(st.lists(st.booleans(), min_size=1, max_size=60), st.sampled_from([F(1, 20), F(1, 100)]))
-def test_intervals_hold_all_shares_not_excluded_so_far(trials: list[bool], alpha: F) -> None:
-    found, (low, high) = list(share_intervals(trials, alpha)), (F(0), F(1))
-    for n, (left, right) in enumerate(found, 1):
-        k = sum(trials[:n])
-        assert low <= left <= right <= high  # they only narrow
-        for end, sign in ((left, 1), (right, -1)):
-            if end not in (low, high):
-                assert excluded(end, k, n - k, alpha)
-                assert not excluded(end + F(sign, GRID), k, n - k, alpha)
-        inside = [j for j in range(1, 100) if left < F(j, 100) < right]
-        assert not any(excluded(F(j, 100), k, n - k, alpha) for j in inside)
-        low, high = left, right
-
-
-@given(SHARES, st.fractions(F(1, 1000), F(1, 2), max_denominator=1000))
-def test_the_fewest_runs_that_can_fail(share: F, alpha: F) -> None:
-    assert fewest(share, alpha) == next(n for n in count(1) if excluded(share, 0, n, alpha))
-
-
-LIMIT, ALPHA = F(9, 10), F(1, 20)
-LONGEST = 250
-
-
-@pytest.fixture(scope="module")
-def decisions() -> np.ndarray:
-    """1 where the gate has passed after n runs of which k did (n, k), -1 where failed, 0 open."""
-    table = np.zeros((LONGEST + 1, LONGEST + 1), dtype=int)
-    for n in range(1, LONGEST + 1):
-        for k in range(n + 1):
-            found = _decided(k, n, LIMIT, ALPHA)
-            table[n, k] = 0 if found is None else 1 if found else -1
-    return table
-
-
-def law(decisions: np.ndarray, share: float) -> tuple[float, float, float]:
-    """How likely the gate passes and fails, and after how many runs it stops on average."""
-    alive, passes, fails, runs = np.array([1.0]), 0.0, 0.0, 0.0
-    for n in range(1, LONGEST + 1):
-        runs += alive.sum()
-        alive = np.append(alive, 0) * (1 - share) + np.append(0, alive) * share
-        told = decisions[n, : n + 1]
-        passes, fails = passes + alive[told > 0].sum(), fails + alive[told < 0].sum()
-        alive = np.where(told == 0, alive, 0)
-    return passes, fails, runs
-
-
-@pytest.mark.parametrize("share", [0.9, 0.905, 0.95])
-def test_a_good_trainer_hardly_ever_fails(decisions: np.ndarray, share: float) -> None:
-    """Exactly, by recursion; and in streams, each stopped where it suits a false alarm best."""
-    _, fails, _ = law(decisions, share)
-    assert fails <= float(ALPHA)
-    rng = np.random.default_rng(20)
-    hits = np.cumsum(rng.random((4000, LONGEST)) < share, axis=1)
-    alarms = int((decisions[np.arange(1, LONGEST + 1), hits] < 0).any(axis=1).sum())
-    interval = binomtest(alarms, 4000).proportion_ci(0.999, method="wilson")
-    assert interval.low <= float(ALPHA)
-    if share == 0.9:  # a bad share is passed as rarely: the same interval, from its other side
-        assert law(decisions, share - 0.001)[0] <= float(ALPHA)
-        looked = hits[:, 9:] / np.arange(10, LONGEST + 1)
-        wilson = looked + 1.96 * np.sqrt(looked * (1 - looked) / np.arange(10, LONGEST + 1))
-        assert (wilson < share).any(axis=1).mean() > 2 * 0.025  # what looking costs else
-
-
-@pytest.mark.parametrize("share", [0.2, 0.5, 0.7])
-def test_a_bad_trainer_is_found_soon(decisions: np.ndarray, share: float) -> None:
-    """Not before Wald's bound ln(1/α) / KL, and before thrice that: the price of any share."""
-    _, fails, runs = law(decisions, share)
-    apart = share * log(share / 0.9) + (1 - share) * log((1 - share) / 0.1)
-    assert fails > 0.999
-    assert log(20) / apart <= runs <= 3 * log(20) / apart + 1
-
 
 # ---- the gate ------------------------------------------------------------------------------------
 
@@ -134,35 +21,6 @@ def often(share: int) -> Iterator[list[int]]:
     """Right in `share` of ten runs."""
     while True:
         yield from [[int(i < share), 0] for i in (3, 7, 0, 9, 2, 5, 8, 1, 6, 4)]
-
-
-def test_a_trainer_is_judged_by_its_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
-    seeds, solved = list[int](), list[MDP]()
-    module = import_module("exact_mdp.analysis.gate.regret")
-    proven = module.proven
-    monkeypatch.setattr(module, "proven", lambda mdp: solved.append(mdp) or proven(mdp))
-
-    def train(seed: int) -> list[int]:
-        seeds.append(seed)
-        return [seed % 2, 0]
-
-    found = check_trainer(TWO, train, rng=0, share="9/10", alpha="1/20")
-    assert len(solved) == 1  # the optimum is found once
-    assert found.proven is False
-    assert not found.passed
-    assert list(found.names) == seeds
-    assert found.frame()["passed"].tolist() == [seed % 2 == 1 for seed in seeds]
-    assert set(found.frame()["regret"]) == {0, 2}
-    assert found.within == sum(seed % 2 for seed in seeds)
-    assert _decided(found.within - seeds[-1] % 2, len(seeds) - 1, F(9, 10), F(1, 20)) is None
-    assert found.value == found.within / len(seeds)
-    assert "is not at least 0.9" in found.message()
-    assert f"the run that lost most, {next(s for s in seeds if s % 2 == 0)}:" in found.message()
-    again = list(seeds)
-    check_trainer(TWO, train, rng=0, share="9/10", alpha="1/20")
-    assert seeds == again * 2
-    assert found.plot().get_xlabel() == "run"
-    repr(found)
 
 
 def test_what_is_open_passes_unless_it_has_to_be_proven() -> None:

@@ -23,13 +23,8 @@ from exact_mdp import (
     ModelError,
     assert_policy_optimal,
     check,
-    evaluate,
     save,
 )
-from exact_mdp.analysis.gate import regret as regret_module
-from exact_mdp.analysis.gate.exact_policy import exact_visits
-from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
-from exact_mdp.solvers.values.visits import visits
 
 Row = tuple[int, int, list[tuple[Any, int, Any]]]
 
@@ -386,25 +381,6 @@ def test_a_bounded_zero_is_no_zero() -> None:
         assert "do not decide" in found.message()
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("learned", [[1, 0], "random"])
-def test_a_bounded_regret_keeps_the_errors_of_both_values(
-    monkeypatch: pytest.MonkeyPatch, learned: Any, sign: int
-) -> None:
-    """Values as far off as their errors allow: the interval holds the exact regret all the same."""
-    mdp = choice(F(5), F(1), discount=F(1, 2))
-    true = check(mdp, learned).regret.at_start.value
-    chain = PolicyChain.of(mdp, policy_of(mdp, learned))
-    own, best = evaluate(mdp, chain), regret_module._optimum(mdp)
-    shift = sign * best.weight / 8
-    far = replace(own, value=own.value - 2 * shift, error=own.error + 2 * abs(shift))
-    monkeypatch.setattr(regret_module, "evaluate", lambda *_: far)
-    off = replace(best, value=best.value + shift, low=-0.126, high=0.126)
-    low, high = regret_module._bounded(mdp, chain, off).at_start.interval
-    assert low <= true <= high
-    assert high - low < 0.8  # no wider than twice both errors
-
-
 @settings(max_examples=40)
 @given(models(discounts=(F(1, 2), F(9, 10), F(1))))
 def test_margins_prove_what_is_true(rows: Rows) -> None:
@@ -441,27 +417,6 @@ def test_an_optimum_with_margins_is_proven_without_rational_arithmetic() -> None
     assert (left_open.passed, left_open.undecided, left_open.unclear) == (False, True, 1)
     assert "the bounds leave it open" in left_open.message()
     assert check(tie, [1, 0, 0]).passed
-
-
-def test_what_bounds_leave_open_goes_to_rational_arithmetic(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Where the model is too large for it, the verdict is open, fails, and says what to do."""
-    size = 210  # a cycle that is bounded unless asked for more
-    rows = [(s, 0, [(1, (s + 1) % size, F(1, 3))]) for s in range(size)]
-    rows += [(0, 1, [(F(1, 2), 1, 0), (F(1, 2), 1, F(2, 3))])]
-    mdp = MDP.from_outcomes(rows, "9/10")
-    learned = [1, *[0] * (size - 1)]
-    audit = check(mdp, learned)
-    assert (audit.passed, audit.claim) == (True, Claim.CERTIFIED)
-    worse = MDP.from_outcomes([*rows[:-1], (0, 1, [(1, 1, F(1, 3) - F(1, 10**30))])], "9/10")
-    audit = check(worse, learned)
-    assert (audit.passed, audit.claim) == (False, Claim.CERTIFIED)
-    assert [each.state for each in audit.disagreements] == [0]
-    monkeypatch.setattr("exact_mdp.analysis.gate.check.LAST_CYCLE", 10)
-    audit = check(worse, learned)
-    assert (audit.passed, audit.undecided) == (False, True)
-    assert "exact_values=True" in audit.message()
 
 
 @pytest.mark.parametrize(
@@ -573,21 +528,3 @@ def test_the_command_line_gives_the_verdict(
     (each,) = found.result["disagreements"]
     assert each["expected_visits"] == 1e20
     assert run(*asked, "--max-regret", "2").status == 0
-
-
-def test_exact_visits_are_those_of_floating_point_where_it_can() -> None:
-    """Two ways agree, with a cycle, a spread start, and states that are not reached."""
-    rows = [
-        (0, 0, [("1/3", 1, 0), ("2/3", 2, 0)]),
-        (0, 1, [(1, 2, 0)]),
-        (1, 0, [("1/2", 0, 0), ("1/2", 3, 0)]),
-        (2, 0, [("1/4", 0, 0), ("3/4", 3, 0)]),
-        (3, 0, [(1, 3, 0)]),
-        (4, 0, [(1, 0, 0)]),
-    ]
-    for discount in (1, "9/10"):
-        model = MDP.from_outcomes(rows, discount, start={0: "1/2", 2: "1/2"})
-        chain = PolicyChain.of(model, "random")
-        near = visits(model, chain.discounted).value
-        assert exact_visits(chain).tolist() == pytest.approx(near.tolist(), rel=1e-12)
-        assert exact_visits(chain)[4] == 0

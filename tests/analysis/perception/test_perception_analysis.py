@@ -14,7 +14,6 @@ from oracle import ACTIONS, Oracle
 from exact_mdp import (
     MDP,
     Column,
-    Counted,
     ModelError,
     Scenario,
     StateSpace,
@@ -25,8 +24,6 @@ from exact_mdp import (
     independent,
     perceived,
 )
-from exact_mdp.analysis.perception.accuracy import confusion_at
-from exact_mdp.analysis.perception.cost import value_under_counts
 
 F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]
@@ -122,15 +119,10 @@ def test_curves_are_evaluations(care: MDP) -> None:
     found = accuracy_curves(care, POLICY, levels=[0.6, 0.93])
     for name, values in found.values.items():
         for x, value in zip(found.levels, values, strict=True):
-            assert value == pytest.approx(worth(care, confusion_at(care, x, name)), rel=1e-12)
-
-
-def test_draws_of_the_confusion_are_evaluations(care: MDP) -> None:
-    counts = Counted(counts=np.diag(range(16)), prior=0.5)
-    found = value_under_counts(care, POLICY, counts, rng=0, n=3)
-    drawn = counts.samples(np.random.default_rng(0), 3)
-    assert found.draws == pytest.approx([worth(care, matrix) for matrix in drawn], rel=1e-12)
-    assert found.at_mean.value == pytest.approx(worth(care, counts.mean), rel=1e-12)
+            right = [
+                x if name in (status, "all") else 1 for status in Scenario.load("yuan2025").statuses
+            ]
+            assert value == pytest.approx(worth(care, independent(right, right)), rel=1e-12)
 
 
 def test_models_whose_errors_have_no_price() -> None:
@@ -153,7 +145,7 @@ def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
     words = (*model, "--accuracy", "0.9")
     found = json.loads(run("perception", *words, "--json").out)
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
-    matrix = confusion_at(mdp, 0.9)
+    matrix = independent([0.9] * 4, [0.9] * 4)
     costs = error_costs(mdp, "optimal", matrix)
     assert found["taken_as_true"]["value"] == pytest.approx(costs.value.value, rel=1e-12)
     assert found["perfect"]["value"] == pytest.approx(float(certify(mdp).start_value), rel=1e-12)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import pairwise
 
-import flint
 import pytest
 from average_oracle import best, gain_and_bias
 from cases import BY_NAME
@@ -15,8 +14,6 @@ from hypothesis import given, settings
 from strategies import Rows, models
 
 from exact_mdp import MDP, Scenario, certify, curve, evaluate, solve
-from exact_mdp.analysis.sensitivity.curves.real_roots import roots
-from exact_mdp.mdp.numbers import rational
 
 F = Fraction
 # Puterman (1994), section 3.1; QuantEcon.py, quantecon/markov/tests/test_ddp.py
@@ -109,17 +106,3 @@ def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
         gain = 1 + at * value[0] - at * (value[0] / 10 + F(9, 10) * value[2])
         assert gain * sign >= 0
     assert last.optimal[[mdp.pair(s, 0) for s in range(3)]].all()
-
-
-def test_roots_closer_than_a_bracket_are_told_apart() -> None:
-    """A root 1e-20 from an exact one is not mistaken for it."""
-    near = F(1, 10**20)
-    every = (F(1, 2) - near, F(1, 2), 1 - near)
-    poly = flint.fmpq_poly([1])
-    for each in every:
-        poly = poly * flint.fmpq_poly([rational(-each), 1])
-    below = F(0)
-    for root, true in zip(roots(poly, F(0), F(1)), every, strict=True):
-        found = root.narrowed(F(1, 10**12)).simplest().beyond(below)
-        assert below < found.low <= true <= found.high <= 1
-        below = found.high

@@ -19,15 +19,16 @@ from hypothesis import strategies as st
 from exact_mdp import (
     MDP,
     ModelError,
+    Policy,
     Scenario,
     certify,
+    check,
     explore,
     gradient,
     moving,
     parametric,
     save,
 )
-from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
 
 F = Fraction
 TEA = Scenario.load("tea").with_(tasks=[2], max_trial=2)
@@ -66,11 +67,13 @@ def check_at(data: dict[str, Any], row: int, at: Fraction, mdp: MDP, policy: str
         if low <= at <= high:
             around.append((piece, list(sets)))
     assert max(worth(piece["value"], at) for piece, _ in around) == certificate.start_value
-    chain = ExactChain(mdp, policy)
-    values = chain.values(chain.reward)
-    held = sum((F(int(values[s].p), int(values[s].q)) * w for s, w in mdp.start), F(0))
+    held = check(mdp, policy, exact_values=True).regret.learned.value
     taken = [data["sets"][number] for number in data["taken"]]
-    chosen = [[mdp.actions[mdp.pair_action[p]] for p, _ in w] for w in chain.weight]
+    weights = Policy.of(mdp, policy).weights(mdp)
+    chosen = [
+        [mdp.actions[mdp.pair_action[p]] for p in mdp.pairs_of(s) if weights[p]]
+        for s in range(mdp.n_states)
+    ]
     assert taken == chosen
     assert worth(curve["fixed"][around[0][0]["fixed"]], at) == held
     if len(around) == 1:
@@ -239,9 +242,7 @@ def use_by_keyboard(browser: Browser) -> None:
         mdp = parametric(TEA).at(dict(zip(BOTH, (at, second), strict=True)))
         best = certify(mdp).start_value
         assert F(text("exact_best")) == best
-        chain = ExactChain(mdp, "random")
-        value = chain.values(chain.reward)[0]
-        held = F(int(value.p), int(value.q))
+        held = check(mdp, "random", exact_values=True).regret.learned.value
         assert F(text("exact_held")) == held
         assert float(text("best")) == pytest.approx(float(best), rel=1e-9)
         assert float(text("regret")) == pytest.approx(float(best - held), rel=1e-9)

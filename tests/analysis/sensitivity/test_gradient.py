@@ -8,7 +8,6 @@ from forest import burning
 from oracle import ACTIONS, END, Oracle, State, oracle_of
 
 from exact_mdp import MDP, Family, ModelError, Parameter, Scenario, gradient, parametric
-from exact_mdp.mdp.parametric.row_change import pieces
 
 F = Fraction
 H = F(1, 10**4)
@@ -97,10 +96,7 @@ def test_a_chance_that_is_cut_off_at_1_has_two_sides() -> None:
     for sign, side in ((-1, each.left), (1, each.right)):
         expected = (value(sign * H) - value(F(0))) / (sign * H)
         assert float(side.value) == pytest.approx(float(expected), abs=1e-2)
-    below, above = pieces(parametric(own), "persistence.anger", F(4, 5))
-    assert below is not None
-    assert above is not None
-    assert below.high == above.low == F(4, 5)
+    assert F(4, 5) in parametric(own).breakpoints("persistence.anger")
 
 
 def unassisted(state: State) -> dict[str, Fraction]:

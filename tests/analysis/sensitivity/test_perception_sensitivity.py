@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from cli_runner import run
 
 from exact_mdp import MDP, Scenario, evaluate, independent, parametric, perceived, psa, solve
-from exact_mdp.analysis.sensitivity.draws.sampled import sampled
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
@@ -107,23 +105,15 @@ def test_a_gradient_is_that_of_the_mixed_policy_and_says_what_is_certified(
 
 
 def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
-    names = ["base.anger", "base.confusion"]
-    draws = np.array([[0.04, 0.25], [0.1, 0.5], [0.02, 0.35]])
-    forms = [PLAN, solve(mdp).policy]  # by status, and by state
-    policies = [perceived(mdp, form, ROUGH) for form in forms]
-    found = sampled(parametric(SMALL), names, draws, policies)
-    drawn = psa(SMALL, 20, rng=1, policy=policies[1])
-    wanted = [
-        [evaluate(there, policy).mean for policy in policies]
-        for there in (at(**dict(zip(names, row, strict=True))) for row in draws.tolist())
-    ]
-    assert found.fixed == pytest.approx(np.array(wanted), rel=1e-12)
     model = parametric(SMALL)
-    for number in (0, 7):
-        there = model.at(dict(zip(drawn.names, drawn.draws[number].tolist(), strict=True)))
-        value = evaluate(there, policies[1]).mean
-        assert drawn.values[number, 0] == pytest.approx(value, rel=1e-12)
-        assert drawn.optimal[number] == pytest.approx(solve(there).start_value, rel=1e-12)
+    for form in (PLAN, solve(mdp).policy):  # by status, and by state
+        policy = perceived(mdp, form, ROUGH)
+        drawn = psa(SMALL, 20, rng=1, policy=policy)
+        for number in (0, 7):
+            there = model.at(dict(zip(drawn.names, drawn.draws[number].tolist(), strict=True)))
+            value = evaluate(there, policy).mean
+            assert drawn.values[number, 0] == pytest.approx(value, rel=1e-12)
+            assert drawn.optimal[number] == pytest.approx(solve(there).start_value, rel=1e-12)
 
 
 @pytest.mark.parametrize("form", ["optimal", "plan"])

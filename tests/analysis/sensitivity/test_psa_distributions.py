@@ -1,7 +1,5 @@
 """Distributions of uncertain parameters: moments, streams, files, and what is refused."""
 
-from dataclasses import replace
-from fractions import Fraction as F
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 from numpy.random import SeedSequence
 
 from exact_mdp import (
-    MDP,
     ModelError,
     Scenario,
     Uncertain,
@@ -18,7 +15,6 @@ from exact_mdp import (
     parametric,
     uncertainty,
 )
-from exact_mdp.analysis.sensitivity.psa.rows import row_family
 
 YUAN = parametric(Scenario.load("yuan2025"))
 COUNT = 40_000
@@ -174,96 +170,3 @@ def test_a_parameter_is_drawn_once() -> None:
     part = Uncertain(names=("a",), kind="beta", mean=(0.3,), size=10.0)
     with pytest.raises(ModelError, match="a is drawn twice"):
         Uncertainty(parts=(part, part), fixed={})
-
-
-ROW = "(state 0, 0)"
-ONE, TWO = f"{ROW}: to state 1", f"{ROW}: to state 2"
-FAMILY = row_family(
-    MDP.from_arrays([[["1/2", "1/4", "1/4"], ["2/3", "1/3", 0], [0, 0, 1]]], [1, 0, 0])
-)
-
-
-@pytest.mark.parametrize(
-    ("stated", "size"),
-    [
-        ({}, 7.0),
-        ({ROW: {"effective_sample_size": 5}}, 5.0),
-        ({ONE: {"effective_sample_size": 5}, TWO: {"effective_sample_size": 5}}, 5.0),
-        ({ROW: {"effective_sample_size": 5}, ONE: {"effective_sample_size": 5}}, 5.0),
-        ({ROW: {"fixed": True}}, None),
-        ({ONE: {"fixed": True}, TWO: {"fixed": True}}, None),
-    ],
-)
-def test_what_is_stated_of_a_row_holds_for_all_of_it(stated, size) -> None:
-    found = uncertainty(FAMILY, stated, default=7)
-    sizes = {part.label: part.size for part in found.parts}
-    assert sizes.get(ROW) == size
-    assert sizes["(state 1, 0)"] == 7.0
-    assert {ONE, TWO} <= (set(found.names) if size else set(found.fixed))
-    assert not set(found.names) & set(found.fixed)
-
-
-@pytest.mark.parametrize(
-    ("stated", "message"),
-    [
-        ({ONE: {"effective_sample_size": 5}}, "different settings"),
-        ({TWO: {"fixed": True}}, "different settings"),
-        ({ROW: {"effective_sample_size": 5}, TWO: {"fixed": True}}, "different settings"),
-        ({ROW: {"relative_sd": 0.3}}, "relative spread of a probability"),
-        ({"(state 0, 1)": {"fixed": True}}, "unknown parameter"),
-    ],
-)
-def test_what_does_not_fit_a_row_is_refused(stated, message) -> None:
-    with pytest.raises(ModelError, match=message):
-        uncertainty(FAMILY, stated)
-
-
-def test_a_row_is_drawn_whole_or_not_at_all() -> None:
-    for names in ([ROW], [ONE, TWO]):
-        found = uncertainty(FAMILY, names=names)
-        assert found.names == (ONE, TWO)
-        assert set(found.fixed) == {"(state 1, 0): to state 1", "discount"}
-    for name in (ONE, TWO):
-        with pytest.raises(ModelError, match="without the others"):
-            uncertainty(FAMILY, names=[name])
-    with pytest.raises(ModelError, match="in two rows"):
-        uncertainty(replace(FAMILY, rows={"a": (ONE,), "b": (ONE, TWO)}))
-    with pytest.raises(ModelError, match="not a probability of a row"):
-        uncertainty(replace(FAMILY, rows={"a": ("discount",)}))
-    assert {part.kind for part in uncertainty(replace(FAMILY, rows={})).parts} == {"beta"}
-
-
-def test_rows_of_any_model_are_dirichlet_and_stay_distributions() -> None:
-    rows = [
-        (0, 0, [(F(1, 2), 0, F(1)), (F(1, 3), 1, F(0)), (F(1, 6), 2, F(2))]),
-        (1, 0, [(F(1), 2, F(0))]),
-        (2, 0, [(F(1), 2, F(0))]),
-    ]
-    family = row_family(MDP.from_outcomes(rows, F(9, 10)))
-    (names,) = family.rows.values()
-    found = uncertainty(family)
-    assert [part.kind for part in found.parts] == ["dirichlet"]
-    drawn = found.draw(SeedSequence(3), 5)
-    for row in drawn.tolist():
-        mdp = family.at(dict(zip(names, row, strict=True)))
-        chance = {state: p for p, state, _ in mdp.table.row(0)}
-        assert sum(chance.values()) == 1
-        assert [float(chance[state]) for state in (1, 2)] == pytest.approx(row)
-
-
-def test_a_model_without_chance_has_nothing_to_draw() -> None:
-    with pytest.raises(ModelError, match="0 rows"):
-        row_family(MDP.from_arrays([[[1]]], [1], "1/2"))
-
-
-def test_rows_of_floats_that_sum_to_one_but_for_rounding_can_be_drawn() -> None:
-    third = 1 / 3
-    outcomes = [(third, 0, 0.0), (0.1, 1, 1.0), (1 - third - 0.1 + 1e-16, 2, 0.0)]
-    ends = [(state, 0, [(1.0, state, 0.0)]) for state in (1, 2)]
-    mdp = MDP.from_outcomes([(0, 0, outcomes), *ends], 0.9)
-    family = row_family(mdp)
-    (names,) = family.rows.values()
-    drawn = uncertainty(family).draw(SeedSequence(4), 3)
-    for row in drawn.tolist():
-        chances = [p for p, _, _ in family.at(dict(zip(names, row, strict=True))).table.row(0)]
-        assert sum(chances) == 1

@@ -5,16 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runner import run
 from oracle import oracle_of
 
 from exact_mdp import (
     MDP,
-    BackwardInduction,
-    Bounded,
     ModelError,
-    Parameter,
-    Parametric,
     Range,
     Scenario,
     load_ranges,
@@ -25,14 +20,9 @@ from exact_mdp import (
     tornado,
     two_way,
 )
-from exact_mdp.analysis.sensitivity.one_way import Values
-from exact_mdp.analysis.sensitivity.ranges import around, whole
-from exact_mdp.mdp.care import scenario as care_scenario
-from exact_mdp.mdp.parametric.row_change import pieces, row_change, transition_entries
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}
-SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
 
 
 def scenario(**readings: str) -> Scenario:
@@ -40,42 +30,6 @@ def scenario(**readings: str) -> Scenario:
 
 
 # ---- parametric models -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "readings"),
-    [
-        ("base.anger", {"skip_onset": "base"}),
-        ("influence.disengagement.anger", {"influence_on_present": "additive"}),
-        ("assistance.supportive.anger.onset", {}),
-        ("reward.trial", {"trial_cost": "failed-trials"}),
-        ("skip.anger.persistence", {"skip_timestep": "own"}),
-    ],
-)
-def test_polynomials_of_rows_hold_everywhere_between_breakpoints(name, readings) -> None:
-    family = parametric(scenario(**readings))
-    value = next(p.value for p in family.parameters if p.name == name)
-    left, right = pieces(family, name, value)
-    piece = right or left
-    assert piece is not None
-    change = row_change(family, name, piece)
-    low = F(-9) if piece.low is None else piece.low
-    high = F(9) if piece.high is None else piece.high
-    for share in (F(1, 7), F(5, 7), F(1)):
-        place = low + share * (high - low)
-        expected = rows_at(family, name, place)
-        found = rows_at(family, name, value)
-        for k, key in enumerate(change.transition.key.tolist()):
-            powers = enumerate(change.transition.coefficients, start=1)
-            found[key] = found.get(key, F(0)) + sum(
-                column[k] * (place - value) ** power for power, column in powers
-            )
-        assert {key: p for key, p in found.items() if p} == expected
-
-
-def rows_at(family: Parametric, name: str, value: Fraction) -> dict[int, Fraction]:
-    key, top, bottom = transition_entries(family.at({name: value}))
-    return {k: F(int(a), int(b)) for k, a, b in zip(key.tolist(), top, bottom, strict=True)}
 
 
 def test_numbers_of_many_digits_compile_to_distributions() -> None:
@@ -165,41 +119,6 @@ def test_ranges_from_a_file(tmp_path: Path) -> None:
         file.write_text(text, "utf-8")
         with pytest.raises(ModelError, match=message):
             load_ranges(family, file)
-    assert whole(family.parameters[0]) == Range(low=F(0), high=F(1))
-
-
-def test_a_wide_range_ends_where_the_parameter_does() -> None:
-    rare = Parameter(name="p", value=F(1, 10), low=F(0), high=F(1))
-    assert around(rare, 2) == Range(low=F(0), high=F(3, 10))
-    often = Parameter(name="p", value=F(9, 10), low=F(0), high=F(1))
-    assert around(often, "1/2") == Range(low=F(9, 20), high=F(1))
-    assert around(Parameter(name="r", value=F(-5)), 2) == Range(low=F(-15), high=F(5))
-    (bar,) = tornado(scenario(), names=["base.anger"], relative=2).bars
-    assert (bar.low.at, bar.high.at) == (0, F(3, 20))
-
-
-def test_one_bar_compiles_and_solves_the_base_once_and_each_end_once(monkeypatch) -> None:
-    done = {"compiled": 0, "solved": 0}
-
-    def count(name: str, place: object, what: str) -> None:
-        real = getattr(place, what)
-
-        def counted(*given):
-            done[name] += 1
-            return real(*given)
-
-        monkeypatch.setattr(place, what, counted)
-
-    count("compiled", care_scenario, "compile_scenario")
-    count("solved", BackwardInduction, "solve")
-    (bar,) = tornado(scenario(), names=["base.anger"]).bars
-    assert bar.swing > 0
-    assert done == {"compiled": 3, "solved": 3}
-    done.update(compiled=0, solved=0)
-    words = ("--parameter", "base.anger", "--json")
-    found = run("tornado", "yuan2025", *SET, *words).result
-    assert found["bars"][0]["swing"] == bar.swing
-    assert done == {"compiled": 3, "solved": 3}
 
 
 # ---- two-way ---------------------------------------------------------------------------------
@@ -224,13 +143,3 @@ def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
         two_way(own, x, x)
     with pytest.raises(ModelError, match=r"a range of base\.anger"):
         two_way(own, x, "base.confusion", ranges={"base.anger": (0, 1)})
-
-
-def test_the_regret_of_a_point_is_as_uncertain_as_both_values() -> None:
-    optimal, fixed = Bounded(value=5.0, error=0.25), Bounded(value=3.0, error=0.5)
-    regret = Values(optimal=optimal, fixed=fixed).regret
-    assert regret.value == 2
-    assert 0.75 <= regret.error <= 0.76
-    low, high = regret.interval
-    assert low <= optimal.interval[0] - fixed.interval[1]
-    assert high >= optimal.interval[1] - fixed.interval[0]

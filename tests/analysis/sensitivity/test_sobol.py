@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from forest import burning
-from scipy import stats
 
-from exact_mdp import (
-    MDP,
-    ModelError,
-    Parametric,
-    Scenario,
-    evaluate,
-    moving,
-    parametric,
-    sobol,
-    solve,
-)
-from exact_mdp.analysis.sensitivity.draws.sampled import Sampled, sampled
-from exact_mdp.analysis.sensitivity.ranges import spans_of
+from exact_mdp import MDP, ModelError, Parametric, moving, sobol
 
-sobol_module = import_module("exact_mdp.analysis.sensitivity.draws.sobol")
-solver_module = import_module("exact_mdp.analysis.sensitivity.draws.solver")
 F = Fraction
 HALF = F(1, 2)
 
@@ -150,118 +132,7 @@ def test_seed_zero_is_a_seed_and_workers_change_nothing(tmp_path: Path) -> None:
         sobol(choice(), rng=1, folder=tmp_path, **how)
 
 
-class Told:
-    """What `sampled` gives, of a function of the draws."""
-
-    def __init__(self, function: Callable[[np.ndarray], np.ndarray]) -> None:
-        self.function, self.value = function, np.empty(0)
-
-    def __call__(self, model: Parametric, names: Any, draws: np.ndarray, *_: Any) -> Sampled:
-        self.value = self.function(draws)
-        none = np.zeros((len(draws), 2))
-        return Sampled(optimal=self.value, fixed=self.value[:, None], error=none)
-
-
-def ishigami(x: np.ndarray) -> np.ndarray:
-    """Ishigami and Homma (1990): sin x1 + 7 sin² x2 + x3⁴ sin(x1) / 10."""
-    return np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + x[:, 2] ** 4 * np.sin(x[:, 0]) / 10
-
-
-def test_the_indices_of_ishigami(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Worked out by hand: Var = 49/8 + π⁴/50 + π⁸/1800 + 1/2; x3 weighs with x1 alone."""
-    pi = np.pi
-    rewards = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (0, 2, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
-    names = [f"reward.{n}" for n in (1, 2, 3)]
-    told = Told(ishigami)
-    monkeypatch.setattr(sobol_module, "sampled", told)
-    how: dict[str, Any] = {"ranges": dict.fromkeys(names, (-pi, pi)), "n": 2**13}
-    found = sobol(MDP.from_outcomes(rewards), rng=0, **how).optimal
-    variance = 49 / 8 + pi**4 / 50 + pi**8 / 1800 + 1 / 2
-    alone = np.array([(1 + pi**4 / 50) ** 2 / 2, 49 / 8, 0]) / variance
-    joint = pi**8 * (1 / 18 - 1 / 50) / 100 / variance
-    np.testing.assert_allclose(found.first, alone, atol=3e-3)
-    np.testing.assert_allclose(found.total, alone + np.array([joint, 0, joint]), atol=3e-3)
-    assert found.sd == pytest.approx(variance**0.5, rel=1e-3)
-    # The same numbers by scipy, of the same draws.
-    output = told.value.reshape(2**13, 5)
-    theirs = stats.sobol_indices(
-        func={"f_A": output[:, :1].T, "f_B": output[:, -1:].T, "f_AB": output[:, 1:-1].T[:, None]},
-        n=2**13,
-    )
-    np.testing.assert_allclose(found.first, theirs.first_order, atol=1e-12)
-    np.testing.assert_allclose(found.total, theirs.total_order, atol=1e-12)
-
-
-def test_intervals_cover_as_often_as_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of x1 + 2 x2, both indices are 1/5 and 4/5; intervals are those of a random sample."""
-    rewards = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
-    monkeypatch.setattr(sobol_module, "sampled", Told(lambda x: x[:, 0] + 2 * x[:, 1]))
-    how: dict[str, Any] = {"ranges": {"reward.1": (0, 1), "reward.2": (0, 1)}, "n": 64}
-    for seed in range(20):
-        found = sobol(MDP.from_outcomes(rewards), rng=seed, **how).optimal
-        for index, half in ((found.first, found.first_half), (found.total, found.total_half)):
-            assert (np.abs(index - [0.2, 0.8]) < half).all()
-            assert (half < 0.5).all()
-
-
 # ---- draws ---------------------------------------------------------------------------------------
-
-
-def test_draws_of_a_published_model_are_solved_one_by_one() -> None:
-    model = burning("24/25")
-    draws = np.array([[0.05, 0.9], [0.1, 0.96], [0.6, 0.5]])
-    found = sampled(model, ["fire", "discount"], draws, ["optimal", "always:1"], n_jobs=2)
-    for row, (fire, discount) in enumerate(draws.tolist()):
-        at = model.at({"fire": fire, "discount": discount})
-        assert found.optimal[row] == pytest.approx(solve(at).start_value, abs=1e-9)
-        assert found.fixed[row, 1] == pytest.approx(evaluate(at, "always:1").mean, abs=1e-9)
-    assert (found.regret >= 0).all()
-    assert found.regret[1].tolist() == [0, pytest.approx(found.optimal[1] - found.fixed[1, 1])]
-    assert found.regret[1, 1] > 1
-    indices = sobol(model, names=["fire", "discount"], n=32, rng=0)
-    assert indices.frame()["parameter"][0] == "discount"
-
-
-@pytest.mark.parametrize(
-    "readings, tasks",
-    [
-        ({}, [2]),
-        ({"skip_timestep": "own", "status_cost": "current"}, [1, 1]),
-        ({"task_bonus": "no-subtask-skipped", "max_trial_rule": "after"}, [2]),
-        ({"skip_onset": "base", "influence_on_present": "additive"}, [1]),
-    ],
-)
-def test_compiled_draws_of_a_scenario_are_those_of_models_built_one_by_one(
-    readings: dict[str, str], tasks: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=tasks, max_trial=2)
-    model = parametric(scenario)
-    rng = np.random.default_rng(5)
-    names = ["base.anger", "influence.anger.confusion", "reward.trial", "discount"]
-    draws = np.column_stack([*rng.random((2, 6)), rng.normal(size=6), 0.5 + rng.random(6) / 2])
-    policies = ["optimal", "random", "always:supportive"]
-    found = sampled(model, names, draws, policies, n_jobs=2)
-    monkeypatch.setattr(solver_module, "MOST_STATUSES", 0)
-    slow = sampled(model, names, draws, policies)
-    np.testing.assert_allclose(found.optimal, slow.optimal, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.fixed, slow.fixed, rtol=0, atol=1e-9)
-    assert (abs(found.optimal - slow.optimal) <= found.error[:, 0] + slow.error[:, 0]).all()
-    np.testing.assert_allclose(found.regret, slow.regret, rtol=0, atol=1e-8)
-
-
-def test_care_parameters_without_range_are_left_out() -> None:
-    model = parametric(Scenario.load("yuan2025"))
-    spans = spans_of(model)
-    zero = {parameter.name for parameter in model.parameters if parameter.value == 0}
-    assert zero
-    others = {p.name for p in model.parameters} - zero - {"discount"}
-    assert {parameter.name for parameter in spans} == others
-    assert [each.name for each in spans_of(model, ["discount"])] == ["discount"]
-    assert [each.name for each in spans_of(model, None, {"discount": ("1/2", 1)})] == ["discount"]
-    # A plain model has its rewards varied.
-    plain = [each.name for each in spans_of(parametric(chain().at({})))]
-    assert plain == ["reward.2", "reward.3", "reward.4"]
-    assert all(span.low < span.high for span in spans.values())
 
 
 def test_an_index_that_is_not_there_is_not_a_number(of_chain: Any) -> None:
@@ -293,23 +164,6 @@ def test_an_index_that_is_not_there_is_not_a_number(of_chain: Any) -> None:
 def test_bad_requests_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         sobol(choice(), **({"n": 4, "rng": 0} | change))
-
-
-def test_probabilities_that_sum_to_more_than_one_name_the_draw() -> None:
-    rows = [(0, 0, [(F(1, 3), 1, 1), (F(1, 3), 2, 0), (F(1, 3), 3, 0)])]
-    rows += [(s, 0, [(1, s, 0)]) for s in (1, 2, 3)]
-    model = moving(MDP.from_outcomes(rows, 1), {"a": [(0, 1)], "b": [(0, 2)]})
-    with pytest.raises(ModelError, match="more than 1") as caught:
-        sampled(model, ["a", "b"], np.array([[0.5, 0.25], [0.5, 0.75]]))
-    assert caught.value.where.startswith("draw 1")
-    for draws, message in (
-        (np.zeros((0, 2)), "no draws"),
-        (np.zeros((3, 1)), "shape"),
-        (np.array([[0.5, 1.5]]), "outside"),
-        (np.array([[0.5, np.nan]]), "outside"),
-    ):
-        with pytest.raises(ModelError, match=message):
-            sampled(model, ["a", "b"], draws)
 
 
 def test_the_spread_of_small_rewards_is_a_spread() -> None:

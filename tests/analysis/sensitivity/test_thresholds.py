@@ -5,42 +5,14 @@ from itertools import pairwise
 
 import pytest
 from cases.puterman import two_state
-from flint import fmpq_poly
 from forest import burning
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from oracle import END, Oracle, oracle_of
 
 from exact_mdp import MDP, Family, Parameter, Scenario, certify, thresholds
-from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple, variations
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}
 WIDTH = F(1, 10**12)
-
-
-def rational_poly(numbers: list[Fraction]) -> fmpq_poly:
-    from flint import fmpq
-
-    poly = fmpq_poly([1])
-    for number in numbers:
-        poly *= fmpq_poly([fmpq(-number.numerator, number.denominator), 1])
-    return poly
-
-
-@given(st.lists(st.fractions(-2, 2, max_denominator=20), max_size=6))
-@settings(max_examples=60)
-def test_roots_are_all_found_once(numbers: list[Fraction]) -> None:
-    poly = rational_poly(numbers)
-    found = list(roots(simple(poly), F(-1), F(1)))
-    inside = sorted({number for number in numbers if -1 < number < 1})
-    assert len(found) == len(inside)
-    for root, number in zip(found, inside, strict=True):
-        near = root.narrowed(F(1, 10**9))
-        assert near.low <= number <= near.high
-        assert near.high - near.low <= F(1, 10**9)
-    assert variations(simple(poly), F(-1), F(1)) >= len(inside)
-    assert sign(poly, F(3)) == 1
 
 
 def test_puterman_leaves_at_ten_elevenths() -> None:

@@ -11,10 +11,6 @@ import pytest
 from cli_runner import run
 
 from exact_mdp import MDP, ModelError, Policy, Scenario, check, evaluate, solve, tradeoff
-from exact_mdp.analysis.cli.solve import whole_policy
-from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.checker import totals_of
-from exact_mdp.solvers.objectives.file import ObjectivesProof
 
 SMALL = ("--set", "tasks=[1]", "--set", "max_trial=2")
 TWO = ("anger", "done=subtask-complete-1/2*trial")
@@ -79,18 +75,6 @@ def test_a_check_reads_the_policy_that_limits_wrote(tmp_path: Path) -> None:
     assert run("check", "yuan2025", tmp_path / "p.json", *limit).status == 0
 
 
-def test_a_policy_by_status_is_one_that_reads_nothing_else(tmp_path: Path) -> None:
-    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
-    always = Policy.always(mdp, "directive").choices(mdp)
-    late = always.copy()
-    late[mdp.space.index(trial=1, status=3)] = 0
-    for numbers, by_status in ((always, True), (late, False)):
-        found = whole_policy(mdp, [mdp.actions[a] for a in numbers])
-        assert (found.keys() == {f"{n:04b}" for n in range(16)}) is by_status
-        again = as_read(mdp, tmp_path, found)
-        assert (again.weights(mdp) == Policy.from_choices(mdp, numbers).weights(mdp)).all()
-
-
 def test_a_policy_with_the_time_in_its_states(tmp_path: Path) -> None:
     words = (*TWO, *SMALL, "--horizon", "2")
     found = run("tradeoff", "yuan2025", *words, "--json").result
@@ -151,83 +135,6 @@ def test_the_picture_shows_vertices_and_policies() -> None:
     plt.close(twice[0].figure)
     with pytest.raises(ModelError, match="no flat picture"):
         tradeoff(scenario, ["anger", "trial", "steps"]).plot()
-
-
-PARTS = {"a": [0, 5, 1, 7, 2, 3], "b": [4, 1, 6, 2, 5, 5]}
-CYCLE = [
-    (s, a, [("1/2", (s + 1) % 3, PARTS["a"][2 * s + a]), ("1/2", a, PARTS["a"][2 * s + a])])
-    for s in range(3)
-    for a in (0, 1)
-]
-THREE = MDP.from_outcomes(CYCLE, "3/4", components=PARTS)
-
-
-def proofs(folder: Path) -> dict[str, Path]:
-    """One proof of each kind about totals, as files."""
-    made = {
-        "front": tradeoff(THREE, ["a", "b"]),
-        "limits": solve(THREE, subject_to={"b": ">= 15"}),
-        "infeasible": solve(THREE, subject_to={"b": ">= 600"}),
-    }
-    THREE.save(folder / "three.npz")
-    assert made["limits"].randomises
-    for name, found in made.items():
-        found.save(folder / f"{name}.json")
-    return {name: folder / f"{name}.json" for name in made}
-
-
-def changed(content: object) -> list[object]:
-    """The same with one number in it changed: each in turn."""
-    if isinstance(content, dict):
-        items, build = list(content.items()), dict
-        found = []
-        for n, (key, value) in enumerate(items):
-            found += [build([*items[:n], (key, new), *items[n + 1 :]]) for new in changed(value)]
-        return found
-    if isinstance(content, list):
-        return [
-            [*content[:n], new, *content[n + 1 :]]
-            for n, value in enumerate(content)
-            for new in changed(value)
-        ]
-    if isinstance(content, int):
-        return [content + 1]
-    return [f"{int(content, 16) + 1:x}"] if isinstance(content, str) else []
-
-
-def said(proof: ObjectivesProof) -> list[object]:
-    """What a proof proves, as numbers."""
-    of, own = Objectives.of(THREE, proof.objectives), proof.content
-    if proof.kind == "front":
-        return [own["vertices"][n].total for n in range(len(own["vertices"]))]
-    return [proof.found(THREE), own["shift"], own["price"], totals_of(of, own["flow"])]
-
-
-def test_proofs_about_totals_are_files_that_are_checked(tmp_path: Path) -> None:
-    """Each holds for its model, for no other one; with a number changed it proves nothing else."""
-    other = THREE.with_(components={"a": PARTS["b"], "b": PARTS["a"]})
-    for name, path in proofs(tmp_path).items():
-        found = run("verify", path, tmp_path / "three.npz", "--json")
-        assert (found.status, found.result["passed"], found.result["claim"]) == (
-            0, True, "certified",
-        )  # fmt: skip
-        content = json.loads(path.read_text())
-        kind = content["kind"]
-        assert ObjectivesProof.load(path, kind).violations(other)
-        assert ObjectivesProof.load(path, kind).violations(THREE.with_(discount="1/2"))
-        parts = content.keys() - {"format", "version", "kind", "model", "objectives", "states"}
-        proven, refused = said(ObjectivesProof.load(path, kind)), list[bool]()
-        for part in parts:
-            for new in changed(content[part]):
-                path.write_text(json.dumps(content | {part: new}))
-                try:
-                    forged = ObjectivesProof.load(path, kind)
-                except ModelError:
-                    continue
-                refused.append(bool(forged.violations(THREE)))
-                assert refused[-1] or said(forged) == proven, (name, part, new)
-        assert sum(refused) > 0.3 * len(refused)
-    assert found.result["feasible"] is False
 
 
 def test_commands_write_proofs(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from objective_models import totals, with_components
 from scipy.optimize import linprog
 
 from exact_mdp import MDP, Scenario, rationalize
-from exact_mdp.solvers.objectives.checker import Values
 
 F = Fraction
 
@@ -89,7 +88,7 @@ def test_the_checker_notices() -> None:
         replace(found, weights=dict.fromkeys(found.weights, F(1))),
         replace(found, cuts=()),
         replace(found, cuts=found.cuts[:-1]),
-        replace(found, dual=Values([v - 1 for v in found.dual.top], found.dual.below)),
+        replace(found, dual=type(found.dual)([v - 1 for v in found.dual.top], found.dual.below)),
         replace(found, flow=best.flow),
         replace(best, intervals={**best.intervals, name: replace(own, low=own.low / 2)}),
         replace(best, intervals={**best.intervals, name: replace(own, low=None)}),

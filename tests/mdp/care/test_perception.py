@@ -9,6 +9,7 @@ import json
 from fractions import Fraction
 from math import sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,10 +28,9 @@ from exact_mdp import (
     independent,
     perceived,
 )
-from exact_mdp.analysis.perception.cost import value_under_counts
-from exact_mdp.mdp.care.perception import read, read_counts
 
 NAMES = ("forgetfulness", "confusion", "anger", "disengagement")
+MODEL = ("yuan2025", "--set", "tasks=[2]", "--set", "max_trial=3")
 LABELS = [f"{status:04b}" for status in range(16)]
 ACTIONS = ("none", "supportive", "non-directive", "directive")
 RATES = ("9/10", "4/5", "19/20", "3/4")
@@ -65,12 +65,31 @@ def as_csv(path: Path, rows: list[list[object]]) -> Path:
     return path
 
 
+PLAN = {label: policy(label) for label in LABELS}
+
+
+@pytest.fixture(autouse=True)
+def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder to work in, with the policy as a file."""
+    monkeypatch.chdir(tmp_path)
+    Path("plan.json").write_text(json.dumps(PLAN))
+
+
+def evaluated(seen: Path) -> dict[str, Any]:
+    return run("evaluate", *MODEL, "plan.json", "--perception", seen, "--json").result
+
+
+def with_prior(seen: Path) -> dict[str, Any]:
+    words = ("--policy", "plan.json", "--prior", "1/16", "--draws", 30, "--seed", 5, "--json")
+    return run("perception", *MODEL, "--perception", seen, *words).result
+
+
 @pytest.fixture
 def exact_rows() -> list[list[object]]:
     return [[confusion(true, seen) for seen in LABELS] for true in LABELS]
 
 
-def test_the_value_is_that_of_the_reference_model(care: MDP, tmp_path: Path, exact_rows) -> None:
+def test_the_value_is_that_of_the_reference_model(tmp_path: Path, exact_rows) -> None:
     def acting(state: tuple) -> dict[str, Fraction]:
         true = "".join(map(str, state[3]))
         mixed: dict[str, Fraction] = {}
@@ -79,22 +98,21 @@ def test_the_value_is_that_of_the_reference_model(care: MDP, tmp_path: Path, exa
         return mixed
 
     wanted = Oracle(tasks=[2], max_trial=3).evaluate(acting, distribution=False)
-    matrix = read(as_csv(tmp_path / "seen.csv", exact_rows), care)
-    found = evaluate(care, perceived(care, {label: policy(label) for label in LABELS}, matrix))
-    assert found.mean == pytest.approx(float(wanted["mean"]), rel=1e-12)
-    assert found.sd == pytest.approx(sqrt(wanted["variance"]), rel=1e-10)
-    assert found.steps == pytest.approx(float(wanted["steps"]), rel=1e-12)
-    assert found.skip_probability == pytest.approx(float(wanted["skip_probability"]), rel=1e-12)
+    found = evaluated(as_csv(tmp_path / "seen.csv", exact_rows))
+    assert found["mean"] == pytest.approx(float(wanted["mean"]), rel=1e-12)
+    assert found["sd"] == pytest.approx(sqrt(wanted["variance"]), rel=1e-10)
+    assert found["steps"] == pytest.approx(float(wanted["steps"]), rel=1e-12)
+    assert found["skip_probability"] == pytest.approx(float(wanted["skip_probability"]), rel=1e-12)
 
 
 def test_rates_and_matrix_say_the_same(care: MDP, tmp_path: Path, exact_rows) -> None:
     lines = ["[sensitivity]", *(f'{n} = "{r}"' for n, r in zip(NAMES, RATES, strict=True))]
     lines += ["[specificity]", *(f'{n} = "{r}"' for n, r in zip(NAMES, CLEAR, strict=True))]
     (tmp_path / "seen.toml").write_text("\n".join(lines))
-    by_rate = read(tmp_path / "seen.toml", care)
-    by_row = read(as_csv(tmp_path / "seen.csv", exact_rows), care)
-    assert by_rate == pytest.approx(by_row, abs=1e-15)
-    assert by_rate == pytest.approx(independent([0.9, 0.8, 0.95, 0.75], [0.875, 0.99, 1, 0.5]))
+    by_rate = evaluated(tmp_path / "seen.toml")["mean"]
+    assert by_rate == pytest.approx(evaluated(as_csv(tmp_path / "seen.csv", exact_rows))["mean"])
+    matrix = independent([0.9, 0.8, 0.95, 0.75], [0.875, 0.99, 1, 0.5])
+    assert by_rate == pytest.approx(evaluate(care, perceived(care, PLAN, matrix)).mean)
 
 
 def test_seeing_the_truth_changes_nothing(care: MDP) -> None:
@@ -149,9 +167,10 @@ def test_broken_files_are_refused(tmp_path: Path, name: str, text: str, what: st
 
 def test_rows_that_are_no_distribution(care: MDP, tmp_path: Path) -> None:
     rows: list[list[object]] = [[0] * 16 for _ in LABELS]
-    with pytest.raises(ModelError, match="row of status 0000 sums to 0, not 1") as failed:
-        read(as_csv(tmp_path / "a.csv", rows), care)
-    assert str(failed.value.where).endswith("a.csv, line 2")
+    done = run("evaluate", *MODEL, "random", "--perception", as_csv(tmp_path / "a.csv", rows))
+    assert done.status == 2
+    assert "row of status 0000 sums to 0, not 1" in done.err
+    assert "a.csv, line 2" in done.err
     matrix = np.eye(16)
     matrix[3, 3] = 0.9
     with pytest.raises(ModelError, match=r"row of status 0011 sums to 0.9, not 1") as failed:
@@ -176,7 +195,7 @@ def examples() -> list[tuple[str, str]]:
     return [(f"{s:04b}", f"{z:04b}") for s, z in pairs]
 
 
-def test_every_form_gives_the_same_counts(care: MDP, tmp_path: Path) -> None:
+def test_every_form_gives_the_same_counts_and_draws(care: MDP, tmp_path: Path) -> None:
     pairs = examples()
     table = np.zeros((16, 16), dtype=int)
     for s, z in pairs:
@@ -188,22 +207,30 @@ def test_every_form_gives_the_same_counts(care: MDP, tmp_path: Path) -> None:
     (tmp_path / "a.jsonl").write_text("\n".join(lines) + '\n{"status": "00')  # a broken last line
     labels = [{"status": int(s, 2), "perceived": int(z, 2)} for s, z in pairs]
     (tmp_path / "b.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in labels))
+    mean = evaluate(care, perceived(care, PLAN, Counted(counts=table).mean)).mean
+    posterior = Counted(counts=table, prior=1 / 16)
+    matrices = posterior.samples(np.random.default_rng(5), 30)
+    drawn = [evaluate(care, perceived(care, PLAN, matrix)).mean for matrix in matrices]
     for name in ("a.csv", "a.jsonl", "b.jsonl"):
-        assert np.array_equal(read_counts(tmp_path / name, care).counts, table)
-        assert np.array_equal(read(tmp_path / name, care), Counted(counts=table).mean)
+        assert evaluated(tmp_path / name)["mean"] == pytest.approx(mean, rel=1e-12)
+        found = with_prior(tmp_path / name)["counted"]
+        assert found["mean"] == pytest.approx(np.mean(drawn), rel=1e-12)
+        assert found["interval"] == pytest.approx(np.quantile(drawn, [0.025, 0.975]), rel=1e-9)
     assert np.array_equal(counted(pairs, size=16).counts, table)
     assert np.array_equal(counted(table, size=16).counts, table)
     assert not counted(table, size=16).counts.flags.writeable
 
 
-def test_a_last_line_without_its_newline(care: MDP, tmp_path: Path) -> None:
-    line = '{"status": "0000", "perceived": "0001"}'
-    for end, kept in (("", 2), ("\n", 2), ('\n{"status": "0000", "perceived": "00', 2)):
-        (tmp_path / "a.jsonl").write_text(f"{line}\n{line}{end}")
-        assert read_counts(tmp_path / "a.jsonl", care).counts[0, 1] == kept
-    (tmp_path / "a.jsonl").write_text(f'{line}\n{{"status"\n{line}')
-    with pytest.raises(ModelError, match="broken JSON"):
-        read_counts(tmp_path / "a.jsonl", care)
+def test_a_last_line_without_its_newline(tmp_path: Path) -> None:
+    line, path = '{"status": "0000", "perceived": "0001"}', tmp_path / "a.jsonl"
+    told = []
+    for end in ("", "\n", '\n{"status": "0000", "perceived": "00'):
+        path.write_text(f"{line}\n{line}{end}")
+        told.append(with_prior(path)["counted"])
+    path.write_text(line)
+    assert told[0] == told[1] == told[2] != with_prior(path)["counted"]
+    path.write_text(f'{line}\n{{"status"\n{line}')
+    assert "broken JSON" in run("perception", *MODEL, "--perception", path).err
 
 
 def test_commands_name_the_file_that_labels_too_little(tmp_path: Path) -> None:
@@ -255,21 +282,6 @@ def test_rates_are_of_single_statuses() -> None:
     }
     empty = counted([("00", "00")], size=4).rates(["a", "b"])["a"]["sensitivity"]
     assert (empty.value, empty.low, empty.high) == (None, 0.0, 1.0)
-
-
-def test_the_uncertain_value_is_that_of_the_draws(care: MDP) -> None:
-    counts = counted(examples(), size=16, prior=1 / 16)
-    policy = {f"{s:04b}": ["none", "supportive", "directive"][s % 3] for s in range(16)}
-    found = value_under_counts(care, policy, counts, rng=5, n=30)
-    again = value_under_counts(care, policy, counts, rng=5, n=30)
-    matrices = counts.samples(np.random.default_rng(5), 30)
-    alone = [evaluate(care, perceived(care, policy, matrix)).mean for matrix in matrices]
-    assert found.draws == pytest.approx(alone, rel=1e-12)
-    assert np.array_equal(found.draws, again.draws)
-    assert found.value.value == pytest.approx(np.mean(alone))
-    at_mean = evaluate(care, perceived(care, policy, counts.mean)).mean
-    assert abs(found.at_mean.value - at_mean) <= 2 * found.at_mean.error
-    assert found.value.claim == "estimated"
 
 
 def test_counts_that_are_none() -> None:

@@ -8,31 +8,28 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from own_scenarios import check_own, own_text
+from own_scenarios import SHIPPED, check_own, own_text, scenario_of
 
 from exact_mdp import READINGS, ModelError, Scenario
-from exact_mdp.mdp.care.toml import parse, shipped
 
 BASE = Scenario.load("yuan2025")
 
 
 def test_three_statuses_and_three_actions() -> None:
-    scenario = parse(own_text(3, 3), Scenario)
+    scenario = scenario_of(own_text(3, 3))
     assert (scenario.statuses, scenario.actions) == (("s0", "s1", "s2"), ("a0", "a1", "a2"))
     check_own(scenario, range(2 * 2 * 8 * 3))
 
 
 def test_six_statuses() -> None:
-    scenario = parse(own_text(6, 5), Scenario)
+    scenario = scenario_of(own_text(6, 5))
     mdp = scenario.compile()
     assert mdp.n_states == 2 * 2 * 64 + 1
     check_own(scenario, Random(0).sample(range(mdp.n_pairs - 1), 12))
 
 
 def test_one_status() -> None:
-    check_own(
-        parse(own_text(2, 2).replace("tasks = [2]", "tasks = [1]"), Scenario), range(2 * 4 * 2)
-    )
+    check_own(scenario_of(own_text(2, 2).replace("tasks = [2]", "tasks = [1]")), range(2 * 4 * 2))
 
 
 def test_the_tea_scenario() -> None:
@@ -47,11 +44,10 @@ def test_a_file_of_ones_own(tmp_path: Path) -> None:
     path.write_text(own_text(3, 3), encoding="utf-8")
     scenario = Scenario.load(path)
     assert scenario.name == "own"
-    assert scenario.values() == parse(own_text(3, 3), Scenario).values()
 
 
 def test_every_shipped_scenario_compiles() -> None:
-    for name in shipped():
+    for name in SHIPPED:
         mdp = Scenario.load(name).compile()
         assert mdp.name == name
         assert mdp.terminal.sum() == 1
@@ -202,7 +198,7 @@ def test_unknown_scenarios_and_files(tmp_path: Path) -> None:
 def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     path.write_text(TEXT, encoding="utf-8-sig")
-    assert Scenario.load(path).values() == parse(TEXT, Scenario).values()
+    assert Scenario.load(path).values() == scenario_of(TEXT).values()
 
 
 def test_a_scenario_is_frozen_and_survives_a_pickle() -> None:

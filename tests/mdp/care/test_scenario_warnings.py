@@ -4,13 +4,11 @@ import subprocess
 import sys
 import warnings
 from fractions import Fraction
-from itertools import product
 
 import pytest
 from cli_runner import run
 
 from exact_mdp import (
-    READINGS,
     Scenario,
     ScenarioWarning,
     gradient,
@@ -21,7 +19,6 @@ from exact_mdp import (
     tornado,
     worst_point,
 )
-from exact_mdp.mdp.care.laws import chances, excess
 
 SMALL = {"tasks": [1], "max_trial": 2}
 ADDITIVE = {"influence_on_present": "additive"}
@@ -40,35 +37,6 @@ def told(work) -> list[str]:
     assert all(each.category is ScenarioWarning for each in found)
     assert all(each.filename != warnings.__file__ for each in found)
     return [str(each.message) for each in found]
-
-
-def over(scenario: Scenario) -> int:
-    """Count sums above 1 in fractions, one by one."""
-    found = chances(scenario)
-    values = [*(parameter.value for parameter in scenario.parameters), Fraction(0)]
-    which = [*found.step.reshape(-1).tolist(), *found.skip.reshape(-1).tolist()]
-    return sum(sum(values[k] for k in found.terms[number]) > 1 for number in which)
-
-
-@pytest.mark.parametrize(
-    "readings",
-    [
-        dict(
-            zip(("influence_on_present", "influence_orientation", "skip_onset"), each, strict=True)
-        )
-        for each in product(
-            READINGS["influence_on_present"],
-            READINGS["influence_orientation"],
-            READINGS["skip_onset"],
-        )
-    ],
-)
-def test_every_chance_above_1_is_counted(readings: dict[str, str]) -> None:
-    own = small(**readings)
-    count, said = over(own), excess(own)
-    assert (said is None) == (count == 0)
-    if said is not None and count > 1:
-        assert f"so are {count - 1} others" in said
 
 
 def test_the_default_reading_warns_of_nothing() -> None:

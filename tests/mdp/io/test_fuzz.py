@@ -19,10 +19,9 @@ import pytest
 from archives import tarred, untarred
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from own_scenarios import SHIPPED, scenario_of
 
 from exact_mdp import MDP, ModelError, Policy, Scenario, load, save
-from exact_mdp.mdp.care.toml import parse
-from exact_mdp.mdp.io import npz
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=1)
 CARE = SMALL.compile()
@@ -91,7 +90,7 @@ json_values = st.recursive(
 
 # ---- scenarios ----------------------------------------------------------------------------------
 
-TOML = (Path(npz.__file__).parent.parent / "scenarios" / "yuan2025.toml").read_bytes()
+TOML = SHIPPED["yuan2025"].encode()
 AWKWARD_TOML = [
     *("0", "1", "-1", "1.5", "1e400", "1e-400", "nan", "inf", "-inf", "true", '""', '"1/0"'),
     *('"1/3"', '"0x1"', '"1e9999"', "9" * 5000, "[]", "[1]", "[[1]]", "{}", "{a = 1}", "'x'"),
@@ -139,8 +138,8 @@ def test_settings(text: str, name: str, middle: str) -> None:
 
 def test_some_spoiled_scenarios_are_still_scenarios() -> None:
     """The fuzzing above would show nothing if no change were ever accepted."""
-    assert survives(lambda: parse(TOML.decode().replace("0.05", "0.06"), Scenario))
-    assert not survives(lambda: parse(TOML.decode().replace("0.05", "nan"), Scenario))
+    assert survives(lambda: scenario_of(TOML.decode().replace("0.05", "0.06")))
+    assert not survives(lambda: scenario_of(TOML.decode().replace("0.05", "nan")))
 
 
 # ---- policies ---------------------------------------------------------------------------------

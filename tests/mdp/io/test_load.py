@@ -13,7 +13,6 @@ from model_equality import assert_same
 
 import exact_mdp
 from exact_mdp import MDP, ModelError, Scenario, load, save
-from exact_mdp.mdp.io.load import load_scenario
 
 SMALL = ["tasks=[1]", "max_trial=1"]
 
@@ -112,12 +111,6 @@ def test_only_scenarios_can_be_set(spec: str) -> None:
         load(spec, sets=["base.anger=0"])
     with pytest.raises(ModelError, match="use --discount"):
         load(spec, sets=["discount=0.9"])
-
-
-@pytest.mark.parametrize("spec", ["gymnasium:FrozenLake-v1", "model.npz", "model.umb#x"])
-def test_a_model_is_no_scenario(spec: str) -> None:
-    with pytest.raises(ModelError, match="not a scenario"):
-        load_scenario(spec)
 
 
 @pytest.mark.parametrize("discount", ["1.5", -1, "x", float("nan"), ""])

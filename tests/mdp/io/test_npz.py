@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 from archives import array_header, unzipped, zipped
-from model_equality import assert_same
+from model_equality import assert_same, meant
 from saved_models import MODELS
 
 from exact_mdp import MDP, ModelError, load, save
-from exact_mdp.mdp.rows import meant
 
 
 def test_any_program_can_read_it(tmp_path: Path) -> None:

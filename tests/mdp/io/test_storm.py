@@ -16,7 +16,6 @@ import pytest
 from oracle import Oracle
 
 from exact_mdp import MDP, ModelError, Scenario, certify, load, save
-from exact_mdp.mdp.io import umb
 
 pytestmark = [pytest.mark.bench, pytest.mark.storm]
 
@@ -42,8 +41,6 @@ rewards "steps"
   place < 3 : 1;
 endrewards
 """
-
-
 CHAIN = """dtmc
 module a
   x: [0..2] init 0;
@@ -168,7 +165,7 @@ def test_a_model_that_storm_builds_and_writes(stormpy: Any, tmp_path: Path) -> N
     stormpy.io.export_to_umb(model, str(tmp_path / "walk.umb"))
     for name in ("cost", "steps"):
         wanted = answer(stormpy, model, f'R{{"{name}"}}min=? [F "goal"]')
-        mdp = umb.load(tmp_path / "walk.umb", reward=name, discount=1)
+        mdp = load(f"{tmp_path / 'walk.umb'}#{name}", discount=1)
         assert set(mdp.actions) == {"run", "jump", "rest"}
         value = np.zeros(mdp.n_states)
         for _ in range(2000):

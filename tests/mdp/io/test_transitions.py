@@ -16,8 +16,6 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from exact_mdp import MDP, ModelError, certify, fingerprint, load, save
-from exact_mdp.mdp.io import transitions
-from exact_mdp.mdp.records import entered
 
 NAMES = ["episode", "state", "action", "reward", "next_state"]
 
@@ -105,31 +103,6 @@ def test_numbered_states_stand_in_order() -> None:
     assert mdp.space.labels(range(3)) == ["state 2", "state 9", "state 10"]
     assert mdp.actions == ("0", "1")
     assert mdp.start == ((2, F(1)),)
-
-
-@pytest.mark.parametrize("size", [1, 3, 100])
-def test_one_and_one_point_zero_are_one_state(
-    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Pandas writes whole numbers as floats in a column where one is missing."""
-    rows = [(1, 0, 1, 2, 1), (1, 1, 0, "1.0", 12), (2, 0, 0, 1, None), (3, 12, 1, 3, 0)]
-    whole = table(rows).astype({"next_state": "Int64"})
-    floats = table(rows)
-    for name in ("episode", "state", "action", "next_state"):
-        floats[name] = floats[name].astype(float)
-    monkeypatch.setattr(transitions, "ROWS", size)
-    wanted = MDP.from_transitions(whole)
-    assert wanted.space.labels(range(4)) == ["state 0", "state 1", "state 12", "end"]
-    assert wanted.actions == ("0", "1")
-    for frame in (whole, table(rows), table(rows).astype({"next_state": float}), floats):
-        assert fingerprint(MDP.from_transitions(frame)) == fingerprint(wanted)
-        frame.to_csv(tmp_path / "log.csv", index=False)
-        found = MDP.from_transitions(tmp_path / "log.csv")
-        assert fingerprint(found) == fingerprint(wanted)
-        assert found.space == wanted.space
-        assert found.actions == wanted.actions
-    frame.astype({"reward": str}).to_parquet(tmp_path / "log.parquet")
-    assert fingerprint(MDP.from_transitions(tmp_path / "log.parquet")) == fingerprint(wanted)
 
 
 def test_other_texts_stay_as_they_are_written() -> None:
@@ -374,56 +347,6 @@ CUT = [*NAMES, "truncated"]
 
 def cut(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=CUT)
-
-
-CUT_ROWS = [
-    (1, "a", "x", 0, "b", False), (1, "b", "y", 1, "trap", True),
-    (2, "a", "x", 0, "home", False), (3, "a", "y", 1, None, True),
-    (4, "a", "x", 0, "a", True), (5, "a", "x", 0, "home", True), (6, "new", "x", 0, None, True),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("size", [1, 3, 100])
-def test_where_episodes_were_cut_off_is_no_end(
-    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(transitions, "ROWS", size)
-    frame = cut(CUT_ROWS)
-    frame.to_csv(tmp_path / "log.csv", index=False)
-    frame.astype({"truncated": int}).to_parquet(tmp_path / "log.parquet")
-    found = [MDP.from_transitions(each, "1/2") for each in (frame, tmp_path / "log.parquet")]
-    found.append(MDP.from_transitions(tmp_path / "log.csv", "1/2"))
-    other = frame.rename(columns={"truncated": "timeout"})
-    found.append(MDP.from_transitions(other, "1/2", columns={"truncated": "timeout"}))
-    for mdp in found:
-        names = [mdp.space.label(s).removeprefix("state ") for s in range(mdp.n_states)]
-        assert [n for n, flag in zip(names, mdp.labels["cut off"], strict=True) if flag] == [
-            "trap",
-            "cut off",
-        ]
-        assert entered(mdp) == ("state home",)
-        seen = {
-            (names[s], mdp.actions[a]): n
-            for s, a, n in zip(mdp.pair_state, mdp.pair_action, mdp.observations, strict=True)
-            if n
-        }  # type: ignore[arg-type]
-        assert seen == {("a", "x"): 4, ("a", "y"): 1, ("b", "y"): 1, ("new", "x"): 1}
-        assert mdp.episodes == 6
-    record = transitions.counted(frame)
-    assert record.n_cut_off == 5
-    assert sum(record.stops.values()) == record.n_episodes == 6
-    assert transitions.counted(frame.drop(columns="truncated")).n_cut_off == 1  # stops in a
-    model = tmp_path / "m.npz"
-    told = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2", "--json").result
-    assert (told["cut_off"], told["n_never_taken"]) == (5, 2)
-    assert told["cut_off_states"] == ["state trap", "cut off"]
-    assert told["never_taken"] == ["state b: x", "state new: y"]
-    assert load(model).labels["cut off"].sum() == 2
-    plain = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2")
-    assert "no medical advice" in plain.out
-    assert "nobody knows what follows where episodes were cut off" in plain.err
-    save(found[0], tmp_path / "m.umb")
-    assert load(tmp_path / "m.umb").labels["cut off"].sum() == 2
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from laws import laws
 from saved_models import MODELS
 
 from exact_mdp import MDP, ModelError, Scenario, certify, load, save
-from exact_mdp.mdp.io import umb
 
 F = Fraction
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=1).compile()
@@ -73,7 +72,7 @@ def test_components_whose_names_differ_by_signs_alone(tmp_path: Path) -> None:
     known_as = [d.alias or key for key, d in content.index.annotations["rewards"].items()]
     assert known_as == ["reward", "a_b", "a_b_", "A_b", "reward_"]
     assert load(tmp_path / "m.umb").reward.tolist() == [10]
-    assert umb.load(tmp_path / "m.umb", reward="a_b").reward.tolist() == [1]
+    assert load(f"{tmp_path / 'm.umb'}#a_b").reward.tolist() == [1]
 
 
 # ---- files of others -----------------------------------------------------------------------------
@@ -122,7 +121,6 @@ def test_a_chain_and_a_state_without_choices(tmp_path: Path) -> None:
 def test_a_reward_model_is_chosen_by_name(tmp_path: Path) -> None:
     path = written_with_two_rewards(tmp_path)
     for name, value in (("time", 1), ("cost", 7), ("a long name", 7)):
-        assert umb.load(path, discount=1, reward=name).reward[0] == value
         assert load(f"{path}#{name}", discount=1).reward[0] == value
     with pytest.raises(ModelError, match=r"no reward model 'tim'(.|\n)*did you mean time"):
         load(f"{path}#tim", discount=1)

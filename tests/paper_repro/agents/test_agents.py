@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from exact_mdp import MDP, ModelError, Policy, Scenario, evaluate
-from exact_mdp.mdp.care.perception import independent, perceived
+from exact_mdp import MDP, ModelError, Policy, Scenario, evaluate, independent, perceived
 from exact_mdp.paper_repro.agents import DISCLAIMER, log
 from exact_mdp.paper_repro.agents.cli import main
 from exact_mdp.paper_repro.agents.perception import as_csv, cost, counts, labelled

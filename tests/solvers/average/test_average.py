@@ -1,6 +1,5 @@
 """The best average reward per step: exact, certified, against every policy and against limits."""
 
-import re
 from dataclasses import replace
 from fractions import Fraction as F
 from math import prod
@@ -16,10 +15,6 @@ from hypothesis import assume, given, settings
 from strategies import Rows, models
 
 from exact_mdp import MDP, AverageCertificate, ModelError, certify
-from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.solvers.average import checker
-from exact_mdp.solvers.average.chain import ExactAverages
-from exact_mdp.solvers.average.checker import Rationals
 
 SMALL = models(discounts=[F(1, 2)])
 
@@ -142,26 +137,12 @@ def test_rows_of_floats_mean_what_was_written() -> None:
     assert (step.discount, step.floats) == (1, True)
 
 
-def test_expansions_in_fractions_satisfy_their_equations() -> None:
-    mdp = forest("1/2")
-    rows = bellman_rows(mdp.undiscounted).of_pairs(np.array([0, 3, 4]))
-    chain = ExactAverages(rows)
-    g, h, w = chain.expansion(chain.reward)
-    following = [dict(enumerate(row)) for row in ([F(1, 10), F(9, 10), 0], [1, 0, 0])]
-    for s, row in enumerate(following):
-        onward = [sum(p * x[t] for t, p in row.items()) for x in (g, h, w)]
-        assert onward[0] == g[s]
-        assert g[s] + h[s] - onward[1] == chain.reward[s]
-        assert h[s] + w[s] - onward[2] == 0
-    assert chain.mean(h).tolist() == chain.mean(w).tolist() == [0]
-
-
 # ---- certificates --------------------------------------------------------------------------------
 
 
-def moved(vector: Rationals, by: int, place: int | None = None) -> Rationals:
+def moved(vector: Any, by: int, place: int | None = None) -> Any:
     top = [x + by if place in (None, s) else x for s, x in enumerate(vector.top)]
-    return Rationals(top, vector.below)
+    return type(vector)(top, vector.below)
 
 
 def multichain() -> MDP:
@@ -179,9 +160,9 @@ FAULTS: dict[str, tuple[str, dict[str, Any]]] = {
     "one bias": (f"{POLICY} relative values", {"h": lambda x: moved(x, 1, 1)}),
     "shifted biases": (f"{POLICY} biases", {"h": lambda x: moved(x, 1)}),
     "second bias": (f"{BETTER} biases", {"w": lambda x: moved(x, -1, 1)}),
-    "denominator": ("integers over a positive one", {"g": lambda x: Rationals(x.top, -x.below)}),
-    "float": ("integers over a positive one", {"h": lambda x: Rationals([0.5, 1, 2], x.below)}),
-    "length": ("states", {"w": lambda x: Rationals(x.top[:2], x.below)}),
+    "denominator": ("integers over a positive one", {"g": lambda x: type(x)(x.top, -x.below)}),
+    "float": ("integers over a positive one", {"h": lambda x: type(x)([0.5, 1, 2], x.below)}),
+    "length": ("states", {"w": lambda x: type(x)(x.top[:2], x.below)}),
     "policy": (f"{POLICY} gains", {"policy": lambda x: np.array([1, *x[1:]])}),
     "policy, same gain": (f"{POLICY} relative", {"policy": lambda x: np.array([x[0], 0, x[2]])}),
     "action": ("not available", {"policy": lambda x: np.array([*x[:2], 1])}),
@@ -234,12 +215,6 @@ def test_files(tmp_path: Path) -> None:
         with pytest.raises(ModelError, match=r"is missing or damaged|not JSON|not 'average'"):
             AverageCertificate.load(path)
         found.save(path)
-
-
-def test_the_checker_imports_no_solver() -> None:
-    source = Path(checker.__file__).read_text("utf-8")
-    taken = re.findall(r"^from exact_mdp\.(\S+) import", source, re.M)
-    assert {name for name in taken if not name.startswith("mdp.")} == {"solvers.proof.checker"}
 
 
 def test_what_does_not_apply_is_refused() -> None:

@@ -21,9 +21,6 @@ from exact_mdp import (
     solve,
     train,
 )
-from exact_mdp.analysis.learning.curves import exact_curves, random_curve
-from exact_mdp.analysis.learning.outcomes import mean_interval, share_interval
-from exact_mdp.solvers.learning.sampler import rows_of
 
 SHORT = QLearning(epochs=150)
 
@@ -130,13 +127,6 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
     assert learning_curve(care, runs[0], rng=6).sampled.tobytes() != curve.sampled.tobytes()
 
 
-def test_the_random_baseline(care: MDP) -> None:
-    curve = random_curve(care, 300, rng=1)
-    exact = evaluate(care, "random")
-    assert set(curve.value) == {exact.mean}
-    assert abs(curve.sampled.mean() - exact.mean) < 4 * exact.sd / sqrt(300 * 40)
-
-
 def test_discounted_curves_of_another_reading() -> None:
     mdp = (
         Scenario.load("yuan2025")
@@ -147,34 +137,6 @@ def test_discounted_curves_of_another_reading() -> None:
     curve = learning_curve(mdp, run, rng=0, n=200)
     error = sqrt((curve.standard_error**2).sum())
     assert abs((curve.sampled - curve.value).sum()) < 4 * error
-
-
-def test_exact_curves_of_many_runs(care: MDP, runs: list[TrainingRun]) -> None:
-    values = exact_curves(care, runs)
-    assert values.shape == (24, SHORT.epochs)
-    assert values[0].tolist() == learning_curve(care, runs[0], rng=5).value.tolist()
-    assert values[:, -20:].mean() > values[:, :5].mean()
-
-
-# ---- intervals -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("count", "total"), [(0, 20), (7, 20), (20, 20), (500, 1000)])
-def test_wilson_by_its_formula(count: int, total: int) -> None:
-    z, share = 1.959963984540054, count / total
-    middle = (share + z * z / (2 * total)) / (1 + z * z / total)
-    half = z / (1 + z * z / total) * sqrt(share * (1 - share) / total + (z / (2 * total)) ** 2)
-    assert share_interval(count, total) == pytest.approx((middle - half, middle + half), abs=1e-12)
-
-
-def test_the_bootstrap_is_near_the_normal_interval() -> None:
-    values = np.random.default_rng(0).exponential(size=400)
-    low, high = mean_interval(values)
-    error = values.std(ddof=1) / sqrt(400)
-    assert low == pytest.approx(values.mean() - 1.96 * error, abs=0.3 * error)
-    assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.4 * error)
-    assert mean_interval(values) == (low, high)
-    assert mean_interval(values[:9]) is None
 
 
 # ---- an implementation of its own ----------------------------------------------------------------
@@ -256,10 +218,6 @@ def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, s
         other = np.mean([found[0][0] == action for found, _ in theirs])
         pooled = (share * 8 + other) / 9
         assert abs(share - other) < 4 * sqrt(pooled * (1 - pooled) * (9 / 8) / count) + 1e-9
-
-
-def test_rows_are_what_the_learner_reads(care: MDP, runs: list[TrainingRun]) -> None:
-    assert outcomes(care, runs, bound=False).rows.space == rows_of(care).space == runs[0].space
 
 
 def test_outcomes_of_costs_are_those_of_rewards_times_minus_one() -> None:

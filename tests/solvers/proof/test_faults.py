@@ -11,7 +11,6 @@ import pytest
 from certificates import MODELS, certified
 
 from exact_mdp import MDP, Certificate, ModelError, certify
-from exact_mdp.mdp.table import OutcomeTable, ones
 
 Change = Callable[[Any], dict[str, Any]]
 
@@ -251,10 +250,7 @@ def test_a_table_of_numpy_integers_in_disguise_is_refused() -> None:
         parts: dict[str, Any] = {"weight": np.array([1]), "gain": np.array([1])}
         hidden = np.empty(1, dtype=object)
         hidden[0] = np.int64(1)
-        table = OutcomeTable(
-            offsets=np.array([0, 1]), next=np.array([0]), denominator=ones(1),
-            gain_denominator=ones(1), **(parts | {name: hidden}),
-        )  # fmt: skip
         base = MDP.from_arrays([[[1]]], [0], 0.5)
+        table = replace(base.table, **(parts | {name: hidden}))
         with pytest.raises(ModelError, match=f"{name} holds a number of type int64"):
             base.with_(table=table)

@@ -7,7 +7,6 @@ from math import inf, sqrt
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from policy_cases import care, careful, policy_of
 
 from exact_mdp import (
@@ -20,8 +19,6 @@ from exact_mdp import (
     return_distribution,
     simulate,
 )
-from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.simulate import _cumulative
 
 EPISODES = 100_000
 
@@ -115,22 +112,6 @@ def test_what_is_cut_off_is_part_of_the_error() -> None:
     assert high - 10 < 1e-4
     ended = simulate(mdp, [0], 5, rng=0, horizon=3)
     assert ended.value.interval == (ended.mean, ended.mean)
-
-
-def test_probabilities_of_large_models_keep_their_digits() -> None:
-    # Summed up over all states at once, rare outcomes of late states would be lost to rounding.
-    states, rare = 100_000, 1e-13
-    here = np.repeat(np.arange(states - 1), 2)
-    there = np.where(np.arange(len(here)) % 2, states - 1, np.minimum(here + 1, states - 2))
-    rows = sp.csr_array((np.tile([1 - rare, rare], states - 1), (here, there)))
-    last = sp.csr_array(([1.0], ([0], [states - 1])), shape=(1, states))
-    mdp = MDP.from_pairs(
-        np.arange(states), np.zeros(states, dtype=int), sp.vstack([rows, last]), np.zeros(states)
-    )
-    first, cumulative = _cumulative(PolicyChain.of(mdp, "random"))
-    assert first.tolist() == [*range(0, 2 * states, 2), 2 * states - 1]
-    assert (cumulative[0:-1:2] == 1 - rare).all()
-    assert (cumulative[1:-1:2] == 1).all()
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:

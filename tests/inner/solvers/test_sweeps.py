@@ -37,12 +37,7 @@ from exact_mdp.solvers.bounds import sweeps as sweeps_module
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.bounds.sweeps import (
-    CompiledSweeps,
-    Judged,
-    Sweeps,
-    sweeps_of,
-)
+from exact_mdp.solvers.bounds.sweeps import CompiledSweeps, Judged, Sweeps, sweeps_of
 from exact_mdp.solvers.dynamic import pace
 from exact_mdp.solvers.dynamic import stopping as stopping_module
 from exact_mdp.solvers.dynamic.stopping import Iterate

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
+from itertools import product
 
 import numpy as np
 import pytest
 
-from exact_mdp import Scenario, evaluate, solve
+from exact_mdp import READINGS, Scenario, evaluate, solve
 from exact_mdp.mdp.care import rules
+from exact_mdp.mdp.care.laws import chances, excess
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.solvers.care import optimal, policy_values
 
-READINGS = (
+VARIANTS = (
     {},
     {"task_bonus": "no-subtask-skipped", "status_cost": "current"},
     {"task_bonus": "last-subtask-completed", "skip_timestep": "own", "skip_onset": "base"},
@@ -82,7 +85,7 @@ def mean(scenario: Scenario) -> float:
     return float(known.mean)
 
 
-@pytest.mark.parametrize("readings", READINGS)
+@pytest.mark.parametrize("readings", VARIANTS)
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_rule_that_is_changed_in_its_one_place_is_followed_by_all(
     change: Callable[[Patch], None], readings: dict[str, str], monkeypatch: Patch
@@ -105,3 +108,39 @@ def test_the_statement_is_that_of_the_paper() -> None:
     assert stated.charged("skip", rules.INSIDE, 1) == ("subtask-skip",)
     assert stated.charged("skip", rules.FINAL, 1) == ("subtask-skip", "task-complete")
     assert stated.charged("complete", rules.LAST)[-1] == "task-complete"
+
+
+SMALL = {"tasks": [1], "max_trial": 2}
+
+
+def small(**readings: str) -> Scenario:
+    return Scenario.load("yuan2025").with_(readings=readings, **SMALL)
+
+
+def over(scenario: Scenario) -> int:
+    """Count sums above 1 in fractions, one by one."""
+    found = chances(scenario)
+    values = [*(parameter.value for parameter in scenario.parameters), Fraction(0)]
+    which = [*found.step.reshape(-1).tolist(), *found.skip.reshape(-1).tolist()]
+    return sum(sum(values[k] for k in found.terms[number]) > 1 for number in which)
+
+
+@pytest.mark.parametrize(
+    "readings",
+    [
+        dict(
+            zip(("influence_on_present", "influence_orientation", "skip_onset"), each, strict=True)
+        )
+        for each in product(
+            READINGS["influence_on_present"],
+            READINGS["influence_orientation"],
+            READINGS["skip_onset"],
+        )
+    ],
+)
+def test_every_chance_above_1_is_counted(readings: dict[str, str]) -> None:
+    own = small(**readings)
+    count, said = over(own), excess(own)
+    assert (said is None) == (count == 0)
+    if said is not None and count > 1:
+        assert f"so are {count - 1} others" in said

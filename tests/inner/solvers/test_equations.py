@@ -2,20 +2,39 @@
 
 import pickle
 from fractions import Fraction as F
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
+import scipy.sparse.linalg
 from cases.reference import evaluate_exact
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_twins import factor_pattern
 from strategies import Rows, exact_values, models
 
-from exact_mdp import SolverError, Status
+from exact_mdp import (
+    MDP,
+    BackwardInduction,
+    LinearProgram,
+    SolverError,
+    Status,
+    certify,
+    evaluate,
+    solve,
+)
 from exact_mdp.mdp.chain import topological_levels
 from exact_mdp.solvers.bounds import elimination, linear
-from exact_mdp.solvers.bounds.elimination import TooLarge, band, fill, matrix_of, reach, sparse
+from exact_mdp.solvers.bounds.elimination import (
+    TooLarge,
+    band,
+    fill,
+    matrix_of,
+    reach,
+    sparse,
+    substitution,
+)
 from exact_mdp.solvers.bounds.gains import UNIT
 from exact_mdp.solvers.bounds.linear import (
     FixedPoint,
@@ -584,3 +603,37 @@ def test_small_and_large_chains_are_iterated_alike(monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr(linear, "COMPILED", threshold)
         monkeypatch.setattr(linear, "STEPS", 3)
         assert quickly(ring, 0.9999, rng.normal(size=600), 1e-12) is None
+
+
+@pytest.fixture
+def indices(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The index types of all matrices that SciPy's triangular solve is given."""
+    found: list[Any] = []
+    true = scipy.sparse.linalg.spsolve_triangular
+
+    def watched(matrix: Any, *given: Any, **how: Any) -> Any:
+        found.extend([matrix.indices.dtype, matrix.indptr.dtype])
+        return true(matrix, *given, **how)
+
+    monkeypatch.setattr(elimination.linalg, "spsolve_triangular", watched)
+    return found
+
+
+@pytest.mark.parametrize("kind", [np.int32, np.int64])
+def test_a_triangular_solve_gets_cs_integers(kind: Any, indices: list[Any]) -> None:
+    """SciPy before 1.17.1 raises a TypeError for wider indices: they are cast, whatever comes."""
+    chain = sp.csr_array([[0.0, 0.5, 0.25], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+    chain.indices, chain.indptr = chain.indices.astype(kind), chain.indptr.astype(kind)
+    found = substitution(chain, 0.5, np.array([2, 1, 0]))(np.array([1.0, 2.0, 4.0]))
+    assert found.tolist() == [1 + 0.25 * 3 + 0.125 * 4, 3.0, 4.0]
+    assert indices == [np.intc, np.intc]
+
+
+def test_commands_that_solve_by_substitution_work(indices: list[Any]) -> None:
+    """Solving, evaluating and certifying a small model without cycles hand over C's integers."""
+    mdp = MDP.from_arrays([[[0, 1, 0], [0, 0, 1], [0, 0, 1]]], [1, 2, 0])
+    assert evaluate(mdp, "random").mean == 3
+    for solver in (BackwardInduction(), LinearProgram()):
+        assert solve(mdp, solver).value.tolist() == [3, 2, 0]
+    assert certify(mdp).value[0] == 3
+    assert set(indices) <= {np.dtype(np.intc)}

@@ -1,17 +1,21 @@
-"""Every file is a regular one and no larger than it says, or it is refused at once, in words."""
+"""Every kind of file that is opened is a regular one; tables are read in blocks."""
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import signal
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from archives import array_header, zipped
+from cli_runner import run
 
 from exact_mdp import (
     MDP,
@@ -20,15 +24,19 @@ from exact_mdp import (
     ModelError,
     Policy,
     Scenario,
+    fingerprint,
     load,
     load_ranges,
     load_uncertainty,
+    save,
 )
 from exact_mdp.mdp.care.perception import read as read_perception
 from exact_mdp.mdp.care.perception import read_counts
+from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
+from exact_mdp.mdp.records import entered
 from exact_mdp.solvers.parallel import read_piece
 
 MODEL = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2")
@@ -143,6 +151,132 @@ def test_files_beyond_the_limit(tmp_path: Path) -> None:
         read_bytes("/proc/self/status", most=10)
 
 
+def test_numbers_of_every_type_come_through(tmp_path: Path) -> None:
+    """int64 and long double are handed on as they are, in either order of bytes and of axes."""
+    for kind in ("i8", ">i8", "u8", "f4", ">f8", np.longdouble, "f2"):
+        for order in "CF":
+            values = np.asarray(np.arange(6).reshape(2, 3), dtype=kind, order=order)
+            np.save(tmp_path / "q.npy", values)
+            found = read_array(tmp_path / "q.npy", called="q")
+            assert found.dtype == np.dtype(kind).newbyteorder("=")
+            assert np.array_equal(found, values)
+            np.savez_compressed(tmp_path / "q.npz", q=values, other=values)
+            assert np.array_equal(read_array(tmp_path / "q.npz", called="q"), values)
+
+
+def test_a_constant_piece_is_not_out_of_proportion(tmp_path: Path) -> None:
+    """Pieces of a run are compressed as far as they go; our own are never refused."""
+    from exact_mdp.solvers.parallel import write_piece
+
+    write_piece(tmp_path / "a.npz", {"zeros": np.zeros(20_000_000)})
+    found = read_piece(tmp_path / "a.npz")
+    assert found is not None
+    assert found["zeros"].shape == (20_000_000,)
+
+
+NAMES = ["episode", "state", "action", "reward", "next_state"]
+
+
+def table(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=NAMES)
+
+
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_one_and_one_point_zero_are_one_state(
+    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pandas writes whole numbers as floats in a column where one is missing."""
+    rows = [(1, 0, 1, 2, 1), (1, 1, 0, "1.0", 12), (2, 0, 0, 1, None), (3, 12, 1, 3, 0)]
+    whole = table(rows).astype({"next_state": "Int64"})
+    floats = table(rows)
+    for name in ("episode", "state", "action", "next_state"):
+        floats[name] = floats[name].astype(float)
+    monkeypatch.setattr(transitions, "ROWS", size)
+    wanted = MDP.from_transitions(whole)
+    assert wanted.space.labels(range(4)) == ["state 0", "state 1", "state 12", "end"]
+    assert wanted.actions == ("0", "1")
+    for frame in (whole, table(rows), table(rows).astype({"next_state": float}), floats):
+        assert fingerprint(MDP.from_transitions(frame)) == fingerprint(wanted)
+        frame.to_csv(tmp_path / "log.csv", index=False)
+        found = MDP.from_transitions(tmp_path / "log.csv")
+        assert fingerprint(found) == fingerprint(wanted)
+        assert found.space == wanted.space
+        assert found.actions == wanted.actions
+    frame.astype({"reward": str}).to_parquet(tmp_path / "log.parquet")
+    assert fingerprint(MDP.from_transitions(tmp_path / "log.parquet")) == fingerprint(wanted)
+
+
+CUT = [*NAMES, "truncated"]
+
+
+def cut(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=CUT)
+
+
+CUT_ROWS = [
+    (1, "a", "x", 0, "b", False), (1, "b", "y", 1, "trap", True),
+    (2, "a", "x", 0, "home", False), (3, "a", "y", 1, None, True),
+    (4, "a", "x", 0, "a", True), (5, "a", "x", 0, "home", True), (6, "new", "x", 0, None, True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_where_episodes_were_cut_off_is_no_end(
+    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(transitions, "ROWS", size)
+    frame = cut(CUT_ROWS)
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    frame.astype({"truncated": int}).to_parquet(tmp_path / "log.parquet")
+    found = [MDP.from_transitions(each, "1/2") for each in (frame, tmp_path / "log.parquet")]
+    found.append(MDP.from_transitions(tmp_path / "log.csv", "1/2"))
+    other = frame.rename(columns={"truncated": "timeout"})
+    found.append(MDP.from_transitions(other, "1/2", columns={"truncated": "timeout"}))
+    for mdp in found:
+        names = [mdp.space.label(s).removeprefix("state ") for s in range(mdp.n_states)]
+        assert [n for n, flag in zip(names, mdp.labels["cut off"], strict=True) if flag] == [
+            "trap",
+            "cut off",
+        ]
+        assert entered(mdp) == ("state home",)
+        seen = {
+            (names[s], mdp.actions[a]): n
+            for s, a, n in zip(mdp.pair_state, mdp.pair_action, mdp.observations, strict=True)
+            if n
+        }  # type: ignore[arg-type]
+        assert seen == {("a", "x"): 4, ("a", "y"): 1, ("b", "y"): 1, ("new", "x"): 1}
+        assert mdp.episodes == 6
+    record = transitions.counted(frame)
+    assert record.n_cut_off == 5
+    assert sum(record.stops.values()) == record.n_episodes == 6
+    assert transitions.counted(frame.drop(columns="truncated")).n_cut_off == 1  # stops in a
+    model = tmp_path / "m.npz"
+    told = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2", "--json").result
+    assert (told["cut_off"], told["n_never_taken"]) == (5, 2)
+    assert told["cut_off_states"] == ["state trap", "cut off"]
+    assert told["never_taken"] == ["state b: x", "state new: y"]
+    assert load(model).labels["cut off"].sum() == 2
+    plain = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2")
+    assert "no medical advice" in plain.out
+    assert "nobody knows what follows where episodes were cut off" in plain.err
+    save(found[0], tmp_path / "m.umb")
+    assert load(tmp_path / "m.umb").labels["cut off"].sum() == 2
+
+
+LAKE = "FrozenLake-v1"
+
+
+def test_a_file_of_before_has_no_limit(tmp_path: Path) -> None:
+    """Files that were written without the field are read as they were."""
+    from exact_mdp.mdp.io.npz import as_header, parts_of
+
+    mdp = MDP.from_gymnasium(LAKE)
+    header = json.loads(json.dumps(as_header(mdp) | {"labels": []}))
+    assert parts_of(header, pairs=mdp.n_pairs)["time_limit"] == 100
+    del header["time_limit"]
+    assert parts_of(header, pairs=mdp.n_pairs)["time_limit"] is None
+
+
 def refused(content: bytes, name: str, folder: Path) -> str:
     path = folder / name
     path.write_bytes(content)
@@ -186,26 +320,3 @@ def test_numpy_is_not_quoted_on_pickles(tmp_path: Path) -> None:
     )
     # What np.load takes for a pickle, because it is nothing else.
     refused(b"\x80\x04K\x01.", "q.npy", tmp_path)
-
-
-def test_numbers_of_every_type_come_through(tmp_path: Path) -> None:
-    """int64 and long double are handed on as they are, in either order of bytes and of axes."""
-    for kind in ("i8", ">i8", "u8", "f4", ">f8", np.longdouble, "f2"):
-        for order in "CF":
-            values = np.asarray(np.arange(6).reshape(2, 3), dtype=kind, order=order)
-            np.save(tmp_path / "q.npy", values)
-            found = read_array(tmp_path / "q.npy", called="q")
-            assert found.dtype == np.dtype(kind).newbyteorder("=")
-            assert np.array_equal(found, values)
-            np.savez_compressed(tmp_path / "q.npz", q=values, other=values)
-            assert np.array_equal(read_array(tmp_path / "q.npz", called="q"), values)
-
-
-def test_a_constant_piece_is_not_out_of_proportion(tmp_path: Path) -> None:
-    """Pieces of a run are compressed as far as they go; our own are never refused."""
-    from exact_mdp.solvers.parallel import write_piece
-
-    write_piece(tmp_path / "a.npz", {"zeros": np.zeros(20_000_000)})
-    found = read_piece(tmp_path / "a.npz")
-    assert found is not None
-    assert found["zeros"].shape == (20_000_000,)

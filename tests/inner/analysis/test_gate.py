@@ -1,0 +1,138 @@
+"""Parts of an audit: relaxations, ties of floats, exact visits, words of a verdict."""
+
+from dataclasses import replace
+from fractions import Fraction as F
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import tables
+
+from exact_mdp import MDP, Claim, Policy, SolverError, assert_policy_optimal, check, evaluate
+from exact_mdp.analysis.gate import disagreements
+from exact_mdp.analysis.gate import regret as regret_module
+from exact_mdp.analysis.gate.check import UNDECIDED, Verdict
+from exact_mdp.analysis.gate.exact_policy import exact_visits
+from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
+from exact_mdp.analysis.gate.relaxation import Rows as TableRows
+from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+from exact_mdp.solvers.values.visits import visits
+
+
+def test_what_fails_is_told_as_what_was_found() -> None:
+    """Not as the name of the check, which says the contrary; an open one is not told as false."""
+    zero = Verdict(name="the regret is zero", passed=False, text="it is 2 (certified)")
+    assert zero.told == "the regret is not zero: it is 2 (certified)"
+    assert replace(zero, passed=True).told == "the regret is zero: it is 2 (certified)"
+    undecided = replace(zero, text=f"it is 0 ± 1, {UNDECIDED}")
+    assert undecided.told.startswith("the regret is not known to be zero: it is 0 ± 1, which the")
+
+
+def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unbounded(*_: Any, **__: Any) -> Any:
+        raise SolverError("no bound")
+
+    monkeypatch.setattr(disagreements, "own_visits", unbounded)
+    mdp = MDP.from_arrays([np.full((3, 3), 1 / 3)] * 2, [[1.0, 0.0]] * 3, discount=0.9)
+    audit = check(mdp, [0, 1, 0], exact_values=False)
+    assert not audit.passed
+    assert np.isnan([*audit.visits, audit.agreement_by_visits]).all()
+    assert audit.agreement == pytest.approx(2 / 3)
+    assert "loses 1 a visit; how often it is visited is not known" in str(audit)
+    assert audit.frame(full=True).loc[1, "gap"] == pytest.approx(1)
+    assert audit.plot() is not None
+    with pytest.raises(AssertionError, match="the regret is"):
+        assert_policy_optimal(mdp, [0, 1, 0])
+
+
+@settings(max_examples=30)
+@given(tables(), st.integers(0, 2**32))
+def test_no_policy_that_a_relaxation_allows_is_worth_more(mdp: MDP, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    rows = TableRows.of(mdp, ("row",))
+    allowed = random.random((8, *rows.available.shape)) < 0.6
+    allowed |= one_hot(random.integers(mdp.n_actions, size=allowed.shape[:2]), mdp.n_actions)
+    found = Relaxations(rows).expand(allowed)
+    assert found.kept.tolist() == list(range(8))
+    for n in range(8):
+        mixed = random.random(rows.available.shape) * allowed[n]
+        policy = Policy.by(mdp, ("row",), mixed / mixed.sum(axis=1, keepdims=True))
+        worth = evaluate(mdp, policy)
+        assert worth.mean - worth.start.error <= found.upper[n]
+        own = evaluate(mdp, rows.policy(found.choice[n])).mean
+        assert own == pytest.approx(found.value[n], abs=1e-9)
+        assert allowed[n][np.arange(allowed.shape[1]), found.choice[n]].all()
+        assert found.loss[n].sum() == pytest.approx(found.upper[n] - own, abs=1e-8)
+    values, errors = Relaxations(rows).evaluate(found.choice)
+    for value, error, choice in zip(values, errors, found.choice, strict=True):
+        truth = evaluate(mdp, rows.policy(choice))
+        assert abs(truth.mean - value) <= error + truth.start.error
+
+
+Row = tuple[int, int, list[tuple[Any, int, Any]]]
+
+
+def choice(first: Any, second: Any, *more: Row, discount: Any = 1) -> MDP:
+    """Return a model with a choice between two rewards in state 0, then the end in state 1."""
+    rows: list[Row] = [(0, 0, [(1, 1, first)]), (0, 1, [(1, 1, second)]), (1, 0, [(1, 1, 0)])]
+    return MDP.from_outcomes([*rows, *more], discount)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("learned", [[1, 0], "random"])
+def test_a_bounded_regret_keeps_the_errors_of_both_values(
+    monkeypatch: pytest.MonkeyPatch, learned: Any, sign: int
+) -> None:
+    """Values as far off as their errors allow: the interval holds the exact regret all the same."""
+    mdp = choice(F(5), F(1), discount=F(1, 2))
+    true = check(mdp, learned).regret.at_start.value
+    chain = PolicyChain.of(mdp, policy_of(mdp, learned))
+    own, best = evaluate(mdp, chain), regret_module._optimum(mdp)
+    shift = sign * best.weight / 8
+    far = replace(own, value=own.value - 2 * shift, error=own.error + 2 * abs(shift))
+    monkeypatch.setattr(regret_module, "evaluate", lambda *_: far)
+    off = replace(best, value=best.value + shift, low=-0.126, high=0.126)
+    low, high = regret_module._bounded(mdp, chain, off).at_start.interval
+    assert low <= true <= high
+    assert high - low < 0.8  # no wider than twice both errors
+
+
+def test_what_bounds_leave_open_goes_to_rational_arithmetic(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the model is too large for it, the verdict is open, fails, and says what to do."""
+    size = 210  # a cycle that is bounded unless asked for more
+    rows = [(s, 0, [(1, (s + 1) % size, F(1, 3))]) for s in range(size)]
+    rows += [(0, 1, [(F(1, 2), 1, 0), (F(1, 2), 1, F(2, 3))])]
+    mdp = MDP.from_outcomes(rows, "9/10")
+    learned = [1, *[0] * (size - 1)]
+    audit = check(mdp, learned)
+    assert (audit.passed, audit.claim) == (True, Claim.CERTIFIED)
+    worse = MDP.from_outcomes([*rows[:-1], (0, 1, [(1, 1, F(1, 3) - F(1, 10**30))])], "9/10")
+    audit = check(worse, learned)
+    assert (audit.passed, audit.claim) == (False, Claim.CERTIFIED)
+    assert [each.state for each in audit.disagreements] == [0]
+    monkeypatch.setattr("exact_mdp.analysis.gate.check.LAST_CYCLE", 10)
+    audit = check(worse, learned)
+    assert (audit.passed, audit.undecided) == (False, True)
+    assert "exact_values=True" in audit.message()
+
+
+def test_exact_visits_are_those_of_floating_point_where_it_can() -> None:
+    """Two ways agree, with a cycle, a spread start, and states that are not reached."""
+    rows = [
+        (0, 0, [("1/3", 1, 0), ("2/3", 2, 0)]),
+        (0, 1, [(1, 2, 0)]),
+        (1, 0, [("1/2", 0, 0), ("1/2", 3, 0)]),
+        (2, 0, [("1/4", 0, 0), ("3/4", 3, 0)]),
+        (3, 0, [(1, 3, 0)]),
+        (4, 0, [(1, 0, 0)]),
+    ]
+    for discount in (1, "9/10"):
+        model = MDP.from_outcomes(rows, discount, start={0: "1/2", 2: "1/2"})
+        chain = PolicyChain.of(model, "random")
+        near = visits(model, chain.discounted).value
+        assert exact_visits(chain).tolist() == pytest.approx(near.tolist(), rel=1e-12)
+        assert exact_visits(chain)[4] == 0
