@@ -17,22 +17,22 @@ TESTS   = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(1)/bin/python -m pytest -n 
 # The lowest versions are found anew each time: those locked would be kept where a bound falls.
 COMPILE = $(PY) -m uv pip compile -q --universal --python-version 3.11 --fork-strategy fewest \
     --generate-hashes --no-emit-index-url --custom-compile-command "make lock"
-# The model of notebook 9, which asks for an archive: all else works without them.
+# The model of notebook 7, which asks for an archive: all else works without them.
 ICU = 'gym==0.26.2 --hash=sha256:e0d882f4b54f0c65f203104c24ab8a38b039f1289986803c7d02cdbe214fbcc4' \
     'icu-sepsis==2.0.1 --hash=sha256:93cc0f70d06b23ad024856214942077edef58c62492c6641d1a47ac38cfb1f2f'
 
-.PHONY: help setup reproduce notebooks docs test test-slow test-lowest lint format types bench wheel lock clean
-reproduce notebooks docs test test-slow lint format types bench wheel lock: setup
+.PHONY: help setup reproduce notebooks outputs docs test test-slow test-lowest lint format types bench wheel lock clean
+reproduce notebooks outputs docs test test-slow lint format types bench wheel lock: setup
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 setup: $(VENV)/.installed ## make .venv with the locked packages and the project itself
 reproduce: ## reproduce the paper's results (OUT=results; ARGS=--quick: a first look)
 	$(PY) -m paper_repro --out $(OUT) $(if $(findstring --quick,$(ARGS)),,--readme paper_repro) $(ARGS)
 notebooks: ## open the notebooks in JupyterLab
-	$(VENV)/bin/jupytext-config set-default-viewer python
-	env -u MPLBACKEND $(VENV)/bin/jupyter lab notebooks \
-	    --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate
-docs: ## build the documentation into build/docs/html (NOTEBOOKS=off: as they are)
+	env -u MPLBACKEND $(VENV)/bin/jupyter lab notebooks --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate
+outputs: ## run the notebooks and write their outputs into them
+	$(PY) tests/support/notebook_outputs.py
+docs: ## build the documentation into build/docs/html
 	$(PY) -m sphinx -q -W --keep-going -b html -d build/docs/doctrees docs build/docs/html
 test: lint types ## lint, types, doctests, the wheel, every test but those marked slow or bench
 	$(call TESTS,$(VENV)) -m "not slow and not bench"
@@ -70,7 +70,7 @@ $(PY):
 $(VENV)/.installed: pyproject.toml requirements.lock | $(PY)
 	$(PY) $(INSTALL) --require-hashes -r requirements.lock
 	@printf '%s\n' $(ICU) | $(PY) $(INSTALL) --no-build-isolation --require-hashes -r /dev/stdin \
-	    || echo "icu-sepsis is missing: notebook 9 and its tests are left out"
+	    || echo "icu-sepsis is missing: notebook 7 and its tests are left out"
 	$(PY) $(INSTALL) --no-build-isolation -e .
 	@touch $@
 # Wheels alone: to build old versions takes compilers and an hour.

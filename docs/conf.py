@@ -6,7 +6,6 @@ A warning, a link within the project that leads nowhere among them, ends the bui
 
 from __future__ import annotations
 
-import os
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -44,18 +43,11 @@ myst_heading_anchors = 3
 smartquotes = False  # --option keeps its two hyphens
 highlight_language = "text"  # a block without a language is a command line or a formula
 
-# ---- tutorials: the notebooks, executed unless NOTEBOOKS=off -----------------------------------
+# ---- tutorials and gallery -----------------------------------------------------------------------
 
-nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
-nb_execution_mode = os.environ.get("NOTEBOOKS", "cache")
-nb_execution_cache_path = str(HERE.parent / "build" / "docs" / "notebooks")
-nb_execution_timeout = 300  # seconds of a cell, against endless ones
-nb_execution_raise_on_error = True
-nb_merge_streams = True
-nb_ipywidgets_js: dict[str, dict[str, str]] = {}  # widgets are shown as they are, without scripts
-mpl.use("Agg")  # here; in the notebooks, figures go into the page
-os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
-os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), os.environ.get("PYTHONPATH", "")])
+nb_execution_mode = "off"  # the notebooks hold their outputs
+nb_ipywidgets_js: dict[str, dict[str, str]] = {}  # no script from elsewhere
+mpl.use("Agg")
 
 # ---- reference: docstrings in plain text ---------------------------------------------------------
 

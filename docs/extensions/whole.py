@@ -1,8 +1,9 @@
 """The pages stand alone: a link into the repository is a path, and nothing comes from elsewhere.
 
 A page may link a file of the repository that is no page, as it is read there, too. Among the built
-pages there is no such file; its path is shown instead. A link to a file that does not exist, and a
-built page that would load a script, a style, a font or a picture from another host, end the build.
+pages there is no such file; its path is shown instead, but for a notebook, which is a tutorial. A
+link to a file that does not exist, and a built page that would load a script, a style, a font or a
+picture from another host, end the build.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ def inside(app: Sphinx, page: str, source: list[str]) -> None:
         if not target.is_relative_to(root) or target.is_relative_to(app.srcdir):
             return found[0]
         path = target.relative_to(root).as_posix()
+        if target.suffix == ".ipynb":
+            return f"{{doc}}`{found[1]} </tutorials/{path.removesuffix('.ipynb')}>`"
         return f"`{path}`" if found[1].strip("`") == path else f"{found[1]} (`{path}`)"
 
     source[0] = LINK.sub(shown, source[0])

@@ -19,7 +19,7 @@ EXTRAS = {
     "lp": {"clarabel", "cvxpy"},
     "plots": {"matplotlib", "networkx"},
     "models": {"bitstring", "gymnasium", "pyarrow", "stormpy", "umbi"},
-    "notebooks": {"IPython", "ipykernel", "jupyterlab", "jupytext"},
+    "notebooks": {"IPython", "ipykernel", "jupyterlab"},
     "agents": {"httpx"},
 }
 OPTIONAL = set().union(*EXTRAS.values())

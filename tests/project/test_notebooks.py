@@ -1,27 +1,101 @@
-"""The notebooks run from top to bottom, say first what they are for, and are plain text."""
+"""The notebooks: short lessons with their outputs, which are what they show when run now."""
 
 from __future__ import annotations
 
 import ast
-import os
 import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from copy import deepcopy
 from importlib.metadata import packages_distributions
-from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-import jupytext
 import nbformat
 import pytest
-from nbclient import NotebookClient
+from notebook_outputs import (
+    METADATA,
+    NOTEBOOKS,
+    ROOT,
+    alike,
+    differences,
+    executed,
+    missing,
+    shown,
+    text_of,
+)
 
-ROOT = Path(__file__).resolve().parents[2]
-SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
-NEEDS = {"09_an_icu_in_exact_numbers": "icu_sepsis"}  # not a part of the package
-LIMIT = 1_000_000  # characters of output that a reader may be made to load
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+import exact_mdp
+
+LIMIT = 300_000  # bytes that a reader may be made to load
+PLACES = re.compile(r"/(?:home|root|tmp|work|Users)/|[A-Z]:\\\\|site-packages")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def read(path: Path) -> Any:
+    return nbformat.read(path, as_version=4)
+
+
+def code(path: Path) -> list[Any]:
+    return [cell for cell in read(path).cells if cell.cell_type == "code"]
+
+
+def imports(path: Path) -> Iterator[tuple[str, list[str]]]:
+    """Yield each module that a notebook imports, with the names that it takes from there."""
+    for cell in code(path):
+        for node in ast.walk(ast.parse(cell.source)):
+            if isinstance(node, ast.Import):
+                yield from ((alias.name, []) for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                yield node.module or "", [alias.name for alias in node.names]
+
+
+def test_they_are_numbered_in_the_order_of_the_lessons() -> None:
+    assert [path.name.partition("_")[0] for path in NOTEBOOKS] == list("1234567")
+    assert {path.suffix for path in (ROOT / "notebooks").iterdir() if path.is_file()} == {".ipynb"}
+
+
+@each_notebook
+def test_is_a_short_lesson(path: Path) -> None:
+    """It opens with a question; cells of code stand between words, and one draws a picture."""
+    first, cells = read(path).cells[0], read(path).cells
+    assert first.cell_type == "markdown"
+    assert first.source.startswith(f"# {path.stem[0]}. ")
+    assert re.search(r"\*\*[^*]+\?[^*]*\*\*", first.source)
+    assert len(cells) >= 1.5 * len(code(path))
+    assert all("def test" not in cell.source for cell in code(path))
+    assert any(kind == "image/png" for cell in code(path) for kind, _ in shown(cell))
+
+
+@each_notebook
+def test_holds_its_outputs_and_nothing_of_this_machine(path: Path) -> None:
+    """The file is what `make outputs` writes: no times, no paths, no scripts, no warnings."""
+    notebook, text = read(path), path.read_text("utf-8")
+    outputs = [output for cell in code(path) for output in cell.outputs]
+    assert text == text_of(notebook)
+    assert len(text.encode()) <= LIMIT
+    assert notebook.metadata == METADATA
+    assert [cell.execution_count for cell in code(path)] == list(range(1, len(code(path)) + 1))
+    assert {output.output_type for output in outputs} <= {
+        "stream",
+        "display_data",
+        "execute_result",
+    }
+    assert {kind for cell in code(path) for kind, _ in shown(cell)} <= {
+        "stdout", "text/plain", "text/html", "image/png",
+    }  # fmt: skip
+    assert not PLACES.search(text)
+    assert not re.search("<(script|iframe)", text)
+
+
+@each_notebook
+def test_uses_public_names_only(path: Path) -> None:
+    own = [(module, names) for module, names in imports(path) if module.startswith("exact_mdp")]
+    assert own
+    assert {module for module, _ in own} == {"exact_mdp"}
+    assert {name for _, names in own for name in names} <= set(exact_mdp.__all__)
 
 
 def extras(name: str) -> Iterator[str]:
@@ -33,69 +107,61 @@ def extras(name: str) -> Iterator[str]:
                 yield from extras(other)
 
 
-HELD = set(extras("notebooks"))
-ABSENT = ["certifi", "httpcore", "httpx", "pyarrow", "stormpy", "umbi"]  # of other extras
-
-
-def test_they_are_numbered() -> None:
-    numbers = [int(source.name[:2]) for source in SOURCES]
-    assert len(set(numbers)) == len(numbers) >= 7
-
-
-@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
-def test_says_first_what_the_reader_will_be_able_to_do(source: Path) -> None:
-    first = jupytext.read(source).cells[0]
-    assert first.cell_type == "markdown"
-    assert f"# {int(source.name[:2])}. " in first.source
-    assert "**After this notebook you can**" in first.source
-
-
-@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
-def test_is_prose_and_short_cells(source: Path) -> None:
-    cells = jupytext.read(source).cells
-    code = [cell.source for cell in cells if cell.cell_type == "code"]
-    assert len(cells) >= 1.5 * len(code)  # every cell of code has something said of it
-    assert all("def test" not in text and "sys.path" not in text for text in code)
-
-
-def test_the_extra_brings_what_notebooks_import() -> None:
-    lists = [PROJECT["dependencies"], *(PROJECT["optional-dependencies"][name] for name in HELD)]
-    brought = {re.split(r"[^\w-]", each)[0].lower() for some in lists for each in some}
-    known, missing = packages_distributions(), set()
-    for source in SOURCES:
-        for node in ast.walk(ast.parse(source.read_text())):
-            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            for name in {name.partition(".")[0] for name in names} - sys.stdlib_module_names:
-                if name != "exact_mdp" and brought.isdisjoint(map(str.lower, known.get(name, []))):
-                    missing.add(name)
-    assert missing == set()
+def test_the_extra_brings_what_they_import() -> None:
+    lists = [
+        PROJECT["dependencies"],
+        *(PROJECT["optional-dependencies"][name] for name in extras("notebooks")),
+    ]
+    brought = {re.split(r"[^\w-]", line)[0].lower() for lines in lists for line in lines}
     assert "gymnasium" in brought
+    names = {module.partition(".")[0] for path in NOTEBOOKS for module, _ in imports(path)}
+    known = packages_distributions()
+    assert [
+        name
+        for name in names - sys.stdlib_module_names - {"exact_mdp"}
+        if brought.isdisjoint(map(str.lower, known.get(name, [])))
+    ] == []
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
-def test_runs_from_top_to_bottom(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if (package := NEEDS.get(source.stem)) and not find_spec(package):
+@each_notebook
+def test_shows_what_it_holds(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From top to bottom, with nothing but the extra. `make outputs` writes it anew."""
+    if package := missing(path):
         pytest.skip(f"the package {package} is not installed")
-    monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
     for name in ("IPYTHONDIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR"):
         monkeypatch.setenv(name, str(tmp_path / name))
-    notebook = jupytext.read(source)
-    # As where nothing but the extra is installed.
-    hidden = f"import sys; sys.modules.update(dict.fromkeys({ABSENT}))"
-    notebook.cells.insert(0, nbformat.v4.new_code_cell(hidden))
-    NotebookClient(
-        notebook,
-        timeout=300,  # of a cell, against endless ones: no speed is asserted
-        kernel_name="python3",
-        resources={"metadata": {"path": str(tmp_path)}},
-    ).execute()
-    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
-    assert not [o for o in outputs if o.output_type == "error"]
-    assert not [o for o in outputs if o.get("name") == "stderr"], "a warning is shown to readers"
-    assert any("image/png" in str(o.get("data", {})) for o in outputs)
-    assert len(nbformat.writes(notebook)) < LIMIT
-    assert not [p for p in tmp_path.iterdir() if p.suffix], "files are left behind"
+    assert list(differences(read(path), executed(path))) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "other", "expected"),
+    [
+        ("value 0.123", "value 0.124", True),
+        ("value 0.123", "value 0.125", False),
+        ("3.9e-05", "4.0e-05", True),
+        ("3.9e-05", "4.1e-05", False),
+        ("241 states, 19/25", "241 states, 19/25", True),
+        ("241 states, 19/25", "242 states, 19/25", False),
+        ("146.2358 ± 2e-3 (bounded)", "146.2371 ± 1e-9 (bounded)", True),
+        ("146.2358 ± 2e-3 (bounded)", "146.2391 ± 1e-9 (bounded)", False),
+        ("1,528,528 transitions", "1,528,529 transitions", False),
+        ("passed: True", "passed: False", False),
+        ("one 1.0", "one 1.0 2.0", False),
+    ],
+)
+def test_numbers_are_alike_within_their_errors(text: str, other: str, expected: bool) -> None:
+    assert alike(text, other) is alike(other, text) is expected
+
+
+def test_an_output_that_changed_is_seen() -> None:
+    stored = read(NOTEBOOKS[0])
+    assert list(differences(stored, stored)) == []
+    now = deepcopy(stored)
+    changed = [cell for cell in now.cells if cell.cell_type == "code"]
+    streams = [output for cell in changed for output in cell.outputs if "text" in output]
+    streams[0].text = streams[0].text.replace("failed", "passed")
+    changed[-1].outputs = []
+    assert len(list(differences(stored, now))) == 2
+    for cell in stored.cells:
+        cell.metadata.tags = ["volatile"]
+    assert list(differences(stored, now)) == []

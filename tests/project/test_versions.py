@@ -53,8 +53,8 @@ def imported(path: Path) -> set[str]:
 
 
 def test_every_import_is_declared() -> None:
-    """Each package that a module, a test or a notebook imports is named in pyproject.toml."""
-    folders = ("exact_mdp", "tests", "notebooks")
+    """Each package that a module or a test imports is named in pyproject.toml."""
+    folders = ("exact_mdp", "tests")
     files = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
     own = {"exact_mdp", *(path.stem for path in (ROOT / "tests").rglob("*.py"))}
     own |= {path.name for path in (ROOT / "tests").iterdir() if path.is_dir()}
