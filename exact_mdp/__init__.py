@@ -13,9 +13,13 @@ are listed once, in `__init__.pyi`; a name is loaded when it is first asked for.
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Callable
 from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 
@@ -33,8 +37,29 @@ def _listed() -> dict[str, tuple[str, str]]:
 _HOMES = _listed()
 
 
+class _Link(Loader, MetaPathFinder):
+    """Takes `mdp.model`, by the link of a checkout, for `exact_mdp.mdp.model`.
+
+    Read again under a second name, a module has classes of its own, and `isinstance` fails.
+    """
+
+    def __init__(self, room: str) -> None:
+        self.room = room
+
+    def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
+        if not name.startswith(f"{self.room}.") or name.endswith(".__main__"):
+            return None
+        return ModuleSpec(name, self, is_package=True)
+
+    def exec_module(self, module: ModuleType) -> None:
+        sys.modules[module.__name__] = import_module(f"{__name__}.{module.__name__}")
+
+
 def names_of(room: str) -> tuple[list[str], Callable[[str], Any]]:
     """Return the public names of a room, and the function that loads one: its `__getattr__`."""
+    if not f"{room}.".startswith(f"{__name__}."):
+        sys.meta_path.insert(0, _Link(room))
+        room = f"{__name__}.{room}"
     names = sorted(name for name, (home, _) in _HOMES.items() if f"{home}.".startswith(f"{room}."))
 
     def load(name: str) -> Any:

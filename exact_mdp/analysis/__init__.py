@@ -8,7 +8,7 @@ True
 
 from exact_mdp import names_of
 
-__all__, __getattr__ = names_of("exact_mdp.analysis")
+__all__, __getattr__ = names_of(__name__)
 
 
 def __dir__() -> list[str]:

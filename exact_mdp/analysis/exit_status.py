@@ -16,6 +16,7 @@ reports of a fault.
 
 from __future__ import annotations
 
+import atexit
 import errno
 import io
 import os
@@ -149,13 +150,21 @@ def leave(status: int) -> NoReturn:
     Work that a signal cut short may have left a library in the middle of something, compiling for
     example, and such a library can crash when it is taken apart.
     """
-    if status <= SIGNALS or status == PIPE_CLOSED:
-        _exit_by(lambda _: AT_ONCE(status))  # whatever a module has registered to be done at exit
-        sys.exit(status)
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):
+        with suppress(AttributeError, OSError, ValueError):
             stream.flush()
+    if status <= SIGNALS or status == PIPE_CLOSED:
+        # Whatever a module does or prints at exit, it changes neither the status nor the result.
+        _exit_by(lambda _: AT_ONCE(status))
+        atexit.register(_aside_at_exit)  # the last one that is registered comes first
+        sys.exit(status)
     AT_ONCE(status)
+
+
+def _aside_at_exit() -> None:
+    with suppress(AttributeError, OSError, ValueError):
+        sys.stdout.flush()
+        os.dup2(2, 1)
 
 
 def say(text: str) -> None:

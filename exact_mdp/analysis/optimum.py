@@ -198,6 +198,8 @@ def _solver(mdp: MDP, method: str, tol: float | None, *, average: bool) -> Solve
         known = [*SOLVERS, "auto"]
         raise ModelError(f"unknown method {method!r}", where="method", fix=suggest(method, known))
     if tol is not None and not 0 < tol < np.inf:
-        raise ModelError(f"the tolerance is {tol}", where="tol", fix="choose a positive number")
+        raise ModelError(
+            f"the tolerance is {tol}, and not above 0", where="tol", fix="choose a positive number"
+        )
     kind = SOLVERS[method]
     return kind(**{"tol": tol} if tol is not None and hasattr(kind, "tol") else {})

@@ -7,7 +7,7 @@ MDP(yuan2025: 241 states, 4 actions, 961 pairs, 8065 transitions, discount 1)
 
 from exact_mdp import names_of
 
-__all__, __getattr__ = names_of("exact_mdp.mdp")
+__all__, __getattr__ = names_of(__name__)
 
 
 def __dir__() -> list[str]:

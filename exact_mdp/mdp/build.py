@@ -31,6 +31,7 @@ from exact_mdp.mdp.forms.numbers import (
     check_places,
     dense,
     grouped,
+    is_table,
     picked,
     whole_numbers,
 )
@@ -49,7 +50,7 @@ from exact_mdp.mdp.table import (
     settle_rows,
 )
 from exact_mdp.mdp.validate import Parts as ModelParts
-from exact_mdp.mdp.validate import as_discount, as_start, check_model, last_action
+from exact_mdp.mdp.validate import as_discount, as_start, check_model, check_options, last_action
 
 MOST_UNNAMED_ACTIONS = 100_000
 LAYOUTS = {"ass": 1, "sas": 0}
@@ -75,9 +76,14 @@ def from_arrays(
     **names: Any,
 ) -> Parts:
     """Return the parts of the model that `MDP.from_arrays` makes."""
+    check_options(names)
     if layout not in (None, *LAYOUTS):
         raise ModelError(f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"')
     shape: tuple[int, ...] = ()
+    if isinstance(P, Mapping) and P and all(map(is_table, P.values())):
+        P, words = listed.of_tables(P, list(names.get("states", ())))
+        if words:
+            names, layout = names | {"states": words}, layout or "ass"
     if listed.is_listed(P):
         fitting = listed.layouts_of(P)
     else:
@@ -106,8 +112,11 @@ def from_arrays(
     state, action = pair // actions, pair % actions
 
     def of_pairs(values: Any, where: str) -> Any:
+        words = names.get("states", ())
+        if keys is not None and is_table(values) and len(words) and {*values.index} == {*words}:
+            values = values.T.to_dict()
         if keys is not None and isinstance(values, Mapping):
-            values = listed.rewards_by_action(values, where, keys, states)
+            values = listed.rewards_by_action(values, where, keys, words or range(states))
         like = order if states == actions else layout
         return _rewards_of_arrays(values, where, shape, order, like, (states, actions))
 
@@ -223,6 +232,7 @@ def from_pairs(
     **names: Any,
 ) -> Parts:
     """Return the parts of the model that `MDP.from_pairs` makes."""
+    check_options(names)
     state, action = (
         whole_numbers(pair_state, "pair_state"),
         whole_numbers(pair_action, "pair_action"),
@@ -287,6 +297,7 @@ def from_outcomes(
     **names: Any,
 ) -> Parts:
     """Return the parts of the model that `MDP.from_outcomes` makes."""
+    check_options(names)
     try:
         listed = [(index(row[0]), index(row[1]), *_merged(row[2])) for row in rows]
         order = sorted(range(len(listed)), key=lambda number: listed[number][:2])
@@ -501,9 +512,10 @@ def _assemble(
         last = int(action.max(initial=-1))
         if last >= MOST_UNNAMED_ACTIONS:
             raise ModelError(
-                f"action {last} is outside 0 … {MOST_UNNAMED_ACTIONS - 1}",
+                f"there is an action {last}, and actions without names go to "
+                f"{MOST_UNNAMED_ACTIONS - 1:,}",
                 where="pairs",
-                fix="number actions from 0 on, or name them all",
+                fix="number actions from 0 on, or name them all: actions=[…]",
             )
         actions = tuple(map(str, range(last + 1)))
     if words and len(words) > size:

@@ -362,6 +362,28 @@ def where_endless(mdp: MDP) -> str:
     return before + ", ".join(named) + (f" and {more} more" if more else "")
 
 
+def ways_out(mdp: MDP, *others: str) -> str:
+    """Return what can be asked instead of a total that is infinite, or has no limit.
+
+    A run that misses a goal is worth infinity after N steps, too, and has no reward per step.
+
+    Examples
+    --------
+    >>> print(ways_out(MDP.from_arrays([[[1]]], [1]), "add a way out"))
+    choose a discount below 1 (--discount 0.95, mdp.with_(discount=0.95)),
+    stop after N steps (--horizon N, mdp.within(N)), or add a way out
+    """
+    steps = mdp.time_limit or "N"
+    ways = ["choose a discount below 1 (--discount 0.95, mdp.with_(discount=0.95))"]
+    if mdp.goal is None:
+        ways.append(f"stop after {steps} steps (--horizon {steps}, mdp.within({steps}))")
+        others = others or (
+            'ask for the reward per step (--criterion average, criterion="average")',
+        )
+    others = others or ("ask for the chance of getting there (--reach LABEL, mdp.reaching(label))",)
+    return ", or ".join([", ".join(ways), *others])
+
+
 def require_termination(mdp: MDP) -> None:
     """Raise ModelError, naming a policy that never ends, unless γ < 1 or every policy ends."""
     if mdp.discount_exact < 1:
@@ -371,9 +393,11 @@ def require_termination(mdp: MDP) -> None:
     raise ModelError(
         "discount 1 needs every policy to end, and one does not",
         where=where_endless(mdp),
-        fix="use solve(mdp) or certify(mdp), give a discount (discount=0.95), stop after N steps "
-        f"(--horizon {mdp.time_limit or 'N'}), or add a way out: a terminal state stays put and "
-        "earns 0",
+        fix=ways_out(
+            mdp,
+            "use solve(mdp) or certify(mdp)",
+            "add a way out: a terminal state stays put and earns 0",
+        ),
     )
 
 

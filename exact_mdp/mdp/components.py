@@ -6,13 +6,15 @@ Amounts are integers over one denominator for each pair, or floats, each taken a
 rational that it is. `MDP.components` is this table rounded to floats, each number once. Components
 that are given by name need not add up to the reward: what is left of it is one more, "rest". So a
 cost that is no part of the reward (Altman, Constrained Markov Decision Processes, 1999) is a
-component like any other.
+component like any other. Floats that add up to the reward but for rounding, and exactly as the
+decimals that they print as, are these decimals: 6.1 and -1.1 are parts of 5.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -28,6 +30,7 @@ from exact_mdp.mdp.table import (
     integers,
     multiply,
     ones,
+    over_groups,
     reduced,
 )
 
@@ -109,20 +112,36 @@ def completed(
 ) -> tuple[tuple[str, ...], ComponentTable]:
     """Return names and table of components that were given by name, with the rest of the reward."""
     found = of_columns(list(columns.values()))
-    amount, below = found.exact()
-    total = np.asarray(multiply(amount, integers([1]), terms=amount.shape[1]).sum(axis=1))
-    gain, bottom = table.expected_gain_exact()
-    left = multiply(gain, below) - multiply(total, bottom)
-    if not np.asarray(left != 0).any() or _adds_up(found, table):
+    left, below = _rest(found, table)
+    if not np.asarray(left != 0).any():
         return tuple(columns), found
+    if _adds_up(found, table):
+        printed = of_columns([_as_printed(column) for column in columns.values()])
+        whole = not np.asarray(_rest(printed, table)[0] != 0).any()
+        return tuple(columns), printed if whole else found
     if REST in columns:
         raise ModelError(
             f"components are given with one called {REST!r}, and do not add up to the reward",
             where="components",
             fix=f"leave {REST!r} out: it is what the others leave of the reward",
         )
-    rest = reduced(left, multiply(bottom, below))
-    return (*columns, REST), of_columns([*columns.values(), rest])
+    return (*columns, REST), of_columns([*columns.values(), reduced(left, below)])
+
+
+def _rest(found: ComponentTable, table: OutcomeTable) -> tuple[Numbers, Numbers]:
+    """Return what components leave of the reward of each pair, over denominators (L,)."""
+    amount, below = found.exact()
+    total = np.asarray(multiply(amount, integers([1]), terms=amount.shape[1]).sum(axis=1))
+    gain, bottom = table.expected_gain_exact()
+    return multiply(gain, below) - multiply(total, bottom), multiply(bottom, below)
+
+
+def _as_printed(column: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
+    """Return amounts with each float as the decimal that it prints as: 0.1 as 1/10."""
+    if column[0].dtype != np.float64:
+        return column
+    values = [Fraction(repr(value)) for value in column[0].tolist()]
+    return over_groups(values, np.arange(len(values) + 1))
 
 
 def _adds_up(found: ComponentTable, table: OutcomeTable) -> bool:

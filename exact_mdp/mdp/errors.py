@@ -10,6 +10,7 @@ where it comes in, so that figures, web pages and XML reports need not escape it
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -90,6 +91,20 @@ def _rebuild(kind: type[ModelError], what: str, where: str, fix: str) -> ModelEr
     return kind(what, where=where, fix=fix)
 
 
+def no_such(what: str, number: object, size: int, *, where: str = "") -> ModelError:
+    """Return the error to raise for a number that none of `size` things has.
+
+    Examples
+    --------
+    >>> print(no_such("row", 4, 4, where="state space"))
+    there is no row 4: numbers go from 0 to 3
+      where: state space
+      fix:   choose one of these
+    """
+    said = f"there is no {what} {number}: numbers go from 0 to {size - 1}"
+    return ModelError(said, where=where, fix="choose one of these")
+
+
 @contextmanager
 def located(where: str, *, instead: bool = False) -> Iterator[None]:
     """Put a place in front of that of a ModelError raised inside, or `instead` of it.
@@ -137,7 +152,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
     'choose one of a, b'
     """
     options = list(known)
-    close = get_close_matches(name[:LONGEST], options, n=1, cutoff=0.6)
+    close = get_close_matches(str(name)[:LONGEST], options, n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]}?"
     if len(options) <= 12:
@@ -146,7 +161,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
 
 
 def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
-    r"""Raise ModelError for a name, of what `what` says, that is unsafe, too long or no text.
+    r"""Raise ModelError for a name, of what `what` says, that is unsafe, too long, no text or two.
 
     Examples
     --------
@@ -167,6 +182,10 @@ def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
             raise ModelError(
                 f"{of} is {_cut(repr(name))}, not a string", where=where, fix="give a string"
             )
+    if len(set(listed)) < len(listed):
+        twice = next(name for name, count in Counter(listed).items() if count > 1)
+        fix = "give each its own name"
+        raise ModelError(f"two {what}s have the same name, {_cut(twice)!r}", where=where, fix=fix)
     # One search through all of them: a million states may have a name each.
     if not UNSAFE.search("".join(listed)) and max(map(len, listed), default=0) <= LONGEST:
         return

@@ -31,6 +31,7 @@ from exact_mdp.mdp.forms.names import Names, Told, object_key, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.io import gymnasium, transitions
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
+from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, spans
 from exact_mdp.mdp.validate import (
     Parts,
@@ -39,6 +40,7 @@ from exact_mdp.mdp.validate import (
     as_labels,
     as_start,
     check_model,
+    check_options,
     counted,
 )
 
@@ -411,17 +413,25 @@ class MDP(ByFields, Parts):
         """Return the pairs of one state."""
         return range(int(self.pair_offsets[state]), int(self.pair_offsets[state + 1]))
 
-    def pair(self, state: object, action: object) -> int:
+    def pair(self, state: object, action: object = ...) -> int:
         """Return the number of a pair; `mdp.forms.names` says how state and action are given.
+
+        A tuple of both will do, unless it is a state.
 
         Raises ModelError for what is neither, and where the state lacks the action.
 
         Examples
         --------
         >>> mdp = MDP.from_arrays({"rest": {"go": {"work": 1}}, "work": {}}, {"rest": 5, "work": 0})
-        >>> mdp.pair("rest", "go"), mdp.pair(0, 0)
-        (0, 0)
+        >>> mdp.pair("rest", "go"), mdp.pair(("rest", "go")), mdp.pair(0, 0)
+        (0, 0, 0)
         """
+        if action is ...:
+            if not isinstance(state, tuple) or len(state) != 2 or self.space.holds(state):
+                raise ModelError(
+                    f"{state!r} is not a state and an action", where="pair", fix="give both"
+                )
+            state, action = state
         with located("states"):
             place = self.space.number(state)
         number = self.action(action)
@@ -475,8 +485,8 @@ class MDP(ByFields, Parts):
         discount : number or "p/q", optional
         start : state, {state: probability} or (S,) probabilities, optional
         **parts
-            Any other attribute of the constructor, such as `name` or `actions`; `components`, as
-            in `from_arrays`, for each pair (L,).
+            Any other attribute of the constructor, such as `name` or `actions`; `states`, a name
+            for each; `components`, as in `from_arrays`, for each pair (L,).
 
         Returns
         -------
@@ -492,6 +502,9 @@ class MDP(ByFields, Parts):
         >>> MDP.from_arrays([[[1]]], [1], "1/2").with_(discount="9/10").discount
         0.9
         """
+        check_options(parts)
+        if "states" in parts:
+            parts["space"] = StateSpace.plain(self.n_states, parts.pop("states"))
         if discount is not None:
             parts["discount_exact"] = as_discount(discount)
         if "actions" in parts:
@@ -845,6 +858,7 @@ class MDP(ByFields, Parts):
         >>> mdp, mdp.actions
         (MDP(unnamed: 5 states, 2 actions, 6 pairs, 10 transitions, discount 1), ('1', '2'))
         """
+        check_options(names)
         rows, parts = explore.explored(start, actions, outcomes, max_states, labels)
         return cls.from_outcomes(rows, discount, **(parts | names))
 
@@ -972,7 +986,8 @@ class MDP(ByFields, Parts):
         **names
             `start` instead of the environment's `initial_state_distrib`, or of state 0 where it
             has none; `actions`, `states`,
-            `name`, `sense`, `labels`; `time_limit` instead of the environment's own.
+            `name`, `sense`, `labels`; `time_limit` instead of the environment's own. Beside an id,
+            others are the environment's: `is_slippery=False`.
 
         Returns
         -------

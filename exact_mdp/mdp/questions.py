@@ -33,7 +33,7 @@ Puterman, Markov Decision Processes, 1994, section 4.3.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -133,7 +133,7 @@ def labelled(model: Parts, label: str) -> Flags:
             where=f"label {label!r}",
             fix="ask the model that it was made from, or give a label to the states that both mean",
         )
-    if label not in model.labels:
+    if not isinstance(label, Hashable) or label not in model.labels:
         raise ModelError(
             f"unknown label {label!r}",
             where="labels",
@@ -299,7 +299,7 @@ def _values(numbers: object, space: StateSpace) -> list[Fraction]:
         found = by_state(list(numbers) if isinstance(numbers, tuple) else numbers, space)
         if found is None:
             raise ModelError(
-                f"{type(numbers).__name__} says no value of each state",
+                f"a {type(numbers).__name__} does not say what each state is worth",
                 fix="give one number for each state, or {state: number}",
             )
         return [exact(found.get(state, 0)) for state in range(space.size)]

@@ -8,7 +8,6 @@ product, such as an absorbing end. Nothing is stored per state, so a million sta
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,14 +16,13 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, suggest
+from exact_mdp.mdp.errors import ModelError, check_names, no_such, suggest
 from exact_mdp.mdp.forms.names import (
     Names,
     ObjectKey,
     Reading,
     object_key,
     parts_of,
-    several,
     text_of,
 )
 
@@ -53,19 +51,13 @@ class Column:
 
     def __post_init__(self) -> None:
         check_names((self.name,), "column", where="state space")
-        check_names(self.words, "value", where=f"column {self.name}")
+        what = "state" if self.name == "state" else "value"
+        check_names(self.words, what, where=f"column {self.name}")
 
     @cached_property
     def word_values(self) -> dict[str, int]:
-        """The value of each word, the first of equal ones."""
-        return {word: value for value, word in reversed([*enumerate(self.words)])}
-
-    @cached_property
-    def twice(self) -> frozenset[str]:
-        """The words of several values, which therefore name none."""
-        if len(self.word_values) == len(self.words):
-            return frozenset()
-        return frozenset(word for word, count in Counter(self.words).items() if count > 1)
+        """The value of each word."""
+        return {word: value for value, word in enumerate(self.words)}
 
     @cached_property
     def of_object(self) -> dict[ObjectKey, int]:
@@ -109,8 +101,6 @@ class Column:
         text = label.strip()
         if self.words:
             for word in (label, text):
-                if word in self.twice:
-                    raise several(self.name, word)
                 if word in self.word_values:
                     return self.word_values[word]
             fix = suggest(text, self.words)
@@ -149,7 +139,8 @@ class StateSpace:
     extra: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_names(self.extra, "state", where="state space")
+        alone = self.columns[0].words if len(self.columns) == 1 else ()
+        check_names((*alone, *self.extra), "state", where="states")
 
     @cached_property
     def regular(self) -> int:
@@ -226,11 +217,7 @@ class StateSpace:
         for column in self.columns:
             value = values.get(column.name, 0)
             if not 0 <= value < column.size:
-                raise ModelError(
-                    f"{column.name} {value} is outside 0 … {column.size - 1}",
-                    where="state space",
-                    fix="choose a value in that range",
-                )
+                raise no_such(column.name, value, column.size, where="state space")
             number = number * column.size + value
         return number
 
@@ -249,7 +236,6 @@ class StateSpace:
             words=extra | (alone.word_values if alone else {}),
             label=self.label,
             objects=alone.of_object if alone else {},
-            twice=alone.twice if alone else frozenset(),
             otherwise=self._in_columns,
         )
 
@@ -316,11 +302,7 @@ class StateSpace:
 
     def _inside(self, state: int) -> int:
         if not 0 <= state < self.size:
-            raise ModelError(
-                f"state {state} is outside 0 … {self.size - 1}",
-                where="state space",
-                fix="choose a state in that range",
-            )
+            raise no_such("state", state, self.size, where="state space")
         return state
 
     def label(self, state: int) -> str:

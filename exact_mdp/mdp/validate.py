@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, fields
 from fractions import Fraction
 from math import inf
 from typing import Any, TypeGuard
@@ -20,6 +20,7 @@ from exact_mdp.mdp.errors import (
     ShapeError,
     check_names,
     located,
+    no_such,
     suggest,
 )
 from exact_mdp.mdp.forms.names import ByNumber, Told, labels_of
@@ -92,6 +93,29 @@ class Parts:
         """Return the printed state and action of a pair, for messages."""
         state = self.space.label(int(self.pair_state[pair]))
         return f"state ({state}), action {self.actions[self.pair_action[pair]]}"
+
+
+OPTIONS = ("discount", "start", "states", "actions", "components", "labels", "sense", "name")
+"""What constructors are given by name; they take every other part of a model as well."""
+KNOWN = {*OPTIONS, *(part.name for part in fields(Parts))}
+
+
+def check_options(names: Iterable[str], *, told: Iterable[str] = ()) -> None:
+    """Raise ModelError for a name that is none of a model's parts, or that records tell.
+
+    Examples
+    --------
+    >>> check_options(["sense", "gamma"])
+    Traceback (most recent call last):
+    exact_mdp.mdp.errors.ModelError: there is no option gamma=
+      where: MDP
+      fix:   say discount=
+    """
+    for name in names:
+        if name not in KNOWN or name in told:
+            fix = "say discount=" if name in ("gamma", "γ") else suggest(name, OPTIONS)
+            fix = "leave it out: the records say it" if name in told else fix
+            raise ModelError(f"there is no option {name}=", where="MDP", fix=fix)
 
 
 def check_model(model: Parts) -> None:
@@ -186,17 +210,18 @@ def as_flags(values: object, size: int, where: str) -> Flags:
     return array
 
 
-def counted(steps: object, where: str) -> int:
-    """Return a number of steps as an int, or raise ModelError where it is not one.
+def counted(number: object, where: str, least: int = 1) -> int:
+    """Return a whole number as an int, or raise ModelError for anything else and below the least.
 
     Examples
     --------
     >>> counted(200, "horizon")
     200
     """
-    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
-        raise ModelError(f"{where} is {steps!r}", where=where, fix="give a whole number, 1 or more")
-    return int(steps)
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
+        fix = f"give a whole number, {least} or more"
+        raise ModelError(f"{where} is {number!r}", where=where, fix=fix)
+    return int(number)
 
 
 def as_discount(discount: object) -> Fraction:
@@ -245,10 +270,25 @@ def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ..
         else:
             found = by_state(start, space)
             given = {space.number(start): 1} if found is None else found
-            weights = given
+            weights = _of_short_floats(given)
         chances = map(exact, meant([as_given(weight) for weight in weights.values()]))
         told = dict(zip(weights, chances, strict=True))
     return tuple((state, weight) for state, weight in sorted(told.items()) if weight != 0)
+
+
+def _of_short_floats(weights: dict[int, Any]) -> dict[int, Any]:
+    """Return probabilities in float32 or float16 divided by their sum, if that rounds to 1.
+
+    As `mdp.policies.arrays` reads a policy's rows.
+    """
+    short = [w for w in weights.values() if isinstance(w, np.floating) and w.itemsize < 8]
+    rounding = (len(weights) + 1) * max((np.finfo(w.dtype).eps / 2 for w in short), default=0)
+    if not 0 < rounding < 1:
+        return weights
+    given = {state: exact(weight) for state, weight in weights.items()}
+    total = sum(given.values(), Fraction(0))
+    near = abs(total - 1) <= rounding / (1 - rounding)
+    return {state: weight / total for state, weight in given.items()} if near else weights
 
 
 def by_state(numbers: object, space: StateSpace) -> dict[int, Any] | None:
@@ -319,10 +359,6 @@ def _check_pairs(model: Parts) -> None:
     if not whole:
         _in_range(state, model.n_states, "state", "pairs")
         _in_range(action, model.n_actions, "action", "pairs")
-    if len(set(model.actions)) != len(model.actions):
-        raise ModelError(
-            "two actions have the same name", where="actions", fix="give each its own name"
-        )
     if whole:
         return
     ahead, step = np.diff(state), np.diff(action)
@@ -537,9 +573,9 @@ def _check_start(model: Parts) -> None:
     weights = [weight for _, weight in model.start]
     if any(not 0 <= state < model.n_states for state in states) or len(set(states)) != len(states):
         raise ModelError(
-            f"the start names a state outside 0 … {model.n_states - 1}, or one twice",
+            f"the start names a state twice, or one that does not exist: {states[:4]}",
             where="start",
-            fix="choose states of the model, each once",
+            fix=f"choose states from 0 to {model.n_states - 1}, each once",
         )
     total = sum(weights, Fraction(0))
     if any(weight < 0 for weight in weights) or total != 1:
@@ -569,11 +605,7 @@ def _check_episodes(model: Parts) -> None:
 def _in_range(values: Integers, size: int, what: str, where: str) -> None:
     if len(values) and not (values.min() >= 0 and values.max() < size):
         bad = (values < 0) | (values >= size)
-        raise ModelError(
-            f"{what} {values[np.flatnonzero(bad)[0]]} is outside 0 … {size - 1}",
-            where=where,
-            fix=f"number them from 0 to {size - 1}",
-        )
+        raise no_such(what, values[np.flatnonzero(bad)[0]], size, where=where)
 
 
 def _pair_of(table: OutcomeTable, index: int, length: int) -> int:

@@ -14,7 +14,7 @@ package `dynamic` says how to add one.
 
 from exact_mdp import names_of
 
-__all__, __getattr__ = names_of("exact_mdp.solvers")
+__all__, __getattr__ = names_of(__name__)
 
 
 def __dir__() -> list[str]:

@@ -30,6 +30,7 @@ from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.table import Numbers
+from exact_mdp.mdp.validate import counted
 
 Arrays = dict[str, Numbers]
 Work = Callable[[Any], Mapping[str, Any]]
@@ -96,9 +97,7 @@ def many(
     >>> [found["x"].item() for found in many(dict, [{"x": 1}, {"x": 2}], key={})]
     [1, 2]
     """
-    whole = isinstance(n_jobs, int) and not isinstance(n_jobs, bool)
-    if n_jobs is not None and not (whole and n_jobs >= 1):
-        raise ModelError(f"n_jobs is {n_jobs!r}", where=what, fix="give a whole number > 0")
+    n_jobs = None if n_jobs is None else counted(n_jobs, "n_jobs")
     record, stem = files
     place = None if folder is None else _opened(Path(folder), dict(key), name=record, what=what)
     done: dict[int, Arrays] = {}

@@ -58,9 +58,10 @@ def mdp_of(model: object) -> MDP:
     if isinstance(model, MDP):
         return model
     raise ModelError(
-        f"{type(model).__name__} is not a model with a list of transitions",
+        f"{type(model).__name__} is not a model",
         where="model",
-        fix="give an MDP or a Scenario",
+        fix="give what MDP.from_arrays, MDP.from_gymnasium or another MDP.from_… returns, or a "
+        "Scenario; MDP.load reads a file",
     )
 
 
@@ -240,6 +241,12 @@ def _named(solver: Any) -> Solver:
     if isinstance(solver, type):
         name = solver.__name__
         raise ModelError(f"{name} is a class", where="solve", fix=f"write {name}()")
+    if not callable(getattr(solver, "solve", None)):
+        raise ModelError(
+            f"{solver!r} is not a solver",
+            where="solve",
+            fix="give a name, or PolicyIteration(); a tolerance is tol=: solve(model, tol=1e-6)",
+        )
     named: Solver = solver
     return named
 

@@ -394,8 +394,8 @@ def test_pairs_are_named_as_states_and_actions_are_everywhere() -> None:
     for state, action in (("sick", "wait"), (0, 0), ("state sick", "action wait")):
         assert WORDS.pair(state, action) == 0
     for state, action, what in (
-        ("sik", "wait", "unknown state"), (9, 0, "outside 0 … 2"), (0, "wai", "unknown action"),
-        (0, 7, "outside 0"),
+        ("sik", "wait", "unknown state"), (9, 0, "there is no state 9"),
+        (0, "wai", "unknown action"), (0, 7, "there is no action 7"),
     ):  # fmt: skip
         with pytest.raises(ModelError, match=what):
             WORDS.pair(state, action)

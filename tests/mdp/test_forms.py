@@ -601,14 +601,6 @@ def test_labels_of_tables_are_no_order_of_a_model() -> None:
     [
         (lambda: MDP.from_arrays(EYES, {(0, 0): 1}), "the rewards are a dictionary"),
         (
-            lambda: MDP.from_arrays(EYES, [0, 0], states=["a", "a"], start="a"),
-            "'a' is the name of more than one state",
-        ),
-        (
-            lambda: Policy.of(MDP.from_arrays(EYES, [0, 0], states=["a", "a"]), {"a": "1"}),
-            "'a' is the name of more than one state",
-        ),
-        (
             lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], labels={"x": lambda s: ""}),
             "returns '', not True or False",
         ),

@@ -124,9 +124,9 @@ def test_states_whose_actions_are_the_same(drawn: Rows, floats: bool) -> None:
 BAD: dict[str, tuple[Any, str]] = {
     "nothing": (lambda s: None, "returns None"),
     "no action": (lambda s: "FLY", "unknown action 'FLY'"),
-    "no number": (lambda s: 7, "action 7 is outside 0 … 3"),
+    "no number": (lambda s: 7, "there is no action 7"),
     "short rows": (lambda s: [1, 0], "a row of 2 numbers"),
-    "no state": ({99: "DOWN"}, "state 99 is outside"),
+    "no state": ({99: "DOWN"}, "there is no state 99"),
     "names missing": (["DOWN"] * 3, "rows are missing"),
     "names of more": (["DOWN"] * 17, "17 actions for 16 states"),
     "states missing": ({0: "DOWN"}, "rows are missing"),

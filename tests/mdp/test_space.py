@@ -124,10 +124,10 @@ def test_what_does_not_exist() -> None:
         SPACE.column("statu")
     with pytest.raises(ModelError, match="unknown state column 'x'"):
         SPACE.index(x=1)
-    with pytest.raises(ModelError, match="trial 5 is outside 0 … 4"):
+    with pytest.raises(ModelError, match="there is no trial 5: numbers go from 0 to 4"):
         SPACE.index(trial=5)
     for state in (-1, SPACE.size):
-        with pytest.raises(ModelError, match="outside"):
+        with pytest.raises(ModelError, match="there is no state"):
             SPACE.label(state)
-        with pytest.raises(ModelError, match="outside"):
+        with pytest.raises(ModelError, match="there is no state"):
             SPACE.as_dict(state)

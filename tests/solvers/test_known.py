@@ -118,10 +118,10 @@ def test_a_start_that_does_not_fit() -> None:
         (MODEL, "policy-iteration", [np.inf] * 120, "not finite"),
         (MODEL, "linear-program", np.zeros(120), "takes no start"),
         (MODEL, "policy-iteration", np.zeros(3), "values of shape"),
-        (MODEL, "policy-iteration", np.full(120, 9), "outside 0 … 2"),
+        (MODEL, "policy-iteration", np.full(120, 9), "there is no action 9"),
         (MODEL, "policy-iteration", [[1, 2], [3]], "does not hold real numbers"),
         (MODEL, "policy-iteration", "random", "mixed"),
-        (MODEL, "policy-iteration", [9] * 120, "outside"),
+        (MODEL, "policy-iteration", [9] * 120, "there is no action 9"),
     ):
         with pytest.raises(ModelError, match=message):
             solve(model, solver, start=start)

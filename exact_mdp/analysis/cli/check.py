@@ -356,6 +356,8 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
         facts["wrong, but never reached from there"] = (
             f"{count} state{'s' * (count > 1)}, which cost nothing; --start STATE begins elsewhere"
         )
+    if not audit.feasible:
+        return facts | {"learned value": lost.learned}
     facts |= {
         "regret" if audit.interval is None else "regret in the estimated model": lost.at_start,
         "relative regret": relative
@@ -372,7 +374,7 @@ def _facts(audit: Audit, why: Representation | None) -> dict[str, Any]:
             else f"{audit.agreement_by_visits:.1%} of the visits to them"
         ),
         "value of the room left under the limits": Certified(value=audit.limits.room)
-        if audit.limits is not None and audit.limits.best.feasible
+        if audit.limits is not None
         else None,
         "not decided": f"in {audit.unclear} more states, by these bounds"
         if audit.unclear

@@ -43,8 +43,10 @@ def command(
     def declare(function: Function) -> click.Command:
         @wraps(function)
         def work(*, as_json: bool, as_markdown: bool = False, **options: Any) -> int:
+            aside = import_module("exact_mdp.mdp.io.files").aside
             try:
-                report = getattr(import_module(f"{HERE}.{module}"), name)(**options)
+                with aside():  # a module of the user's may print: the result is printed below
+                    report = getattr(import_module(f"{HERE}.{module}"), name)(**options)
             except click.exceptions.Exit as end:  # not of --help, but of code that was called
                 sys.exit(end.exit_code)
             show = import_module(f"{HERE}.render").show

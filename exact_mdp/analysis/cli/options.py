@@ -48,7 +48,11 @@ class Question:
                     f"{needy} is part of another question", where=needy, fix=f"give {fix[needy]}"
                 )
         if self.reach is not None and self.until is not None:
-            raise ModelError("two questions", where="--until", fix="leave out --until, or --reach")
+            raise ModelError(
+                "--reach and --until ask two questions",
+                where="--until",
+                fix="leave out --until, or --reach",
+            )
 
     def __call__(self, mdp: MDP) -> MDP:
         """Return the model whose optimal value is the answer."""

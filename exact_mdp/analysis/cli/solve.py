@@ -20,7 +20,7 @@ from exact_mdp.analysis.cli.options import (
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.analysis.optimum import Contradiction, Optimum, optimum
 from exact_mdp.analysis.record import run_record, write_record
-from exact_mdp.mdp.chain import endless
+from exact_mdp.mdp.chain import endless, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.load import Loaded
@@ -40,10 +40,6 @@ if TYPE_CHECKING:
 
 LISTED_STATES = 1000  # longer policies are left to --policy-out and --out
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
-FINITE = (
-    "an infinite total tells no policies apart; give --discount X below 1, --horizon N, or "
-    "--criterion average"
-)
 
 
 def solve(
@@ -109,7 +105,7 @@ def solve(
     value = "reward per step" if average else "start value"
     facts[value] = Bounded(value=found.start_value, error=found.error_bound)
     if isinf(found.start_value):
-        facts["note"] = FINITE
+        facts["note"] = "an infinite total tells no policies apart: " + ways_out(mdp)
     if proof:
         exact = ratio(proof.start_value)
         long = f"a rational of {len(exact):,} digits; --json prints it"
@@ -261,15 +257,11 @@ def whole_policy(mdp: MDP, names: Sequence[Any]) -> dict[str, Any]:
 
 
 def _labels(space: StateSpace) -> list[str]:
-    """Return a name for each state, no two alike."""
+    """Return a name for each state."""
     if len(space.columns) == 1:
         column = space.columns[0]
-        labels = [*(column.label(value) for value in range(column.size)), *space.extra]
-    else:
-        labels = space.labels(range(space.size))
-    if len(set(labels)) == len(labels):
-        return labels
-    return [f"{label} (state {state})" for state, label in enumerate(labels)]
+        return [*(column.label(value) for value in range(column.size)), *space.extra]
+    return space.labels(range(space.size))
 
 
 def _table(result: dict[str, Any], loaded: Loaded) -> Table:

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field, replace
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property, partial
-from math import inf, isfinite, isinf, isnan
+from math import inf, isfinite, isinf, isnan, nan
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -149,11 +149,19 @@ class Audit(Pictured):
         if self.interval is not None:
             lost = f"regret in {self.interval}; estimated {_number(self.value)}"
         word = "failed, left open" if self.undecided else "failed"
+        if self.limits is not None and not self.feasible:
+            kept = ", ".join(map(str, self.limits.best.limits))
+            return f"Audit(failed: no policy keeps {kept}; {self._question})"
         return (
             f"Audit({'passed' if self.passed else word}: {lost} of "
             f"{float(self.regret.optimal.value):.6g}, {len(self.disagreements)} disagreements; "
             f"{self._question})"
         )
+
+    @property
+    def feasible(self) -> bool:
+        """Whether some policy keeps the limits; without one there is no optimum to compare with."""
+        return self.limits is None or self.limits.best.feasible
 
     @property
     def _question(self) -> str:
@@ -183,7 +191,8 @@ class Audit(Pictured):
 
     @cached_property
     def _findings(self) -> Findings:
-        return self.found()
+        visits, wrong = self.found()
+        return visits, wrong if self.feasible else ()
 
     @property
     def begins(self) -> str:
@@ -300,7 +309,9 @@ class Audit(Pictured):
         if self.interval is not None:
             return (self._of_process(self.interval),)
         found, text = _kept(self.limits), f"it is {_number(self.value)}"
-        held = self.limits is not None and self.limits.best.feasible
+        if not self.feasible:
+            return tuple(found)
+        held = self.limits is not None
         if held:
             text += ", against the best policy that keeps the limits"
         limit, relative = self.max_regret, self.max_relative_regret
@@ -355,8 +366,11 @@ class Audit(Pictured):
     def agreement(self) -> float:
         """Share of the states with a choice in which all that the policy does is optimal.
 
-        Terminal states do not count, and `unclear` ones as agreement. 1 where there is no choice.
+        Terminal states do not count, and `unclear` ones as agreement. 1 where there is no choice;
+        NaN where no policy keeps the limits.
         """
+        if not self.feasible:
+            return nan
         states = int(self._choosing.sum())
         return 1 - len(self.disagreements) / states if states else 1.0
 
@@ -371,6 +385,8 @@ class Audit(Pictured):
     @property
     def agreement_by_visits(self) -> float:
         """The same share of the policy's visits to states with a choice."""
+        if not self.feasible:
+            return nan
         total = float(self.visits[self._choosing].sum())
         wrong = sum(each.expected_visits for each in self.disagreements)
         return 1.0 if total == 0 else float(np.maximum(0.0, 1 - wrong / total))
@@ -430,9 +446,11 @@ class Audit(Pictured):
         lost, listed, source = self.regret, self.disagreements, self.policy.source
         lines = [f"the array was read as {source}"] if source else []
         lines += [f"{'passed' if each.passed else 'failed'}: {each.told}" for each in self.verdicts]
+        best, own = (f"{float(each.value):.10g}" for each in (lost.optimal, lost.learned))
+        if not self.feasible:
+            return "\n".join([*lines, f"there is no optimum to compare with; learned {own}"])
         lines.append(
-            f"optimal value {float(lost.optimal.value):.10g}, learned"
-            f" {float(lost.learned.value):.10g}; not optimal in {len(listed)} of"
+            f"optimal value {best}, learned {own}; not optimal in {len(listed)} of"
             f" {int(self._choosing.sum())} states with a choice"
         )
         if self.unclear:
@@ -620,7 +638,9 @@ def check(
     if subject_to is not None:
         if is_average(criterion):
             raise ModelError(
-                "limits are on total rewards", where="subject_to", fix="leave criterion out"
+                "limits hold of total rewards, not of an average",
+                where="subject_to",
+                fix="leave criterion out",
             )
         under, exact_values = UnderLimits.of(mdp, held, subject_to), True
     rewards = (mdp if under is None else under.priced).maximised
@@ -643,7 +663,11 @@ def check(
     known = None
     if like is not None and under is None and like.limits is None:
         if like.mdp is not mdp or like.criterion != criterion:
-            raise ModelError("the audit is of another model", where="like", fix="give audit.mdp")
+            raise ModelError(
+                "the audit is of another model",
+                where="like",
+                fix="give its model: check(audit.mdp, policy, like=audit)",
+            )
         known = like.regret.optimum
 
     def audit(exactly: bool | None) -> Audit:

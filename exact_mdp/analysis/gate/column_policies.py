@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.relaxation import Expansion, Flags, Relaxations, Rows, one_hot
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
 
@@ -138,8 +138,7 @@ def best_policy(
     mdp = mdp_of(model)
     if node_limit is None:
         node_limit = max(100, min(5000, WORK // mdp.n_transitions))
-    if node_limit < 1:
-        raise ModelError(f"node_limit is {node_limit}", where="best_policy", fix="give 1 or more")
+    node_limit = counted(node_limit, "node_limit")
     rows = Rows.of(mdp.maximised, columns)
     search = _Search(rows, Relaxations(rows), start)
     search.run(node_limit)

@@ -92,8 +92,9 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     >>> found.frame()["exact"].tolist()
     [Fraction(1, 1), Fraction(2, 1), Fraction(3, 1)]
     """
-    if not policies:
-        raise ModelError("no policies", where="compare", fix="give at least one: {name: policy}")
+    if not isinstance(policies, Mapping) or not policies:
+        said = "no policies" if isinstance(policies, Mapping) else "policies without names"
+        raise ModelError(said, where="compare", fix="give {name: policy}, at least one")
     mdp, regrets = mdp_of(model), dict[str, Regret]()
     optimum = None
     for name, policy in policies.items():

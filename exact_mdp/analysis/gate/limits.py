@@ -17,7 +17,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from math import nan
 from typing import Any
+
+import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import exact_policy
 from exact_mdp.analysis.gate.regret import Regret
@@ -93,17 +96,19 @@ class UnderLimits:
         )
 
     def regret(self, priced: Regret) -> Regret:
-        """Return the regret against the optimum under limits, from that in the priced model."""
-        best = self.best.start
-        if best is None:
-            return priced
+        """Return the regret against the optimum under limits, from that in the priced model.
+
+        Where no policy keeps the limits, there is no optimum: it is NaN, and so is the regret.
+        """
+        best, none = self.best.start or Certified(value=nan), np.full_like(priced.by_state, nan)
         lost = self.best.objectives.sign * (best.value - self.earned)
-        return replace(
+        found = replace(
             priced,
             optimal=best,
             learned=Certified(value=self.earned),
             at_start=Certified(value=lost),
         )
+        return found if self.best.feasible else replace(found, by_state=none, optimal_value=none)
 
 
 def totals_under(of: Objectives, policy: Policy) -> Point:

@@ -37,7 +37,7 @@ import numpy as np
 from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
 from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, ties
 from exact_mdp.analysis.gate.waiting import to_blame
-from exact_mdp.mdp.chain import components, endless, is_acyclic
+from exact_mdp.mdp.chain import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
@@ -245,12 +245,10 @@ def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     """
     own = proven(model_of(chain))
     if own.start_value == best.start_value and isinstance(best.start_value, float):
-        worth = "+∞" if best.start_value > 0 else "-∞"
         raise ModelError(
-            f"the optimum and the policy are both worth {worth}, so that nothing can be compared",
-            where="the total reward at discount 1",
-            fix="give a discount below 1 (discount=…, --discount), a number of steps (horizon=…, "
-            '--horizon), or judge the reward per step (criterion="average", --criterion average)',
+            "the optimum and the policy are both infinite, so that nothing can be compared",
+            where="the total at discount 1",
+            fix=ways_out(mdp),
         )
     value, mine = best.value_float, own.value_float
     same = best.value == own.value  # infinite ones, too

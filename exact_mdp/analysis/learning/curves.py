@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.learning.outcomes import common_rows
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, stream, tables
 from exact_mdp.solvers.values.evaluate import evaluate
@@ -141,8 +141,7 @@ def _curve(
     rng: Seed,
 ) -> LearningCurve:
     """Return a curve with the policies `which` of `table`, acting at random by `chance`."""
-    if n < 2:
-        raise ModelError(f"n is {n} experiments", where="learning curve", fix="make two or more")
+    n = counted(n, "n", 2)
     returns = np.zeros((len(which), n))
     from exact_mdp.solvers import kernels
 

@@ -33,6 +33,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
@@ -215,9 +216,10 @@ def check_trainer(
     """
     wanted, risk = _between("share", share), _between("alpha", alpha)
     if risk == 1:
-        raise ModelError("alpha is 1", where="alpha", fix="choose less: 1/100")
-    if isinstance(runs, bool) or not isinstance(runs, int) or runs < 1:
-        raise ModelError(f"runs is {runs!r}", where="runs", fix="give a whole number > 0")
+        raise ModelError(
+            "a risk of error of 1 proves nothing", where="alpha", fix="choose less: 1/100"
+        )
+    runs = counted(runs, "runs")
     if not prove:
         _require_runs(runs, wanted, risk)
     mdp = mdp_of(model)
@@ -288,7 +290,11 @@ def _policies(
         yield from enumerate(train)
         return
     if rng is None:
-        raise ModelError("no seed to draw seeds from", where="rng", fix="give one: rng=0")
+        raise ModelError(
+            "runs are trained from seeds, and nothing is given to draw these from",
+            where="rng",
+            fix="give one: rng=0",
+        )
     root, number = as_sequence(rng), 0
     while True:
         seed = int(child(root, number).generate_state(1)[0])

@@ -36,6 +36,7 @@ from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import shown
+from exact_mdp.mdp.validate import counted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -161,7 +162,7 @@ def explore(
         raise ModelError(
             f"{len(names)} parameters, or one twice", where="explorer", fix="name one or two"
         )
-    if not 2 <= n <= MOST_GRID:
+    if not 2 <= counted(n, "n", 2) <= MOST_GRID:
         raise ModelError(f"{n} values", where="explorer", fix=f"choose from 2 to {MOST_GRID}")
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)

@@ -84,10 +84,10 @@ def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
 def _refuse_infinite(what: str, value: Bounded, where: str) -> None:
     if isinf(value.value):
         raise ModelError(
-            f"{what} is worth {'+' if value.value > 0 else '-'}∞, so that nothing can be compared",
-            where=f"the total reward at discount 1, {where}",
-            fix="give a discount below 1, a number of steps (--horizon N), another policy, or "
-            "ranges in which every value is finite",
+            f"{what} is infinite, so that nothing can be compared",
+            where=f"the total at discount 1, {where}",
+            fix="give a discount below 1 (--discount 0.95), another policy, or ranges in which "
+            "every value is finite",
         )
 
 
@@ -95,9 +95,8 @@ def unending(where: str) -> ModelError:
     """Return the error of an analysis that follows no policies that never end."""
     return ModelError(
         "some policy never ends",
-        where=f"the total reward at discount 1, {where}",
-        fix="give a discount below 1 (--discount 0.95), a number of steps (mdp.within(100)), or a "
-        "range in which every policy ends",
+        where=f"the total at discount 1, {where}",
+        fix="give a discount below 1 (--discount 0.95), or a range in which every policy ends",
     )
 
 

@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING
 from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
 from exact_mdp.analysis.sensitivity.ranges import Range, range_of, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.solution import Bounded
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ def one_way(
     [(0.5, 3.0, 2.0), (0.75, 3.0, 3.0), (1.0, 4.0, 4.0)]
     """
     family = parametric(model)
-    values = grid(range_of(family, name, ranges, relative), points, "one-way")
+    values = grid(range_of(family, name, ranges, relative), points)
     held = BaseCase(mdp=family.at({})).held(policy)
     found = tuple(_point(family, name, value, held) for value in values)
     return Curve(parameter=parameter_of(family, name), points=found)
@@ -272,9 +272,8 @@ def _point(family: Parametric, name: str, at: Fraction, held: Floats) -> Point:
     return Point(at=at, optimal=finite_optimum(mdp, where).start, fixed=fixed, sense=mdp.sense)
 
 
-def grid(span: Range, points: int, where: str) -> list[Fraction]:
+def grid(span: Range, points: int) -> list[Fraction]:
     """Return evenly spaced values, the ends included; raises ModelError for fewer than 2."""
-    if points < 2:
-        raise ModelError(f"{points} points", where=where, fix="ask for at least 2")
+    points = counted(points, "points", 2)
     step = (span.high - span.low) / (points - 1)
     return [span.low + k * step for k in range(points)]

@@ -133,13 +133,17 @@ def two_way(
     """
     family = parametric(model)
     if x == y:
-        raise ModelError(f"{x} twice", where="two-way", fix="name two different parameters")
+        raise ModelError(
+            f"both parameters are {x}", where="two-way", fix="name two different parameters"
+        )
     if odd := sorted(set(ranges or {}) - {x, y}):
         raise ModelError(
-            f"a range of {odd[0]}", where="two-way", fix=f"give ranges of {x} and {y} alone"
+            f"{odd[0]} has a range, and is neither of the two parameters",
+            where="two-way",
+            fix=f"give ranges of {x} and {y} alone",
         )
     spans = ranges_of(family, [x, y], ranges, relative)
-    across, along = (grid(spans[name], points, "two-way") for name in (x, y))
+    across, along = (grid(spans[name], points) for name in (x, y))
     base = BaseCase(mdp=family.at({}))
     held = base.held(policy)
     value, fixed, error = np.zeros((3, points, points))

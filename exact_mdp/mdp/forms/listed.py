@@ -3,7 +3,8 @@
     P[s][a][t], P[s, a][t], P[s, a, t]    dictionaries by state, action, next state; any hashables
     P[s][a] = [p, …]                      S probabilities by state and action, in lists
     [(s, a, t, p), …]                     quadruples, (N, 4)
-    {a: matrix}                           (S, S) by action, "ass"; see `layouts_of`
+    {a: matrix}                           (S, S) by action, "ass"; see `layouts_of`, and
+                                          `of_tables` for matrices that are tables of pandas
 
 An action that P does not list for a state, or lists with None or nothing, is not available there,
 nor is one of infinite loss: -inf, or inf where rewards are costs. Rewards are of states, of pairs
@@ -15,7 +16,7 @@ Other lists are arrays: see `mdp.build`.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from math import inf
 from typing import Any
 
@@ -112,15 +113,49 @@ def by_action(P: Any) -> tuple[Any, Flags, list[Any] | None, dict[str, Any]]:
     return matrices, offered.T.reshape(-1), keys, names
 
 
-def rewards_by_action(R: Mapping[Any, Any], where: str, actions: list[Any], states: int) -> Any:
+def of_tables(P: Mapping[Any, Any], states: Sequence[Any]) -> tuple[Any, Sequence[Any]]:
+    """Return {action: table of pandas} by arrays, and the states where the labels name such.
+
+    Labels 0, 1, … are positions; others are states, in the order of the first table unless `states`
+    names them.
+
+    Examples
+    --------
+    >>> from pandas import DataFrame
+    >>> go = DataFrame([[0, 1], [1, 0]], index=["b", "a"], columns=["a", "b"])
+    >>> of_tables({"go": go}, ["a", "b"])[0]["go"].tolist()
+    [[1, 0], [0, 1]]
+    """
+    axes = [list(axis) for table in P.values() for axis in table.axes]
+    if all(axis == list(range(len(axis))) for axis in axes):
+        return {key: table.to_numpy() for key, table in P.items()}, []
+    order = list(states) or axes[0]
+    if any(len(axis) != len(order) or {*axis} != {*order} for axis in axes):
+        raise ModelError(
+            f"a table of P has the labels {', '.join(map(str, axes[-1][:4]))}, and the states are "
+            f"{', '.join(map(str, order[:4]))}",
+            where="P",
+            fix="give {action: table} with a row and a column for each state, each once",
+        )
+    return {key: table.loc[order, order].to_numpy() for key, table in P.items()}, order
+
+
+def rewards_by_action(
+    R: Mapping[Any, Any], where: str, actions: list[Any], words: Sequence[Any]
+) -> Any:
     """Return rewards in a dictionary, beside a matrix for each action, as an array has them."""
+    states = len(words)
     values = [plain(value) for value in R.values()]
     depths = {
         -1 if isinstance(v, Mapping) else 2 if _shape(v) else int(_is_list(v)) for v in values
     }
     of_actions, numbered = R.keys() == {*actions}, {*actions} == {*range(states)}
-    if depths == {0} and R.keys() == {*range(states)}:
-        return [R[state] for state in range(states)]
+    for known in (range(states), words):
+        if depths == {0} and R.keys() == {*known}:
+            return [R[state] for state in known]
+        rows = R.values() if depths == {-1} and R.keys() == {*known} else ()
+        if rows and all(row.keys() == {*actions} for row in rows):
+            return [[R[state][action] for action in actions] for state in known]
     if of_actions and depths == {2}:
         return [plain(R[action]) for action in actions]
     if of_actions and depths == {1} and not numbered and {*map(len, values)} == {states}:
@@ -128,8 +163,8 @@ def rewards_by_action(R: Mapping[Any, Any], where: str, actions: list[Any], stat
     raise ModelError(
         "the rewards are a dictionary, and P has a matrix for each action",
         where=where,
-        fix=f"give an array ({states}, {len(actions)}) of states and actions, or "
-        f"{{action: ({states}, {states}) array}}",
+        fix=f"give an array ({states}, {len(actions)}) of states and actions, {{state: number}}, "
+        f"{{state: {{action: number}}}} or {{action: ({states}, {states}) array}}",
     )
 
 

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, no_such, suggest
 
 NUMBER = re.compile(r"-?(0|[1-9]\d{0,17})(\.\d{1,18}|/[1-9]\d{0,17})?")
 TRUTH = {"False": Fraction(0), "True": Fraction(1)}
@@ -100,14 +100,6 @@ def parts_of(objects: Sequence[object]) -> tuple[str, ...]:
     return kinds.pop() if len(kinds) == 1 else ()
 
 
-def several(what: str, name: str) -> ModelError:
-    """Return the error to raise for a name that several have."""
-    return ModelError(
-        f"{name!r} is the name of more than one {what}",
-        fix="give an array in the model's order, or each its own name",
-    )
-
-
 def value_of(thing: object) -> Fraction | None:
     """Return the value of a number, None of anything else."""
     if isinstance(thing, bool) or not isinstance(thing, int | float | Fraction | np.number):
@@ -141,7 +133,6 @@ class Names:
     label: Callable[[int], str]
     objects: Mapping[ObjectKey, int] = field(default_factory=dict)
     otherwise: Callable[[object], int | None] = lambda thing: None
-    twice: frozenset[str] = frozenset()
 
     def number(self, thing: object) -> int:
         """Return the number of one thing; raises ModelError where it is none, or may be two."""
@@ -195,8 +186,6 @@ class Names:
     def _named(self, number: object) -> int | None:
         """Return what a number is the name of."""
         value = value_of(number)
-        if text_of(number) in self.twice:
-            raise several(self.what, text_of(number))
         return self.words.get(text_of(number), None if value is None else self._of_value.get(value))
 
     def _counted(self, value: Fraction | None) -> int | None:
@@ -227,8 +216,6 @@ class Names:
             return made
         text = text_of(thing)
         word = text.strip() if isinstance(thing, str) and text not in self.words else text
-        if word in self.twice and made is None:
-            raise several(self.what, word)
         fits = {made, self.words.get(word)} - {None} or {self.otherwise(thing)} - {None}
         digits = isinstance(thing, str) and word.isascii() and word.isdigit() and len(word) < 19
         if not fits and digits and not self.numbered:
@@ -244,10 +231,7 @@ class Names:
         digits = isinstance(thing, str) and thing.strip().isdigit()
         value = value_of(thing)
         if (digits or (value and value.denominator == 1)) and not self.numbered:
-            return ModelError(
-                f"{self.what} {thing} is outside 0 … {self.size - 1}",
-                fix="choose one in that range",
-            )
+            return no_such(self.what, thing, self.size)
         known = [*self.words] or [self.label(number) for number in range(min(self.size, SHOWN))]
         said = f"unknown {self.what} {thing!r}"
         if not isinstance(thing, str):

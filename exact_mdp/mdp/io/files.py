@@ -1,5 +1,7 @@
 """The one door to files: regular files alone, no larger than allowed, and nothing half-written.
 
+What others print is kept from standard output, too, which holds results alone: see `aside`.
+
 A file is opened first and looked at then, so that what was checked is what is read. It is opened
 without waiting: a pipe, which has no size and may never end, is refused and not waited for.
 """
@@ -9,9 +11,10 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -170,3 +173,20 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+@contextmanager
+def aside() -> Iterator[None]:
+    """Send what is printed, by Python or anything else, to standard error."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        os.dup2(2, 1)
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        if sys.__stdout__ is not None:
+            with suppress(OSError, ValueError):
+                sys.__stdout__.flush()
+        os.dup2(kept, 1)
+        os.close(kept)

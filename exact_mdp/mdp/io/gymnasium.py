@@ -33,12 +33,20 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, extra, located, shown_text, suggest
+from exact_mdp.mdp.errors import (
+    ModelError,
+    ShapeError,
+    extra,
+    located,
+    no_such,
+    shown_text,
+    suggest,
+)
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Numbers
-from exact_mdp.mdp.validate import as_start
+from exact_mdp.mdp.validate import KNOWN, as_start, check_options
 
 END = "end"
 NOWHERE = -1  # a next state that some tables write where the episode is over
@@ -78,12 +86,14 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
     ('from_outcomes', [(0, 0, [(0.5, 0, 1), (0.5, 1, 1)]), (1, 0, [(1, 1, 0)])])
     """
     if isinstance(env, str):
-        made = _make(env)
+        check_options({*names} & {"gamma"})
+        made = _make(env, **{name: names.pop(name) for name in {*names} - KNOWN})
         names.setdefault("name", env)
         try:
             return described(made, **names)
         finally:
             made.close()
+    check_options(names)
     bare = env if isinstance(env, Mapping | list) else getattr(env, "unwrapped", env)
     _refuse_changed(env)
     names.setdefault("name", _name(env))
@@ -247,11 +257,8 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
     for (state, action), outcomes in rows.items():
         for _, following, _, over in outcomes:
             if not 0 <= following < sizes[0] and not (over and following == NOWHERE):
-                raise ModelError(
-                    f"next state {following} is outside 0 … {sizes[0] - 1}",
-                    where=f"{where}, P[{state}][{action}]",
-                    fix="number the states from 0",
-                )
+                place = f"{where}, P[{state}][{action}]"
+                raise no_such("next state", following, sizes[0], where=place)
     return rows, sizes[0], sizes[1]
 
 
@@ -375,7 +382,7 @@ def _name(env: Any) -> str:
     return str(getattr(spec, "id", "") or type(getattr(env, "unwrapped", env)).__name__)
 
 
-def _make(name: str) -> Any:
+def _make(name: str, **options: Any) -> Any:
     with extra("models"):
         import gymnasium
     with located(f"gymnasium:{name}", instead=True):
@@ -384,7 +391,7 @@ def _make(name: str) -> Any:
         with warnings.catch_warnings():
             # An outdated version is refused right after the warning of it, in the same words.
             warnings.simplefilter("ignore")
-            return make(name)
+            return make(name, **options)
     except errors as error:
         module, _, _ = name.rpartition(":")
         if module and isinstance(error.__cause__, ModuleNotFoundError):
@@ -408,5 +415,6 @@ def _make(name: str) -> Any:
         raise ModelError(
             f"the environment {name} raises {type(error).__name__}: {str(error)[:200]}",
             where=f"gymnasium:{name}",
-            fix="correct the environment or its module, so that gymnasium.make can make it",
+            fix="correct the environment or its module, so that gymnasium.make can make it"
+            + f"; or leave out {', '.join(options)}" * bool(options),
         ) from error

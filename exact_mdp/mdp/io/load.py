@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
@@ -178,6 +179,11 @@ def save(model: MDP, path: str | Path) -> None:
     ...     load(f"{folder}/one.npz").n_states
     1
     """
+    given: Any = (model, path)
+    if not isinstance(given[0], MDP) or not isinstance(given[1], str | Path):
+        what = " and ".join(type(each).__name__ for each in given)
+        fix = "write save(model, path), or model.save(path); a scenario is compiled first"
+        raise ModelError(f"not a model and a path, but {what}", where="save", fix=fix)
     suffix = Path(path).suffix.lower()
     if suffix == ".npz":
         npz.save(model, path)

@@ -9,10 +9,7 @@ Sources: https://www.prismmodelchecker.org/manual/ThePRISMLanguage, https://jani
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -29,7 +26,7 @@ from exact_mdp.mdp.io.explicit import (
     named_by,
     ratios,
 )
-from exact_mdp.mdp.io.files import LARGE, read_bytes
+from exact_mdp.mdp.io.files import LARGE, aside, read_bytes
 from exact_mdp.mdp.model import MDP
 
 KINDS = ("DTMC", "MDP")
@@ -49,7 +46,7 @@ def load(
     """
     with located(str(path)):
         read_bytes(path, most=LARGE)  # a regular file, and not too large
-        with _said_elsewhere():
+        with aside():
             try:
                 found = _explicit(_built(Path(path), constants), Path(path).stem)
             except Exception as error:  # Storm raises several kinds, none of them for users
@@ -152,16 +149,3 @@ def _ratios(values: Iterable[Any]) -> Ratios:
 
 def _fraction(value: Any) -> Fraction:
     return Fraction(int(str(value.numerator)), int(str(value.denominator)))
-
-
-@contextmanager
-def _said_elsewhere() -> Iterator[None]:
-    """Send what a library prints to standard error: standard output holds results alone."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    try:
-        os.dup2(2, 1)
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)

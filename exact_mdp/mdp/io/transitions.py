@@ -39,7 +39,7 @@ from exact_mdp.mdp.forms.numbers import grouped
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, exact
-from exact_mdp.mdp.validate import Flags, as_discount
+from exact_mdp.mdp.validate import Flags, as_discount, check_options
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -77,6 +77,7 @@ def from_transitions(
     **names: Any,
 ) -> dict[str, Any]:
     """Return the parts of the model that `MDP.from_transitions` makes."""
+    check_options(names, told=("states", "actions", "components"))
     record = counted(frame, columns, progress=progress)
     parts = record.parts(discount, unseen, costs=names.get("sense") == "min")
     return parts | names | {"labels": {**(names.get("labels") or {}), **parts["labels"]}}

@@ -29,6 +29,7 @@ from exact_mdp.mdp.errors import ModelError, check_names, located, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.table import Numbers, OutcomeTable, beside, exact, shown
+from exact_mdp.mdp.validate import counted
 
 DISCOUNT = "discount"
 MOST_REWARDS = 20  # of a plain MDP, that are parameters without being named
@@ -125,13 +126,9 @@ class Family:
             for name in getattr(self, what):
                 with located(what):
                     parameter_of(self, name)
-        for name, degree in self.degrees.items():
-            if type(degree) is not int or degree < 0:
-                raise ModelError(
-                    f"the degree in {name} is {degree!r}",
-                    where="degrees",
-                    fix="give a whole number, 0 or more",
-                )
+        with located("degrees", instead=True):
+            degrees = self.degrees.items()
+            fill("degrees", {n: counted(d, f"the degree in {n}", 0) for n, d in degrees})
         fill(
             "breaks", {name: _exact(cuts, f"breaks, {name}") for name, cuts in self.breaks.items()}
         )
@@ -174,9 +171,10 @@ def _parameters(given: Any) -> tuple[Parameter, ...]:
 
 def _exact(numbers: object, where: str) -> tuple[Any, ...]:
     with located(where):
-        if not isinstance(numbers, list | tuple):
+        listed = numbers.tolist() if isinstance(numbers, np.ndarray) else numbers
+        if not isinstance(listed, list | tuple):
             raise ModelError(f"{numbers!r} is not a list of numbers", fix="put it in brackets")
-        return tuple(None if number is None else exact(number) for number in numbers)
+        return tuple(None if number is None else exact(number) for number in listed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -251,6 +249,9 @@ def parametric(source: Source | MDP | Parametric) -> Parametric:
     if isinstance(source, Source):
         return source.parametric()
     if not isinstance(source, MDP):
+        if not hasattr(source, "parameters") or not callable(getattr(source, "at", None)):
+            fix = "give an MDP, a Scenario, or a Family of models"
+            raise ModelError(f"{type(source).__name__} is not a model", where="model", fix=fix)
         return source
     rewards = _rewards(source.table)
     return moving(source, {}, rewards if len(rewards) <= MOST_REWARDS else {})

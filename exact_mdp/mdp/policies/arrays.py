@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, no_such, suggest
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
@@ -204,7 +204,9 @@ def _layout(model: MDP, shape: tuple[int, ...], asked: Flags | bool = True) -> _
         expected.append(f"({column.size}, {len(actions)}) over the statuses")
     if space is None:
         raise ModelError(
-            f"an array of shape {shape}", where="policy", fix=f"give {' or '.join(expected)}"
+            f"an array of shape {shape} is no policy of this model",
+            where="policy",
+            fix=f"give {' or '.join(expected)}",
         )
     row = rows_read(model, space)
     counts = np.zeros(space.size, dtype=bool)
@@ -324,13 +326,15 @@ def action_numbers(model: MDP, given: Numbers) -> Parts:
     """Return the policy of action numbers (S,) or (N, S), checked against the model's own."""
     numbers = by_time(model, np.asarray(given), 0)
     space = space_of(model, len(numbers)) if numbers.ndim == 1 else None
-    inside = numbers.dtype.kind in "iu" and ((numbers >= 0) & (numbers < model.n_actions)).all()
-    if space is None or not inside:
+    if space is None or numbers.dtype.kind not in "iu":
         raise ModelError(
-            f"action numbers of shape {numbers.shape}, or outside 0 … {model.n_actions - 1}",
+            f"action numbers of shape {numbers.shape} and type {numbers.dtype}",
             where="policy",
-            fix=f"give one action number for each of the {model.n_states} states",
+            fix=f"give one whole number for each of the {model.n_states} states",
         )
+    inside = (numbers >= 0) & (numbers < model.n_actions)
+    if not inside.all():
+        raise no_such("action", numbers[~inside][0], model.n_actions, where="policy")
     return {"space": space, "actions": model.actions, "rule": numbers.astype(np.int64)}
 
 

@@ -36,6 +36,12 @@ Rows = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
 
 
+PAIRS_OR_STATES = ModelError(
+    "the keys may be states, or a state and an action each, which differ",
+    fix="give an array (S, A), or {state: a row of A numbers}; or the states as text",
+)
+
+
 class Form(NamedTuple):
     """A reading of what is said, and the error to raise where it fits as well and differs."""
 
@@ -67,6 +73,30 @@ def read(path: str | Path, model: MDP, kind: str = "auto") -> list[Form]:
     )
 
 
+def _are_pairs(entries: Mapping[Any, Any]) -> bool:
+    """Return whether a mapping may be {(state, action): number}."""
+    numbers = (int, float, Fraction, np.number)
+    return bool(entries) and all(
+        isinstance(key, tuple) and len(key) == 2 and isinstance(value, numbers)
+        for key, value in entries.items()
+    )
+
+
+def _of_pairs(
+    model: MDP, entries: Mapping[Any, Any], kind: str, default: Callable[[], Any] | None
+) -> Parts:
+    """Return what {(state, action): number} says: of all actions, unless there is a default."""
+    space = model.space.untimed or model.space
+    table: Numbers = np.zeros((space.size, model.n_actions), dtype=object)
+    offered = rows_read(model, space)[model.pair_state], model.pair_action
+    table[offered] = np.nan if default is None else default()
+    states = space.numbers([state for state, _ in entries])
+    actions = model.action_names.numbers([action for _, action in entries])
+    for state, action, value in zip(states, actions, entries.values(), strict=True):
+        table[state, action] = value
+    return policy_of_array(model, numbers_of(table), kind)
+
+
 def _once(items: list[tuple[str, Any]]) -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for key, value in items:
@@ -85,8 +115,19 @@ def from_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> 
     """Return what a mapping says: of statuses, {status: action}, or of states by name or in print.
 
     Instead of an action there may be {action: probability}; of a state also a row of A
-    probabilities or action values, for all of them.
+    probabilities or action values, for all of them; or {(state, action): number} in all.
     """
+    if _are_pairs(entries):
+        default = getattr(entries, "default_factory", None)  # of a defaultdict
+        alone = Form(lambda: _of_pairs(model, entries, kind, default))
+        if kind == "q":
+            return [alone]
+        try:
+            forms = from_states(model, entries, kind)
+            forms[0].parts()
+        except ModelError:  # the keys are no states, or not all of them
+            return [alone]
+        return [*forms, Form(lambda: _of_pairs(model, entries, kind, None), PAIRS_OR_STATES)]
     if "status" not in model.space.names or any("status " in str(key) for key in entries):
         return from_states(model, entries, kind)
     space = StateSpace(columns=(model.space.column("status"),))

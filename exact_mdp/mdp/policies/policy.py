@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, located
+from exact_mdp.mdp.errors import ModelError, check_names, located, no_such
 from exact_mdp.mdp.forms.numbers import is_table
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
@@ -124,11 +124,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     def _checked_numbers(self, given: Numbers) -> Numbers:
         if ((given < -1) | (given >= len(self.actions))).any():
-            raise ModelError(
-                f"an action number is outside 0 … {len(self.actions) - 1}",
-                where="policy",
-                fix="use the model's action numbers",
-            )
+            wrong = given[(given < -1) | (given >= len(self.actions))][0]
+            raise no_such("action", wrong, len(self.actions), where="policy")
         return np.array(given, dtype=np.int64)
 
     def _checked_table(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
@@ -659,9 +656,10 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         inside = array.dtype.kind in "iu" and ((array >= 0) & (array < model.n_actions)).all()
         if array.ndim == 1 and not inside:
             raise ModelError(
-                f"an action number is not whole, or outside 0 … {model.n_actions - 1}",
+                f"{array.tolist()} are not all numbers of actions",
                 where="policy",
-                fix="use the model's action numbers",
+                fix=f"give whole numbers from 0 to {model.n_actions - 1}: "
+                + ", ".join(f"{number} is {name}" for number, name in enumerate(model.actions)),
             )
         return cls(space=space, actions=model.actions, rule=array)
 

@@ -92,7 +92,7 @@ def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> Average
         )
     if getattr(solver, "start", None) is not None:
         raise ModelError(
-            "no start applies to an average reward", where="solve", fix="leave start out"
+            "an average reward has no use for start=", where="solve", fix="leave start out"
         )
     step = mdp.undiscounted
     reached = METHODS[solver.name](step, solver)

@@ -28,9 +28,10 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import COMPILED, Floats, Integers
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import Banded, LinearSystem, policy_chain, relatively
@@ -522,9 +523,6 @@ def check_tolerance(where: str, tol: Any) -> None:
 
 def check_counts(where: str, **counts: Any) -> None:
     """Raise ModelError for what is not a whole number from 1 up; True is none."""
-    for key, count in counts.items():
-        whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
-        if not whole or count < 1:
-            raise ModelError(
-                f"{key} is {count!r}", where=where, fix="choose a whole number from 1 up"
-            )
+    with located(where):
+        for key, count in counts.items():
+            counted(count, key)

@@ -39,6 +39,7 @@ from math import inf
 
 import numpy as np
 
+from exact_mdp.mdp.chain import ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
@@ -328,8 +329,7 @@ def refusal(mdp: MDP, states: Mask, what: str) -> ModelError:
     return ModelError(
         f"at discount 1 {what}",
         where=f"state {named}{more}",
-        fix="choose a discount below 1 (discount=0.95), stop after N steps (--horizon "
-        f"{mdp.time_limit or 'N'}), or ask for the average reward",
+        fix=ways_out(mdp),
     )
 
 

@@ -24,15 +24,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.mdp.validate import as_discount
+from exact_mdp.mdp.validate import as_discount, counted
 from exact_mdp.solvers.learning.sampler import Seed, as_policy, rows_of, stream, tables
-from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_RATE, Schedule, checked
+from exact_mdp.solvers.learning.schedules import (
+    PAPER_CONSTANT,
+    PAPER_RATE,
+    Schedule,
+    as_schedule,
+    checked,
+)
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
@@ -51,8 +57,8 @@ class QLearning:
         Number of epochs, and of episodes in each.
     discount : number or "p/q"
         That of the learner; the model's own discount plays no part.
-    rate, exploration : Schedule
-        α and ε of each epoch, from 0 to 1.
+    rate, exploration : Schedule or number
+        α and ε of each epoch, from 0 to 1; a number is that of all epochs.
     rate_power : float
         The n-th update of an entry uses α n^-power.
     columns : tuple of str, optional
@@ -102,18 +108,23 @@ class QLearning:
                 name, getattr(self, name) in options, suggest(str(getattr(self, name)), options)
             )
         for name in ("epochs", "episodes", "max_steps", "last", "snapshot_episode"):
-            value, least = getattr(self, name), int(name != "snapshot_episode")
-            whole = isinstance(value, int) and not isinstance(value, bool)
-            self._require(name, whole and value >= least, f"give a whole number from {least} on")
+            with located("QLearning"):
+                value = counted(getattr(self, name), name, int(name != "snapshot_episode"))
+            object.__setattr__(self, name, value)
         self._require(
-            "snapshot_episode", self.snapshot_episode <= self.episodes, "0 keeps no snapshot"
+            "snapshot_episode",
+            self.snapshot_episode <= self.episodes,
+            f"an epoch has {self.episodes} episodes (episodes=): give one of these, or 0 to keep "
+            "no policies of epochs",
         )
         for name in ("initial", "rate_power"):
             self._require(name, np.isfinite(getattr(self, name)), "give a finite number")
         self._require("rate_power", self.rate_power >= 0, "rates must not grow: give 0 or more")
         object.__setattr__(self, "discount", as_discount(self.discount))
-        checked("exploration", self.exploration, self.epochs)
-        checked("learning rate", self.rate, self.epochs)
+        for name in ("exploration", "rate"):
+            with located(f"QLearning, {name}"):
+                object.__setattr__(self, name, as_schedule(getattr(self, name)))
+                checked(name, getattr(self, name), self.epochs)
 
     def _require(self, name: str, holds: object, fix: str) -> None:
         if not holds:
@@ -218,7 +229,7 @@ class Trainer:
             counts,
             self.mdp.n_actions,
             checked("exploration", own.exploration, own.epochs),
-            checked("learning rate", own.rate, own.epochs),
+            checked("rate", own.rate, own.epochs),
             float(own.rate_power),
             float(as_discount(own.discount)),
             own.episodes,

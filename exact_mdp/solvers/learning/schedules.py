@@ -7,14 +7,15 @@ from 0, with λ such that ε = 0.8 at t = 300:  λ = ln((ε_max - ε_min) / (0.8
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import exp, log
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, as_float, exact
 
 
 class Schedule(Protocol):
@@ -107,6 +108,13 @@ PAPER_CONSTANT = Constant(0.1)
 PAPER_DECAYING = Exponential.through(0.8, at=300, minimum=0.03)
 
 
+def as_schedule(given: object) -> Schedule:
+    """Return a schedule as it is, and a number as the constant one."""
+    if callable(getattr(given, "values", None)) and not isinstance(given, Mapping):
+        return cast(Schedule, given)
+    return Constant(as_float(exact(given)))
+
+
 def checked(name: str, schedule: Schedule, epochs: int) -> Floats:
     """Return (E,) numbers of a schedule; raises ModelError where one is outside [0, 1]."""
     values = np.ascontiguousarray(schedule.values(epochs), dtype=np.float64)
@@ -114,6 +122,6 @@ def checked(name: str, schedule: Schedule, epochs: int) -> Floats:
         raise ModelError(
             f"{name} does not stay between 0 and 1",
             where=f"{schedule!r}",
-            fix=f"give {epochs} numbers from 0 to 1",
+            fix="choose numbers from 0 to 1, one for each epoch",
         )
     return values

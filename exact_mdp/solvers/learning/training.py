@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun
 from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
 from exact_mdp.solvers.parallel import damaged, many
@@ -74,8 +74,7 @@ def train(
     >>> len(runs), runs[0].q.shape
     (3, (16, 4))
     """
-    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
-        raise ModelError(f"n is {n!r} runs", where="train", fix="give a whole number > 0")
+    n = counted(n, "n")
     trainer, root = Trainer(settings, model), as_sequence(rng)
     found = many(
         partial(_run, trainer, root),

@@ -30,7 +30,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import SHOWN, Mask, components, reachable, termination
+from exact_mdp.mdp.chain import SHOWN, Mask, components, reachable, termination, ways_out
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
@@ -200,8 +200,7 @@ class Objectives:
             if endless
             else "discount 1 needs every policy to end, and one does not",
             where=f"states {shown}" + (" and more" if len(found.trapped) > SHOWN else ""),
-            fix="choose a discount below 1, stop after N steps (--horizon N), or count what is 0 "
-            "in these states",
+            fix=ways_out(mdp, "count what is 0 in these states"),
         )
 
 
@@ -210,7 +209,8 @@ Terms = list[tuple[Fraction, str]]
 
 def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
     """Return the name of an objective, and its terms."""
-    known = [*mdp.component_names, reward_name(mdp), STEPS, *mdp.events, *mdp.labels]
+    rewards = dict.fromkeys([*mdp.component_names, reward_name(mdp)])
+    known = [*rewards, STEPS, *mdp.events, *mdp.labels]
     name, equals, body = text.partition("=")
     if text in known or not equals:
         name, body = text, text
@@ -239,7 +239,11 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
         at = place + len(found)
         at += len(body[at:]) - len(body[at:].lstrip())
     if not terms:
-        raise ModelError("nothing is named", where=f"objective {text!r}", fix=suggest("", known))
+        raise ModelError(
+            "the objective names nothing to count",
+            where=f"objective {text!r}",
+            fix=suggest("", known),
+        )
     return name, terms
 
 

@@ -254,13 +254,13 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
         )
     found = []
     for name, texts in subject_to.items():
-        for text in [texts] if isinstance(texts, str) else texts:
+        for text in texts if isinstance(texts, list | tuple) else [texts]:
             parts = LIMIT.match(str(text))
             if parts is None:
                 raise ModelError(
                     f"{text!r} is no limit",
                     where=f"subject_to {name!r}",
-                    fix='write ">= -1/2" or "<= 1/20"',
+                    fix='write a text with >= or <=, such as ">= -1/2" or "<= 1/20"',
                 )
             sign = 1 if parts[1] == ">=" else -1
             found.append(Limit(name=str(name), sign=sign, bound=exact(parts[2])))

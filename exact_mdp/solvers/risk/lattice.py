@@ -59,7 +59,7 @@ class Lattice:
         mdp = model.maximised if horizon is None else model.maximised.within(horizon)
         if mdp.discount_exact != 1:
             raise ModelError(
-                f"a discount of {shown(mdp.discount_exact)}",
+                f"the discount is {shown(mdp.discount_exact)}, and risks are found at discount 1",
                 where="risk of the return",
                 fix="choose discount 1: then the reward so far says all that matters of the past",
             )
@@ -109,7 +109,7 @@ def share_of(level: object) -> Fraction:
     found = exact(level)
     if not 0 < found <= 1:
         raise ModelError(
-            f"a level of {shown(found)}",
+            f"the level is {shown(found)}",
             where="conditional value at risk",
             fix="choose the share of the worst episodes: above 0, at most 1",
         )

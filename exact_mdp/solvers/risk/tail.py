@@ -88,7 +88,7 @@ class CVaROptimum(Result):
         wanted = (self._sign * (self.threshold - exact(so_far))) / self.lattice.unit
         if wanted.denominator != 1:
             raise ModelError(
-                f"a reward so far of {shown(exact(so_far))}",
+                f"no reward so far can be {shown(exact(so_far))}",
                 where="risk of the return",
                 fix=f"rewards are multiples of {shown(self.lattice.unit)}",
             )
@@ -169,7 +169,7 @@ def best_cvar(
     mdp, share, part = mdp_of(model), share_of(level), exact(weight)
     if not 0 <= part < 1:
         raise ModelError(
-            f"a weight of {shown(part)}",
+            f"the weight of the mean is {shown(part)}",
             where="weight of the mean",
             fix="choose 0 or more, below 1",
         )

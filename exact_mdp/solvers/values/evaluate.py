@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, overload
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.chain import ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
@@ -362,7 +363,7 @@ class Evaluation(Pictured):
             raise ModelError(
                 "the policy goes on for ever, so that visits have no number",
                 where="visits",
-                fix='choose a discount below 1, a horizon, or criterion="average"',
+                fix=ways_out(self.mdp),
             )
         return visits(self.mdp, self.chain.discounted)
 

@@ -21,7 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.chain import closure
+from exact_mdp.mdp.chain import closure, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
@@ -84,7 +84,9 @@ class PolicyChain:
         """
         if isinstance(policy, PolicyChain):
             if policy.mdp is not mdp:
-                raise ModelError("a chain of another model", fix="give the policy itself")
+                raise ModelError(
+                    "the policy was read for another model", fix="give the policy itself"
+                )
             return policy
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:
             return cls(mdp=mdp, chosen=_checked(mdp, policy))
@@ -259,8 +261,7 @@ class PolicyChain:
             where="it can stay for ever in "
             + ", ".join(named)
             + (f" and {more} more" if more else ""),
-            fix="choose a discount below 1 (discount=0.95), stop after N steps (--horizon "
-            f"{self.mdp.time_limit or 'N'}), or take a policy that leaves these states",
+            fix=ways_out(self.mdp, "take a policy that leaves these states"),
         )
 
     def _named(self, state: int) -> str:

@@ -155,7 +155,7 @@ class ReturnDistribution(Pictured):
         the median of a fair coin is tails, whatever the roundings.
         """
         if not 0 <= share <= 1:
-            raise ModelError(f"a quantile at {share}", fix="choose a probability from 0 to 1")
+            raise ModelError(f"no quantile is at {share}", fix="choose a probability from 0 to 1")
         slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
         if -inf in self.unending and share - slack <= self._infinite(-inf):
             return -inf

@@ -15,7 +15,7 @@ from math import inf
 
 import numpy as np
 
-from exact_mdp.mdp.chain import closure, strong_components
+from exact_mdp.mdp.chain import closure, strong_components, ways_out
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -46,8 +46,7 @@ def rested(chain: PolicyChain) -> PolicyChain:
         raise ModelError(
             "the policy may go on for ever, and what it earns has no distribution",
             where=_where(chain),
-            fix="choose a discount below 1, stop after N steps (--horizon "
-            f"{mdp.time_limit or 'N'}); evaluate() gives the mean, which may be infinite",
+            fix=ways_out(mdp, "take evaluate(), whose mean may be infinite"),
         )
     return PolicyChain(mdp=ended(mdp, rest), chosen=chain.chosen, policy=chain.policy)
 
@@ -117,8 +116,7 @@ def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
             raise ModelError(
                 "rewards cancel for ever, and the return has no limit",
                 where=f"policy, state ({mdp.space.label(state)})",
-                fix="choose a discount below 1, or stop after N steps (--horizon "
-                f"{mdp.time_limit or 'N'})",
+                fix=ways_out(mdp, 'take evaluate(), with criterion="average"'),
             )
     return {inf: busy & (gain > 0), -inf: busy & (gain < 0)}
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runner import PROGRAM, launch, run
+from cli_runner import PROGRAM, launch, run, strict
 
 from exact_mdp import MDP, ModelError, load, save
 
@@ -134,6 +134,32 @@ def test_a_module_that_ends_the_program_gives_no_verdict(
     done = run("check", "gymnasium:ends:X-v0", "random", "--discount", "0.9")
     assert (done.status, done.out) == (3, "")
     told(done.err)
+
+
+LOUD = """
+import atexit, os, sys
+print("python")
+sys.__stdout__.write("below")
+os.write(1, b"system")
+os.system("echo child")
+atexit.register(print, "at exit")
+import gymnasium
+entry = "gymnasium.envs.toy_text.frozen_lake:FrozenLakeEnv"
+gymnasium.register("X-v0", entry_point=entry)
+"""
+
+
+@pytest.mark.parametrize("model, status", [("X-v0", 0), ("Y-v0", 2)])
+def test_what_a_module_prints_stays_out_of_the_result(
+    model: str, status: int, tmp_path: Path
+) -> None:
+    pytest.importorskip("gymnasium")
+    (tmp_path / "loud.py").write_text(LOUD, "utf-8")
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    done = launch("info", f"gymnasium:loud:{model}", "--json", PYTHONPATH=path)
+    assert done.status == status, done.err
+    assert done.out == "" if status else strict(done.out)["states"] == 16
+    assert all(word in done.err for word in ("python", "below", "system", "child", "at exit"))
 
 
 def test_what_is_registered_for_the_end_does_not_change_the_status(tmp_path: Path) -> None:

@@ -44,13 +44,6 @@ def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
     assert "Zustand \\u03b2 :smile:" in done.out
 
 
-def test_states_of_the_same_name_are_told_apart(tmp_path: Path) -> None:
-    mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0], states=["x", "x"])
-    save(mdp, tmp_path / "model.npz")
-    found = run("solve", tmp_path / "model.npz", "--json").result
-    assert list(found["policy_by_state"]) == ["x (state 0)", "x (state 1)"]
-
-
 # ---- the program -----------------------------------------------------------------------------
 
 

@@ -56,7 +56,7 @@ def test_the_care_model_under_half_a_point_of_anger(tmp_path: Path) -> None:
     assert float(free.value.value) == pytest.approx(-61.10, abs=0.01)
     with pytest.raises(AssertionError, match="not within the limit anger >= -1/2: its total is -1"):
         assert_policy_optimal(care, "optimal", subject_to=limit)
-    with pytest.raises(ModelError, match="limits are on total rewards"):
+    with pytest.raises(ModelError, match="limits hold of total rewards"):
         check(care, "optimal", subject_to=limit, criterion="average")
 
 

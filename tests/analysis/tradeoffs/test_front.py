@@ -197,7 +197,7 @@ def test_a_run_that_misses_the_goal_has_no_finite_total() -> None:
         (["anger", "anger"], "'anger' is named twice"),
         (["anger"], "front of 1 totals"),
         ("anger", "front of anger totals"),
-        (["anger", "x="], "nothing is named"),
+        (["anger", "x="], "names nothing to count"),
         (["anger", "x=1/0*trial"], "not a finite rational"),
         (["anger", "x=2 trial"], "nothing to count"),
         (["anger", "forgetfulness"], "is no expected total"),

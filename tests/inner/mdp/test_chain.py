@@ -136,8 +136,9 @@ def test_the_policy_that_never_ends_is_named() -> None:
     assert str(caught.value) == (
         "discount 1 needs every policy to end, and one does not\n"
         "  where: it stays for ever in (state left) with action go, (state right) with action go\n"
-        "  fix:   use solve(mdp) or certify(mdp), give a discount (discount=0.95), stop after N "
-        "steps (--horizon N), or add a way out: a terminal state stays put and earns 0"
+        "  fix:   choose a discount below 1 (--discount 0.95, mdp.with_(discount=0.95)), "
+        "stop after N steps (--horizon N, mdp.within(N)), or use solve(mdp) or certify(mdp), "
+        "or add a way out: a terminal state stays put and earns 0"
     )
     require_termination(mdp.with_(discount="1/2"))
 

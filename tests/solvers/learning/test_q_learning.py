@@ -91,7 +91,7 @@ def test_a_bad_seed_is_refused(care: MDP, seed: object) -> None:
 
 @pytest.mark.parametrize("runs", [0, -1, 1.5, True])
 def test_a_bad_number_of_runs_is_refused(care: MDP, runs: object) -> None:
-    with pytest.raises(ModelError, match="runs"):
+    with pytest.raises(ModelError, match="n is"):
         train(care, SMALL, runs, rng=0)
 
 

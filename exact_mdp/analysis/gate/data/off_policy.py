@@ -39,7 +39,6 @@ from exact_mdp.analysis.gate.data.bootstrap import Episodes
 from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, observations_of
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
-from exact_mdp.analysis.sensitivity.draws.blocks import whole_number
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
@@ -48,6 +47,7 @@ from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -122,7 +122,7 @@ class OffPolicy:
                 fix="make the model without start=, or audit by robust sets or the posterior",
             )
         doubt, seed = float(1 - confidence), seed_of(self.rng)
-        draws = whole_number(self.n, "draws", 2)
+        draws = counted(self.n, "n", 2)
         robust = Robust(rewards=self.rewards, returns=self.returns)
         sets = RowSets.of(mdp, doubt / 2, self.rewards)
         bounds = robust.bounds(mdp, sets, chain, horizon)
@@ -138,16 +138,17 @@ class OffPolicy:
         seen = _trajectories(mdp, ratio, self.records, self.columns, horizon)
         lowest, highest = bounds.range
         whole = seen.returns[~seen.cut]
+        sign = 1 if mdp.sense == "max" else -1
         if len(whole) and not lowest <= whole.min() <= whole.max() <= highest:
+            low, high = sorted((sign * whole.min(), sign * whole.max()))
             raise ModelError(
-                f"returns from {whole.min():g} to {whole.max():g} were recorded",
+                f"returns from {low:g} to {high:g} were recorded",
                 where="returns",
                 fix="state a range that holds them",
             )
         low, high = seen.bounds(bounds.range, mdp.discount, doubt / 4)
         best = bounds.at_start(mdp.maximised, "best")
         ordinary = Estimated(value=seen.ordinary, standard_error=seen.standard_error)
-        sign = 1 if mdp.sense == "max" else -1
         drawn = Episodes(weight=seen.weight, returns=seen.returns).interval(
             float(confidence),
             bounds.range,

@@ -41,7 +41,7 @@ from numpy.random import SeedSequence
 
 from exact_mdp.analysis.gate.data.interval import RegretInterval, named, observations_of, of_process
 from exact_mdp.analysis.sensitivity.base_case import digest
-from exact_mdp.analysis.sensitivity.draws.blocks import joined, seeded, whole_number
+from exact_mdp.analysis.sensitivity.draws.blocks import joined, seeded
 from exact_mdp.analysis.sensitivity.psa.intervals import (
     quantiles,
     require_draws,
@@ -56,6 +56,7 @@ from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers, exact
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.parallel import Arrays, many
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.solver import solve
@@ -165,7 +166,7 @@ class Posterior:
                 fix="ask for a robust interval, or record what follows",
             )
         prior, seed = _prior(self.prior), seed_of(self.rng)
-        count = whole_number(self.n, "draws", 2)
+        count = counted(self.n, "n", 2)
         require_draws(count, float(confidence))
         own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)
         model = _Model.of(mdp, own, prior)

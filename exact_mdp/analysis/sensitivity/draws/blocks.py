@@ -14,7 +14,6 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.solvers.parallel import Arrays, many
 
 
@@ -27,13 +26,6 @@ class How(TypedDict, total=False):
     n_jobs: int | None
     folder: str | Path | None
     progress: bool
-
-
-def whole_number(value: object, what: str, least: int) -> int:
-    """Return a whole number; raises ModelError for anything else, and where it is too small."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ModelError(f"{value!r} {what}", where="n", fix=f"give a whole number from {least}")
-    return int(value)
 
 
 def run(

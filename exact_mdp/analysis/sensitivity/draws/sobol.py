@@ -41,6 +41,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.sampler import child
 
 if TYPE_CHECKING:
@@ -217,8 +218,7 @@ def sobol(
         raise ModelError(
             f"a confidence of {confidence}", where="confidence", fix="choose one from 0 to 1"
         )
-    if isinstance(n, bool) or not isinstance(n, int) or n < 2:
-        raise ModelError(f"{n!r} samples", where="sobol", fix="ask for at least 2")
+    n = counted(n, "n", 2)
     if n & (n - 1):
         near = 1 << (n.bit_length() - 1)
         raise ModelError(

@@ -35,7 +35,7 @@ from numpy.random import SeedSequence
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.sensitivity.base_case import digest
-from exact_mdp.analysis.sensitivity.draws.blocks import How, in_blocks, joined, seeded, whole_number
+from exact_mdp.analysis.sensitivity.draws.blocks import How, in_blocks, joined, seeded
 from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, merged, solver_of, tell_cut
 from exact_mdp.analysis.sensitivity.psa.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
@@ -59,6 +59,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.parallel import Arrays
 from exact_mdp.solvers.solution import Bounded, Estimated
 
@@ -331,7 +332,7 @@ def psa(
     (200, 'non-directive')
     """
     family = parametric(model)
-    n, seed = whole_number(n, "draws", 1), seed_of(rng)
+    n, seed = counted(n, "n", 1), seed_of(rng)
     if uncertain is None:
         uncertain = uncertainty(family, default=effective_sample_size)
     chosen, solver = uncertain.checked(family), solver_of(family)

@@ -266,7 +266,9 @@ def robust_curve(
     """
     numbers = [radius_of(radius, "a radius") for radius in radii]
     if not numbers:
-        raise ModelError("no radius", where="robust curve", fix="give some")
+        raise ModelError(
+            "no radius is given", where="robust curve", fix="give some, such as [0, 0.1, 0.2]"
+        )
     held = PolicyChain.of(model, policy)
     points = [(x, robust(model, ambiguity_of(model, kind, x), policy=held)) for x in numbers]
     return RobustCurve(kind=kind, points=tuple(points))

@@ -1,0 +1,443 @@
+"""What strangers call: taken where it can mean one thing, else refused with what, where and fix."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Callable
+from fractions import Fraction
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_runner import run
+
+from exact_mdp import (
+    MDP,
+    Constant,
+    Family,
+    ModelError,
+    OffPolicy,
+    Policy,
+    QLearning,
+    assert_policy_optimal,
+    check,
+    compare,
+    load,
+    rationalize,
+    save,
+    solve,
+    tornado,
+)
+
+STATES = ["a", "b"]
+SLOW, FAST = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+P = {"slow": SLOW, "fast": FAST}
+REWARDS = [[1, "3/2"], [0, 0]]
+ANY: Any = MDP  # that types do not stop a wrong call
+NAMED: Any = {"layout": "ass", "actions": ["slow", "fast"], "states": STATES}
+MODEL = MDP.from_arrays([SLOW, FAST], REWARDS, "9/10", **NAMED)
+GRID = MDP.from_function(
+    (0, 0),
+    lambda s: ["right", "down"] if max(s) < 2 else [],
+    lambda s, a: [(1, (s[0] + (a == "down"), s[1] + (a == "right")), -1)],
+)
+MORE: dict[str, Any] = {"layout": "ass"}
+
+
+def table(rows: list[list[float]], index: list[str], columns: list[str]) -> pd.DataFrame:
+    return pd.DataFrame(rows, index=index, columns=columns)
+
+
+REFUSED: dict[str, tuple[Callable[[], object], str, str, str]] = {
+    "exploration": (lambda: QLearning(exploration=ANY), "not a number", "exploration", "number"),
+    "exploration of 2": (lambda: QLearning(exploration=2), "between 0 and 1", "2", "from 0 to 1"),
+    "a late snapshot": (
+        lambda: QLearning(episodes=5),
+        "snapshot_episode is 10",
+        "QLearning",
+        "an epoch has 5 episodes",
+    ),
+    "a limit that is a number": (
+        lambda: solve(MODEL, subject_to={"steps": 5}),
+        "5 is no limit",
+        "steps",
+        ">= or <=",
+    ),
+    "a list of policies": (
+        lambda: compare(MODEL, ANY and [[0, 0], [1, 0]]),
+        "policies without names",
+        "compare",
+        "{name: policy}",
+    ),
+    "a tolerance by position": (
+        lambda: solve(MODEL, ANY and 1e-6),
+        "1e-06 is not a solver",
+        "solve",
+        "tol=1e-6",
+    ),
+    "no model": (lambda: solve(ANY and 3), "int is not a model", "model", "MDP.from_"),
+    "no family": (lambda: tornado(ANY and 3), "int is not a model", "model", "a Family"),
+    "a list for a label": (
+        lambda: MODEL.reaching(ANY and ["x"]),
+        "unknown label ['x']",
+        "labels",
+        "the model has none",
+    ),
+    "a number for a component": (
+        lambda: MODEL.component(ANY and 3),
+        "unknown component 3",
+        "components",
+        "choose one of reward",
+    ),
+    "save 3": (lambda: save(ANY and 3, "x.npz"), "int and str", "save", "save(model, path)"),
+    "save turned round": (
+        lambda: save(ANY and "x.npz", ANY and MODEL),
+        "str and MDP",
+        "save",
+        "save(model, path)",
+    ),
+    "MDP.save of the class": (
+        lambda: MDP.save(ANY and "x.npz", ANY and MODEL),
+        "str and MDP",
+        "save",
+        "model.save(path)",
+    ),
+    "gamma": (lambda: MDP.from_arrays(P, REWARDS, gamma=0.9), "gamma=", "MDP", "say discount="),
+    "gamma of pairs": (
+        lambda: MDP.from_pairs([0], [0], [[1]], [0], gamma=0.9),
+        "gamma=",
+        "MDP",
+        "say discount=",
+    ),
+    "gamma of outcomes": (
+        lambda: MDP.from_outcomes([(0, 0, [(1, 0, 0)])], gamma=0.9),
+        "gamma=",
+        "MDP",
+        "say discount=",
+    ),
+    "gamma of a function": (
+        lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], gamma=0.9),
+        "gamma=",
+        "MDP",
+        "say discount=",
+    ),
+    "gamma of records": (
+        lambda: MDP.from_transitions("no.csv", gamma=0.9),
+        "gamma=",
+        "MDP",
+        "say discount=",
+    ),
+    "gamma of a copy": (lambda: MODEL.with_(gamma=0.9), "gamma=", "MDP", "say discount="),
+    "gamma of a table": (
+        lambda: MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, gamma=0.9),
+        "gamma=",
+        "MDP",
+        "say discount=",
+    ),
+    "a misspelt option": (
+        lambda: MDP.from_arrays(P, REWARDS, statess=STATES),
+        "statess=",
+        "MDP",
+        "did you mean states?",
+    ),
+    "states of records": (
+        lambda: MDP.from_transitions("no.csv", states=STATES),
+        "states=",
+        "MDP",
+        "leave it out",
+    ),
+    "a state for a pair": (lambda: MODEL.pair("a"), "'a' is not", "pair", "both"),
+    "a tuple that is a state": (lambda: GRID.pair((0, 1)), "(0, 1) is not", "pair", "both"),
+    "states of one name": (
+        lambda: MDP.from_arrays([SLOW], [1, 0], states=["a", "a"]),
+        "two states have the same name, 'a'",
+        "column state",
+        "own name",
+    ),
+    "actions of one name": (
+        lambda: MDP.from_arrays([SLOW, FAST], REWARDS, layout="ass", actions=["x", "x"]),
+        "two actions have the same name, 'x'",
+        "actions",
+        "own name",
+    ),
+    "tables of other states": (
+        lambda: MDP.from_arrays({"go": table([[1]], ["a"], ["b"])}, [0]),
+        "the labels b, and the states are a",
+        "P",
+        "a row and a column for each state",
+    ),
+    "a state beyond the last": (
+        lambda: MODEL.space.label(2),
+        "there is no state 2: numbers go from 0 to 1",
+        "state space",
+        "choose one of these",
+    ),
+    "an action beyond the last": (
+        lambda: Policy.of(MODEL, [0, 9]),
+        "there is no action 9: numbers go from 0 to 1",
+        "policy",
+        "choose one of these",
+    ),
+    "a Q-table with a gap": (
+        lambda: Policy.of(MODEL, {("a", "slow"): 1}),
+        "an action value is NaN",
+        "state a",
+        "every available action",
+    ),
+    "a Q-table of another state": (
+        lambda: Policy.of(MODEL, {("a", "slow"): 1, ("x", "slow"): 1}),
+        "unknown state 'x'",
+        "policy",
+        "choose one of a, b",
+    ),
+    "a Q-table of another action": (
+        lambda: Policy.of(MODEL, {("a", "slow"): 1, ("a", "fats"): 1}),
+        "unknown action 'fats'",
+        "policy",
+        "did you mean fast?",
+    ),
+    "probabilities or values by pair": (
+        lambda: Policy.of(MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}),
+        "which differ",
+        "state a",
+        'kind="policy"',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused(name: str) -> None:
+    call, what, where, fix = REFUSED[name]
+    with pytest.raises(ModelError) as caught:
+        call()
+    assert what in caught.value.what
+    assert where in caught.value.where
+    assert fix in caught.value.fix
+
+
+VALUES = {("a", "slow"): 1, ("a", "fast"): 2, ("b", "slow"): 0, ("b", "fast"): 1}
+BY_NAME = {
+    "slow": table([[0.5, 0.5], [0, 1]], STATES, STATES),
+    "fast": table([[1, 0], [1, 0]], ["b", "a"], ["b", "a"]),
+}
+SHARES = np.array([0.1, 0.2, 0.7], dtype=np.float32)
+THREE = MDP.from_arrays([np.eye(3)], [1, 2, 3], "1/2")
+FAMILY: dict[str, Any] = {
+    "parameters": {"p": "1/2"},
+    "build": lambda at: MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0]),
+}
+
+
+def rows(mdp: MDP) -> list[Any]:
+    return [mdp.table.row(pair) for pair in range(mdp.n_pairs)]
+
+
+TAKEN: dict[str, tuple[Callable[[], object], object]] = {
+    "a number for a schedule": (lambda: QLearning(exploration=0.2).exploration, Constant(0.2)),
+    "a ratio for a schedule": (lambda: QLearning(rate="1/4").rate, Constant(0.25)),
+    "NumPy's whole numbers": (lambda: QLearning(epochs=np.int64(7)).epochs, 7),
+    "degrees of NumPy": (
+        lambda: Family(**FAMILY, degrees={"p": np.int64(1)}).degree("p"),
+        1,
+    ),
+    "breaks in an array": (
+        lambda: Family(**FAMILY, breaks={"p": np.array([0.25, 0.5])}).breakpoints("p"),
+        (Fraction(1, 4), Fraction(1, 2)),
+    ),
+    "a tuple for a pair": (lambda: MODEL.pair(("a", "fast")), 1),
+    "states of a copy": (lambda: MODEL.with_(states=["x", "y"]).space.label(1), "state y"),
+    "tables by name": (lambda: rows(MDP.from_arrays(BY_NAME, REWARDS)), rows(MODEL)),
+    "tables by position": (
+        lambda: rows(
+            MDP.from_arrays({"slow": pd.DataFrame([[0.5, 0.5], [0, 1]])}, [1, 0], "9/10")
+        ),
+        [rows(MDP.from_arrays([SLOW], [1, 0]))[k] for k in range(2)],
+    ),
+    "states that order tables": (
+        lambda: MDP.from_arrays(BY_NAME, REWARDS, states=["b", "a"]).P("fast").toarray().tolist(),
+        [[1, 0], [1, 0]],
+    ),
+    "rewards by state": (
+        lambda: MDP.from_arrays(BY_NAME, {"b": 5, "a": 2}).reward.tolist(),
+        [2, 2, 5, 5],
+    ),
+    "rewards by state and action": (
+        lambda: MDP.from_arrays(
+            BY_NAME, {"b": {"slow": 5, "fast": 6}, "a": {"fast": 2, "slow": 1}}
+        ).reward.tolist(),
+        [1, 2, 5, 6],
+    ),
+    "a table of rewards": (
+        lambda: MDP.from_arrays(
+            BY_NAME, table([[6, 5], [2, 1]], ["b", "a"], ["fast", "slow"])
+        ).reward.tolist(),
+        [1, 2, 5, 6],
+    ),
+    "a start of short floats": (
+        lambda: THREE.with_(start=SHARES).start,
+        tuple(
+            (state, Fraction(float(share)) / sum(map(Fraction, SHARES.tolist())))
+            for state, share in enumerate(SHARES)
+        ),
+    ),
+    "a Q-table by names": (lambda: Policy.of(MODEL, VALUES).tolist(), [1, 1]),
+    "a Q-table by numbers": (
+        lambda: Policy.of(MODEL, {(0, 0): 3, (0, 1): 2, (1, 0): 0, (1, 1): 0}).tolist(),
+        [0, 0],
+    ),
+    "a Q-table with a default": (
+        lambda: Policy.of(MODEL, defaultdict(float, {(0, 1): 3.0})).tolist(),
+        [1, 0],
+    ),
+    "a Q-table of steps": (
+        lambda: Policy.of(MODEL.within(3), VALUES).tolist(),
+        Policy.of(MODEL.within(3), [[1, 2], [0, 1]]).tolist(),
+    ),
+    "probabilities by pair": (
+        lambda: Policy.of(
+            MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}, kind="policy"
+        ).weights(MODEL)[:2].tolist(),
+        [0.5, 0.5],
+    ),
+    "states that are pairs": (
+        lambda: Policy.of(GRID, {(0, 0): "down", (0, 1): "down", (1, 0): "right", (1, 1): "down"})
+        .weights(GRID).sum(),
+        float(GRID.n_states),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TAKEN)
+def test_taken(name: str) -> None:
+    call, wanted = TAKEN[name]
+    assert call() == wanted
+
+
+def test_a_table_by_state_and_action_is_never_one_by_row_and_column() -> None:
+    pytest.importorskip("gymnasium")
+    lake = MDP.from_gymnasium("FrozenLake-v1", is_slippery=False)
+    assert lake.n_transitions < MDP.from_gymnasium("FrozenLake-v1").n_transitions
+    values = np.random.default_rng(0).integers(0, 4, (16, 4))
+    by_pair = {(s, a): values[s, a] for s, a in product(range(16), range(4))}
+    wanted = Policy.of(lake, values, kind="q").tolist()
+    assert Policy.of(lake, by_pair).tolist() == wanted
+    named = {(s, lake.actions[a]): x for (s, a), x in by_pair.items()}
+    assert Policy.of(lake, named).tolist() == wanted
+    by_place = {(row, column): (row + column) % 4 for row in range(4) for column in range(4)}
+    assert Policy.of(lake, by_place).tolist() == list(by_place.values())
+    with pytest.raises(ModelError, match="there is no option is_slippery="):
+        MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, is_slippery=False)
+
+
+# ---- limits that no policy keeps -----------------------------------------------------------------
+
+
+def test_no_optimum_is_shown_that_ignores_a_limit(tmp_path: Path) -> None:
+    limit = {"steps": "<= 1/2"}
+    audit = check(MODEL, [0, 0], subject_to=limit)
+    assert not audit.passed
+    assert not audit.feasible
+    assert audit.disagreements == ()
+    assert np.isnan([float(audit.value.value), audit.agreement, *audit.regret.by_state]).all()
+    best = f"{solve(MODEL).start_value:.6g}"
+    for text in (repr(audit), str(audit), audit.message()):
+        assert "keep" in text
+        assert "optimal" not in text
+    assert f"no policy keeps steps <= 1/2; {best}"[:30] in repr(audit)
+    with pytest.raises(AssertionError, match="none does"):
+        assert_policy_optimal(MODEL, [0, 0], subject_to=limit)
+    MODEL.save(tmp_path / "model.npz")
+    words = ["check", tmp_path / "model.npz", "always:slow", "--subject-to", "steps <= 1/2"]
+    found = run(*words, "--json").result
+    assert found["learned_value"] == float(audit.regret.learned.value)
+    unknown = ("optimal_value", "regret", "exact_regret", "relative_regret", "agreement")
+    assert [found[name] for name in unknown] == [None] * 5
+    assert "optimal" not in run(*words).out
+
+
+# ---- exact numbers -------------------------------------------------------------------------------
+
+
+def test_exact_numbers_have_an_exact_least_change() -> None:
+    """5 is 6.1 - 1.1: the parts of an exact reward are the decimals that add up to it."""
+    outcomes = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+    changes = [
+        rationalize(
+            MDP.from_outcomes(outcomes, components={"gain": gain, "effort": effort}), [1, 0]
+        ).change
+        for gain, effort in (
+            (["6.1", 3, 0], ["-1.1", 0, 0]),
+            ([6.1, 3, 0], [-1.1, 0, 0]),
+            (np.array([6.1, 3, 0]), np.array([-1.1, 0, 0])),
+        )
+    ]
+    assert changes == [Fraction(10, 21)] * 3
+
+
+# ---- what is infinite ----------------------------------------------------------------------------
+
+
+def endless(sense: str, earned: int) -> MDP:
+    return MDP.from_outcomes(
+        [
+            (0, 0, [("1/2", 0, earned), ("1/2", 1, earned)]),
+            (0, 1, [("1/2", 2, 1), ("1/2", 1, 1)]),
+            (1, 0, [(1, 1, earned)]),
+            (2, 0, [(1, 2, 0)]),
+        ],
+        sense=sense,
+        labels={"goal": np.array([False, False, True])},
+    )
+
+
+@pytest.mark.parametrize("sense, earned", [("max", 1), ("max", -1), ("min", 1), ("min", -1)])
+def test_what_is_advised_can_be_done(tmp_path: Path, sense: str, earned: int) -> None:
+    """Where a total is infinite, each option that a message names is taken, and helps."""
+    endless(sense, earned).save(tmp_path / "model.npz")
+    seen = 0
+    for command, until, steps in product(
+        (["solve"], ["check", "random"]), ([], ["--until", "goal"]), ([], ["--horizon", "3"])
+    ):
+        words = [command[0], tmp_path / "model.npz", *command[1:]]
+        done = run(*words, *until, *steps)
+        text = " ".join((done.out + done.err).split())
+        advised = re.findall(r"--(discount 0\.95|horizon N|criterion average|reach LABEL)", text)
+        if not advised:
+            assert "infinit" not in text
+        for option in advised:
+            seen += 1
+            name, _, value = option.partition(" ")
+            value = {"N": "3", "LABEL": "goal"}.get(value, value)
+            kept = [] if name == "reach" else until
+            again = run(*words, *kept, *steps, f"--{name}", value)
+            assert again.status in (0, 1), again.err
+            assert "infinite" not in again.out
+    assert seen
+
+
+def test_costs_have_no_sign_of_rewards(tmp_path: Path) -> None:
+    """The sign of what is infinite is not told of the negation that is computed with."""
+    for sense in ("max", "min"):
+        with pytest.raises(ModelError, match="both infinite") as caught:
+            check(endless(sense, 1).until("goal"), [0, 0, 0])
+        assert "∞" not in str(caught.value)
+    frame = pd.DataFrame(
+        [(1, "x", "go", 1, "y"), (1, "y", "go", 1, "z"), (1, "z", "go", 1, None)],
+        columns=["episode", "state", "action", "reward", "next_state"],
+    )
+    mdp = MDP.from_transitions(frame, sense="min")
+    by = OffPolicy(records=frame, rewards=(0, 3), returns=(0.5, 2.5))
+    with pytest.raises(ModelError, match="returns from 3 to 3 were recorded"):
+        check(mdp, "optimal", confidence=0.9, by=by)
+
+
+def test_a_saved_model_has_no_states_of_one_name(tmp_path: Path) -> None:
+    MODEL.save(tmp_path / "model.npz")
+    assert load(tmp_path / "model.npz").space == MODEL.space
+    (tmp_path / "p.json").write_text(json.dumps({"a": "fast", "b": "slow"}), "utf-8")
+    assert run("check", tmp_path / "model.npz", tmp_path / "p.json").status in (0, 1)
