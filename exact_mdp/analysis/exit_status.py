@@ -19,7 +19,9 @@ from __future__ import annotations
 import atexit
 import errno
 import io
+import json
 import os
+import re
 import signal
 import sys
 import threading
@@ -123,7 +125,7 @@ def run(
     if not _streams():
         what = "standard output is closed, so the result could not be printed"
         fix = "send it to /dev/null to see the exit status alone"
-        return _told(BROKEN, _message("OSError", what, program, fix), told)
+        return _told(BROKEN, _message("OSError", what, program, fix), words, told)
     output = _Output(sys.stdout)
     try:
         with redirect_stdout(output), _signals(), warnings.catch_warnings():
@@ -141,7 +143,7 @@ def run(
         if os.environ.get(TRACEBACK, "") not in ("", "0"):
             traceback.print_exc()
         status, message = _outcome(error, output.error, command, program, words)
-        return _told(status, message, told)
+        return _told(status, message, words, told)
 
 
 def leave(status: int) -> NoReturn:
@@ -198,6 +200,8 @@ def _outcome(
         asked = f"stopped by {signal.Signals(number).name}"
         return SIGNALS + number, "; ".join([asked, *getattr(error, "__notes__", ())])
     if isinstance(error, click.ClickException):
+        if isinstance(error, click.exceptions.NoArgsIsHelpError):
+            return REFUSED, error.format_message()
         path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
         what, place = error.format_message().removesuffix("."), path or program
         return REFUSED, _message(type(error).__name__, what, place, f"see {place} --help")
@@ -277,10 +281,18 @@ def _message(kind: str, what: str, where: str, fix: str) -> str:
     return f"{kind}: {what}\n  where: {where}\n  fix:   {fix}"
 
 
-def _told(status: int, message: str, told: Told | None) -> int:
-    """Tell the message, where there is one, and return the status."""
+def _told(status: int, message: str, words: Sequence[str], told: Told | None) -> int:
+    """Tell the message, where there is one, and return the status.
+
+    With --json the last line of standard error is an object with the same parts.
+    """
     if message:
         say(message)
+        if "--json" in words:
+            parts = re.fullmatch(r"(\w+): (.*?)\n  where: (.*?)\n  fix:   (.*)", message, re.DOTALL)
+            said = parts.groups() if parts else ("", message, "", "")
+            error = dict(zip(("kind", "what", "where", "fix"), said, strict=True))
+            say(json.dumps({"status": status, "error": error}))
         if told is not None:
             told(status, message)
     return status

@@ -6,6 +6,7 @@ failure is reported on standard error as what, where and fix, with nothing on st
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import shell_complete
 
 from exact_mdp.analysis import github
 from exact_mdp.analysis.cli import commands
@@ -21,6 +23,7 @@ from exact_mdp.analysis.cli.commands import GROUPS
 from exact_mdp.analysis.exit_status import Told, leave, run
 
 PROGRAM = "exact-mdp"
+COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell's line that completes words
 GATE = commands.check
 
 
@@ -56,6 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The words after the program's name; those of this process unless given.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if asked := os.environ.get(COMPLETE):
+        return shell_complete(cli, {}, PROGRAM, COMPLETE, asked)
     status = run(cli, PROGRAM, words, told=_reporting(words))
     if arguments is None:
         leave(status)

@@ -405,3 +405,25 @@ def test_a_refused_number_is_shown_outside_its_limits(words: tuple[str, ...], sa
 def test_sums_are_shown_apart_from_1() -> None:
     with pytest.raises(ModelError, match="start probabilities sum to 1 \\+ 1e-08, not 1"):
         MDP.from_arrays([[[1, 0], [0, 1]]], [1, 0], 0.5, start={0: "1/2", 1: "0.50000001"})
+
+
+def test_a_program_without_a_command_shows_its_help() -> None:
+    done = run()
+    assert (done.status, done.out) == (2, "")
+    assert done.err.startswith("Usage: exact-mdp")
+
+
+@pytest.mark.parametrize("words", ["solve nowhere.npz", "solve", "solve tea --discount 2", "sove"])
+def test_with_json_the_last_line_of_an_error_is_an_object(words: str) -> None:
+    done = run(*words.split(), "--json")
+    plain = run(*words.split())
+    assert (done.status, done.out) == (2, "")
+    *text, last = done.err.splitlines()
+    assert text == plain.err.splitlines()
+    said = strict(last)
+    assert said["status"] == 2
+    error = said["error"]
+    assert text[-1] == f"  fix:   {error['fix']}"
+    assert "\n".join(text).startswith(
+        f"{error['kind']}: {error['what']}\n  where: {error['where']}"
+    )
