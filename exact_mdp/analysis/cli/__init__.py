@@ -19,7 +19,7 @@ from click.shell_completion import shell_complete
 
 from exact_mdp.analysis import github
 from exact_mdp.analysis.cli import commands
-from exact_mdp.analysis.cli.commands import GROUPS
+from exact_mdp.analysis.cli.commands import GROUPS, HELP
 from exact_mdp.analysis.exit_status import Told, leave, run
 
 PROGRAM = "exact-mdp"
@@ -41,7 +41,7 @@ class Commands(click.Group):
 @click.group(
     cls=Commands,
     commands=[command for group in GROUPS.values() for command in group],
-    context_settings={"help_option_names": ["-h", "--help"]},
+    context_settings={"help_option_names": HELP},
     epilog="MODEL is a shipped scenario (yuan2025, tea), a .toml scenario, a saved "
     ".npz or .umb model, or gymnasium:ID.",
 )
@@ -76,7 +76,7 @@ def _reporting(words: list[str]) -> Told | None:
     if next((word for word in words if not word.startswith("-")), None) != GATE.name:
         return None
     rest = words[words.index(str(GATE.name)) + 1 :]
-    if "--help" in rest:
+    if not set(HELP).isdisjoint(rest):
         return None
     anything: dict[str, Any] = {"ignore_unknown_options": True, "allow_extra_args": True}
     with GATE.make_context(GATE.name, rest, resilient_parsing=True, **anything) as context:

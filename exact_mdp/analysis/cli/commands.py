@@ -19,6 +19,7 @@ Function = Callable[..., Any]
 Options = Callable[[Function], Function]
 
 HERE = "exact_mdp.analysis.cli"
+HELP = ["-h", "--help"]
 
 POLICY_HELP = """POLICY is optimal, random, always:ACTION, or a file: .json {"0000": "none", ...};
 .csv with the header status,action; .npy or .npz with a Q-table or with probabilities of actions
@@ -53,7 +54,8 @@ def command(
             status: int = show(report, as_json=as_json, as_markdown=as_markdown)
             return status
 
-        return click.command(short_help=help_line, epilog=epilog)(work)
+        settings = {"help_option_names": HELP}
+        return click.command(short_help=help_line, epilog=epilog, context_settings=settings)(work)
 
     return declare
 
