@@ -419,7 +419,8 @@ def mechanism(reading: Reading) -> Figure:
                 va="bottom" if above else "top",
             )
         acts = [
-            f"{action}: {float(chance(mdp, bit, number, status)):.0%} if present, 0 % from absent"
+            f"{action}: {float(chance(mdp, bit, number, status)):.0%} if present, "
+            f"{float(chance(mdp, 0, number, status)):.0%} from absent"
             for number, action in enumerate(ACTIONS)
             if status in PAPER["assistance"].get(action, {})
         ]
