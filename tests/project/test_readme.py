@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from cli_runner import main
 
-from exact_mdp.paper_repro.agents.cli import main as agents
+from exact_mdp.paper_repro.agents.__main__ import main as agents
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text("utf-8")

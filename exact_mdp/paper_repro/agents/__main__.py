@@ -1,6 +1,190 @@
-"""`python -m paper_repro.agents`."""
+"""`python -m paper_repro.agents`: its commands."""
 
-from exact_mdp.paper_repro.agents.cli import main
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from exact_mdp import Counted, ModelError, evaluate, perceived
+from exact_mdp.analysis.exit_status import Programs
+from exact_mdp.analysis.record import run_record
+from exact_mdp.mdp.care.perception import read_counts
+from exact_mdp.paper_repro.agents import log
+from exact_mdp.paper_repro.agents.endpoint import SHAPES, BackendError, Endpoint
+from exact_mdp.paper_repro.agents.scripted import Scripted
+from exact_mdp.paper_repro.agents.simulate import NAME, Backend, Conversation, conversation
+from exact_mdp.paper_repro.agents.texts import HISTORY, VARIANTS
+from exact_mdp.paper_repro.paper import write
+
+FOLDER = click.Path(file_okay=False, path_type=Path)
+FILE = click.Path(dir_okay=False, path_type=Path)
+Options = Callable[[Any], Any]
+
+
+def together(*options: Options) -> Options:
+    """Return several options as one decorator."""
+
+    def add(function: Any) -> Any:
+        for each in reversed(options):
+            function = each(function)
+        return function
+
+    return add
+
+
+def option(*names: str, **settings: Any) -> Options:
+    """Return an option that shows its default."""
+    return click.option(*names, **{"show_default": True} | settings)
+
+
+SCENE = together(
+    option("--scenario", default="yuan2025", help="By name, or a .toml file."),
+    option("--set", "sets", multiple=True, metavar="KEY=VALUE", help="Change the scenario."),
+    option("--history", default=HISTORY, type=click.IntRange(0), help="Exchanges in a prompt."),
+    option("--seed", default=0, type=click.IntRange(0), help="Seed of the random numbers."),
+    option(
+        "--policy",
+        default="optimal",
+        help="optimal, random, always:ACTION, reported:ACTION (the paper's), or a file.",
+    ),
+)
+VARIANT = option(
+    "--variant",
+    type=click.Choice(tuple(VARIANTS)),
+    default="detailed+status",
+    help="Prompt of action execution.",
+)
+BACKEND = together(
+    option("--backend", type=click.Choice(("scripted", "openai")), default="scripted"),
+    option(
+        "--noise",
+        default=0.0,
+        type=click.FloatRange(0, 1),
+        help="scripted: probability that perception errs in one status.",
+    ),
+    option("--model", help="openai: the model's name."),
+    option("--base-url", help="openai: address of the endpoint, up to /v1."),
+    option(
+        "--key-variable",
+        default=Endpoint.key_variable,
+        help="openai: the environment variable with the key, which is never recorded.",
+    ),
+    option(
+        "--timeout",
+        default=Endpoint.timeout,
+        type=click.FloatRange(0.1, 86_400),
+        help="openai: seconds for a whole answer.",
+    ),
+    option("--temperature", default=Endpoint.temperature, type=click.FloatRange(0, 2)),
+    option("--max-tokens", default=Endpoint.max_tokens, type=click.IntRange(16, 100_000)),
+    option("--response-format", "shape", type=click.Choice(SHAPES), default=Endpoint.shape),
+    option("--tries", default=Endpoint.tries, type=click.IntRange(1, 20)),
+)
+
+
+def backend_of(words: dict[str, Any]) -> Backend:
+    """Take the options of the backend out of the words; raises ModelError where one is missing."""
+    kind, noise = words.pop("backend"), words.pop("noise")
+    chosen = {each.name: words.pop(each.name) for each in fields(Endpoint) if each.name in words}
+    if kind == "scripted":
+        return Scripted(noise=noise)
+    if not chosen["model"] or not chosen["base_url"]:
+        raise ModelError(
+            "the openai backend needs a model and an address",
+            where="--backend openai",
+            fix="add --model NAME --base-url URL",
+        )
+    return Endpoint(**chosen)
+
+
+def record_run(out: Path, talk: Conversation, words: Mapping[str, Any]) -> None:
+    """Write versions, commit and date."""
+    record = run_record(talk.mdp, model=words["scenario"], solver="auto", seed=words["seed"])
+    write(out / "run.json", json.dumps(record, indent=1) + "\n")
+
+
+@click.group(cls=Programs)
+def main() -> None:
+    """Play the two agents of Yuan et al. (2025): a person with dementia and a robot caregiver.
+
+    A simulator for research on decision models. Not medical advice.
+    """
+
+
+@main.command()
+@together(SCENE, VARIANT, BACKEND)
+@option("--out", type=FOLDER, default=Path("results/agents/conversation"), help="Its folder.")
+@option("--resume", is_flag=True, help="Go on with the recording in the folder.")
+@option("--limit", type=click.IntRange(0), help="Stop after this many timesteps in all.")
+def run(out: Path, resume: bool, limit: int | None, **words: Any) -> None:
+    """Hold a conversation, print it, and write it as JSON lines and as text."""
+    talk = conversation(backend_of(words), **words)
+    header = talk.header()
+
+    def tell(step: dict[str, Any]) -> None:
+        click.echo(log.spoken(header, step))
+
+    try:
+        record = talk.hold(out, resume=resume, limit=limit, progress=tell)
+    except BackendError:
+        click.echo(f"what was recorded before is in {out / NAME}; --resume goes on", err=True)
+        raise
+    record_run(out, talk, words)
+    state = "finished" if record.end else "not finished, --resume goes on"
+    click.echo(f"{len(record.steps)} timesteps, {state}: {out / 'conversation.txt'}")
+
+
+@main.command()
+@together(SCENE, BACKEND)
+@option("--each", default=20, type=click.IntRange(1), help="Behaviours for each status vector.")
+@option(
+    "--recording",
+    "recordings",
+    multiple=True,
+    type=FILE,
+    help="Count in this conversation.jsonl instead of asking; repeatable.",
+)
+@option("--scripted-behaviour", is_flag=True, help="The scripted agent behaves.")
+@option("--out", type=FOLDER, default=Path("results/agents/perception"), help="Its folder.")
+def measure(
+    each: int, recordings: tuple[Path, ...], scripted_behaviour: bool, out: Path, **words: Any
+) -> None:
+    """Count a backend's perception: confusion.csv, rates with intervals, and what it costs."""
+    import pandas
+
+    talk = conversation(backend_of(words), **words)
+    paths = list(recordings) or [out / "labelled.jsonl"]
+    if len({path.resolve() for path in paths}) < len(paths):
+        raise ModelError("one recording is named twice", where="--recording", fix="name it once")
+    if not recordings:
+        talk.labelled(
+            paths[0], each=each, behave=Scripted() if scripted_behaviour else talk.backend
+        )
+    read = [read_counts(path, talk.mdp) for path in paths]
+    counted = Counted(counts=np.sum([one.counts for one in read], axis=0))
+    perfect = evaluate(talk.mdp, talk.policy).mean
+    measured = evaluate(talk.mdp, perceived(talk.mdp, talk.policy, counted.mean)).mean
+    labels = [talk.named(number)[0] for number in range(len(counted.counts))]
+    table = pandas.DataFrame(counted.mean, index=labels, columns=labels)
+    write(out / "confusion.csv", table.to_csv(index_label="status", lineterminator="\n"))
+    record_run(out, talk, words)
+    for name, both in counted.rates(talk.modules.statuses).items():
+        for what, rate in both.items():
+            shown = "none seen" if rate.value is None else f"{rate.value:.3f}"
+            interval = f"[{rate.low:.3f}, {rate.high:.3f}] of {rate.total}"
+            click.echo(f"{name:14} {what:11} {shown} {interval}")
+    click.echo(out / "confusion.csv")
+    click.echo(
+        f"The policy earns {perfect:.2f} with perfect perception and {measured:.2f} with these "
+        "errors."
+    )
+
 
 if __name__ == "__main__":
     main(prog_name="python -m paper_repro.agents")

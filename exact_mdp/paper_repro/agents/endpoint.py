@@ -20,10 +20,12 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, cast
 from urllib.parse import urlsplit
 
 from exact_mdp import ModelError
+from exact_mdp.mdp.errors import extra
 from exact_mdp.paper_repro.agents.texts import Request
 
 AGAIN = (408, 409, 429, 500, 502, 503, 504)
@@ -69,15 +71,8 @@ class Endpoint:
                 f"the time limit is {self.timeout:g} s", where="--timeout", fix="give seconds > 0"
             )
         _checked_address(self.base_url)
-        try:
-            import httpx
-        except ImportError:
-            raise ModelError(
-                "the package httpx is missing",
-                where="--backend openai",
-                fix='pip install "exact-mdp[agents]"',
-            ) from None
-        del httpx
+        with extra("agents"):
+            import_module("httpx")
         self._key()
 
     def describe(self) -> dict[str, Any]:

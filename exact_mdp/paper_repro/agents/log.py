@@ -29,31 +29,47 @@ OUTCOMES = {
 class Record:
     """What a file holds: the header, the steps, the totals where it is finished."""
 
-    header: dict[str, Any]
+    path: Path
+    header: dict[str, Any] = field(default_factory=dict)
     steps: list[dict[str, Any]] = field(default_factory=list)
     end: dict[str, Any] | None = None
 
-    def add(self, path: Path, entry: dict[str, Any]) -> None:
-        """Add a step or the totals, and write it down."""
-        append(path, entry)
-        if entry["kind"] == "end":
+    def add(self, entry: dict[str, Any]) -> None:
+        """Write an entry down; raises ModelError where that fails."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open("a", encoding="utf-8", newline="\n") as file:
+                file.write(json.dumps(entry, ensure_ascii=False) + "\n")
+        except OSError as error:
+            raise ModelError(
+                f"cannot write the recording: {error.strerror}",
+                where=str(self.path),
+                fix="make room, or name another --out",
+            ) from error
+        if entry["kind"] == "step":
+            self.steps.append(entry)
+        elif entry["kind"] == "end":
             self.end = entry
         else:
-            self.steps.append(entry)
+            self.header = entry
 
 
-def append(path: Path, entry: Mapping[str, Any]) -> None:
-    """Write one entry at the end of a file; raises ModelError where that fails."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a", encoding="utf-8", newline="\n") as file:
-            file.write(json.dumps(entry, ensure_ascii=False) + "\n")
-    except OSError as error:
+def opened(path: Path, header: dict[str, Any], *, resume: bool) -> Record:
+    """Return the recording of a file, a new one where there is none.
+
+    Raises ModelError where there is one and `resume` is not asked for, or one with another header.
+    """
+    record = read(path)
+    if record is None:
+        record = Record(path=path)
+        record.add(header)
+    elif not resume or record.header != header:
         raise ModelError(
-            f"cannot write the recording: {error.strerror}",
+            "the folder holds a recording" + " with other settings" * resume,
             where=str(path),
-            fix="make room, or name another --out",
-        ) from error
+            fix="name another --out" + ", or add --resume" * (not resume),
+        )
+    return record
 
 
 def read(path: Path) -> Record | None:
@@ -88,7 +104,7 @@ def read(path: Path) -> Record | None:
     if not entries:
         return None
     end = entries.pop() if kinds[-1] == "end" else None
-    return Record(header=entries[0], steps=entries[1:], end=end)
+    return Record(path=path, header=entries[0], steps=entries[1:], end=end)
 
 
 def totals(steps: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -137,8 +153,14 @@ Language: {plain(backend)}; action execution: {header["variant"]}
 Setting: {plain(header["setting"])}
 
 """
-    blocks = [block(header, step) for step in record.steps]
-    return "".join([top, *blocks, closing(record.end) if record.end else ""])
+    blocks, last = [block(header, step) for step in record.steps], ""
+    if end := record.end:
+        last = (
+            f"End after {end['timesteps']} timesteps: {end['completed']} steps completed, "
+            f"{end['skipped']} skipped, return {number(end['return'])}; "
+            f"the status was misperceived in {end['misperceived']} timesteps.\n"
+        )
+    return "".join([top, *blocks, last])
 
 
 def block(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
@@ -179,12 +201,3 @@ def spoken(header: Mapping[str, Any], step: Mapping[str, Any]) -> str:
    PLWD:  {plain(behaviour["verbal"]) or "(says nothing)"}
    Robot: {plain(step["assistance"]) or "(says nothing)"} (a{action} {step["action"]})
    {OUTCOMES[step["event"]]}"""
-
-
-def closing(end: Mapping[str, Any]) -> str:
-    """Return the last line: how the scenario went."""
-    return (
-        f"End after {end['timesteps']} timesteps: {end['completed']} steps completed, "
-        f"{end['skipped']} skipped, return {number(end['return'])}; "
-        f"the status was misperceived in {end['misperceived']} timesteps.\n"
-    )

@@ -79,54 +79,6 @@ def choose(chances: Sequence[Fraction], seed: int) -> int:
     return next(i for i, reached in enumerate(accumulate(chances)) if point < reached)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class World:
-    """A compiled scenario, and a policy that acts on a perceived status."""
-
-    scenario: Scenario
-    mdp: MDP
-    policy: Policy
-
-    @classmethod
-    def of(cls, scenario: Scenario, policy: str) -> World:
-        """Return the world of a scenario under a policy; see `policy_named`."""
-        mdp = scenario.compile()
-        return cls(scenario=scenario, mdp=mdp, policy=policy_named(mdp, scenario, policy))
-
-    @cached_property
-    def weights(self) -> np.ndarray:
-        """(L,) probability of each action in its state."""
-        return np.asarray(self.policy.weights(self.mdp))
-
-    def part(self, state: int, column: str) -> int:
-        """Return one coordinate of a state."""
-        return int(self.mdp.space.values(column, np.array([state]))[0])
-
-    def label(self, state: int) -> str:
-        """Return the status string of a state, such as 0100."""
-        return format(self.part(state, "status"), f"0{len(self.scenario.statuses)}b")
-
-    def action(self, state: int, perceived: str, seed: int) -> int:
-        """Return the action that the policy takes where a status is perceived."""
-        # The status is the last column: states that differ in it alone are neighbours.
-        seen = state - self.part(state, "status") + int(perceived, 2)
-        pairs = list(self.mdp.pairs_of(seen))
-        chances = [Fraction(float(self.weights[pair])) for pair in pairs]
-        return int(self.mdp.pair_action[pairs[choose(chances, seed)]])
-
-    def step(self, state: int, action: int, seed: int) -> tuple[int, Fraction, str]:
-        """Draw what follows an action in the true state: next state, reward, event."""
-        mdp, pair = self.mdp, self.mdp.pair(state, action)
-        rows = list(mdp.table.row(pair))
-        picked = choose([row[0] for row in rows], seed)
-        _, following, reward = rows[picked]
-        marks, outcome = mdp.table.event, int(mdp.table.offsets[pair]) + picked
-        skipped = marks is not None and int(marks[outcome]) >> mdp.events.index(SKIP) & 1
-        moved = self.part(state, "subtask") != self.part(following, "subtask")
-        done = moved or bool(mdp.terminal[following])
-        return following, reward, "skipped" if skipped else "completed" if done else "failed"
-
-
 def policy_named(mdp: MDP, scenario: Scenario, name: str) -> Policy:
     """Return a policy by name: optimal, random, reported:START, always:ACTION or a file."""
     if name == "optimal":
@@ -143,34 +95,40 @@ def policy_named(mdp: MDP, scenario: Scenario, name: str) -> Policy:
     return Policy.of(mdp, name)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Conversation:
-    """Everything that a conversation follows from."""
+    """A compiled scenario, a policy that acts on a perceived status, and who speaks."""
 
-    world: World
+    scenario: Scenario
+    mdp: MDP
+    policy: Policy
     modules: Modules
     backend: Backend
     seed: int
     asked: Mapping[str, Any]  # how scenario and policy were named, for the header
 
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """(L,) probability of each action in its state."""
+        return np.asarray(self.policy.weights(self.mdp))
+
     def header(self) -> dict[str, Any]:
-        """Return the first entry of the recording."""
-        modules, world = self.modules, self.world
+        """Return everything that the conversation follows from: the first entry of a recording."""
         return {
             "kind": "header",
             "format": log.FORMAT,
             "disclaimer": DISCLAIMER,
             **self.asked,
-            "policy_hash": sha256(world.weights.tobytes()).hexdigest(),
-            "statuses": list(world.scenario.statuses),
-            "actions": list(world.mdp.actions),
+            "policy_hash": sha256(self.weights.tobytes()).hexdigest(),
+            "statuses": list(self.scenario.statuses),
+            "actions": list(self.mdp.actions),
             "setting": ACTIVITY["setting"],
-            "steps": [{"goal": s["goal"], "step": s["step"]} for s in modules.steps],
-            "trials": world.scenario.trials,
+            "steps": [{"goal": s["goal"], "step": s["step"]} for s in self.modules.steps],
+            "trials": self.scenario.trials,
             "backend": self.backend.describe(),
             "texts": TEXTS["version"],
-            "variant": modules.variant,
-            "history": modules.history,
+            "variant": self.modules.variant,
+            "history": self.modules.history,
             "seed": self.seed,
         }
 
@@ -187,31 +145,21 @@ class Conversation:
         Raises ModelError where the folder holds a conversation and `resume` is not asked for, or
         one with other settings. What was recorded before a failure stays.
         """
-        path, header = out / NAME, self.header()
-        record = log.read(path)
-        if record is not None and (not resume or record.header != header):
-            raise ModelError(
-                "the folder holds a conversation" + " with other settings" * resume,
-                where=str(path),
-                fix="name another --out" + ", or add --resume" * (not resume),
-            )
-        if record is None:
-            record = Record(header=header)
-            log.append(path, header)
+        record = log.opened(out / NAME, self.header(), resume=resume)
         try:
             while record.end is None and (limit is None or len(record.steps) < limit):
-                if record.steps and self.world.mdp.terminal[record.steps[-1]["next_state"]]:
-                    record.add(path, log.totals(record.steps))
+                if record.steps and self.mdp.terminal[record.steps[-1]["next_state"]]:
+                    record.add(log.totals(record.steps))
                     break
-                record.add(path, self.step(record.steps))
+                record.add(self.step(record.steps))
                 progress(record.steps[-1])
         finally:  # write what was recorded, whatever stopped the run
-            write(path.with_suffix(".txt"), log.text(record))
+            write(record.path.with_suffix(".txt"), log.text(record))
         return record
 
     def step(self, past: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Return the timestep after those of `past`."""
-        world, modules, timestep = self.world, self.modules, len(past)
+        modules, timestep = self.modules, len(past)
 
         def seed(purpose: str) -> int:
             return seed_of(self.seed, timestep, purpose)
@@ -219,27 +167,36 @@ class Conversation:
         if past:
             state, total = int(past[-1]["next_state"]), Fraction(past[-1]["return"])
         else:
-            starts = world.mdp.start
+            starts = self.mdp.start
             state = starts[choose([chance for _, chance in starts], seed("start"))][0]
             total = Fraction(0)
-        subtask, trial = world.part(state, "subtask"), world.part(state, "trial")
-        place = modules.place(subtask, trial + 1, world.scenario.trials)
-        exchanges = [self.exchange(step) for step in past]
-        label = world.label(state)
-        status = {name: int(bit) for name, bit in zip(world.scenario.statuses, label, strict=True)}
+        subtask, trial, bits = (self.part(state, name) for name in ("subtask", "trial", "status"))
+        label, status = self.named(bits)
+        place = modules.place(subtask, trial + 1, self.scenario.trials)
+        # What prompts recall: what could be seen and heard, no status.
+        exchanges = [
+            {
+                "timestep": step["timestep"],
+                "step": modules.steps[step["subtask"]]["step"],
+                "nonverbal": step["behaviour"]["nonverbal"],
+                "verbal": step["behaviour"]["verbal"],
+                "caregiver": step["assistance"],
+            }
+            for step in past
+        ]
         behaviour = self.backend.answer(
             modules.behaviour(place, exchanges, status, seed("behaviour"))
         )
         seen = self.backend.answer(modules.perception(behaviour, seed("perception")))
         perceived = "".join(str(int(seen[name])) for name in status)
-        action = world.action(state, perceived, seed("policy"))
-        name, speech = world.mdp.actions[action], ""
-        if name not in (world.mdp.actions[0], SKIP):
+        action = self.action(state - bits + int(perceived, 2), seed("policy"))
+        name, speech = self.mdp.actions[action], ""
+        if name not in (self.mdp.actions[0], SKIP):
             asked = modules.execution(
                 place, exchanges, behaviour, name, dict(seen), seed("execution")
             )
             speech = str(self.backend.answer(asked)["speech"])
-        following, reward, event = world.step(state, action, seed("transition"))
+        following, reward, event = self.moved(state, action, seed("transition"))
         return {
             "kind": "step",
             "timestep": timestep,
@@ -253,19 +210,70 @@ class Conversation:
             "assistance": speech,
             "event": event,
             "reward": str(reward),
-            "return": str(total + world.mdp.discount_exact**timestep * reward),
+            "return": str(total + self.mdp.discount_exact**timestep * reward),
             "next_state": following,
         }
 
-    def exchange(self, step: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what prompts recall of a timestep: what could be seen and heard, no status."""
-        return {
-            "timestep": step["timestep"],
-            "step": self.modules.steps[step["subtask"]]["step"],
-            "nonverbal": step["behaviour"]["nonverbal"],
-            "verbal": step["behaviour"]["verbal"],
-            "caregiver": step["assistance"],
+    def labelled(self, path: Path, *, each: int, behave: Backend) -> None:
+        """Write `each` behaviours for every status vector to a file, and what is perceived in them.
+
+        The matrix C(s, p) = count(s, p) / each is the perception of the backend. Behaviours that
+        the file holds already are not asked for again.
+        """
+        modules, size = self.modules, 2 ** len(self.modules.statuses)
+        header = {
+            "kind": "header",
+            "format": log.FORMAT,
+            "statuses": list(modules.statuses),
+            "behave": behave.describe(),
+            "perceive": self.backend.describe(),
+            "texts": TEXTS["version"],
+            "seed": self.seed,
         }
+        record = log.opened(path, header, resume=True)
+        for number in range(len(record.steps), each * size):
+            label, status = self.named(number % size)
+            asked, judged = (seed_of(self.seed, number, name) for name in DRAWS[3:5])
+            place = modules.place(number // size, 1, self.scenario.trials)
+            behaviour = behave.answer(modules.behaviour(place, (), status, asked))
+            seen = self.backend.answer(modules.perception(behaviour, judged))
+            record.add(
+                {
+                    "kind": "step",
+                    "timestep": number,
+                    "status": label,
+                    "perceived": "".join(str(seen[name]) for name in status),
+                    "behaviour": behaviour,
+                }
+            )
+
+    def named(self, bits: int) -> tuple[str, dict[str, int]]:
+        """Return a status as its string, such as 0100, and by names."""
+        names = self.modules.statuses
+        label = format(bits, f"0{len(names)}b")
+        return label, {name: int(bit) for name, bit in zip(names, label, strict=True)}
+
+    def part(self, state: int, column: str) -> int:
+        """Return one coordinate of a state; the last is the status."""
+        return int(self.mdp.space.values(column, np.array([state]))[0])
+
+    def action(self, state: int, seed: int) -> int:
+        """Return the action that the policy draws in a state."""
+        pairs = list(self.mdp.pairs_of(state))
+        chances = [Fraction(float(self.weights[pair])) for pair in pairs]
+        return int(self.mdp.pair_action[pairs[choose(chances, seed)]])
+
+    def moved(self, state: int, action: int, seed: int) -> tuple[int, Fraction, str]:
+        """Draw what follows an action: next state, reward, event."""
+        mdp, pair = self.mdp, self.mdp.pair(state, action)
+        rows = list(mdp.table.row(pair))
+        picked = choose([row[0] for row in rows], seed)
+        _, following, reward = rows[picked]
+        marks, outcome = mdp.table.event, int(mdp.table.offsets[pair]) + picked
+        skipped = marks is not None and int(marks[outcome]) >> mdp.events.index(SKIP) & 1
+        left = self.part(state, "subtask") != self.part(following, "subtask")
+        done = left or bool(mdp.terminal[following])
+        return following, reward, "skipped" if skipped else "completed" if done else "failed"
 
 
 def conversation(
@@ -287,10 +295,15 @@ def conversation(
     model = Scenario.load(scenario)
     for assignment in sets:
         model = model.set(assignment)
-    modules = Modules.of(model, variant=variant, history=history)
-    asked = {"scenario": scenario, "set": list(sets), "policy": policy}
+    mdp = model.compile()
     return Conversation(
-        world=World.of(model, policy), modules=modules, backend=backend, seed=seed, asked=asked
+        scenario=model,
+        mdp=mdp,
+        policy=policy_named(mdp, model, policy),
+        modules=Modules.of(model, variant=variant, history=history),
+        backend=backend,
+        seed=seed,
+        asked={"scenario": scenario, "set": list(sets), "policy": policy},
     )
 
 

@@ -192,9 +192,8 @@ class Modules:
         **values: str,
     ) -> Request:
         """Return a request: the first component is the system message, the others the user's."""
-        parts = {n: text for n, text in PROMPTS[purpose].items() if n not in without}
-        first, *others = (Template(text).substitute(values) for text in parts.values())
-        messages = (("system", first), ("user", "\n\n".join(others)))
+        system, _, rest = prompt(purpose, without=without, **values).partition("\n\n")
+        messages = (("system", system), ("user", rest))
         return Request(purpose=purpose, messages=messages, fields=fields, facts=facts, seed=seed)
 
     def _history(self, past: Exchanges) -> str:

@@ -18,10 +18,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from exact_mdp import MDP, ModelError, Policy, Scenario, evaluate, independent, perceived
+from exact_mdp import ModelError, Scenario, counted, evaluate, independent, perceived
 from exact_mdp.paper_repro.agents import DISCLAIMER, log
-from exact_mdp.paper_repro.agents.cli import main
-from exact_mdp.paper_repro.agents.perception import as_csv, cost, counts, labelled
+from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.scripted import PHRASES, Scripted
 from exact_mdp.paper_repro.agents.simulate import NAME, Conversation, choose, conversation
 from exact_mdp.paper_repro.agents.texts import PROMPTS, VARIANTS, Modules, Request, encode
@@ -40,7 +39,7 @@ def talk(**settings: Any) -> Conversation:
 
 def steps_of(one: Conversation) -> list[dict[str, Any]]:
     steps: list[dict[str, Any]] = []
-    while not steps or not one.world.mdp.terminal[steps[-1]["next_state"]]:
+    while not steps or not one.mdp.terminal[steps[-1]["next_state"]]:
         steps.append(one.step(steps))
     return steps
 
@@ -167,7 +166,7 @@ def test_draws_follow_their_probabilities() -> None:
 def test_the_mean_return_is_the_exact_one_under_the_same_errors() -> None:
     one = conversation(Scripted(noise=0.2), policy="reported:non-directive", history=0)
     confusion = independent([0.8] * 4, [0.8] * 4)
-    exact = evaluate(one.world.mdp, perceived(one.world.mdp, one.world.policy, confusion))
+    exact = evaluate(one.mdp, perceived(one.mdp, one.policy, confusion))
     returns = [
         float(Fraction(steps_of(replace(one, seed=seed))[-1]["return"])) for seed in range(60)
     ]
@@ -183,13 +182,13 @@ def test_every_reading_plays_to_its_end(change: str, policy: str) -> None:
     one = talk(sets=[change], policy=policy, seed=3)
     steps = steps_of(one)
     end = log.totals(steps)
-    assert end["completed"] + end["skipped"] == sum(one.world.scenario.tasks)
+    assert end["completed"] + end["skipped"] == sum(one.scenario.tasks)
     for step, following in pairwise(steps):
         assert following["state"] == step["next_state"]
         moved = following["subtask"] - step["subtask"]
         assert moved == (step["event"] != "failed")
     gained = [Fraction(step["reward"]) for step in steps]
-    rate = one.world.mdp.discount_exact
+    rate = one.mdp.discount_exact
     assert Fraction(end["return"]) == sum(r * rate**t for t, r in enumerate(gained))
 
 
@@ -256,7 +255,7 @@ def test_another_conversation_in_the_folder_is_left_alone(tmp_path: Path) -> Non
     talk().hold(tmp_path, limit=1)
     before = (tmp_path / NAME).read_bytes()
     for other, resume in ((talk(), False), (talk(seed=8), True), (talk(policy="optimal"), True)):
-        with pytest.raises(ModelError, match="holds a conversation"):
+        with pytest.raises(ModelError, match="holds a recording"):
             other.hold(tmp_path, resume=resume)
     assert (tmp_path / NAME).read_bytes() == before
 
@@ -310,40 +309,44 @@ def test_words_cannot_look_like_a_line_of_the_record(tmp_path: Path, said: str) 
 # ---- measured perception -------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def mdp() -> MDP:
-    return Scenario.load("yuan2025").compile()
+def label(path: Path, noise: float, each: int) -> None:
+    talk(backend=Scripted(noise=noise), seed=1).labelled(path, each=each, behave=Scripted())
 
 
-def test_the_counted_matrix_is_that_of_independent_errors(tmp_path: Path, mdp: MDP) -> None:
+def test_the_counted_matrix_is_that_of_independent_errors(tmp_path: Path) -> None:
     path = tmp_path / "labelled.jsonl"
-    labelled(MODULES, Scripted(), Scripted(noise=0.2), path, each=40, seed=1)
-    rates = counts(mdp, [path]).rates(list(STATUS), 0.95)
+    label(path, noise=0.2, each=40)
+    record = log.read(path)
+    assert record is not None
+    pairs = [(step["status"], step["perceived"]) for step in record.steps]
+    rates = counted(pairs, size=16).rates(list(STATUS))
     for rate in (rate for both in rates.values() for rate in both.values()):
         assert rate.total == 320
+        assert rate.value is not None
         assert abs(rate.value - 0.8) < 4.5 * sqrt(0.8 * 0.2 / 320)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    labelled(MODULES, Scripted(), Scripted(noise=0.2), path, each=40, seed=1)
+    label(path, noise=0.2, each=40)
     assert path.read_bytes() == data
     with pytest.raises(ModelError, match="other settings"):
-        labelled(MODULES, Scripted(), Scripted(noise=0.3), path, each=40, seed=1)
-    with pytest.raises(ModelError, match="named twice"):
-        counts(mdp, [path, path])
+        label(path, noise=0.3, each=40)
 
 
-def test_what_errors_cost_is_the_value_of_the_mixed_policy(tmp_path: Path, mdp: MDP) -> None:
+def test_what_errors_cost_is_the_value_of_the_mixed_policy(tmp_path: Path) -> None:
     path = tmp_path / "labelled.jsonl"
-    labelled(MODULES, Scripted(), Scripted(noise=0.3), path, each=3, seed=0)
-    counted = counts(mdp, [path])
-    policy = Policy.of(mdp, "always:directive")
-    worth = cost(mdp, policy, counted)
-    assert worth["measured"] == pytest.approx(worth["perfect"])  # it does not look
-    (tmp_path / "confusion.csv").write_text(as_csv(counted), "utf-8")
+    label(path, noise=0.3, each=3)
+    words = ["measure", "--recording", path, "--out", tmp_path, "--policy"]
+    assert cli(*words, "optimal", "--recording", path).exit_code == 2  # named twice
+    blind = cli(*words, "always:directive").stdout  # it does not look
+    perfect, measured = re.findall(r"(-?\d+\.\d\d) with", blind)
+    assert perfect == measured
     header, *rows = (tmp_path / "confusion.csv").read_text().splitlines()
     assert header.split(",")[:3] == ["status", "0000", "0001"]
     matrix = np.array([[float(x) for x in row.split(",")[1:]] for row in rows])
     assert matrix.sum(axis=1) == pytest.approx(1)
+    one = talk(policy="optimal")
+    value = evaluate(one.mdp, perceived(one.mdp, one.policy, matrix)).mean
+    assert f"{value:.2f} with these errors" in cli(*words, "optimal").stdout
 
 
 # ---- commands ------------------------------------------------------------------------------------
