@@ -25,7 +25,7 @@ ROOMS = (
     "exact_mdp.mdp",
     "exact_mdp.solvers",
     "exact_mdp.analysis",
-    "exact_mdp.analysis.sensitivity",
+    "exact_mdp.analysis.vary",
     "exact_mdp.analysis.plots",
     "exact_mdp",
 )

@@ -17,7 +17,7 @@ ROOMS = (
     "exact_mdp.analysis",
     "exact_mdp.analysis.perception",
     "exact_mdp.analysis.plots",
-    "exact_mdp.analysis.sensitivity",
+    "exact_mdp.analysis.vary",
 )
 
 

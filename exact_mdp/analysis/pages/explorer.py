@@ -1,6 +1,6 @@
 """The explorer: a page on which one parameter moves, and value, regret and policy move with it.
 
-The page holds the pieces of `analysis.sensitivity.curves.curve`: on each one the optimal actions,
+The page holds the pieces of `analysis.vary.curves.curve`: on each one the optimal actions,
 and the optimal value and that of a policy held fixed as ratios of polynomials with whole
 coefficients. Its script evaluates them in whole numbers of any size, so that what it shows at a
 rational value is exact. At both ends of the range, today's value and both sides of each switching
@@ -23,11 +23,11 @@ import numpy as np
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.layout import Layout, arrange
 from exact_mdp.analysis.pages.page import render
-from exact_mdp.analysis.sensitivity.base_case import held_at
-from exact_mdp.analysis.sensitivity.curves import curve as exact_curves
-from exact_mdp.analysis.sensitivity.curves.checker import RationalFunction
-from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
-from exact_mdp.analysis.sensitivity.ranges import Range, ranges_of, unit_of
+from exact_mdp.analysis.vary.base_case import held_at
+from exact_mdp.analysis.vary.curves import curve as exact_curves
+from exact_mdp.analysis.vary.curves.checker import RationalFunction
+from exact_mdp.analysis.vary.curves.curve import ValueFunction
+from exact_mdp.analysis.vary.ranges import Range, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP

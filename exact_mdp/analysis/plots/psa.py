@@ -16,10 +16,10 @@ from exact_mdp.analysis.plots.style import (
     plain_numbers,
     plain_text,
 )
-from exact_mdp.analysis.sensitivity.psa.intervals import tolerances_of
+from exact_mdp.analysis.vary.intervals import tolerances_of
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.sensitivity.psa.psa import PSA
+    from exact_mdp.analysis.vary.psa import PSA
 
 COLOURS = ("#000000", *(PALETTE[n] for n in (3, 6, 4, 5, 7)), "#8C6D1F")
 MOST_ROWS = 32

@@ -30,18 +30,18 @@ from exact_mdp.analysis.plots.style import (
     swatch,
     titled,
 )
-from exact_mdp.analysis.sensitivity.ranges import unit_of
+from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.errors import ModelError
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
-    from exact_mdp.analysis.sensitivity.draws.sobol import Sobol
-    from exact_mdp.analysis.sensitivity.gradient import Gradient
-    from exact_mdp.analysis.sensitivity.one_way import Bar, Curve, Tornado
-    from exact_mdp.analysis.sensitivity.ranges import Range
-    from exact_mdp.analysis.sensitivity.robust.robust import RobustCurve
-    from exact_mdp.analysis.sensitivity.thresholds import Thresholds
-    from exact_mdp.analysis.sensitivity.two_way import TwoWay
+    from exact_mdp.analysis.vary.curves.curve import ValueFunction
+    from exact_mdp.analysis.vary.curves.gradient import Gradient
+    from exact_mdp.analysis.vary.curves.thresholds import Thresholds
+    from exact_mdp.analysis.vary.one_way import Bar, Curve, Tornado
+    from exact_mdp.analysis.vary.ranges import Range
+    from exact_mdp.analysis.vary.robust import RobustCurve
+    from exact_mdp.analysis.vary.sobol import Sobol
+    from exact_mdp.analysis.vary.two_way import TwoWay
 
 OUTPUT = {
     "optimal": "start value, policy re-optimised",

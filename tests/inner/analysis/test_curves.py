@@ -25,10 +25,10 @@ from exact_mdp import (
     parametric,
     thresholds,
 )
-from exact_mdp.analysis.sensitivity.curves import checker, gap_polynomials, signs
-from exact_mdp.analysis.sensitivity.curves.curve import ValueFunction
-from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple, variations
-from exact_mdp.analysis.sensitivity.curves.signs import nonnegative, positive
+from exact_mdp.analysis.vary.curves import checker, gap_polynomials, signs
+from exact_mdp.analysis.vary.curves.curve import ValueFunction
+from exact_mdp.analysis.vary.curves.real_roots import roots, sign, simple, variations
+from exact_mdp.analysis.vary.curves.signs import nonnegative, positive
 from exact_mdp.mdp.numbers import rational
 
 F = Fraction
@@ -194,7 +194,7 @@ def test_signs_of_products_of_roots(ends: list[Fraction], lead: int, square: boo
 
 
 def test_the_checkers_import_no_solver() -> None:
-    own = "exact_mdp.analysis.sensitivity.curves"
+    own = "exact_mdp.analysis.vary.curves"
     allowed = {f"{own}.signs"}
     for module in (checker, signs):
         source = Path(module.__file__).read_text("utf-8")

@@ -33,15 +33,15 @@ from exact_mdp import (
     solve,
     tornado,
 )
-from exact_mdp.analysis.sensitivity.draws.sampled import Sampled, sampled
-from exact_mdp.analysis.sensitivity.draws.solver import ModelSolver
-from exact_mdp.analysis.sensitivity.one_way import Values
-from exact_mdp.analysis.sensitivity.ranges import around, spans_of
+from exact_mdp.analysis.vary.sampled import Sampled, sampled
+from exact_mdp.analysis.vary.solver import ModelSolver
+from exact_mdp.analysis.vary.one_way import Values
+from exact_mdp.analysis.vary.ranges import around, spans_of
 from exact_mdp.mdp.care import scenario as care_scenario
 from exact_mdp.mdp.parametric.row_change import pieces, row_change, transition_entries
 
-sobol_module = import_module("exact_mdp.analysis.sensitivity.draws.sobol")
-solver_module = import_module("exact_mdp.analysis.sensitivity.draws.solver")
+sobol_module = import_module("exact_mdp.analysis.vary.sobol")
+solver_module = import_module("exact_mdp.analysis.vary.solver")
 HALF = F(1, 2)
 
 

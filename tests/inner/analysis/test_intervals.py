@@ -44,7 +44,7 @@ from exact_mdp.analysis.gate.data.off_policy import mean_at_least
 from exact_mdp.analysis.gate.data.posterior import _Model
 from exact_mdp.analysis.gate.data.robust import staged
 from exact_mdp.analysis.gate.data.sets import RowSets
-from exact_mdp.analysis.sensitivity.psa.intervals import upper_quantile
+from exact_mdp.analysis.vary.intervals import upper_quantile
 from exact_mdp.mdp.questions import by_time
 
 Kind = Robust | Posterior | OffPolicy

@@ -13,11 +13,11 @@ from scipy.special import betainc
 from scipy.stats import binom, binomtest
 
 from exact_mdp import MDP, ModelError, Scenario, parametric, psa, uncertainty
-from exact_mdp.analysis.sensitivity.draws.solver import CareSolver, solver_of
-from exact_mdp.analysis.sensitivity.psa.intervals import mean_loss, mean_of, quantiles, wilson
-from exact_mdp.analysis.sensitivity.psa.psa import MISSING
-from exact_mdp.analysis.sensitivity.psa.rows import row_family
-from exact_mdp.analysis.sensitivity.psa.value_of_information import evpi, evppi
+from exact_mdp.analysis.vary.solver import CareSolver, solver_of
+from exact_mdp.analysis.vary.intervals import mean_loss, mean_of, quantiles, wilson
+from exact_mdp.analysis.vary.psa import MISSING
+from exact_mdp.analysis.vary.rows import row_family
+from exact_mdp.analysis.vary.information import evpi, evppi
 
 YUAN = Scenario.load("yuan2025")
 SMALL = YUAN.with_(tasks=[1], max_trial=2)

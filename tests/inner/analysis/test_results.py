@@ -69,7 +69,7 @@ from exact_mdp import (
     worst_point,
 )
 from exact_mdp.analysis.perception.cost import value_under_counts
-from exact_mdp.analysis.sensitivity.draws.sampled import sampled
+from exact_mdp.analysis.vary.sampled import sampled
 from exact_mdp.mdp.result import Pictured, Result
 
 mpl.use("Agg")

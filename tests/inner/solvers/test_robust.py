@@ -25,7 +25,7 @@ from exact_mdp import (
     solve_robust,
 )
 from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
-from exact_mdp.analysis.sensitivity.robust.robust import SETS, ambiguity_of
+from exact_mdp.analysis.vary.robust import SETS, ambiguity_of
 from exact_mdp.solvers.robust.bounds import Game, margins, robust_bounds
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import RobustSolution

@@ -10,9 +10,9 @@ import numpy as np
 from exact_mdp.analysis.cli.render import Report, Table
 from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, analysis, stated_ranges
 from exact_mdp.analysis.cli.solve import whole_policy
-from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece, RationalFunction
-from exact_mdp.analysis.sensitivity.curves.curve import curve
-from exact_mdp.analysis.sensitivity.curves.regret_limits import Interval
+from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, RationalFunction
+from exact_mdp.analysis.vary.curves.curve import curve
+from exact_mdp.analysis.vary.curves.regret_limits import Interval
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 

@@ -1,6 +1,6 @@
 """What the options of an analysis of parameters ask for: a model, a policy, ranges, workers.
 
-To add an analysis, write its function (`exact_mdp.analysis.sensitivity`), a report of it here, and
+To add an analysis, write its function (`exact_mdp.analysis.vary`), a report of it here, and
 declare its command and options in `exact_mdp.analysis.cli.commands`.
 """
 
@@ -19,7 +19,7 @@ import click
 from exact_mdp.analysis.cli.options import Given, Question, given, policy_from, whole_of
 from exact_mdp.analysis.cli.render import Report, to_json
 from exact_mdp.analysis.record import run_record
-from exact_mdp.analysis.sensitivity.ranges import (
+from exact_mdp.analysis.vary.ranges import (
     Ranges,
     checked,
     load_ranges,

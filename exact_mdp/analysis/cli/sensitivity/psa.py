@@ -11,23 +11,24 @@ import numpy as np
 from exact_mdp.analysis.cli.options import whole_of
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
 from exact_mdp.analysis.cli.sensitivity.options import Asked, analysis
-from exact_mdp.analysis.sensitivity.draws.solver import solver_of
-from exact_mdp.analysis.sensitivity.psa.distributions import (
+from exact_mdp.analysis.vary.solver import solver_of
+from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
     Uncertainty,
     load_uncertainty,
     uncertainty,
 )
-from exact_mdp.analysis.sensitivity.psa.intervals import (
+from exact_mdp.analysis.vary.information import FEWEST, PartialInformation
+from exact_mdp.analysis.vary.intervals import (
     MeanLoss,
     mean_loss,
     mean_of,
     quantiles,
     tolerances_of,
 )
-from exact_mdp.analysis.sensitivity.psa.psa import PSA, psa
-from exact_mdp.analysis.sensitivity.psa.rows import row_family
-from exact_mdp.analysis.sensitivity.psa.value_of_information import FEWEST, PartialInformation
+from exact_mdp.analysis.vary.psa import PSA, psa
+from exact_mdp.analysis.vary.rows import row_family
+from exact_mdp.analysis.vary.solver import solver_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.table import Floats, exact

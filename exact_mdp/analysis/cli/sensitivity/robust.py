@@ -6,10 +6,10 @@ from fractions import Fraction
 
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
 from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, analysis
-from exact_mdp.analysis.sensitivity.base_case import finite_worth
-from exact_mdp.analysis.sensitivity.ranges import RELATIVE, Ranges, ranges_of, unit_of, usual
-from exact_mdp.analysis.sensitivity.robust.corners import worst_point
-from exact_mdp.analysis.sensitivity.robust.robust import (
+from exact_mdp.analysis.vary.base_case import finite_worth
+from exact_mdp.analysis.vary.ranges import RELATIVE, Ranges, ranges_of, unit_of, usual
+from exact_mdp.analysis.vary.corners import worst_point
+from exact_mdp.analysis.vary.robust import (
     SETS,
     Robust,
     ambiguity_of,

@@ -30,8 +30,8 @@ from numpy.random import SeedSequence
 from scipy import special
 
 from exact_mdp.analysis.gate.data.interval import Ends
-from exact_mdp.analysis.sensitivity.base_case import digest
-from exact_mdp.analysis.sensitivity.draws.blocks import How, joined, seeded
+from exact_mdp.analysis.vary.base_case import digest
+from exact_mdp.analysis.vary.blocks import How, joined, seeded
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.parallel import Arrays, many
 

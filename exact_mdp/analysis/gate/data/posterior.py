@@ -40,9 +40,9 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.analysis.gate.data.interval import RegretInterval, named, observations_of, of_process
-from exact_mdp.analysis.sensitivity.base_case import digest
-from exact_mdp.analysis.sensitivity.draws.blocks import joined, seeded
-from exact_mdp.analysis.sensitivity.psa.intervals import (
+from exact_mdp.analysis.vary.base_case import digest
+from exact_mdp.analysis.vary.blocks import joined, seeded
+from exact_mdp.analysis.vary.intervals import (
     quantiles,
     require_draws,
     share_of,

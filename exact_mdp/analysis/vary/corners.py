@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base_case import finite_optimum, finite_worth
-from exact_mdp.analysis.sensitivity.draws.solver import solver_of
-from exact_mdp.analysis.sensitivity.ranges import spans_of
+from exact_mdp.analysis.vary.base_case import finite_optimum, finite_worth
+from exact_mdp.analysis.vary.ranges import spans_of
+from exact_mdp.analysis.vary.solver import solver_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric

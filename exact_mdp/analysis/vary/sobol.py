@@ -29,9 +29,9 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 from numpy.random import default_rng
 
-from exact_mdp.analysis.sensitivity.draws.blocks import How
-from exact_mdp.analysis.sensitivity.draws.sampled import sampled
-from exact_mdp.analysis.sensitivity.ranges import Range, spans_of, unit_of
+from exact_mdp.analysis.vary.blocks import How
+from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
+from exact_mdp.analysis.vary.sampled import sampled
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -183,7 +183,7 @@ def sobol(
     names : iterable of str, optional
     ranges : {name: (low, high)}, optional
     relative : Fraction, optional
-        As for `analysis.sensitivity.one_way.tornado`: today's value ± 20 % unless given. Parameters
+        As for `analysis.vary.one_way.tornado`: today's value ± 20 % unless given. Parameters
         that are 0 today are left out unless a range is stated, the discount unless it is named.
     n : int
         A power of 2; the model is solved at n (P + 2) points.

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base_case import digest
-from exact_mdp.analysis.sensitivity.draws.blocks import How, joined, run
-from exact_mdp.analysis.sensitivity.draws.solver import (
+from exact_mdp.analysis.vary.base_case import digest
+from exact_mdp.analysis.vary.blocks import How, joined, run
+from exact_mdp.analysis.vary.solver import (
     CareSolver,
     DrawSolver,
     models,

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 
 import flint
 
-from exact_mdp.analysis.sensitivity.curves.checker import Bracket, CurvePiece
-from exact_mdp.analysis.sensitivity.curves.real_roots import roots, sign, simple
+from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece
+from exact_mdp.analysis.vary.curves.real_roots import roots, sign, simple
 from exact_mdp.mdp.numbers import rational
 
 if TYPE_CHECKING:

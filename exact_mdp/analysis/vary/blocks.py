@@ -13,7 +13,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver
+from exact_mdp.analysis.vary.solver import DrawSolver
 from exact_mdp.solvers.parallel import Arrays, many
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Gaps, Ratio, Rows, Values
-from exact_mdp.analysis.sensitivity.curves.real_roots import Root, roots, sign, simple, variations
+from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Ratio, Rows, Values
+from exact_mdp.analysis.vary.curves.real_roots import Root, roots, sign, simple, variations
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.table import Integers

@@ -43,7 +43,7 @@ from zlib import crc32
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.sensitivity.ranges import unit_of
+from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.base_case import maximised, unending
-from exact_mdp.analysis.sensitivity.derivatives import BoundedPass, Checked, ExactPass
-from exact_mdp.analysis.sensitivity.ranges import unit_of
+from exact_mdp.analysis.vary.base_case import maximised, unending
+from exact_mdp.analysis.vary.curves.derivatives import BoundedPass, Checked, ExactPass
+from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, is_acyclic
 from exact_mdp.mdp.model import MDP

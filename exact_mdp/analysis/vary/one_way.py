@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
-from exact_mdp.analysis.sensitivity.ranges import Range, range_of, ranges_of, unit_of
+from exact_mdp.analysis.vary.base_case import BaseCase, finite_optimum, finite_worth
+from exact_mdp.analysis.vary.ranges import Range, range_of, ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -227,7 +227,7 @@ def tornado(
     names : iterable of str, optional
         The parameters; those of `ranges` where these are given, otherwise all.
     ranges : {name: (low, high)}, optional
-        See `analysis.sensitivity.ranges.load_ranges` for a file of them.
+        See `analysis.vary.ranges.load_ranges` for a file of them.
     relative : number or "whole", optional
         Half the width of the other ranges, as a share of today's value (1/5 unless given), or all
         that a parameter may be. Such a range ends where the model does.

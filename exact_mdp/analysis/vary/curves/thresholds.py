@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.base_case import maximised, unending
-from exact_mdp.analysis.sensitivity.curves.gap_polynomials import Rows
-from exact_mdp.analysis.sensitivity.curves.optimal_stretches import WIDTH, Bracket, Mask, Sweep
-from exact_mdp.analysis.sensitivity.curves.real_roots import roots, simple
-from exact_mdp.analysis.sensitivity.ranges import Range, range_of, unit_of
+from exact_mdp.analysis.vary.base_case import maximised, unending
+from exact_mdp.analysis.vary.curves.gap_polynomials import Rows
+from exact_mdp.analysis.vary.curves.optimal_stretches import WIDTH, Bracket, Mask, Sweep
+from exact_mdp.analysis.vary.curves.real_roots import roots, simple
+from exact_mdp.analysis.vary.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import endless, reachable
 from exact_mdp.mdp.errors import ModelError

@@ -2,7 +2,7 @@
 
 Uncertainty is (s, a)-rectangular: each row has a set of laws around the tables' one, and nature
 picks from each on its own, against the agent or with it. An error in a table is something else:
-many rows share one number; for that see `analysis.sensitivity.robust.corners`. The sets are those
+many rows share one number; for that see `analysis.vary.corners`. The sets are those
 of Iyengar (Mathematics of Operations Research 30, 2005).
 
 Four values at the start, the policy re-optimised against the sets (robust) or held as it is
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base_case import finite_worth
+from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP

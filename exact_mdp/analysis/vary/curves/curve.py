@@ -19,21 +19,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.limits import limit_of
-from exact_mdp.analysis.sensitivity.base_case import maximised
-from exact_mdp.analysis.sensitivity.curves.checker import (
+from exact_mdp.analysis.vary.base_case import maximised
+from exact_mdp.analysis.vary.curves.checker import (
     CurvePiece,
     RationalFunction,
     Section,
     piece_violations,
 )
-from exact_mdp.analysis.sensitivity.curves.optimal_stretches import Sweep, moved
-from exact_mdp.analysis.sensitivity.curves.regret_limits import Interval, kept
-from exact_mdp.analysis.sensitivity.ranges import Range, range_of
-from exact_mdp.analysis.sensitivity.thresholds import (
+from exact_mdp.analysis.vary.curves.optimal_stretches import Sweep, moved
+from exact_mdp.analysis.vary.curves.regret_limits import Interval, kept
+from exact_mdp.analysis.vary.curves.thresholds import (
     NEARLY_ONE,
     below_one,
     sections_of,
 )
+from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP

@@ -34,22 +34,23 @@ import numpy as np
 from numpy.random import SeedSequence
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.sensitivity.base_case import digest
-from exact_mdp.analysis.sensitivity.draws.blocks import How, in_blocks, joined, seeded
-from exact_mdp.analysis.sensitivity.draws.solver import DrawSolver, merged, solver_of, tell_cut
-from exact_mdp.analysis.sensitivity.psa.distributions import (
+from exact_mdp.analysis.vary.base_case import digest
+from exact_mdp.analysis.vary.blocks import How, in_blocks, joined, seeded
+from exact_mdp.analysis.vary.solver import DrawSolver, merged, solver_of, tell_cut
+from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
     Uncertainty,
     uncertainty,
 )
-from exact_mdp.analysis.sensitivity.psa.intervals import (
+from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
+from exact_mdp.analysis.vary.intervals import (
     MeanLoss,
     mean_loss,
     mean_of,
     share_of,
     wilson,
 )
-from exact_mdp.analysis.sensitivity.psa.value_of_information import PartialInformation, evpi, evppi
+from exact_mdp.analysis.vary.solver import DrawSolver, merged, solver_of, tell_cut
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint

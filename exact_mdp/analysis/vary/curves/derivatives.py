@@ -6,7 +6,7 @@ With V a policy's value and d its discounted occupancy, each pair l earns
 
 Where several policies are optimal, the derivatives of V* on both sides are the optimum, greatest or
 least, of the model that is left with optimal actions and earns c (see
-`analysis.sensitivity.gradient`).
+`analysis.vary.curves.gradient`).
 
 In floating point, with V and d each within e_V and e_d of the exact ones,
 
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.sensitivity.exact_chain import ExactChain
+from exact_mdp.analysis.vary.curves.exact_chain import ExactChain
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import flint
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.exact_chain import LARGEST
+from exact_mdp.analysis.vary.curves.exact_chain import LARGEST
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.numbers import rational

@@ -25,7 +25,7 @@ import flint
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.sensitivity.curves.signs import (
+from exact_mdp.analysis.vary.curves.signs import (
     bernstein,
     nonnegative,
     odd_part,

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
+from exact_mdp.analysis.vary.base_case import BaseCase, finite_optimum, finite_worth
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP

@@ -45,7 +45,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from exact_mdp.analysis.sensitivity.psa.intervals import MeanLoss, mean_loss, mean_of
+from exact_mdp.analysis.vary.intervals import MeanLoss, mean_loss, mean_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.solution import Estimated

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import tqdm
 
-from exact_mdp.analysis.sensitivity.base_case import BaseCase, finite_optimum, finite_worth
-from exact_mdp.analysis.sensitivity.one_way import grid
-from exact_mdp.analysis.sensitivity.ranges import ranges_of
+from exact_mdp.analysis.vary.base_case import BaseCase, finite_optimum, finite_worth
+from exact_mdp.analysis.vary.one_way import grid
+from exact_mdp.analysis.vary.ranges import ranges_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError

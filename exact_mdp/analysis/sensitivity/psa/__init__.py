@@ -1,1 +1,0 @@
-"""Probabilistic sensitivity analysis: draws of the parameters, and the value of knowing them."""

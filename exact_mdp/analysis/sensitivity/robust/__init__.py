@@ -1,1 +1,0 @@
-"""Worst and best cases over sets of rows and over boxes of parameters."""
