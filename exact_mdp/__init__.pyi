@@ -34,13 +34,13 @@ from exact_mdp.analysis.vary.distributions import load_uncertainty as load_uncer
 from exact_mdp.analysis.vary.distributions import uncertainty as uncertainty
 from exact_mdp.analysis.vary.one_way import one_way as one_way
 from exact_mdp.analysis.vary.one_way import tornado as tornado
+from exact_mdp.analysis.vary.one_way import two_way as two_way
 from exact_mdp.analysis.vary.psa import psa as psa
 from exact_mdp.analysis.vary.ranges import Range as Range
 from exact_mdp.analysis.vary.ranges import load_ranges as load_ranges
 from exact_mdp.analysis.vary.robust import robust as robust
 from exact_mdp.analysis.vary.robust import robust_curve as robust_curve
 from exact_mdp.analysis.vary.sobol import sobol as sobol
-from exact_mdp.analysis.vary.two_way import two_way as two_way
 from exact_mdp.mdp.care.perception import Counted as Counted
 from exact_mdp.mdp.care.perception import counted as counted
 from exact_mdp.mdp.care.perception import independent as independent

@@ -16,14 +16,15 @@ import io
 import json
 import os
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Sized
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import closing, contextmanager
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import tqdm
+from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.arrays import read_arrays
@@ -297,3 +298,37 @@ def damaged(path: Path) -> ModelError:
     return ModelError(
         "the file is damaged", where=str(path), fix="delete it: its runs are then done again"
     )
+
+
+# ---- draws in blocks ---------------------------------------------------------------------------
+
+
+class How(TypedDict, total=False):
+    """Where the work is done, as `many` takes it; results do not change.
+
+    The workers of a care scenario are threads, those of other models processes.
+    """
+
+    n_jobs: int | None
+    folder: str | Path | None
+    progress: bool
+
+
+def seeded(seed: int, n: int, block: int) -> tuple[list[tuple[SeedSequence, int]], int]:
+    """Return blocks, each a stream and how many draws to take from it, and the size of a last one.
+
+    Examples
+    --------
+    >>> pieces, rest = seeded(0, 5, 2)
+    >>> [count for _, count in pieces], rest
+    ([2, 2, 1], 1)
+    """
+    rest = n % block
+    sizes = [block] * (n // block) + [rest] * (rest > 0)
+    return list(zip(SeedSequence(seed).spawn(len(sizes)), sizes, strict=True)), rest
+
+
+def joined(blocks: Sequence[Arrays], names: Iterable[str] | None = None) -> Arrays:
+    """Return arrays of all draws, by name: all of them unless names are given."""
+    chosen = blocks[0] if names is None else names
+    return {name: np.concatenate([block[name] for block in blocks]) for name in chosen}

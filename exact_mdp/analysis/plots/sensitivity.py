@@ -37,11 +37,10 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.vary.curves.curve import ValueFunction
     from exact_mdp.analysis.vary.curves.gradient import Gradient
     from exact_mdp.analysis.vary.curves.thresholds import Thresholds
-    from exact_mdp.analysis.vary.one_way import Bar, Curve, Tornado
+    from exact_mdp.analysis.vary.one_way import Bar, Curve, Tornado, TwoWay
     from exact_mdp.analysis.vary.ranges import Range
     from exact_mdp.analysis.vary.robust import RobustCurve
     from exact_mdp.analysis.vary.sobol import Sobol
-    from exact_mdp.analysis.vary.two_way import TwoWay
 
 OUTPUT = {
     "optimal": "start value, policy re-optimised",

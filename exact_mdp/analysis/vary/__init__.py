@@ -17,16 +17,16 @@ from exact_mdp.analysis.vary.distributions import (
     load_uncertainty,
     uncertainty,
 )
-from exact_mdp.analysis.vary.one_way import one_way, tornado
+from exact_mdp.analysis.vary.one_way import one_way, tornado, two_way
 from exact_mdp.analysis.vary.psa import psa
 from exact_mdp.analysis.vary.ranges import Range, load_ranges
 from exact_mdp.analysis.vary.robust import robust_curve
-from exact_mdp.analysis.vary.sampled import sampled
 from exact_mdp.analysis.vary.sobol import sobol
-from exact_mdp.analysis.vary.two_way import two_way
+from exact_mdp.analysis.vary.study import Study, study
 
 __all__ = [
     "Range",
+    "Study",
     "Uncertain",
     "Uncertainty",
     "curve",
@@ -36,8 +36,8 @@ __all__ = [
     "one_way",
     "psa",
     "robust_curve",
-    "sampled",
     "sobol",
+    "study",
     "thresholds",
     "tornado",
     "two_way",

@@ -20,7 +20,7 @@ import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_optimum, finite_worth
 from exact_mdp.analysis.vary.ranges import spans_of
-from exact_mdp.analysis.vary.solver import solver_of
+from exact_mdp.analysis.vary.study import solver_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric

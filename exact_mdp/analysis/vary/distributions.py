@@ -1,14 +1,22 @@
-"""Distributions of uncertain parameters: Beta, Dirichlet, normal or gamma around today's value.
+"""Distributions of uncertain parameters: by mean and spread, by their own numbers, or a sample.
 
-A probability with mean m that rests on n observations is Beta(m n, (1 - m) n), of variance
-m (1 - m) / (n + 1); probabilities that make up one row of a model are Dirichlet with the same n
-(Briggs, Weinstein, Fenwick et al., Medical Decision Making 32, 2012). n is the *effective sample
-size*: the information of n patients. A reward weight is normal with standard deviation c |m|, or
-gamma, which keeps the sign.
+Of each parameter, or of the beginning of some names, is said what it is drawn from:
 
-A probability of 0 or 1 has no such distribution and stays as it is. Reward weights are preferences
-rather than estimates and stay too, unless a relative standard deviation is stated; so does the
-discount, unless a size is stated of it. What is stated may be in a TOML file:
+    beta          mean with effective_sample_size n, or sd, or relative_sd; or alpha, beta
+    dirichlet     the probabilities of one row: effective_sample_size n; or alpha, a list
+    gamma         mean with sd or relative_sd; or shape, scale; a negative mean keeps its sign
+    lognormal     mean with sd or relative_sd; or meanlog, sdlog
+    normal        mean with sd or relative_sd
+    uniform       mean with sd or relative_sd; or low, high
+    triangular    mean with sd or relative_sd, symmetric; or low, mode, high
+
+The mean is today's value unless another is said. Where no distribution is named, what a parameter
+may be decides: a probability (from 0 to 1) is beta, a number that may not be negative is gamma, any
+other normal. A probability with mean m that rests on n observations is Beta(m n, (1 - m) n), of
+variance m (1 - m) / (n + 1); probabilities of one row are Dirichlet with the same n (Briggs,
+Weinstein, Fenwick et al., Medical Decision Making 32, 2012). Probabilities of which nothing is said
+rest on 100 observations; other parameters of which nothing is said are held, and so is the
+discount. It may be said in a TOML file:
 
     [default]
     effective_sample_size = 100
@@ -16,28 +24,27 @@ discount, unless a size is stated of it. What is stated may be in a TOML file:
     [base]                                 # every parameter whose name begins so
     effective_sample_size = 40
 
-    ["base.anger"]                         # or [base.anger]
-    effective_sample_size = 15
-
-    ["reward.subtask-complete"]
-    distribution = "gamma"                 # or "normal", which it is unless stated
-    relative_sd = 0.2
+    ["cost.sick"]
+    distribution = "gamma"
+    mean = 4000
+    sd = 500
 
     [influence]
     fixed = true
 
 Every part draws from its own stream, which its name decides, so that adding one leaves the others'
-draws as they are.
+draws as they are. Correlated parameters come as a sample of one's own, a table with a column each.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import numpy as np
@@ -47,105 +54,253 @@ from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of
+from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.result import Brief
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, exact
 
-KINDS = ("beta", "dirichlet", "normal", "gamma")
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+OWN = {
+    "beta": ("alpha", "beta"),
+    "dirichlet": ("alpha",),
+    "gamma": ("shape", "scale"),
+    "lognormal": ("meanlog", "sdlog"),
+    "normal": ("mean", "sd"),
+    "uniform": ("low", "high"),
+    "triangular": ("low", "mode", "high"),
+}
+"""The numbers that each distribution is usually given by."""
 SIZES = (1e-6, 1e15)  # effective sample sizes that floats can draw from
 SPREADS = (1e-9, 1e3)  # relative standard deviations
 EFFECTIVE_SAMPLE_SIZE = 100.0
 SIZE, SPREAD, DEFAULT = "effective_sample_size", "relative_sd", "default"
-SETTINGS = (SIZE, SPREAD, "distribution", "fixed")
+MOMENTS = ("mean", "sd", SPREAD, SIZE)
+NUMBERS = (*MOMENTS, *dict.fromkeys(name for names in OWN.values() for name in names))
+SETTINGS = tuple(dict.fromkeys((*NUMBERS, "distribution", "fixed")))
 FIXED = "stated to be fixed"
+MOST_ROWS = 2000
 
 Settings = Mapping[str, object]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """The joint distribution of some parameters.
+    """The distribution of one parameter, or the joint one of the probabilities of a row.
 
     Attributes
     ----------
     names : tuple of k str
         One name; for a Dirichlet all that share a row, what is left of the row going unnamed.
-    kind : "beta", "dirichlet", "normal" or "gamma"
-    mean : tuple of k float
-    size : float
-        Effective sample size of a beta or Dirichlet; of the others the relative standard deviation.
+    kind : str
+        A distribution, or "sample".
+    numbers : tuple of float
+        Those of the distribution, in the order of `OWN`; k + 1 concentrations of a Dirichlet.
+    mean, sd : tuple of k float
     label : str
         What the part is called; its name unless given.
 
     Examples
     --------
-    >>> part = Uncertain(names=("p",), kind="beta", mean=(0.25,), size=19)
-    >>> round(part.sd[0], 4)
-    0.0968
+    >>> part = Uncertain.of("p", "beta", mean=0.25, effective_sample_size=19)
+    >>> part.numbers, round(part.sd[0], 4)
+    ((4.75, 14.25), 0.0968)
     """
 
     names: tuple[str, ...]
     kind: str
+    numbers: tuple[float, ...]
     mean: tuple[float, ...]
-    size: float
-    label: str = ""
+    sd: tuple[float, ...]
+    label: str
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "label", self.label or ", ".join(self.names))
-        most_names = math.inf if self.kind == "dirichlet" else 1
-        least, most = SIZES if self.share else SPREADS
-        what, fix = "", ""
-        if self.kind not in KINDS:
-            what, fix = repr(self.kind), f"choose one of {', '.join(KINDS)}"
-        elif len(self.mean) != len(self.names) or not 1 <= len(self.names) <= most_names:
-            what = f"{len(self.names)} names and {len(self.mean)} means for a {self.kind}"
-            fix = "give one of each; of a dirichlet as many means as names"
-        elif not least <= self.size <= most:
-            kind = "effective sample size" if self.share else "relative standard deviation"
-            what = f"{kind} {self.size!r}"
-            fix = f"choose a number above 0, from {least:g} to {most:g}"
-        elif self.share and not (min(self.mean) > 0 and self.left > 0):
-            what = f"means {', '.join(f'{mean:g}' for mean in self.mean)}"
-            fix = "name probabilities above 0 whose sum is below 1"
-        elif not self.share and (self.mean[0] == 0 or not math.isfinite(self.mean[0])):
-            what = f"a relative spread around {self.mean[0]:g}"
-            fix = "leave a weight of 0 out, and state finite ones"
-        if what:
-            where = f"distribution of {', '.join(self.names)}"
-            raise ModelError(what, where=where, fix=fix)
+    @classmethod
+    def of(cls, name: str, kind: str, **said: float) -> Uncertain:
+        """Return a distribution by its mean and spread, or by its own numbers.
+
+        Parameters
+        ----------
+        name, kind : str
+            Of the parameter, and of the distribution.
+        **said
+            As at the top of `analysis.vary.distributions`.
+
+        Returns
+        -------
+        Uncertain
+
+        Examples
+        --------
+        >>> Uncertain.of("cost", "lognormal", mean=100, sd=20).sd
+        (20,)
+        """
+        where = f"distribution of {name}"
+        numbers = _numbers(kind, said, where)
+        mean, sd = _moments(kind, numbers)
+        mean = said.get("mean", mean)  # as they were said, not as they come back
+        sd = said.get("sd", abs(mean) * said[SPREAD] if SPREAD in said else sd)
+        return cls(names=(name,), kind=kind, numbers=numbers, mean=(mean,), sd=(sd,), label=name)
+
+    @classmethod
+    def of_row(cls, label: str, names: Sequence[str], counts: Sequence[float]) -> Uncertain:
+        """Return a Dirichlet of the named probabilities of a row; the last count is the rest's.
+
+        Parameters
+        ----------
+        label : str
+            Of the row.
+        names : sequence of k str
+        counts : sequence of k + 1 numbers
+
+        Returns
+        -------
+        Uncertain
+
+        Examples
+        --------
+        >>> Uncertain.of_row("from ill", ["recover", "die"], [3, 1, 6]).mean
+        (0.3, 0.1)
+        """
+        where = f"distribution of {label}"
+        if len(counts) != len(names) + 1:
+            raise ModelError(
+                f"{len(counts)} concentrations for {len(names)} probabilities and what they leave",
+                where=where,
+                fix="give one for each, and one more for the rest of the row",
+            )
+        if not all(count > 0 and SIZES[0] <= sum(counts) <= SIZES[1] for count in counts):
+            raise ModelError(
+                f"concentrations {', '.join(f'{count:g}' for count in counts)}",
+                where=where,
+                fix="name probabilities above 0 whose sum is below 1",
+            )
+        size = math.fsum(counts)
+        mean = tuple(count / size for count in counts[:-1])
+        sd = tuple(math.sqrt(m * (1 - m) / (size + 1)) for m in mean)
+        every = tuple(counts)
+        return cls(
+            names=tuple(names), kind="dirichlet", numbers=every, mean=mean, sd=sd, label=label
+        )
 
     @property
-    def share(self) -> bool:
-        """Whether the parameters are probabilities."""
-        return self.kind in ("beta", "dirichlet")
-
-    @property
-    def left(self) -> float:
-        """What the row holds beside the named probabilities."""
-        return 1.0 - math.fsum(self.mean)
-
-    @property
-    def sd(self) -> tuple[float, ...]:
-        """Standard deviation of each parameter."""
-        if self.share:
-            return tuple(math.sqrt(m * (1 - m) / (self.size + 1)) for m in self.mean)
-        return (abs(self.mean[0]) * self.size,)
+    def size(self) -> float | None:
+        """Effective sample size of a beta or Dirichlet; of others the relative spread."""
+        if self.kind in ("beta", "dirichlet"):
+            return math.fsum(self.numbers)
+        return self.sd[0] / abs(self.mean[0]) if self.mean[0] else None
 
     def draw(self, sequence: SeedSequence, count: int) -> Floats:
         """Return (count, k) draws; the same ones for the same seed."""
         own = (*sequence.spawn_key, crc32(" ".join(self.names).encode()))
         rng = np.random.default_rng(SeedSequence(sequence.entropy, spawn_key=own))
-        mean = self.mean[0]
-        if self.kind == "beta":
-            return rng.beta(mean * self.size, (1 - mean) * self.size, size=(count, 1))
         if self.kind == "dirichlet":
-            return rng.dirichlet(self.size * np.array([*self.mean, self.left]), size=count)[:, :-1]
-        if self.kind == "normal":
-            return rng.normal(mean, self.sd[0], size=(count, 1))
-        shape = 1 / self.size**2
-        return math.copysign(1.0, mean) * rng.gamma(shape, abs(mean) / shape, size=(count, 1))
+            return rng.dirichlet(self.numbers, size=count)[:, :-1]
+        if self.kind == "gamma":
+            shape, scale = self.numbers
+            return math.copysign(1.0, scale) * rng.gamma(shape, abs(scale), size=(count, 1))
+        drawn: Floats = getattr(rng, self.kind)(*self.numbers, size=(count, 1))
+        return drawn
+
+
+def _numbers(kind: str, said: Mapping[str, float], where: str) -> tuple[float, ...]:
+    """Return the numbers of a distribution; raises ModelError where these do not make one."""
+    if kind not in OWN or kind == "dirichlet":
+        raise ModelError(
+            f"distribution {kind!r}", where=where, fix=suggest(kind, [*OWN, "beta", "gamma"])
+        )
+    own = OWN[kind]
+    if kind != "normal" and set(said) == set(own):
+        numbers = tuple(said[name] for name in own)
+        rising = kind not in ("uniform", "triangular") or (
+            [*numbers] == sorted(numbers) and numbers[0] < numbers[-1]
+        )
+        above = [x > 0 for x in (numbers[1:] if kind == "lognormal" else numbers)]
+        good = rising if kind in ("uniform", "triangular") else all(above)
+        if kind == "gamma":
+            good = numbers[0] > 0 and numbers[1] != 0
+        if not good or not all(map(math.isfinite, numbers)):
+            listed = ", ".join(f"{name} = {said[name]:g}" for name in own)
+            raise ModelError(f"a {kind} with {listed}", where=where, fix="see what it takes")
+        return numbers
+    spreads = [name for name in ("sd", SPREAD, SIZE) if name in said]
+    if "mean" not in said or len(spreads) != 1 or set(said) - {"mean", *spreads}:
+        more = f"; or {', '.join(own)} alone" if kind != "normal" else ""
+        fix = (
+            f"state a mean and one of sd, relative_sd{', ' + SIZE if kind == 'beta' else ''}{more}"
+        )
+        raise ModelError(f"a {kind} with {', '.join(said) or 'no spread'}", where=where, fix=fix)
+    mean, spread = said["mean"], said[spreads[0]]
+    if not math.isfinite(mean):
+        raise ModelError(f"a spread around {mean:g}", where=where, fix="state a finite mean")
+    if SIZE in said:
+        return _beta(kind, mean, _within(spread, SIZES, "effective sample size", where), where)
+    if SPREAD in said and not mean:
+        raise ModelError("a relative spread around 0", where=where, fix="state an sd")
+    relative = spread if SPREAD in said else spread / abs(mean or 1.0)
+    relative = _within(relative, SPREADS, "relative standard deviation", where)
+    sd = relative * abs(mean or 1.0)
+    if kind == "beta":
+        return _beta(kind, mean, mean * (1 - mean) / sd**2 - 1, where)
+    if kind == "normal":
+        return mean, sd
+    if kind in ("uniform", "triangular"):
+        reach = sd * math.sqrt(3 if kind == "uniform" else 6)
+        return (
+            (mean - reach, mean + reach)
+            if kind == "uniform"
+            else (mean - reach, mean, mean + reach)
+        )
+    if not mean or (kind == "lognormal" and mean < 0):
+        raise ModelError(
+            f"a {kind} of mean {mean:g}", where=where, fix="state a mean above 0, or another one"
+        )
+    if kind == "gamma":
+        shape = 1 / relative**2
+        return shape, mean / shape
+    square = math.log1p(relative**2)
+    return math.log(mean) - square / 2, math.sqrt(square)
+
+
+def _beta(kind: str, mean: float, size: float, where: str) -> tuple[float, ...]:
+    if kind != "beta":
+        raise ModelError(
+            f"an effective sample size of a {kind} distribution",
+            where=where,
+            fix="state an sd or a relative_sd; a sample size is of a probability",
+        )
+    if not 0 < mean < 1 or size <= 0:
+        what = f"a beta of mean {mean:g}" + (" and so large a spread" if 0 < mean < 1 else "")
+        raise ModelError(what, where=where, fix="choose a mean between 0 and 1, or a smaller sd")
+    return mean * size, (1 - mean) * size
+
+
+def _within(value: float, ends: tuple[float, float], what: str, where: str) -> float:
+    if not ends[0] <= value <= ends[1]:
+        fix = f"choose a number above 0, from {ends[0]:g} to {ends[1]:g}"
+        raise ModelError(f"{what} {value!r}", where=where, fix=fix)
+    return value
+
+
+def _moments(kind: str, numbers: tuple[float, ...]) -> tuple[float, float]:
+    """Return the mean and the standard deviation of a distribution."""
+    a, b = numbers[0], numbers[1]
+    if kind == "beta":
+        mean = a / (a + b)
+        return mean, math.sqrt(mean * (1 - mean) / (a + b + 1))
+    if kind == "gamma":
+        return a * b, math.sqrt(a) * abs(b)
+    if kind == "lognormal":
+        mean = math.exp(a + b * b / 2)
+        return mean, mean * math.sqrt(math.expm1(b * b))
+    if kind == "uniform":
+        return (a + b) / 2, (b - a) / math.sqrt(12)
+    if kind == "triangular":
+        c = numbers[2]
+        return (a + b + c) / 3, math.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18)
+    return a, b
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -156,10 +311,13 @@ class Uncertainty(Brief):
     ----------
     parts : tuple of Uncertain
     fixed : {parameter name: reason}
+    sample : (D, Q) floats or None
+        One's own draws, in the order of `names`.
     """
 
     parts: tuple[Uncertain, ...]
     fixed: Mapping[str, str]
+    sample: Floats | None = None
 
     def __post_init__(self) -> None:
         for name, count in Counter(self.names).items():
@@ -175,7 +333,7 @@ class Uncertainty(Brief):
 
     @property
     def mean(self) -> Floats:
-        """(Q,) means, which are today's values."""
+        """(Q,) means, which are today's values unless others were said."""
         return np.array([mean for part in self.parts for mean in part.mean])
 
     def draw(self, sequence: SeedSequence, count: int) -> Floats:
@@ -197,7 +355,7 @@ class Uncertainty(Brief):
 
 def uncertainty(
     model: Parametric,
-    stated: Mapping[str, Settings] | None = None,
+    stated: Mapping[str, Settings] | DataFrame | None = None,
     *,
     default: float = EFFECTIVE_SAMPLE_SIZE,
     names: Sequence[str] | None = None,
@@ -209,11 +367,12 @@ def uncertainty(
     model : Parametric
         Its `rows`, where it has any, are the parameters that share a row, by the row's label:
         Dirichlet, instead of a Beta for each.
-    stated : {name, beginning of names, or label of a row: settings}
-        Settings are `effective_sample_size`, `relative_sd` with `distribution` ("normal" or
-        "gamma"), or `fixed = True`. The longest beginning counts: `influence.anger` before
-        `influence`. Entries of a row are drawn together, so that what is stated of them must be
-        the same for all, or stated of the row.
+    stated : {name, beginning of names, or label of a row: settings}, or pandas.DataFrame
+        Settings say a distribution, as at the top of `analysis.vary.distributions`, or
+        `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. Entries
+        of a row are drawn together, so that what is stated of them must be the same for all, or
+        stated of the row. A table is a sample of one's own: a column for each parameter that is
+        drawn, a row for each draw.
     default : float
         Effective sample size of every probability of which nothing is stated.
     names : sequence of str, optional
@@ -226,19 +385,21 @@ def uncertainty(
     Raises
     ------
     ModelError
-        For unknown names and settings, and sizes that are not above 0.
+        For unknown names and settings, and numbers that make no distribution.
 
     Examples
     --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.mdp.parametric import parametric
-    >>> model = parametric(Scenario.load("yuan2025"))
-    >>> found = uncertainty(model, {"base": {"effective_sample_size": 20}})
-    >>> found.parts[0].names, found.parts[0].size, found.fixed["persistence.anger"]
-    (('base.forgetfulness',), 20.0, '1 today')
+    >>> from exact_mdp.mdp.parametric import Family
+    >>> cost = Parameter(name="cost", value="4000", low=0)
+    >>> model = Family(parameters=(cost,), build=lambda at: MDP.from_arrays([[[1]]], [0], 0))
+    >>> (part,) = uncertainty(model, {"cost": {"relative_sd": 0.1}}).parts
+    >>> part.kind, part.mean, part.sd
+    ('gamma', (4000.0,), (400.0,))
     """
+    if stated is not None and not isinstance(stated, Mapping):
+        return _of_sample(model, stated)
     stated = {name: _checked(name, settings) for name, settings in (stated or {}).items()}
-    default = _number({"default": default}, "default", "of which nothing is stated")
+    default = _within(_float(default, "default", DEFAULT), SIZES, "effective sample size", DEFAULT)
     parameters = {parameter.name: parameter for parameter in model.parameters}
     rows = {label: tuple(row) for label, row in getattr(model, "rows", {}).items()}
     for name in stated:
@@ -260,87 +421,116 @@ def uncertainty(
         if name not in chosen:
             fixed[name] = "not among the names asked for"
         elif name not in fixed and label not in parts:
-            try:
-                if name in label_of:
-                    parts[label] = _row([parameters[m] for m in members], label, stated, default)
-                else:
-                    parts[label] = _alone(parameter, _settings(stated, name), default)
-            except _Held as reason:
-                fixed |= dict.fromkeys(members, str(reason))
+            if name in label_of:
+                part = _row([parameters[m] for m in members], label, stated, default)
+            else:
+                part = _alone(parameter, _settings(stated, name), default)
+            if isinstance(part, str):
+                fixed |= dict.fromkeys(members, part)
+            else:
+                parts[label] = part
     return Uncertainty(parts=tuple(parts.values()), fixed=fixed)
 
 
-class _Held(Exception):
-    """Why a parameter is not drawn."""
-
-
-def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertain:
-    """Return the distribution of one parameter; raises _Held where it is not drawn."""
-    name, mean = parameter.name, float(parameter.value)
-    if unit_of(parameter) != "reward":
-        size = _size(settings, name, default)
-        if name == DISCOUNT and SIZE not in settings:
-            raise _Held("the discount is held unless stated otherwise")
-        if mean in (0.0, 1.0):
-            raise _Held(f"{mean:g} today")
-        return Uncertain(names=(name,), kind="beta", mean=(mean,), size=size)
-    if settings.get("fixed"):
-        raise _Held(FIXED)
-    if SIZE in settings:
+def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
+    """Return one's own sample, a table."""
+    names = [parameter_of(model, str(name)).name for name in frame.columns]
+    where, sample = "sample", np.asarray(frame, dtype=float)
+    if not sample.size or not np.isfinite(sample).all():
         raise ModelError(
-            "an effective sample size of a reward weight",
-            where=f"parameter {name}",
-            fix="state a relative_sd",
+            "a sample without rows, or with numbers that are not finite",
+            where=where,
+            fix="give a column for each parameter and a row for each draw",
         )
-    if SPREAD not in settings:
-        raise _Held("reward weights are held unless stated otherwise")
-    spread, kind = _number(settings, SPREAD, name), str(settings.get("distribution", "normal"))
-    # A weight of 0 has no relative spread; what is stated is checked all the same.
-    part = Uncertain(names=(name,), kind=kind, mean=(mean or 1.0,), size=spread)
-    if not mean:
-        raise _Held("0 today")
+    spread = sample.std(axis=0, ddof=1) if len(sample) > 1 else np.zeros(len(names))
+    parts = [
+        Uncertain(names=(n,), kind="sample", numbers=(), mean=(m,), sd=(s,), label=n)
+        for n, m, s in zip(names, sample.mean(axis=0).tolist(), spread.tolist(), strict=True)
+    ]
+    fixed = {p.name: "not in the sample" for p in model.parameters if p.name not in names}
+    return Uncertainty(parts=tuple(parts), fixed=fixed, sample=sample)
+
+
+def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertain | str:
+    """Return the distribution of one parameter, or why it is not drawn."""
+    name, today = parameter.name, float(parameter.value)
+    share = parameter.low == 0 and parameter.high == 1
+    usual = "beta" if share else "normal" if parameter.low is None or parameter.low < 0 else "gamma"
+    if settings.get("fixed"):
+        return FIXED
+    if not settings and (name == DISCOUNT or not share):
+        weights = "reward weights" if unit_of(parameter) == "reward" else f"{unit_of(parameter)}s"
+        held = "the discount is" if name == DISCOUNT else f"{weights} are"
+        return f"{held} held unless stated otherwise"
+    kind = str(settings.get("distribution", usual))
+    said = {key: _float(settings[key], key, name) for key in settings if key in NUMBERS}
+    said = said or ({SIZE: default} if kind == "beta" else {})
+    if not set(said) - set(MOMENTS) and kind in OWN:
+        if (
+            "mean" not in said
+            and (today == 0 or (kind == "beta" and today == 1))
+            and "sd" not in said
+        ):
+            Uncertain.of(name, kind, mean=0.5, **said)  # what is stated is checked all the same
+            return f"{today:g} today"
+        said = {"mean": today} | said
+    part = Uncertain.of(name, kind, **said)
+    low, high = parameter.low, parameter.high
+    if kind in ("uniform", "triangular"):
+        for end in (part.numbers[0], part.numbers[-1]):
+            if (low is not None and end < low) or (high is not None and end > high):
+                raise ModelError(
+                    f"a {kind} from {part.numbers[0]:g} to {part.numbers[-1]:g}, outside of "
+                    "what the parameter may be",
+                    where=f"distribution of {name}",
+                    fix="choose one within it",
+                )
     return part
 
 
 def _row(
     row: Sequence[Parameter], label: str, stated: Mapping[str, Settings], default: float
-) -> Uncertain:
-    """Return the joint distribution of a row's entries; raises _Held where they are not drawn."""
-    names = tuple(parameter.name for parameter in row)
+) -> Uncertain | str:
+    """Return the joint distribution of a row's entries, or why they are not drawn."""
+    names, where = [parameter.name for parameter in row], f"row {label}"
     said = [dict(_settings(stated, name)) for name in names]
     if label in stated:
         said = [each or dict(stated[label]) for each in said] + [dict(stated[label])]
     if any(each != said[0] for each in said):
         raise ModelError(
             "the entries of a row have different settings",
-            where=f"row {label}",
+            where=where,
             fix=f'its probabilities are drawn together: state them once, for "{label}"',
         )
     for parameter in row:
         if unit_of(parameter) != "probability":
             raise ModelError(
                 f"{parameter.name} is not a probability of a row",
-                where=f"row {label}",
+                where=where,
                 fix="name probabilities",
             )
-    size = _size(said[0], label, default)
-    means = tuple(float(parameter.value) for parameter in row)
-    return Uncertain(names=names, kind="dirichlet", mean=means, size=size, label=label)
-
-
-def _size(settings: Settings, name: str, default: float) -> float:
-    """Return the effective sample size of a probability; raises _Held where it is fixed."""
+    settings = said[0]
     if settings.get("fixed"):
-        raise _Held(FIXED)
-    if SPREAD in settings:
+        return FIXED
+    if settings.get("distribution", "dirichlet") != "dirichlet" or set(settings) - {
+        "distribution",
+        "alpha",
+        SIZE,
+    }:
         raise ModelError(
-            "a relative spread of a probability",
-            where=f"parameter {name}",
-            fix="state an effective_sample_size",
+            "probabilities of a row are Dirichlet",
+            where=where,
+            fix=f"state its {SIZE}, or alpha, a list of one more than its parameters",
         )
-    size = _number(settings, SIZE, name) if SIZE in settings else default
-    # Checked here too, so that a size that cannot be is refused where a mean of 0 or 1 is held.
-    return Uncertain(names=(name,), kind="beta", mean=(0.5,), size=size).size
+    if "alpha" in settings:
+        alpha: Any = settings["alpha"]
+        if not isinstance(alpha, list | tuple):
+            raise ModelError(f"alpha is {alpha!r:.60}", where=where, fix="give a list of numbers")
+        return Uncertain.of_row(label, names, [_float(x, "alpha", label) for x in alpha])
+    size = _float(settings.get(SIZE, default), SIZE, label)
+    size = _within(size, SIZES, "effective sample size", where)
+    means = [float(parameter.value) for parameter in row]
+    return Uncertain.of_row(label, names, [size * m for m in (*means, 1.0 - math.fsum(means))])
 
 
 def _chosen(
@@ -376,7 +566,7 @@ def _settings(stated: Mapping[str, Settings], name: str) -> Settings:
 
 
 def _checked(name: str, settings: object) -> Settings:
-    """Return settings that are known, of the right kind, and go together."""
+    """Return settings that are known."""
     where = f"parameter {name}"
     if not isinstance(settings, Mapping):
         raise ModelError(
@@ -389,35 +579,29 @@ def _checked(name: str, settings: object) -> Settings:
             fix = suggest(str(key), SETTINGS)
             raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
     held, kind = settings.get("fixed", False), settings.get("distribution", "normal")
-    what = ""
     if not isinstance(held, bool):
-        what, fix = f"fixed is {held!r}", "write fixed = true, or leave it out"
-    elif held and len(settings) > 1:
-        what, fix = "fixed, and a distribution", "state one of the two"
-    elif kind not in ("normal", "gamma"):
-        what, fix = f"distribution {kind!r}", "choose normal or gamma"
-    elif "distribution" in settings and SPREAD not in settings:
-        what, fix = f"distribution {kind!r} without a relative_sd", "state a relative_sd"
-    elif SIZE in settings and SPREAD in settings:
-        what = "both an effective_sample_size and a relative_sd"
-        fix = "state the first for a probability, the second for a reward weight"
-    if what:
-        raise ModelError(what, where=where, fix=fix)
-    for key in {SIZE, SPREAD} & settings.keys():
-        _number(settings, key, name)
+        fix = "write fixed = true, or leave it out"
+        raise ModelError(f"fixed is {held!r}", where=where, fix=fix)
+    if held and len(settings) > 1:
+        raise ModelError("fixed, and a distribution", where=where, fix="state one of the two")
+    if kind not in OWN:
+        fix = suggest(str(kind), [*OWN])
+        raise ModelError(f"unknown distribution {kind!r}", where=where, fix=fix)
     return settings
 
 
-def _number(settings: Settings, key: str, name: str) -> float:
-    """Return a setting that must be a number; raises ModelError where it is none."""
-    value, where = settings[key], f"parameter {name}"
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise ModelError(f"{key} is {value!r:.60}", where=where, fix="give a number")
+def _float(value: object, key: str, name: str) -> float:
+    """Return a number that is stated, "p/q" as well; raises ModelError where it is none."""
+    where = f"parameter {name}"
     try:
-        return float(value)
+        if isinstance(value, float) and not math.isfinite(value):
+            return value
+        return float(exact(value))
     except OverflowError as error:
         what = f"{key} has more than 300 digits"
         raise ModelError(what, where=where, fix="give a smaller one") from error
+    except ModelError as error:
+        raise ModelError(f"{key} is {value!r:.60}", where=where, fix="give a number") from error
 
 
 def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], float | None]:
@@ -460,7 +644,7 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
             where=f"{path}, {DEFAULT}",
             fix="state the rest for each parameter",
         )
-    return found, _number(general, SIZE, DEFAULT) if general else None
+    return found, _float(general[SIZE], SIZE, DEFAULT) if general else None
 
 
 def _visit(
@@ -479,3 +663,35 @@ def _visit(
         else:
             fix = suggest(key, SETTINGS) if prefix else f"write {key} = {{{SIZE} = 50}}"
             raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
+
+
+def row_family(mdp: MDP) -> Family:
+    """Return any model as a parametric one: the probabilities of its random rows are parameters.
+
+    Of each row with more than one outcome these are all probabilities but the largest, which is
+    what the others leave. Drawn together they are Dirichlet: the family's `rows` name those of each
+    row. Raises ModelError where no row is random, or more than 2,000 are.
+    """
+    entries: dict[str, list[tuple[int, str]]] = {}
+    rows: dict[str, tuple[str, ...]] = {}
+    labels = mdp.space.labels(range(mdp.n_states))
+    for pair in range(mdp.n_pairs):
+        chance: dict[int, Fraction] = defaultdict(Fraction)
+        for probability, following, _ in mdp.table.row(pair):
+            chance[following] += probability
+        if len(chance) < 2:
+            continue
+        largest = max(chance, key=lambda state: (chance[state], -state))
+        state, action = int(mdp.pair_state[pair]), int(mdp.pair_action[pair])
+        label = f"({labels[state]}, {mdp.actions[action]})"
+        names = {s: f"{label}: to {labels[s]}" for s in sorted(chance) if s != largest}
+        entries |= {name: [(pair, labels[s])] for s, name in names.items()}
+        rows[label] = tuple(names.values())
+    if not 0 < len(rows) <= MOST_ROWS:
+        raise ModelError(
+            f"{len(rows):,} rows of the model are random",
+            where="rows as parameters",
+            fix=f"name the parameters that matter (mdp.parametric.moving), or take a model with 1 "
+            f"to {MOST_ROWS:,} of them",
+        )
+    return replace(moving(mdp, entries), rows=rows)

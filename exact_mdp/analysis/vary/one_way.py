@@ -1,13 +1,15 @@
-"""One parameter at a time: value curves, the tornado diagram, and the regret of a policy.
+"""One or two parameters at a time: value curves, the tornado diagram, the map of the optimum.
 
-At every value of the parameter the model is solved (the policy re-optimised) and a given policy is
-evaluated as it stands (the policy held fixed); the difference is what holding it costs,
+Each is the study of a design of points (`.study`): both ends of every range, or a grid. At every
+point the model is solved (the policy re-optimised) and a given policy is evaluated as it stands
+(the policy held fixed); the difference is what holding it costs,
 
     regret(θ) = V*(θ) - V_π(θ).
 
 Unless another policy is given, the one held fixed is the optimum at today's values. A bar of the
 tornado spans the values at both ends of a parameter's range (Briggs et al., Medical Decision
-Making 32, 2012); a curve may have its extremes in between.
+Making 32, 2012); a curve may have its extremes in between, and nothing is known between the points
+of a grid.
 """
 
 from __future__ import annotations
@@ -17,15 +19,20 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from exact_mdp.analysis.vary.base_case import BaseCase, finite_optimum, finite_worth
+import numpy as np
+
+from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.ranges import Range, range_of, ranges_of, unit_of
+from exact_mdp.analysis.vary.study import Study, at_points, solver_of
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.solution import Bounded
 
@@ -202,9 +209,10 @@ def one_way(
     """
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points)
-    held = BaseCase(mdp=family.at({})).held(policy)
-    found = tuple(_point(family, name, value, held) for value in values)
-    return Curve(parameter=parameter_of(family, name), points=found)
+    found = at_points(family, [name], np.array(values, dtype=object)[:, None], [policy])
+    sense = family.at({}).sense
+    every = tuple(_point(found, n, value, sense) for n, value in enumerate(values))
+    return Curve(parameter=parameter_of(family, name), points=every)
 
 
 def tornado(
@@ -217,7 +225,7 @@ def tornado(
 ) -> Tornado:
     """Return the tornado of the start value over the ranges of parameters.
 
-    The model is compiled and solved once at today's values, and once at each end of a range.
+    The model is solved once at today's values, and once at each end of a range.
 
     Parameters
     ----------
@@ -251,25 +259,30 @@ def tornado(
     """
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
-    base = BaseCase(mdp=family.at({}))
-    held = base.held(policy)
+    solver = solver_of(family)
+    held, mdp = solver.base.held(policy), solver.base.mdp
+    ends = [(k, end) for k, span in enumerate(spans.values()) for end in (span.low, span.high)]
+    today = np.array([parameter_of(family, name).value for name in spans], dtype=object)
+    points = np.tile(today, (len(ends), 1))
+    for row, (column, end) in enumerate(ends):
+        points[row, column] = end
     bars = []
-    for name, span in spans.items():
-        low = _point(family, name, span.low, held)
-        high = low
-        if span.high > span.low:
-            high = _point(family, name, span.high, held)
-        bars.append(Bar(parameter=parameter_of(family, name), low=low, high=high))
+    if len(spans):
+        found = at_points(family, list(spans), points, [held], solver)
+        for k, (name, span) in enumerate(spans.items()):
+            low, high = (
+                _point(found, 2 * k + end, at, mdp.sense)
+                for end, at in enumerate((span.low, span.high))
+            )
+            bars.append(Bar(parameter=parameter_of(family, name), low=low, high=high))
     bars.sort(key=lambda bar: -bar.swing)
-    fixed = finite_worth(base.mdp, held, "today's parameters")
-    today = Values(optimal=base.solution.start, fixed=fixed, sense=base.mdp.sense)
-    return Tornado(today=today, bars=tuple(bars))
+    fixed = finite_worth(mdp, held, "today's parameters")
+    now = Values(optimal=solver.base.solution.start, fixed=fixed, sense=mdp.sense)
+    return Tornado(today=now, bars=tuple(bars))
 
 
-def _point(family: Parametric, name: str, at: Fraction, held: Floats) -> Point:
-    mdp, where = family.at({name: at}), f"{name} = {at}"
-    fixed = finite_worth(mdp, held, where)
-    return Point(at=at, optimal=finite_optimum(mdp, where).start, fixed=fixed, sense=mdp.sense)
+def _point(found: Study, row: int, at: Fraction, sense: str) -> Point:
+    return Point(at=at, optimal=found.best(row), fixed=found.held(row), sense=sense)
 
 
 def grid(span: Range, points: int) -> list[Fraction]:
@@ -277,3 +290,146 @@ def grid(span: Range, points: int) -> list[Fraction]:
     points = counted(points, "points", 2)
     step = (span.high - span.low) / (points - 1)
     return [span.low + k * step for k in range(points)]
+
+
+# ---- two parameters ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TwoWay(Pictured):
+    """Optimal policies over a grid of two parameters.
+
+    Attributes
+    ----------
+    mdp : MDP
+        The model at today's values.
+    x, y : Parameter
+    x_values, y_values : (X,), (Y,)
+    value, fixed_value, error : (Y, X)
+        Start value of the optimum and of the policy held fixed, and a bound on either's error.
+    choices : (Y, X, S) int64
+        Optimal action numbers; the lowest where floats cannot tell two apart.
+    policy : (Y, X) int64
+        Number of the policy on the states that it reaches by today's transitions, in order of
+        appearance.
+    """
+
+    mdp: MDP
+    x: Parameter
+    y: Parameter
+    x_values: Floats
+    y_values: Floats
+    value: Floats
+    fixed_value: Floats
+    error: Floats
+    choices: Integers
+    policy: Integers
+
+    def frame(self) -> DataFrame:
+        """Return one row for each point of the grid."""
+        import pandas
+
+        across, along = np.meshgrid(self.x_values, self.y_values)
+        lost = self.value - self.fixed_value
+        lost = lost if self.mdp.sense == "max" else -lost
+        return pandas.DataFrame(
+            {
+                self.x.name: across.reshape(-1),
+                self.y.name: along.reshape(-1),
+                "policy (number)": self.policy.reshape(-1),
+                "value, re-optimised (reward)": self.value.reshape(-1),
+                "value, policy fixed (reward)": self.fixed_value.reshape(-1),
+                "regret (reward)": np.maximum(lost, 0.0).reshape(-1),
+                "error bound (reward)": self.error.reshape(-1),
+                "claim": "bounded",
+            }
+        )
+
+    def actions_at(self, state: int) -> Integers:
+        """Return (Y, X) the optimal action number in one state."""
+        return self.choices[:, :, state]
+
+
+def two_way(
+    model: Scenario | MDP | Parametric,
+    x: str,
+    y: str,
+    *,
+    policy: PolicyLike = "optimal",
+    ranges: Mapping[str, object] | None = None,
+    relative: object | None = None,
+    points: int = 11,
+) -> TwoWay:
+    """Return the map of the optimal policy over two parameters.
+
+    Parameters
+    ----------
+    model : Scenario, MDP or Parametric
+    x, y : str
+        Different parameters.
+    policy : PolicyLike
+        The policy held fixed; "optimal" is the optimum at today's values.
+    ranges : {name: (low, high)}, optional
+        Today's value ± 20 % where left out, within what the model admits.
+    relative : number, optional
+        Another share than 20 %.
+    points : int
+        Along each side, evenly spaced, the ends included.
+
+    Returns
+    -------
+    TwoWay
+
+    Raises
+    ------
+    ModelError
+        For unknown names, twice the same one, empty ranges, fewer than 2 points, and where a value
+        is infinite.
+
+    Examples
+    --------
+    >>> from exact_mdp.mdp.parametric import moving
+    >>> rows = [(0, 0, [("1/2", 1, 4), ("1/2", 2, 0)]), (0, 1, [(1, 1, 1)])]
+    >>> mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 0, 0)])], "1/2")
+    >>> ranges = {"p": ("1/10", "9/10"), "discount": (0, "1/2")}
+    >>> found = two_way(moving(mdp, {"p": [(0, 1)]}), "p", "discount", points=2, ranges=ranges)
+    >>> found.actions_at(0).tolist()
+    [[1, 0], [1, 0]]
+    """
+    family = parametric(model)
+    if x == y:
+        raise ModelError(
+            f"both parameters are {x}", where="two-way", fix="name two different parameters"
+        )
+    if odd := sorted(set(ranges or {}) - {x, y}):
+        raise ModelError(
+            f"{odd[0]} has a range, and is neither of the two parameters",
+            where="two-way",
+            fix=f"give ranges of {x} and {y} alone",
+        )
+    spans = ranges_of(family, [x, y], ranges, relative)
+    across, along = (grid(spans[name], points) for name in (x, y))
+    pairs = [(at_x, at_y) for at_y in along for at_x in across]
+    solver, shape = solver_of(family), (points, points)
+    mdp = solver.base.mdp
+    found = at_points(family, [x, y], np.array(pairs, dtype=object), [policy], solver)
+    weights = [solver.weights(row) for row in found.rows]
+    actions = np.array([mdp.pair_action[np.flatnonzero(each)] for each in weights])
+    seen = np.array([reachable(mdp, pairs=each > 0) & ~mdp.forced for each in weights])
+    known: dict[bytes, int] = {}
+    numbers = [
+        known.setdefault(np.where(seen[n], actions[n], -1).tobytes(), len(known))
+        for n in found.which.tolist()
+    ]
+    return TwoWay(
+        mdp=mdp,
+        x=parameter_of(family, x),
+        y=parameter_of(family, y),
+        x_values=np.array([float(at) for at in across]),
+        y_values=np.array([float(at) for at in along]),
+        value=found.optimal.reshape(shape),
+        fixed_value=found.fixed[:, 0].reshape(shape),
+        error=found.error.sum(axis=1).reshape(shape),
+        choices=actions[found.which].reshape(*shape, -1),
+        policy=np.reshape(numbers, shape),
+    )

@@ -28,17 +28,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
-from numpy.random import SeedSequence
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.vary.base_case import digest
-from exact_mdp.analysis.vary.blocks import How, in_blocks, joined, seeded
-from exact_mdp.analysis.vary.solver import DrawSolver, merged, solver_of, tell_cut
 from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
+    Settings,
     Uncertainty,
     uncertainty,
 )
@@ -50,7 +49,7 @@ from exact_mdp.analysis.vary.intervals import (
     share_of,
     wilson,
 )
-from exact_mdp.analysis.vary.solver import DrawSolver, merged, solver_of, tell_cut
+from exact_mdp.analysis.vary.study import DrawSolver, in_blocks, merged, solver_of, tell_cut
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
@@ -61,7 +60,7 @@ from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
-from exact_mdp.solvers.parallel import Arrays
+from exact_mdp.solvers.parallel import Arrays, How, joined, seeded
 from exact_mdp.solvers.solution import Bounded, Estimated
 
 if TYPE_CHECKING:
@@ -245,24 +244,14 @@ class PSA(Pictured):
         lower end of EVPI over all policies, by more than twice the standard error, the candidates
         miss policies that matter, which every estimate's `doubts` then say.
         """
-        if groups is None:
-            alone = {part.label: part.names for part in self.uncertainty.parts}
-            groups = alone | _together(self.uncertainty)
-        place = {name: column for column, name in enumerate(self.names)}
         among, least = self.evpi_of_candidates(), self.evpi().low
         apart = 2 * np.hypot(among.standard_error, least.standard_error)
         doubt = (MISSING,) if among.value + apart < least.value else ()
         found = {}
-        for label, members in groups.items():
-            unknown = [name for name in members if name not in place]
-            if unknown:
-                raise ModelError(
-                    f"{unknown[0]!r} is not drawn",
-                    where=f"EVPPI of {label}",
-                    fix="name parameters that are drawn",
-                )
-            columns = self.draws[:REGRESSED, [place[name] for name in members]]
-            each = evppi(self.sign * self.values[:REGRESSED], columns, tuple(members))
+        for label, members, columns in groups_of(self.uncertainty, groups, together=True):
+            each = evppi(
+                self.sign * self.values[:REGRESSED], self.draws[:REGRESSED, columns], members
+            )
             found[label] = replace(each, doubts=(*each.doubts, *doubt))
         return found
 
@@ -277,22 +266,65 @@ class PSA(Pictured):
         return table
 
 
-def _together(chosen: Uncertainty) -> dict[str, tuple[str, ...]]:
-    """Return the drawn parameters by the beginning of their names, where several share one."""
-    found: dict[str, list[str]] = {}
-    for part in chosen.parts:
-        start, dot, _ = part.names[0].partition(".")
-        if dot and part.kind != "dirichlet":
-            found.setdefault(f"{start}.*", []).extend(part.names)
-    return {name: tuple(members) for name, members in found.items() if len(members) > 1}
+def groups_of(
+    chosen: Uncertainty, groups: Mapping[str, Sequence[str]] | None, *, together: bool = False
+) -> list[tuple[str, tuple[str, ...], list[int]]]:
+    """Return groups of drawn parameters: label, names, and the columns of the draws.
+
+    Unless groups are given, each part alone; `together`, parameters whose names begin alike, too.
+    """
+    place = {name: column for column, name in enumerate(chosen.names)}
+    if groups is None:
+        alike: dict[str, list[str]] = {}
+        for part in chosen.parts if together else ():
+            start, dot, _ = part.names[0].partition(".")
+            if dot and part.kind != "dirichlet":
+                alike.setdefault(f"{start}.*", []).extend(part.names)
+        groups = {part.label: part.names for part in chosen.parts}
+        groups |= {name: members for name, members in alike.items() if len(members) > 1}
+    for label, members in groups.items():
+        unknown = [name for name in members if name not in place]
+        if unknown:
+            raise ModelError(
+                f"{unknown[0]!r} is not drawn",
+                where=f"EVPPI of {label}",
+                fix="name parameters that are drawn",
+            )
+    return [(label, tuple(m), [place[name] for name in m]) for label, m in groups.items()]
+
+
+def drawn(
+    family: Parametric,
+    uncertain: Uncertainty | Mapping[str, Settings] | DataFrame | None,
+    n: int | None,
+    seed: int,
+    block: int,
+    default: float = EFFECTIVE_SAMPLE_SIZE,
+) -> tuple[Uncertainty, list[Floats], int]:
+    """Return what is uncertain, n draws of it in blocks, and the size of a last, smaller one."""
+    if not isinstance(uncertain, Uncertainty):
+        uncertain = uncertainty(family, uncertain, default=default)
+    chosen = uncertain.checked(family)
+    sample = chosen.sample
+    n = counted(len(sample) if n is None and sample is not None else n, "n")
+    streams, rest = seeded(seed, n, block)
+    if sample is None:
+        return chosen, [chosen.draw(stream, count) for stream, count in streams], rest
+    if n > len(sample):
+        raise ModelError(
+            f"{n:,} draws of a sample of {len(sample):,}",
+            where="n",
+            fix=f"ask for {len(sample):,} or fewer",
+        )
+    return chosen, [sample[at : min(at + block, n)] for at in range(0, n, block)], rest
 
 
 def psa(
     model: Scenario | MDP | Parametric,
-    n: int,
+    n: int | None = None,
     *,
-    rng: RNG,
-    uncertain: Uncertainty | None = None,
+    rng: RNG = 0,
+    uncertain: Uncertainty | Mapping[str, Settings] | DataFrame | None = None,
     effective_sample_size: float = EFFECTIVE_SAMPLE_SIZE,
     policy: PolicyLike = "optimal",
     **how: Unpack[How],
@@ -302,14 +334,14 @@ def psa(
     Parameters
     ----------
     model : Scenario, MDP or Parametric
-    n : int
-        D, the number of draws.
+    n : int, optional
+        D, the number of draws; of a sample of one's own its first n rows, all unless given.
     rng : int or numpy.random.Generator
         The same seed gives the same bytes for any number of workers, and the draws of a larger
         sample begin with those of a smaller one.
-    uncertain : Uncertainty, optional
-        Which parameters are drawn, and from what; `uncertainty(model)` unless given, with
-        `effective_sample_size`.
+    uncertain : {name: settings}, pandas.DataFrame or Uncertainty, optional
+        Which parameters are drawn, and from what, or a sample of one's own: see `uncertainty`,
+        which takes `effective_sample_size` for the probabilities of which nothing is said.
     policy : PolicyLike
         The policy that is held fixed; "optimal" is the optimum at today's values.
     **how
@@ -333,10 +365,10 @@ def psa(
     (200, 'non-directive')
     """
     family = parametric(model)
-    n, seed = counted(n, "n", 1), seed_of(rng)
-    if uncertain is None:
-        uncertain = uncertainty(family, default=effective_sample_size)
-    chosen, solver = uncertain.checked(family), solver_of(family)
+    seed, solver = seed_of(rng), solver_of(family)
+    chosen, blocks_of_draws, rest = drawn(
+        family, uncertain, n, seed, solver.block, effective_sample_size
+    )
     today, held = solver.base.held("optimal"), solver.base.held(policy)
     same = np.array_equal(held, today)
     given = [(TODAY, today)] if same else [(HELD, held), (TODAY, today)]
@@ -344,22 +376,24 @@ def psa(
         "model": family.name,
         "fingerprint": fingerprint(solver.base.mdp),
         "seed": seed,
-        "drawn": [[*part.names, part.kind, part.size, *part.mean] for part in chosen.parts],
+        "drawn": [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
+        if chosen.sample is None
+        else sha256(np.ascontiguousarray(chosen.sample).tobytes()).hexdigest(),
         "block": solver.block,
     }
-    pieces, rest = seeded(seed, n, solver.block)
-    work = partial(_solve_block, solver, chosen)
+    draws = np.concatenate(blocks_of_draws)
+    pieces = [(at * solver.block, some) for at, some in enumerate(blocks_of_draws)]
+    work = partial(_solve_block, solver, chosen.names)
     blocks = in_blocks(solver, "solved", work, pieces, key, rest, **how)
-    drawn = [block["draws"] for block in blocks]
-    solved = joined(blocks, ("draws", "start", "error", "lost", "cut"))
-    tell_cut(family, chosen.names, solved["draws"], solved["cut"])
+    solved = {"draws": draws} | joined(blocks, ("start", "error", "lost", "cut"))
+    tell_cut(family, chosen.names, draws, solved["cut"])
 
     def valued(policies: Sequence[Floats]) -> Arrays:
         """Return value and error (D, N) of policies in every draw."""
         told = digest(*policies)
         work, name = partial(_value_block, solver, chosen.names, policies), f"values-{told[:12]}"
         more = key | {"policies": told}
-        return joined(in_blocks(solver, name, work, drawn, more, rest, **how))
+        return joined(in_blocks(solver, name, work, pieces, more, rest, **how))
 
     picked, found, frequency = _selected(solver, chosen.names, solved, blocks, given, valued)
     return PSA(
@@ -391,17 +425,19 @@ def psa(
     )
 
 
-def _solve_block(
-    solver: DrawSolver, chosen: Uncertainty, piece: tuple[SeedSequence, int]
-) -> Arrays:
-    draws = chosen.draw(*piece)
-    return {"draws": draws} | solver.solved(chosen.names, draws)
+def _solve_block(solver: DrawSolver, names: tuple[str, ...], piece: tuple[int, Floats]) -> Arrays:
+    first, draws = piece
+    return solver.solved(names, draws, first)
 
 
 def _value_block(
-    solver: DrawSolver, names: tuple[str, ...], policies: Sequence[Floats], draws: Floats
+    solver: DrawSolver,
+    names: tuple[str, ...],
+    policies: Sequence[Floats],
+    piece: tuple[int, Floats],
 ) -> Arrays:
-    return solver.values(names, draws, policies)
+    first, draws = piece
+    return solver.values(names, draws, policies, first)
 
 
 def _selected(

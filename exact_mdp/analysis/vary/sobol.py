@@ -29,9 +29,8 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 from numpy.random import default_rng
 
-from exact_mdp.analysis.vary.blocks import How
 from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
-from exact_mdp.analysis.vary.sampled import sampled
+from exact_mdp.analysis.vary.study import at_points
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -43,6 +42,7 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.sampler import child
+from exact_mdp.solvers.parallel import How
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -229,7 +229,7 @@ def sobol(
     family, seed = parametric(model), seed_of(rng)
     spans = spans_of(family, None if names is None else list(names), ranges, relative)
     draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
-    found = sampled(family, [parameter.name for parameter in spans], draws, [policy], **how)
+    found = at_points(family, [parameter.name for parameter in spans], draws, [policy], **how)
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
     every = found.optimal, found.fixed[:, 0], found.regret[:, 0]
     indices = {

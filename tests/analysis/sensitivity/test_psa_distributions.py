@@ -3,16 +3,21 @@
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 from numpy.random import SeedSequence
 
 from exact_mdp import (
+    MDP,
+    Family,
     ModelError,
+    Parameter,
     Scenario,
     Uncertain,
     Uncertainty,
     load_uncertainty,
     parametric,
+    psa,
     uncertainty,
 )
 
@@ -21,35 +26,89 @@ COUNT = 40_000
 
 
 @pytest.mark.parametrize(
-    "part",
+    ("kind", "said"),
     [
-        Uncertain(names=("p",), kind="beta", mean=(0.05,), size=30),
-        Uncertain(names=("p",), kind="beta", mean=(0.99,), size=2),
-        Uncertain(names=("p", "q"), kind="dirichlet", mean=(0.2, 0.5), size=12),
-        Uncertain(names=("w",), kind="normal", mean=(-5.0,), size=0.3),
-        Uncertain(names=("w",), kind="gamma", mean=(-5.0,), size=0.3),
-        Uncertain(names=("w",), kind="gamma", mean=(20.0,), size=1.5),
+        ("beta", {"mean": 0.05, "effective_sample_size": 30}),
+        ("beta", {"mean": 0.99, "sd": 0.05}),
+        ("beta", {"alpha": 84, "beta": 716}),
+        ("normal", {"mean": -5, "relative_sd": 0.3}),
+        ("normal", {"mean": 0, "sd": 2}),
+        ("gamma", {"mean": -5, "relative_sd": 0.3}),
+        ("gamma", {"mean": 20, "sd": 30}),
+        ("gamma", {"shape": 44.5, "scale": 45}),
+        ("lognormal", {"mean": 3, "sd": 0.5}),
+        ("lognormal", {"meanlog": 1.1, "sdlog": 0.2}),
+        ("uniform", {"mean": 4000, "sd": 500}),
+        ("uniform", {"low": -1, "high": 3}),
+        ("triangular", {"mean": 4000, "relative_sd": 0.1}),
+        ("triangular", {"low": 0, "mode": 1, "high": 5}),
     ],
-    ids=lambda part: f"{part.kind}-{part.mean[0]}",
 )
-def test_draws_have_the_stated_mean_and_spread(part: Uncertain) -> None:
+def test_draws_have_the_stated_mean_and_spread(kind: str, said: dict[str, float]) -> None:
+    part = Uncertain.of("p", kind, **said)
+    if "mean" in said:
+        mean, sd = said["mean"], said.get("sd", abs(said["mean"]) * said.get("relative_sd", 0))
+        if "effective_sample_size" in said:
+            sd = (mean * (1 - mean) / (said["effective_sample_size"] + 1)) ** 0.5
+        assert (part.mean[0], part.sd[0]) == (mean, pytest.approx(sd))
     drawn = part.draw(SeedSequence(1), COUNT)
-    assert drawn.shape == (COUNT, len(part.names))
+    assert drawn.shape == (COUNT, 1)
     error = drawn.std(axis=0) / COUNT**0.5
     assert (np.abs(drawn.mean(axis=0) - part.mean) < 4 * error).all()
     fourth = ((drawn - drawn.mean(axis=0)) ** 4).mean(axis=0)
     spread = (fourth - drawn.var(axis=0) ** 2) ** 0.5 / COUNT**0.5
     assert (np.abs(drawn.var(axis=0) - np.square(part.sd)) < 4 * spread).all()
-    if part.kind in ("beta", "dirichlet"):
-        assert drawn.min() >= 0
-        assert drawn.sum(axis=1).max() <= 1
-    if part.kind == "gamma":
+    if kind == "beta":
+        assert 0 <= drawn.min() <= drawn.max() <= 1
+    if kind == "gamma":
         assert (np.sign(drawn) == np.sign(part.mean[0])).all()
 
 
+COST, SHARE = (
+    Parameter(name="cost", value="4000", low=0),
+    Parameter(name="p", value="3/20", low=0, high=1),
+)
+FREE = Parameter(name="weight", value=-2)
+MODEL = Family(parameters=(COST, SHARE, FREE), build=lambda at: MDP.from_arrays([[[1]]], [0], 0))
+
+
+@pytest.mark.parametrize(
+    ("stated", "kinds"),
+    [
+        ({"cost": {"relative_sd": "1/10"}}, {"cost": "gamma", "p": "beta"}),
+        (
+            {"cost": {"sd": 400}, "weight": {"sd": 1}},
+            {"cost": "gamma", "p": "beta", "weight": "normal"},
+        ),
+        ({"p": {"relative_sd": 0.1}}, {"p": "beta"}),
+        ({"p": {"distribution": "lognormal", "mean": 0.1, "sd": 0.01}}, {"p": "lognormal"}),
+        ({"p": {"fixed": True}, "cost": {"distribution": "normal", "sd": 9}}, {"cost": "normal"}),
+    ],
+)
+def test_what_a_parameter_may_be_decides_its_distribution(stated, kinds) -> None:
+    found = uncertainty(MODEL, stated)
+    assert {part.label: part.kind for part in found.parts} == kinds
+
+
+def test_a_sample_of_ones_own_is_drawn_row_by_row() -> None:
+    frame = pandas.DataFrame({"cost": [1.0, 2.0, 3.0], "p": [0.1, 0.2, 0.4]})
+    found = psa(MODEL, uncertain=frame)
+    assert found.draws.tolist() == frame.to_numpy().tolist()
+    assert psa(MODEL, 2, uncertain=frame).draws.tolist() == frame.to_numpy()[:2].tolist()
+    assert found.uncertainty.fixed == {"weight": "not in the sample"}
+    with pytest.raises(ModelError, match="4 draws of a sample of 3"):
+        psa(MODEL, 4, uncertain=frame)
+    with pytest.raises(ModelError, match="unknown parameter 'price'"):
+        psa(MODEL, uncertain=frame.rename(columns={"cost": "price"}))
+
+
 def test_a_dirichlet_row_is_negatively_correlated_as_it_must_be() -> None:
-    part = Uncertain(names=("p", "q"), kind="dirichlet", mean=(0.2, 0.5), size=12)
+    part = Uncertain.of_row("row", ("p", "q"), (2.4, 6.0, 3.6))
     drawn = part.draw(SeedSequence(2), COUNT)
+    assert drawn.mean(axis=0) == pytest.approx(part.mean, abs=0.01)
+    assert drawn.std(axis=0) == pytest.approx(part.sd, rel=0.02)
+    assert drawn.min() >= 0
+    assert drawn.sum(axis=1).max() <= 1
     assert np.cov(drawn.T)[0, 1] == pytest.approx(-0.2 * 0.5 / 13, rel=0.05)
 
 
@@ -87,7 +146,7 @@ def test_the_longest_beginning_counts(tmp_path: Path) -> None:
     assert sizes["base.anger"] == ("beta", 15)
     assert sizes["base.confusion"] == ("beta", 40)
     assert sizes["persistence.confusion"] == ("beta", 200)
-    assert sizes["reward.trial"] == ("gamma", 0.2)
+    assert sizes["reward.trial"] == ("gamma", pytest.approx(0.2))
     assert sizes["reward.assist.directive"] == ("normal", 0.5)
     assert found.fixed["influence.anger.confusion"] == "stated to be fixed"
     assert found.fixed["reward.assist.none"] == "0 today"
@@ -102,19 +161,21 @@ def test_the_longest_beginning_counts(tmp_path: Path) -> None:
         ("[base]\neffective_sample = 3\n", "unknown setting 'effective_sample'"),
         ("effective_sample_size = 3\n", "unknown setting"),
         ("[default]\nrelative_sd = 3\n", "states more than"),
-        ('[default]\neffective_sample_size = "3"\n', "'3'"),
+        ('[default]\neffective_sample_size = "three"\n', "'three'"),
         ("[base]\neffective_sample_size = 0\n", "effective sample size 0"),
         ("[base]\neffective_sample_size = -2\n", "effective sample size -2"),
         ("[base]\neffective_sample_size = nan\n", "effective sample size nan"),
         ("[base]\neffective_sample_size = true\n", "True"),
-        ("[base]\nrelative_sd = 0.1\n", "relative spread"),
-        ("[reward]\neffective_sample_size = 9\n", "reward weight"),
+        ("[reward]\neffective_sample_size = 9\n", "effective sample size of a normal"),
         ("[reward]\nrelative_sd = 0\n", "relative standard deviation 0"),
         ('[reward]\nrelative_sd = 0.1\ndistribution = "beta"\n', "beta"),
-        ('[reward]\ndistribution = "gamma"\n', "without a relative_sd"),
+        ('[reward]\ndistribution = "gamma"\n', "gamma with mean"),
         ('[base]\nfixed = "false"\n', "fixed is 'false'"),
         ("[base]\nfixed = true\neffective_sample_size = 3\n", "fixed, and a distribution"),
-        ("[base]\nrelative_sd = 0.1\neffective_sample_size = 3\n", "both"),
+        (
+            "[base]\nrelative_sd = 0.1\neffective_sample_size = 3\n",
+            "state a mean and one of|beta with",
+        ),
         ("[reward]\nrelative_sd = 1e-200\n", "relative standard deviation 1e-200"),
         ('[reward]\nrelative_sd = 1e-200\ndistribution = "gamma"\n', "1e-200"),
         ("[reward]\nrelative_sd = 1e200\n", r"1e\+200"),
@@ -140,7 +201,7 @@ def test_files_that_cannot_be_are_refused(tmp_path: Path, text: str, message: st
         ({"base": {"fixed": "no"}}, "fixed is 'no'"),
         ({"base": {"fixed": 1}}, "fixed is 1"),
         ({"base": 50}, "50 is stated"),
-        ({"base": {"effective_sample_size": "3"}}, "'3'"),
+        ({"base": {"effective_sample_size": "three"}}, "'three'"),
         ({"reward": {"distribution": "gama"}}, "gama"),
         ({"reward": {"relative_sd": True}}, "True"),
     ],
@@ -151,22 +212,38 @@ def test_settings_that_cannot_be_are_refused_from_python_too(stated, message) ->
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("kind", "said", "message"),
     [
-        ({"kind": "beta", "names": ("a", "b"), "mean": (0.3, 0.2)}, "2 names"),
-        ({"kind": "beta", "names": ("a",), "mean": (0.3, 0.2)}, "2 means"),
-        ({"kind": "dirichlet", "names": (), "mean": ()}, "0 names"),
-        ({"kind": "normal", "names": ("a",), "mean": (float("inf"),)}, "around inf"),
-        ({"kind": "gamma", "names": ("a",), "mean": (float("nan"),)}, "around nan"),
-        ({"kind": "beta", "names": ("a",), "mean": (float("nan"),)}, "means nan"),
+        ("beta", {"mean": 1.2, "sd": 0.1}, "beta of mean 1.2"),
+        ("beta", {"mean": 0.5, "sd": 0.6}, "so large a spread"),
+        ("beta", {"alpha": 0, "beta": 2}, "alpha = 0"),
+        ("gamma", {"mean": 0, "sd": 1}, "gamma of mean 0"),
+        ("lognormal", {"mean": -1, "sd": 1}, "lognormal of mean -1"),
+        ("uniform", {"low": 2, "high": 1}, "low = 2"),
+        ("triangular", {"low": 0, "mode": 3, "high": 1}, "mode = 3"),
+        ("normal", {"mean": 1}, "normal with mean"),
+        ("normal", {"mean": 1, "sd": 1, "relative_sd": 1}, "relative_sd"),
+        ("normal", {"mean": float("inf"), "sd": 1}, "around inf"),
+        ("beta", {"mean": float("nan"), "effective_sample_size": 9}, "around nan"),
+        ("normal", {"mean": 0, "relative_sd": 1}, "relative spread around 0"),
+        ("gauss", {"mean": 0, "sd": 1}, "'gauss'"),
     ],
 )
-def test_distributions_that_cannot_be_are_refused(words, message) -> None:
+def test_distributions_that_cannot_be_are_refused(kind, said, message) -> None:
     with pytest.raises(ModelError, match=message):
-        Uncertain(size=10.0, **words)
+        Uncertain.of("a", kind, **said)
+
+
+def test_concentrations_are_those_of_a_row() -> None:
+    with pytest.raises(ModelError, match="2 concentrations for 2"):
+        Uncertain.of_row("row", ("a", "b"), (1, 2))
+    with pytest.raises(ModelError, match="concentrations 1, 0"):
+        Uncertain.of_row("row", ("a",), (1, 0))
+    with pytest.raises(ModelError, match="outside of what the parameter may be"):
+        uncertainty(MODEL, {"p": {"distribution": "uniform", "low": 0, "high": 2}})
 
 
 def test_a_parameter_is_drawn_once() -> None:
-    part = Uncertain(names=("a",), kind="beta", mean=(0.3,), size=10.0)
+    part = Uncertain.of("a", "beta", mean=0.3, effective_sample_size=10)
     with pytest.raises(ModelError, match="a is drawn twice"):
         Uncertainty(parts=(part, part), fixed={})

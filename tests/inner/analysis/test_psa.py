@@ -13,11 +13,11 @@ from scipy.special import betainc
 from scipy.stats import binom, binomtest
 
 from exact_mdp import MDP, ModelError, Scenario, parametric, psa, uncertainty
-from exact_mdp.analysis.vary.solver import CareSolver, solver_of
+from exact_mdp.analysis.vary.distributions import row_family
+from exact_mdp.analysis.vary.information import evpi, evppi
 from exact_mdp.analysis.vary.intervals import mean_loss, mean_of, quantiles, wilson
 from exact_mdp.analysis.vary.psa import MISSING
-from exact_mdp.analysis.vary.rows import row_family
-from exact_mdp.analysis.vary.information import evpi, evppi
+from exact_mdp.analysis.vary.study import CareSolver, solver_of
 
 YUAN = Scenario.load("yuan2025")
 SMALL = YUAN.with_(tasks=[1], max_trial=2)
@@ -143,9 +143,9 @@ def test_a_larger_sample_uses_the_folder_of_a_smaller_one(
     done: list[int] = []
     solved = CareSolver.solved
 
-    def counting(self: CareSolver, names: list[str], draws: np.ndarray) -> dict[str, np.ndarray]:
+    def counting(self: CareSolver, names: object, draws: np.ndarray, *first: int) -> object:
         done.append(len(draws))
-        return solved(self, names, draws)
+        return solved(self, names, draws, *first)
 
     monkeypatch.setattr(CareSolver, "solved", counting)
     more = psa(SMALL, 6000, rng=0, folder=tmp_path)
@@ -292,7 +292,7 @@ def test_what_is_stated_of_a_row_holds_for_all_of_it(stated, size) -> None:
         ({ONE: {"effective_sample_size": 5}}, "different settings"),
         ({TWO: {"fixed": True}}, "different settings"),
         ({ROW: {"effective_sample_size": 5}, TWO: {"fixed": True}}, "different settings"),
-        ({ROW: {"relative_sd": 0.3}}, "relative spread of a probability"),
+        ({ROW: {"relative_sd": 0.3}}, "are Dirichlet"),
         ({"(state 0, 1)": {"fixed": True}}, "unknown parameter"),
     ],
 )

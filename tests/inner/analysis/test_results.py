@@ -60,6 +60,7 @@ from exact_mdp import (
     solve,
     solve_robust,
     solvers,
+    study,
     thresholds,
     tornado,
     tradeoff,
@@ -69,7 +70,6 @@ from exact_mdp import (
     worst_point,
 )
 from exact_mdp.analysis.perception.cost import value_under_counts
-from exact_mdp.analysis.vary.sampled import sampled
 from exact_mdp.mdp.result import Pictured, Result
 
 mpl.use("Agg")
@@ -92,7 +92,7 @@ def run() -> TrainingRun:
 
 def moved() -> object:
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    return sampled(moving(mdp, {"stay": [(0, 0)]}), ["stay"], np.array([[0.5], [0.75]]))
+    return study(moving(mdp, {"stay": [(0, 0)]}), {"stay": [0.5, 0.75]})
 
 
 @cache
@@ -136,7 +136,7 @@ MADE: dict[str, Callable[[], object]] = {
     "Robust": lambda: robust(care()),
     "RobustCurve": lambda: robust_curve(care(), "l1", [0, 0.1]),
     "RobustSolution": lambda: solve_robust(care(), Intervals.relative(care(), 0.1)),
-    "Sampled": moved,
+    "Study": moved,
     "Simulation": lambda: simulate(care(), "random", 20, 0),
     "Sobol": lambda: sobol(SMALL, names=NAMES, n=8, rng=0),
     "Solution": lambda: solve(care()),

@@ -7,8 +7,7 @@ from typing import Any
 from exact_mdp.analysis.cli.options import whole_of
 from exact_mdp.analysis.cli.render import Report, Table, claimed
 from exact_mdp.analysis.cli.sensitivity.options import Asked, analysis
-from exact_mdp.analysis.vary.one_way import one_way
-from exact_mdp.analysis.vary.two_way import two_way
+from exact_mdp.analysis.vary.one_way import one_way, two_way
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.solvers.solver import solve
 

@@ -9,9 +9,9 @@ import tqdm as progress
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed
 from exact_mdp.analysis.cli.sensitivity.options import ROUNDED, Asked, analysis
 from exact_mdp.analysis.vary.curves.gradient import Derivative, gradient
+from exact_mdp.analysis.vary.curves.thresholds import Threshold, Thresholds, thresholds
 from exact_mdp.analysis.vary.one_way import Bar, tornado
 from exact_mdp.analysis.vary.ranges import unit_of
-from exact_mdp.analysis.vary.curves.thresholds import Threshold, Thresholds, thresholds
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import solve
 

@@ -11,11 +11,11 @@ import numpy as np
 from exact_mdp.analysis.cli.options import whole_of
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
 from exact_mdp.analysis.cli.sensitivity.options import Asked, analysis
-from exact_mdp.analysis.vary.solver import solver_of
 from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
     Uncertainty,
     load_uncertainty,
+    row_family,
     uncertainty,
 )
 from exact_mdp.analysis.vary.information import FEWEST, PartialInformation
@@ -27,8 +27,7 @@ from exact_mdp.analysis.vary.intervals import (
     tolerances_of,
 )
 from exact_mdp.analysis.vary.psa import PSA, psa
-from exact_mdp.analysis.vary.rows import row_family
-from exact_mdp.analysis.vary.solver import solver_of
+from exact_mdp.analysis.vary.study import solver_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.table import Floats, exact

@@ -7,8 +7,8 @@ from fractions import Fraction
 from exact_mdp.analysis.cli.render import Report, Table, cell, claimed, plain
 from exact_mdp.analysis.cli.sensitivity.options import STATED, Asked, analysis
 from exact_mdp.analysis.vary.base_case import finite_worth
-from exact_mdp.analysis.vary.ranges import RELATIVE, Ranges, ranges_of, unit_of, usual
 from exact_mdp.analysis.vary.corners import worst_point
+from exact_mdp.analysis.vary.ranges import RELATIVE, Ranges, ranges_of, unit_of, usual
 from exact_mdp.analysis.vary.robust import (
     SETS,
     Robust,

@@ -9,8 +9,8 @@ import numpy as np
 from exact_mdp.analysis.cli.options import whole_of
 from exact_mdp.analysis.cli.render import Column, Report, Table, claimed
 from exact_mdp.analysis.cli.sensitivity.options import Asked, analysis
-from exact_mdp.analysis.vary.sobol import Indices, Sobol, sobol
 from exact_mdp.analysis.vary.ranges import Ranges, usual
+from exact_mdp.analysis.vary.sobol import Indices, Sobol, sobol
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.parametric import DISCOUNT
 from exact_mdp.solvers.solver import solve

@@ -31,9 +31,8 @@ from scipy import special
 
 from exact_mdp.analysis.gate.data.interval import Ends
 from exact_mdp.analysis.vary.base_case import digest
-from exact_mdp.analysis.vary.blocks import How, joined, seeded
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.parallel import Arrays, many
+from exact_mdp.solvers.parallel import Arrays, How, joined, many, seeded
 
 BLOCK = 250  # draws in a piece of work
 

@@ -41,7 +41,6 @@ from numpy.random import SeedSequence
 
 from exact_mdp.analysis.gate.data.interval import RegretInterval, named, observations_of, of_process
 from exact_mdp.analysis.vary.base_case import digest
-from exact_mdp.analysis.vary.blocks import joined, seeded
 from exact_mdp.analysis.vary.intervals import (
     quantiles,
     require_draws,
@@ -57,7 +56,7 @@ from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers, exact
 from exact_mdp.mdp.validate import counted
-from exact_mdp.solvers.parallel import Arrays, many
+from exact_mdp.solvers.parallel import Arrays, joined, many, seeded
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -1,0 +1,662 @@
+"""A study: the optimum and given policies at many points of a model's parameters, in one table.
+
+A point is a row of values of some parameters; the others keep today's. Every point is a model of
+its own: it is solved to optimality (the policy re-optimised), and each given policy is evaluated in
+it (the policy held fixed). A tornado, curves along one or two parameters, the corners of a box,
+Sobol indices and the draws of a probabilistic analysis are designs of points, and summaries of
+their tables.
+
+A care scenario goes through batched loops that never form the model (`solvers.care`). Small models
+are built and then solved many at once (`solvers.batch`), others one by one. Points are done in
+blocks of a fixed size, in any number of threads or processes, so that the same points give the same
+bytes. Blocks of draws have a stream of random numbers each, and a larger sample begins with the
+blocks of a smaller one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from hashlib import sha256
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+
+import numpy as np
+
+from exact_mdp.analysis.vary.base_case import BaseCase, digest, finite_optimum, finite_worth
+from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
+from exact_mdp.solvers.batch import Batch
+from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
+from exact_mdp.solvers.parallel import Arrays, How, joined, many
+from exact_mdp.solvers.solution import Bounded, Solution
+from exact_mdp.solvers.values.evaluate import evaluate
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+NOISE = 1e-9  # share of the values below which a spread is called rounding
+SHOWN = 3  # parameters of a point that an error names
+KEPT = 2**24  # numbers of built models that are kept for the next question
+ROOM = 2**21  # numbers that are worked on at once
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Study(Result):
+    """The optimum and given policies at every point; values at the start, in units of reward.
+
+    Attributes
+    ----------
+    names : tuple of P str
+    points : (D, P)
+        Values of the parameters, floats or exact numbers.
+    optimal : (D,)
+        The policy re-optimised at each point.
+    fixed : (D, N)
+        Each policy held fixed.
+    error : (D, N + 1)
+        Bounds on the errors of `optimal` (column 0) and of each policy's value.
+    sign : int
+        -1 where values are costs, of which the least is best.
+    rows, which : (U, G), (D,)
+        The optimal policies that were found, as the solver writes them, and each point's.
+    """
+
+    names: tuple[str, ...] = ()
+    points: Numbers
+    optimal: Floats
+    fixed: Floats
+    error: Floats
+    sign: int = 1
+    rows: Integers
+    which: Integers
+
+    @property
+    def regret(self) -> Floats:
+        """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
+        lost = self.sign * (self.optimal[:, None] - self.fixed)
+        return np.where(lost > self.error[:, :1] + self.error[:, 1:], lost, 0.0)
+
+    @property
+    def noise(self) -> float:
+        """Least difference of two values that is more than rounding."""
+        size = float(np.abs(self.optimal).max())
+        return max(NOISE * size, 2 * float(self.error.max()))
+
+    def best(self, point: int) -> Bounded:
+        """Return the optimal value at a point."""
+        return Bounded(value=float(self.optimal[point]), error=float(self.error[point, 0]))
+
+    def held(self, point: int, policy: int = 0) -> Bounded:
+        """Return the value of a policy at a point."""
+        value, error = self.fixed[point, policy], self.error[point, policy + 1]
+        return Bounded(value=float(value), error=float(error))
+
+    def frame(self) -> DataFrame:
+        """Return one row for each point: its parameters, the optimum, each policy (reward)."""
+        import pandas
+
+        table = pandas.DataFrame(self.points.astype(float), columns=list(self.names))
+        table["optimum (reward)"] = self.optimal
+        for number in range(self.fixed.shape[1]):
+            table[f"policy {number} (reward)"] = self.fixed[:, number]
+        table["claim"] = "bounded"
+        return table
+
+
+def study(
+    model: Scenario | MDP | Parametric,
+    points: Mapping[str, Sequence[object]] | DataFrame,
+    policies: Sequence[PolicyLike] = ("optimal",),
+    **how: Unpack[How],
+) -> Study:
+    """Return the optimum's value and the policies' at every point.
+
+    Parameters
+    ----------
+    model : Scenario, MDP or Parametric
+    points : {name: D numbers} or pandas.DataFrame
+        A column for each parameter that is varied, a row for each point.
+    policies : sequence of PolicyLike
+        Held fixed at every point; "optimal" is the optimum at today's values.
+    **how
+        n_jobs, folder and progress; see `solvers.parallel.many`.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    ModelError
+        For no points, unknown names, and values that the model cannot have; the first point at
+        fault is named.
+
+    Examples
+    --------
+    >>> from exact_mdp.mdp.parametric import moving
+    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
+    >>> found = study(moving(mdp, {"stay": [(0, 0)]}), {"stay": [0.5, "3/4"]})
+    >>> found.optimal.round(9).tolist(), found.regret.tolist()
+    ([2.0, 4.0], [[0.0], [0.0]])
+    """
+    family, names = parametric(model), tuple(points)
+    if len({len(points[name]) for name in names}) > 1:
+        raise ModelError("columns of several lengths", where="points", fix="give a row a point")
+    columns = [list(points[name]) for name in names]
+    table = np.empty((len(columns[0]) if columns else 0, len(names)), dtype=object)
+    for place, column in enumerate(columns):
+        table[:, place] = column
+    return at_points(family, names, table, policies, **how)
+
+
+def at_points(
+    model: Parametric,
+    names: Sequence[str],
+    points: Numbers,
+    policies: Sequence[PolicyLike] = (),
+    solver: DrawSolver | None = None,
+    **how: Unpack[How],
+) -> Study:
+    """Return the study of points (D, P), a column for each name."""
+    names, solver = tuple(names), solver or solver_of(model)
+    points, draws = _checked(model, names, points)
+    weights = [solver.base.held(policy) for policy in policies]
+    size = max(1, solver.block // 2)
+    key: dict[str, object] = {}
+    if how.get("folder") is not None:
+        _, first = next(models(model, names, points[:1], 0))
+        key = {
+            "model": fingerprint(solver.base.mdp),
+            "first_draw": fingerprint(first),  # two families may agree today and differ elsewhere
+            "parameters": list(names),
+            "draws": sha256(np.ascontiguousarray(draws, dtype="<f8").tobytes()).hexdigest(),
+            "policies": [digest(weight) for weight in weights],
+            "draws_per_file": size,
+            "compiled": solver.compiled,
+        }
+    blocks = [(at, points[at : at + size]) for at in range(0, len(points), size)]
+    if isinstance(solver, CareSolver):
+        tell_cut(model, names, draws, cut_off(solver.scenario, names, draws))
+    else:
+        tell_cut(model, names, draws)
+    done = run(solver, "draws", partial(_block, solver, names, weights), blocks, key, **how)
+    rows, which = merged(done)
+    found = joined(done, ("start", "start_error", "value", "error"))
+    return Study(
+        names=names,
+        points=points,
+        optimal=found["start"],
+        fixed=found["value"],
+        error=np.column_stack([found["start_error"], found["error"]]),
+        sign=solver.base.sign,
+        rows=rows,
+        which=which,
+    )
+
+
+def _block(
+    solver: DrawSolver,
+    names: tuple[str, ...],
+    weights: Sequence[Floats],
+    piece: tuple[int, Numbers],
+) -> Arrays:
+    first, draws = piece
+    best = solver.solved(names, draws, first)
+    found = {name: best[name] for name in ("start", "rows", "which")}
+    return found | {"start_error": best["error"]} | solver.values(names, draws, weights, first)
+
+
+def _checked(model: Parametric, names: Sequence[str], points: Numbers) -> tuple[Numbers, Floats]:
+    """Return points, checked, as they are and as floats."""
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != len(names):
+        raise ModelError(
+            f"draws of shape {points.shape} for {len(names)} parameters",
+            where="draws",
+            fix="give one row for each draw and a column for each parameter",
+        )
+    if not len(points):
+        raise ModelError("no draws", where="draws", fix="ask for at least 1")
+    if points.dtype == object:
+        points = np.array([[exact(number) for number in row] for row in points.tolist()])
+    draws = points.astype(float)
+    for column, name in enumerate(names):
+        parameter = parameter_of(model, name)
+        low = -np.inf if parameter.low is None else float(parameter.low)
+        high = np.inf if parameter.high is None else float(parameter.high)
+        drawn = draws[:, column]
+        wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise ModelError(
+                f"{name} is {drawn[row]:.17g}, outside [{low:g}, {high:g}]",
+                where=f"draw {row}",
+                fix="draw within that range",
+            )
+    return points, draws
+
+
+# ---- blocks ------------------------------------------------------------------------------------
+
+
+def run(
+    solver: DrawSolver,
+    what: str,
+    work: Callable[[Any], Arrays],
+    pieces: Sequence[Any],
+    key: Mapping[str, object],
+    **how: Unpack[How],
+) -> list[Arrays]:
+    """Do pieces of work: compiled loops in threads, other models in processes."""
+    folder = how.get("folder")
+    if folder is not None:
+        how["folder"] = Path(folder) / what
+    return many(work, pieces, key=key, what=what, threads=solver.compiled, **how)
+
+
+def in_blocks(
+    solver: DrawSolver,
+    what: str,
+    work: Callable[[Any], Arrays],
+    pieces: Sequence[Any],
+    key: Mapping[str, object],
+    rest: int,
+    **how: Unpack[How],
+) -> list[Arrays]:
+    """Do blocks of draws: whole ones in a folder for samples of any size, one of `rest` apart."""
+    full = len(pieces) - (rest > 0)
+    if how.get("folder") is None or not rest:
+        return run(solver, what, work, pieces, key, **how)
+    done = run(solver, what, work, pieces[:full], key, **how) if full else []
+    last = {"last block": full, "draws": rest}
+    name = f"{what}-last-{full}-{rest}"
+    return done + run(solver, name, work, pieces[full:], {**key, **last}, **how)
+
+
+def distinct(rows: Numbers) -> tuple[Numbers, Integers]:
+    """Return the (U, G) different rows of (D, G) small integers, and (D,) which of them each is.
+
+    They come in order of appearance. Rows are distinguished by two 64-bit sums of random odd
+    multiples; that two rows which differ have both sums in common is about as likely as guessing a
+    number of 128 bits.
+    """
+    width = rows.shape[1] * rows.dtype.itemsize
+    padded = np.zeros((len(rows), -(-width // 8) * 8), dtype=np.uint8)
+    padded[:, :width] = np.ascontiguousarray(rows).view(np.uint8)
+    words = padded.view(np.uint64)
+    keys = np.random.default_rng(0).integers(0, 2**63, size=(words.shape[1], 2), dtype=np.uint64)
+    sums = words @ (2 * keys + 1)
+    both = np.ascontiguousarray(sums).view([("a", np.uint64), ("b", np.uint64)]).reshape(-1)
+    _, where, inverse = np.unique(both, return_index=True, return_inverse=True)
+    order = np.argsort(where)
+    return rows[where[order]], np.argsort(order)[inverse.reshape(-1)]
+
+
+def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Numbers, Integers]:
+    """Return the different rows of several blocks, in order of appearance, and each draw's."""
+    rows, place = distinct(np.concatenate([block["rows"] for block in blocks]))
+    ends = np.cumsum([len(block["rows"]) for block in blocks])[:-1]
+    places = np.split(place, ends)
+    return rows, np.concatenate([p[b["which"]] for p, b in zip(places, blocks, strict=True)])
+
+
+# ---- one model after the other -----------------------------------------------------------------
+
+
+def models(
+    model: Parametric, names: Sequence[str], draws: Numbers, first: int | None = None
+) -> Iterator[tuple[int, MDP]]:
+    """Yield each draw's number and model; an error names the draw, counted from `first`."""
+    for d, row in enumerate(draws.tolist()):
+        try:
+            yield d, model.at(dict(zip(names, row, strict=True)))
+        except ModelError as error:
+            if first is None:
+                raise
+            where = f"draw {first + d}, {error.where}"
+            raise ModelError(error.what, where=where, fix=error.fix) from error
+
+
+class ModelSolver:
+    """Models that are built; labels are the states in which there is a choice.
+
+    Attributes
+    ----------
+    base : BaseCase
+        The model at today's values, to whose pairs policies refer.
+    block, pool : int
+        Draws in one piece of work, and draws of largest regret in which policies are compared to
+        choose candidates.
+    compiled : bool
+        Whether compiled loops do the work, which threads can share.
+    labels, actions : tuples of X and A words
+        Where choices are reported, and between what.
+    """
+
+    block, pool = 64, 32
+    compiled = False
+
+    def __init__(self, model: Parametric) -> None:
+        self.model = model
+        mdp = model.at({})
+        self.base = BaseCase(mdp=mdp)
+        self.actions = mdp.actions
+        self.choosing = np.flatnonzero(~mdp.forced)
+        self.labels = tuple(mdp.space.labels(self.choosing))
+        self.built: dict[bytes, list[Batch | list[MDP]]] = {}
+        self.room = KEPT
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"built": {}, "room": KEPT}
+
+    def parts(
+        self, names: Sequence[str], draws: Numbers, first: int | None
+    ) -> Iterator[tuple[slice, Batch | list[MDP]]]:
+        """Yield draws and their models, as a batch where they can be one.
+
+        What was built of these draws before is used again, up to `KEPT` numbers.
+        """
+        key = repr((names, draws.tolist())).encode()
+        size = max(1, ROOM // (self.base.mdp.n_pairs * self.base.mdp.n_states))
+        ends = range(0, len(draws), size)
+        known = self.built.get(key)
+        if known is not None:
+            yield from ((slice(at, at + size), part) for at, part in zip(ends, known, strict=True))
+            return
+        made: list[Batch | list[MDP]] = []
+        for at in ends:
+            here = slice(at, at + size)
+            start = None if first is None else first + at
+            some = [mdp for _, mdp in models(self.model, names, draws[here], start)]
+            batch = Batch.of(some)
+            made.append(some if batch is None or batch.weights is None else batch)
+            yield here, made[-1]
+        numbers = sum(part.rows.size if isinstance(part, Batch) else KEPT for part in made)
+        if numbers <= self.room:
+            self.room -= numbers
+            self.built[key] = made
+
+    def solved(self, names: Sequence[str], draws: Numbers, first: int | None = None) -> Arrays:
+        """Return the optima of (D, Q) draws.
+
+        start, error (D,); best (X, A), draws in which an action is optimal up to rounding; lost
+        (D, A), what each first action costs, NaN where it is not offered, (D, 0) where there is
+        more than one first state; rows (U, G), the policies found, and which (D,) of them is a
+        draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
+        """
+        mdp, count = self.base.mdp, len(draws)
+        start, error, gap, doubt = np.empty(count), np.empty(count), [], []
+        policies = np.empty((count, mdp.n_states), dtype=np.int16)
+        for here, part in self.parts(names, draws, first):
+            found = part.optimum() if isinstance(part, Batch) else None
+            if isinstance(part, Batch) and found is not None:
+                value, error[here] = part.at_start(found[0], found[1])
+                start[here] = self.base.sign * value
+                gap.append(found[2])
+                doubt.append(found[3])
+                tied = np.where(gap[-1] <= doubt[-1], np.arange(mdp.n_pairs), mdp.n_pairs)
+                least = np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)
+                policies[here] = mdp.pair_action[least]
+                continue
+            every = part if isinstance(part, list) else self._again(names, draws[here])
+            for d, drawn in enumerate(every, start=here.start):
+                solution = finite_optimum(drawn, self._at(names, draws[d], d, first))
+                start[d], error[d] = solution.start.value, solution.start.error
+                lost, noise = self._gaps(drawn, solution)
+                there = solution.state_error
+                off = there[mdp.pair_state] + drawn.discount * (drawn.transition @ there)
+                gap.append(lost[None])
+                doubt.append((off + noise)[None])
+                policies[d] = solution.policy
+        rows, which = distinct(policies)
+        return {
+            "start": start,
+            "error": error,
+            "rows": rows,
+            "which": which,
+            **self._choices(np.concatenate(gap), np.concatenate(doubt)),
+            "cut": np.zeros(count, dtype=bool),
+        }
+
+    def _again(self, names: Sequence[str], draws: Numbers) -> list[MDP]:
+        return [mdp for _, mdp in models(self.model, names, draws)]
+
+    def _choices(self, gap: Floats, doubt: Floats) -> Arrays:
+        """Return how often each action is optimal, and what the first ones cost, of gaps (D, L)."""
+        mdp, near = self.base.mdp, (gap <= doubt).sum(axis=0)
+        counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
+        counts[mdp.pair_state, mdp.pair_action] = near
+        begins = [state for state, _ in mdp.start]
+        lost = np.full((len(gap), mdp.n_actions if len(begins) == 1 else 0), np.nan)
+        if len(begins) == 1:
+            here = mdp.pair_state == begins[0]
+            lost[:, mdp.pair_action[here]] = np.maximum(gap[:, here], 0.0)
+        return {"best": counts[self.choosing], "lost": lost}
+
+    def _at(self, names: Sequence[str], draw: Numbers, d: int, first: int | None) -> str:
+        """Return the parameters of a draw in words, the first few of many that are moved."""
+        today = {parameter.name: parameter.value for parameter in self.model.parameters}
+        moved = [
+            f"{name} = {x if isinstance(x, Fraction) else f'{x:g}'}"
+            for name, x in zip(names, draw.tolist(), strict=True)
+            if x != today[name]
+        ]
+        words = ", ".join(moved[:SHOWN]) + ", …" * (len(moved) > SHOWN) or "today's parameters"
+        return words if first is None or len(names) <= SHOWN else f"draw {first + d}, {words}"
+
+    def _gaps(self, mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
+        """Return what each pair (L,) loses, and the rounding of that.
+
+        Some states may be worth ±∞, though the start is not: a pair that leads to -∞ is worth that,
+        else one that leads to +∞ that; it loses nothing where its state is worth the same.
+        """
+        value, here = solution.value, mdp.pair_state
+        far = np.isinf(value)
+        known = np.where(far, 0.0, value)
+        found = gains(mdp, known)
+        gap = self.base.sign * (known[here] - mdp.backup(known))
+        if far.any():
+            ahead = np.zeros(mdp.n_pairs)
+            for sign in (inf, -inf):
+                ahead[mdp.transition @ (value == sign).astype(float) > 0] = sign
+            off = far[here] | np.isinf(ahead)
+            gap[off] = np.where(value[here] == ahead, 0.0, inf)[off]
+        return gap, found.noise
+
+    def values(
+        self,
+        names: Sequence[str],
+        draws: Numbers,
+        policies: Sequence[Floats],
+        first: int | None = None,
+    ) -> Arrays:
+        """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
+        value = np.empty((len(draws), len(policies)))
+        error = np.empty_like(value)
+        for here, part in self.parts(names, draws, first) if policies else ():
+            if isinstance(part, Batch):
+                for n, chosen in enumerate(policies):
+                    mean, error[here, n] = part.held(chosen)
+                    value[here, n] = self.base.sign * mean
+                continue
+            for d, drawn in enumerate(part, start=here.start):
+                where = self._at(names, draws[d], d, first)
+                found = [finite_worth(drawn, weights, where) for weights in policies]
+                value[d], error[d] = [x.value for x in found], [x.error for x in found]
+        return {"value": value, "error": error}
+
+    def totals(
+        self,
+        names: Sequence[str],
+        draws: Numbers,
+        policies: Sequence[Floats],
+        components: Sequence[str],
+        first: int,
+    ) -> Floats:
+        """Return (D, N, C) expected totals of some components of the reward under N policies."""
+        known = self.base.mdp.component_names
+        columns = [known.index(name) for name in components]
+        found = np.empty((len(draws), len(policies), len(columns)))
+        for here, part in self.parts(names, draws, first):
+            for n, chosen in enumerate(policies):
+                if isinstance(part, Batch):
+                    found[here, n] = part.totals(chosen)[:, columns]
+                    continue
+                for d, drawn in enumerate(part, start=here.start):
+                    every = evaluate(drawn, chosen).components
+                    found[d, n] = [every[name] for name in components]
+        if not np.isfinite(found).all():
+            raise ModelError(
+                "a total is infinite",
+                where=f"draw {first + int(np.argwhere(~np.isfinite(found))[0][0])}",
+                fix="give a discount below 1, or a number of steps (mdp.within(100))",
+            )
+        return found
+
+    def weights(self, row: Integers) -> Floats:
+        """Return (L,) probabilities of pairs from a row of `solved`."""
+        return self.base.taken(row)
+
+    def shown(self, weights: Floats) -> dict[str, str] | None:
+        """Return the action at each label, where the policy says one and the same there."""
+        mdp, found = self.base.mdp, {}
+        for state, label in zip(self.choosing.tolist(), self.labels, strict=True):
+            pairs = mdp.pairs_of(state)
+            share = weights[list(pairs)]
+            if share.max() != 1:
+                return None
+            found[label] = mdp.actions[int(mdp.pair_action[pairs[int(share.argmax())]])]
+        return found
+
+
+class CareSolver:
+    """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0.
+
+    Attributes and methods are those of `ModelSolver`.
+    """
+
+    block, pool = 4096, 1000
+    compiled = True
+
+    def __init__(self, model: ScenarioFamily) -> None:
+        self.scenario: Scenario = model.scenario
+        self.base = BaseCase(mdp=model.at({}))
+        count = len(self.scenario.statuses)
+        self.actions = self.scenario.actions
+        self.labels = tuple(f"{number:0{count}b}" for number in range(2**count))
+        self.sizes = tuple(column.size for column in self.base.mdp.space.columns)
+        flags = self.sizes[2] if len(self.sizes) == 4 else 1
+        self.shape = (self.sizes[0], self.scenario.trials, flags, 2**count)
+
+    def solved(self, names: Sequence[str], draws: Numbers, first: int | None = None) -> Arrays:
+        """Return the optima of (D, Q) draws; see `ModelSolver.solved`."""
+        draws = draws.astype(float)
+        found = optimal(self.scenario, names, draws, gaps=True, actions=True)
+        assert found.gaps is not None
+        assert found.actions is not None
+        rows, which = distinct(found.actions.reshape(len(draws), -1))
+        return {
+            "start": found.start,
+            "error": found.error,
+            "best": (found.gaps <= 2 * found.error[:, None, None]).sum(axis=0),
+            "lost": found.gaps[:, 0],
+            "rows": rows,
+            "which": which,
+            "cut": cut_off(self.scenario, names, draws),
+        }
+
+    def values(
+        self,
+        names: Sequence[str],
+        draws: Numbers,
+        policies: Sequence[Floats],
+        first: int | None = None,
+    ) -> Arrays:
+        """Return value (D, N) and error (D, N) of N policies; see `ModelSolver.values`."""
+        tables, draws = [self.by_state(weights) for weights in policies], draws.astype(float)
+        value = np.empty((len(draws), len(tables)))
+        error = np.empty_like(value)
+        # Policies of one kind are evaluated together: pure or mixed, by status or by state.
+        kinds: dict[tuple[bool, bool], list[int]] = {}
+        for number, table in enumerate(tables):
+            pure = bool((table.max(axis=-1) == 1).all())
+            same = bool((table == table[:1, :1, :1]).all())
+            kinds.setdefault((pure, same), []).append(number)
+        for (pure, same), numbers in kinds.items():
+            chosen = np.stack([tables[number] for number in numbers])
+            chosen = chosen[:, 0, 0, 0] if same else chosen
+            chosen = chosen.argmax(axis=-1) if pure else chosen
+            found = policy_values(self.scenario, names, draws, chosen)
+            value[:, numbers], error[:, numbers] = found.mean, found.error[:, None]
+        return {"value": value, "error": error}
+
+    def weights(self, row: Integers) -> Floats:
+        """Return (L,) probabilities of pairs from a row of `solved`."""
+        mdp = self.base.mdp
+        whole = np.zeros((self.shape[0], self.sizes[1], *self.shape[2:]), dtype=np.int64)
+        whole[:, : self.shape[1]] = np.reshape(row, self.shape)
+        choice = np.append(whole.reshape(-1), np.zeros(mdp.n_states - whole.size, dtype=np.int64))
+        return self.base.taken(choice)
+
+    def shown(self, weights: Floats) -> dict[str, str] | None:
+        """Return the action at each label, where the policy says one and the same there."""
+        table = self.by_state(weights)
+        if not ((table == table[:1, :1, :1]).all() and (table.max(axis=-1) == 1).all()):
+            return None
+        chosen = table[0, 0, 0].argmax(axis=-1)
+        return {label: self.actions[a] for label, a in zip(self.labels, chosen, strict=True)}
+
+    def by_state(self, weights: Floats) -> Floats:
+        """Return (K, trials, flags, V, A) probabilities of actions from (L,) ones of pairs.
+
+        K subtasks, V status vectors; flags are two where a reading remembers skips, else one.
+        """
+        mdp = self.base.mdp
+        table = np.zeros((mdp.n_states, mdp.n_actions))
+        table[mdp.pair_state, mdp.pair_action] = weights
+        shape = (self.shape[0], self.sizes[1], *self.shape[2:])
+        table = table[: mdp.space.regular].reshape(*shape, mdp.n_actions)
+        numbers = [mdp.action(name) for name in self.scenario.actions]
+        # A last trial in which a skip is the only action is not a trial of the loops.
+        return table[:, : self.shape[1]][..., numbers]
+
+
+DrawSolver: TypeAlias = ModelSolver | CareSolver
+
+
+def solver_of(model: Parametric) -> DrawSolver:
+    """Return the fastest way to solve a model at many draws."""
+    if isinstance(model, ScenarioFamily):
+        scenario = model.scenario
+        if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:
+            return CareSolver(model)
+    return ModelSolver(model)
+
+
+def tell_cut(
+    model: Parametric, names: Sequence[str], draws: Floats, cut: np.ndarray | None = None
+) -> None:
+    """Warn once where a chance of a scenario is cut off at 1 in some draw; workers keep silent.
+
+    Where it is not known in which draws, `cut` (D,), the largest numbers of all are looked at.
+    """
+    if not isinstance(model, ScenarioFamily):
+        return
+    if cut is None:
+        model.tell(dict(zip(names, draws.max(axis=0).tolist(), strict=True)), where=", in draws")
+    elif cut.any():
+        first = int(cut.argmax())
+        where = f", {int(cut.sum())} of {len(draws)} draws, the first of them draw {first}"
+        model.tell(dict(zip(names, draws[first].tolist(), strict=True)), where=where)

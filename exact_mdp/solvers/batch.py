@@ -1,0 +1,194 @@
+"""Many small models at once: optima and policies of models that differ in their numbers alone.
+
+    V = r_π + γ P_π V,     π(s) ← a pair l of s with the greatest d(l) = r(l) + γ P_l V - V(s)
+
+Rows are dense, (D, L, S) for D models; each step of policy iteration is one LU of all of them. What
+is found is bounded whatever it came from: with a w > 0 such that w - γ P_l w ≥ c > 0 of every pair,
+
+    V - w max_π (-d)⁺ / c  ≤  V_π  ≤  V*  ≤  V + w max_l d⁺ / c,
+
+because no policy keeps more of w than that. Below discount 1, w = 1 and c = 1 - γ. At discount 1, w
+is the greatest expected number of steps to the end, found by the same iteration and checked; where
+there is none, because some policy may never end, or where the models do not have the same pairs,
+`Batch.of` and `Batch.optimum` give None, and models are solved one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma, rounding_facts
+
+MOST = 2**16  # numbers of the rows of one model: beyond it, sparse solvers are as fast
+IMPROVEMENTS = 100
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Batch:
+    """D models with the same L pairs and S states; rewards are those that are maximised.
+
+    Attributes
+    ----------
+    rows : (D, L, S)
+    reward, reward_error : (D, L)
+    rate : (D,)
+        The discount γ.
+    leak, leak_error : (D, 1)
+        1 - γ, and how far that may be off.
+    terms : int
+        The most roundings in a row.
+    live : (D, S) bool
+        States that are not terminal, at discount 1; all of them below.
+    start : (D, S)
+    components : (D, L, C)
+    state : (L,)
+    first : (S,)
+        The state of each pair, and the first pair of each state.
+    """
+
+    rows: Floats
+    reward: Floats
+    reward_error: Floats
+    rate: Floats
+    leak: Floats
+    leak_error: Floats
+    terms: int
+    live: np.ndarray
+    start: Floats
+    components: Floats
+    state: Integers
+    first: Integers
+
+    @classmethod
+    def of(cls, models: Sequence[MDP]) -> Batch | None:
+        """Return the models as one batch; None where they are too large, or too different."""
+        one = models[0]
+        if one.n_pairs * one.n_states > MOST or any(
+            not np.array_equal(one.pair_offsets, other.pair_offsets)
+            or one.component_names != other.component_names
+            for other in models[1:]
+        ):
+            return None
+        signs = [-1.0 if mdp.sense == "min" else 1.0 for mdp in models]
+        facts = [rounding_facts(mdp) for mdp in models]
+        return cls(
+            rows=np.stack([mdp.transition.toarray() for mdp in models]),
+            reward=np.stack([sign * mdp.reward for sign, mdp in zip(signs, models, strict=True)]),
+            reward_error=np.stack(
+                [f.reward_errors(mdp, 0, mdp.n_pairs) for f, mdp in zip(facts, models, strict=True)]
+            ),
+            rate=np.array([mdp.discount for mdp in models]),
+            leak=np.array([[f.leak] for f in facts]),
+            leak_error=np.array([[f.leak_error] for f in facts]),
+            terms=max(one.n_states, *(int(f.merged.max(initial=0)) for f in facts)),
+            live=np.stack([~mdp.terminal | (mdp.discount_exact < 1) for mdp in models]),
+            start=np.stack([mdp.start_distribution for mdp in models]),
+            components=np.stack([mdp.components for mdp in models]),
+            state=np.array(one.pair_state),
+            first=np.array(one.pair_offsets[:-1]),
+        )
+
+    def gains(self, value: Floats, reward: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return d(l) of values (D, S), and a bound on its rounding error, both (D, L)."""
+        reward = self.reward if reward is None else reward
+        here = value[:, self.state]
+        apart = value[:, None, :] - here[:, :, None]
+        lost = self.leak * here
+        gain = reward + self.rate[:, None] * np.einsum("dls,dls->dl", self.rows, apart) - lost
+        size = np.einsum("dls,dls->dl", self.rows, np.abs(apart)) + np.abs(reward) + np.abs(lost)
+        noise = gamma(self.terms + 16) * size + self.reward_error + self.leak_error * np.abs(here)
+        noise = noise * SLACK + TINY
+        alive = self.live[:, self.state]
+        return np.where(alive, gain, 0.0), np.where(alive, noise, 0.0)
+
+    def solved(self, rows: Floats, reward: Floats) -> Floats:
+        """Return (D, S) the values of chains (D, S, S) with rewards (D, S)."""
+        rows = np.where(self.live[:, :, None], rows * self.rate[:, None, None], 0.0)
+        side = np.where(self.live, reward, 0.0)[:, :, None]
+        return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, side)[:, :, 0])
+
+    def improved(self, reward: Floats) -> tuple[Floats, Integers] | None:
+        """Return values (D, S) and pairs (D, S) that no pair improves by more than rounding."""
+        draw, pairs = np.arange(len(self.rows))[:, None], np.tile(self.first, (len(self.rows), 1))
+        number = np.arange(len(self.state))
+        for _ in range(IMPROVEMENTS):
+            try:
+                value = self.solved(self.rows[draw, pairs], reward[draw, pairs])
+            except np.linalg.LinAlgError:
+                return None
+            if not np.isfinite(value).all():
+                return None
+            gain, noise = self.gains(value, reward)
+            best = np.maximum.reduceat(gain, self.first, axis=1)
+            better = best > 2 * np.maximum.reduceat(noise, self.first, axis=1)
+            if not better.any():
+                return value, pairs
+            there = np.where(gain == best[:, self.state], number, len(number))
+            pairs = np.where(better, np.minimum.reduceat(there, self.first, axis=1), pairs)
+        return None
+
+    @cached_property
+    def weights(self) -> tuple[Floats, Floats] | None:
+        """Return w (D, S) and c (D,); None where some policy may never end at discount 1."""
+        least = (self.leak - self.leak_error)[:, 0] / SLACK
+        if (least > 0).all() and self.rate.max() < 1:
+            return np.ones_like(self.start), least
+        alive = self.live[:, self.state]
+        found = self.improved(alive.astype(float))
+        if found is None or not (found[0] >= 0).all():
+            return None
+        falls, noise = self.gains(found[0], np.zeros_like(self.reward))
+        least = np.where(alive, -falls - noise, 1.0).min(axis=1) / SLACK
+        return (found[0], least) if (least > 0).all() else None
+
+    def optimum(self) -> tuple[Floats, Floats, Floats, Floats] | None:
+        """Return values and their errors (D, S), what each pair loses and its error (D, L)."""
+        found = self.improved(self.reward)
+        if found is None or self.weights is None:
+            return None
+        weight, least = self.weights
+        value, pairs = found
+        gain, noise = self.gains(value)
+        draw = np.arange(len(value))[:, None]
+        above = (gain + noise).max(axis=1)
+        below = (noise - gain)[draw, pairs].max(axis=1)
+        error = weight * (np.maximum(above, below) / least * SLACK)[:, None]
+        ahead = np.einsum("dls,ds->dl", self.rows, error)
+        return value, error, -gain, (noise + error[:, self.state] + ahead) * SLACK
+
+    def held(self, chosen: Floats) -> tuple[Floats, Floats]:
+        """Return the values at the start (D,) of a policy (L,), and bounds on their errors."""
+        assert self.weights is not None
+        weight, least = self.weights
+        share = chosen[None, :, None]
+        value = self.solved(
+            np.add.reduceat(self.rows * share, self.first, axis=1),
+            np.add.reduceat(self.reward * chosen, self.first, axis=1),
+        )
+        gain, noise = self.gains(value)
+        noise = noise + gamma(len(self.state) + 16) * np.abs(gain)
+        off = np.abs(np.add.reduceat(gain * chosen, self.first, axis=1))
+        off += np.add.reduceat(noise * chosen, self.first, axis=1)
+        return self.at_start(value, weight * (off.max(axis=1) / least * SLACK)[:, None])
+
+    def totals(self, chosen: Floats) -> Floats:
+        """Return (D, C) the expected totals of each component under a policy (L,)."""
+        share = chosen[None, :, None]
+        rows = np.add.reduceat(self.rows * share, self.first, axis=1)
+        amounts = np.add.reduceat(self.components * share, self.first, axis=1)
+        values = [self.solved(rows, amounts[:, :, c]) for c in range(amounts.shape[2])]
+        return np.asarray(np.einsum("ds,cds->dc", self.start, np.array(values)))
+
+    def at_start(self, value: Floats, error: Floats) -> tuple[Floats, Floats]:
+        """Return values (D, S) and their errors at the start, (D,) each."""
+        count = gamma(len(self.first) + 2)
+        mean = np.einsum("ds,ds->d", self.start, value)
+        size = np.einsum("ds,ds->d", self.start, np.abs(value))
+        off = np.einsum("ds,ds->d", self.start, error)
+        return mean, (off + np.where((self.start == 1).any(axis=1), 0.0, count * size)) * SLACK
