@@ -32,6 +32,8 @@ from exact_mdp.analysis.vary.distributions import Uncertain as Uncertain
 from exact_mdp.analysis.vary.distributions import Uncertainty as Uncertainty
 from exact_mdp.analysis.vary.distributions import load_uncertainty as load_uncertainty
 from exact_mdp.analysis.vary.distributions import uncertainty as uncertainty
+from exact_mdp.analysis.vary.economics import CostEffectiveness as CostEffectiveness
+from exact_mdp.analysis.vary.economics import cost_effectiveness as cost_effectiveness
 from exact_mdp.analysis.vary.one_way import one_way as one_way
 from exact_mdp.analysis.vary.one_way import tornado as tornado
 from exact_mdp.analysis.vary.one_way import two_way as two_way

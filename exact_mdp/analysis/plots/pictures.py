@@ -23,6 +23,7 @@ PICTURES: dict[str, Any] = {
     "AverageCertificate": states.plot_solution,
     "BoundedCertificate": states.plot_solution,
     "Certificate": states.plot_solution,
+    "CostEffectiveness": psa.plot_cost_effectiveness,
     "Curve": sensitivity.plot_value_curves,
     "ErrorCosts": perception.plot_error_costs,
     "Evaluation": states.plot_evaluation,

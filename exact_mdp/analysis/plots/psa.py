@@ -13,12 +13,14 @@ from exact_mdp.analysis.plots.style import (
     LINES,
     PALETTE,
     axes_or_new,
+    legend_beside,
     plain_numbers,
     plain_text,
 )
 from exact_mdp.analysis.vary.intervals import tolerances_of
 
 if TYPE_CHECKING:
+    from exact_mdp.analysis.vary.economics import CostEffectiveness
     from exact_mdp.analysis.vary.psa import PSA
 
 COLOURS = ("#000000", *(PALETTE[n] for n in (3, 6, 4, 5, 7)), "#8C6D1F")
@@ -85,6 +87,27 @@ def plot_acceptability(
     ax.set_ylabel("probability that the policy loses at most Δ")
     if len(candidates) > 1:
         ax.legend(loc="best")
+    return ax
+
+
+@plain_text
+def plot_cost_effectiveness(
+    found: CostEffectiveness, *, wtp: ArrayLike | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw acceptability curves over the willingness to pay; the frontier is the wide grey line."""
+    ax = axes_or_new(ax)
+    at = found.grid() if wtp is None else np.asarray(wtp, dtype=float)
+    frontier = [share for _, share in found.frontier(at)]
+    ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
+    for place, (name, share) in enumerate(
+        zip(found.strategies, found.acceptability(at).T, strict=True)
+    ):
+        colour, line = COLOURS[place % len(COLOURS)], LINES[place % len(LINES)]
+        ax.plot(at, share, linestyle=line, color=colour, label=name)
+    ax.set(xlabel="willingness to pay for one unit of effect", ylim=(-0.02, 1.02))
+    ax.set_ylabel("share of draws in which it is the best")
+    ax.set_title("Cost-effectiveness acceptability curves")
+    legend_beside(ax)
     return ax
 
 

@@ -37,6 +37,7 @@ from exact_mdp import (
     check,
     check_trainer,
     compare,
+    cost_effectiveness,
     curve,
     error_costs,
     evaluate,
@@ -116,6 +117,9 @@ MADE: dict[str, Callable[[], object]] = {
     "CVaROptimum": lambda: best_cvar(care(), "1/10"),
     "Certificate": lambda: certify(care()),
     "ConstrainedSolution": lambda: solve(care(), subject_to={"anger": ">= -50"}),
+    "CostEffectiveness": lambda: cost_effectiveness(
+        SMALL, {"a": "random", "b": "optimal"}, 50, effect="anger", cost="subtask-complete"
+    ),
     "Curve": lambda: one_way(SMALL, "base.anger", (0, 1), points=3),
     "Explorer": lambda: explore(SMALL, "base.anger"),
     "ErrorCosts": lambda: error_costs(care(), "optimal", ROUGH),

@@ -1,0 +1,143 @@
+"""Cost-effectiveness against loops and closed forms, and the speed of draws of small models."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exact_mdp import (
+    MDP,
+    Family,
+    ModelError,
+    Parameter,
+    cost_effectiveness,
+    evaluate,
+    solve,
+    study,
+    tradeoff,
+)
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "health-economics.md"
+
+
+def build(at):
+    """One step: a treatment gains `gain` for 5, or twice that for 20; nothing is free."""
+    parts = {"qaly": [0, at["gain"], 2 * at["gain"], 0], "cost": [0, at["price"], 20, 0]}
+    rows = [(0, action, [(1, 1, 0)]) for action in range(3)]
+    return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], components=parts)
+
+
+MODEL = Family(parameters={"gain": 1, "price": 5}, build=build)
+POLICIES = {"wait": [0, 0], "treat": [1, 0], "both": [2, 0]}
+SAID = {"gain": {"distribution": "uniform", "low": 0, "high": 2}}
+
+
+@pytest.fixture(scope="module")
+def found():
+    return cost_effectiveness(MODEL, POLICIES, 2000, uncertain=SAID, rng=1)
+
+
+def test_costs_and_effects_are_those_of_each_draw(found) -> None:
+    for d in (0, 1999):
+        mdp = MODEL.at({"gain": float(found.draws[d, 0])})
+        for n, policy in enumerate(POLICIES.values()):
+            parts = evaluate(mdp, policy).components
+            assert found.effect[d, n] == pytest.approx(parts["qaly"])
+            assert found.cost[d, n] == pytest.approx(parts["cost"])
+    net = found.net_benefit(10)
+    assert net == pytest.approx(10 * found.effect - found.cost)
+
+
+def test_curve_frontier_and_evpi_are_the_closed_form(found) -> None:
+    """At λ: waiting is worth 0, treating λ g - 5, both 2 λ g - 20, with g uniform on (0, 2)."""
+    for wtp in (4.0, 10.0, 20.0):
+        one, two = min(5 / wtp, 2), min(15 / wtp, 2)  # where treating, then both, become best
+        exact = np.array([one, two - one, 2 - two]) / 2
+        share = found.acceptability(wtp)[0]
+        assert share == pytest.approx(exact, abs=4 / len(found.draws) ** 0.5)
+        means = [0, wtp - 5, 2 * wtp - 20]
+        best = int(np.argmax(means))
+        assert found.frontier(wtp) == [([*POLICIES][best], share[best])]
+        g = np.linspace(0, 2, 200_001)
+        most = np.maximum(0, np.maximum(wtp * g - 5, 2 * wtp * g - 20)).mean()
+        worth = found.evpi(wtp)
+        assert abs(worth.value - (most - means[best])) < 4 * worth.standard_error
+        known = found.evppi(wtp)["gain"]  # all that is uncertain
+        assert known.regression.value == pytest.approx(worth.value, rel=0.1)
+        assert known.regression.standard_error > 0
+    assert found.frame([4, 10])["best on average"].tolist() == ["wait", "treat"]
+
+
+def test_strategies_that_are_dominated_have_no_icer() -> None:
+    policies = POLICIES | {"again": [1, 0]}
+    at = {"price": {"distribution": "uniform", "low": 5, "high": 5.0001}}
+    table = cost_effectiveness(MODEL, policies, 5, uncertain=at).icers().set_index("strategy")
+    assert table.loc["treat", "ICER"] == pytest.approx(5, rel=1e-4)
+    assert table.loc["both", "ICER"] == pytest.approx(15, rel=1e-4)
+    assert table.loc["again", "status"] == "dominated"
+    dear = cost_effectiveness(
+        MODEL, POLICIES, 5, uncertain={"price": at["price"] | {"low": 12, "high": 13}}
+    )
+    assert dear.icers().set_index("strategy").loc["treat", "status"] == "extendedly dominated"
+
+
+def test_rates_of_a_front_are_icers(found) -> None:
+    front = tradeoff(MODEL.at({}), ["qaly", "saved=-1*cost"])
+    mean = cost_effectiveness(MODEL, POLICIES, 1, uncertain={"gain": {"sd": 1e-9}}).icers()
+    assert [float(edge.rate) for edge in front.edges] == pytest.approx(mean["ICER"].tolist()[1:])
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ModelError, match="unknown component 'qalys'"):
+        cost_effectiveness(MODEL, POLICIES, 5, effect="qalys", uncertain=SAID)
+    with pytest.raises(ModelError, match="no strategy"):
+        cost_effectiveness(MODEL, {}, 5, uncertain=SAID)
+
+
+def test_the_guide_has_the_numbers_of_the_published_model() -> None:
+    """Today's costs and effects of the four strategies, worked out by powers of the matrices."""
+    code = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text("utf-8"), re.M | re.S)[0]
+    names: dict = {}
+    exec(code.partition("found = ")[0], names)
+    mdp = names["model"].at({})
+    for policy in names["strategies"].values():
+        action = mdp.action(policy.removeprefix("always:"))
+        rows = mdp.transition.toarray()[action::4] if mdp.n_pairs == 16 else None
+        parts = evaluate(mdp, policy).components
+        state, total = np.array([1.0, 0, 0, 0]), np.zeros(len(mdp.component_names))
+        for _ in range(6000):
+            total += state @ mdp.components[action::4]
+            state = state @ rows / 1.03
+        assert list(parts.values()) == pytest.approx(total.tolist(), rel=1e-9)
+
+
+# ---- many small models at once -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("discount", [1, "9/10", "999/1000"])
+def test_small_models_at_once_are_those_solved_one_by_one(seed: int, discount: object) -> None:
+    rng = np.random.default_rng(seed)
+    states, sense = int(rng.integers(2, 7)), ("max", "min")[seed % 2]
+    shape = (states - 1, 3, 2)
+    to, gain = rng.integers(states, size=shape), rng.integers(-3, 4, size=shape)
+
+    def build(at):
+        x, end = at["x"], states - 1
+        left, rows = (1 - x) / 2, []
+        for s, a in np.ndindex(shape[:2]):
+            (one, two), (high, low) = to[s, a].tolist(), gain[s, a].tolist()
+            rows.append((s, a, [(x, one, high * x), (left, two, 1), (left, end, low)]))
+        return MDP.from_outcomes([*rows, (end, 0, [(1, end, 0)])], discount, sense=sense)
+
+    model = Family(parameters=(Parameter(name="x", value="1/3", low=0, high=1),), build=build)
+    points = [0.1, "1/3", 0.75]
+    found = study(model, {"x": points}, ["optimal", "random"])
+    for row, x in enumerate(points):
+        mdp = model.at({"x": x})
+        best, own = solve(mdp).start, evaluate(mdp, "random").start
+        assert abs(found.optimal[row] - best.value) <= found.error[row, 0] + best.error
+        assert abs(found.fixed[row, 1] - own.value) <= found.error[row, 2] + own.error
+        assert found.error[row].max() < 1e-9
+        assert found.regret[row, 1] >= 0
