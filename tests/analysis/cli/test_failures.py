@@ -20,6 +20,7 @@ YUAN = Path(__file__).parents[3] / "exact_mdp" / "mdp" / "scenarios" / "yuan2025
 
 def told(err: str, status: int = 2) -> None:
     assert "Traceback" not in err, err
+    err = re.sub(r'\n\{"status": \d, "error": \{.*\}\}\n$', "\n", err)  # with --json
     assert re.fullmatch(r"[A-Z]\w+: [^\n]+\n  where: [^\n]+\n  fix:   [^\n]+\n", err), (status, err)
     assert len(err) < 3500
 
