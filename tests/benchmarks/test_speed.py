@@ -15,7 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from cases.reference import solve_exact
+from oracle import solve_exact
 from strategies import model_of
 
 from exact_mdp import MDP, QLearning, Scenario, certify, solve, train

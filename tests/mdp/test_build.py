@@ -15,7 +15,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from laws import laws
+from model_contents import laws
 
 from exact_mdp import MDP, DistributionError, ModelError, NegativeError, ShapeError, StateSpace
 

@@ -8,9 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import care_oracle
 import gymnasium
 import numpy as np
-import oracle
 import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import chisquare
@@ -75,11 +75,11 @@ def test_without_gymnasium_the_error_names_the_extra() -> None:
 def test_a_step_follows_the_law_of_the_care_model(number: int) -> None:
     """Against the independent implementation: next status, reward and skip together."""
     readings = {"status_cost": "current", "max_trial_rule": "at"}
-    care = oracle.Oracle(readings, max_trial=1)
+    care = care_oracle.Oracle(readings, max_trial=1)
     expected: Counter[tuple[str, float]] = Counter()
     state = (0, 0, 1, (1, 0, 1, 0))
-    for chance, following, rewards, _ in care.outcomes(state, oracle.ACTIONS[number]):
-        label = "".join(map(str, following[3])) if following != oracle.END else "end"
+    for chance, following, rewards, _ in care.outcomes(state, care_oracle.ACTIONS[number]):
+        label = "".join(map(str, following[3])) if following != care_oracle.END else "end"
         expected[label, float(sum(rewards.values()))] += float(chance)
     env = care_env(readings=readings, max_trial=1)
     env.reset(seed=10 + number)

@@ -14,7 +14,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
-from laws import laws
+from model_contents import laws
 from strategies import Rows, models
 
 from exact_mdp import (

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given
-from laws import laws
+from model_contents import laws
 from strategies import Rows, models
 
 from exact_mdp import MDP, ModelError

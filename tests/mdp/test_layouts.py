@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from laws import laws
+from model_contents import laws
 
 from exact_mdp import MDP, DistributionError, ModelError, Policy, ShapeError, certify, check
 

@@ -159,3 +159,13 @@ def test_paths_that_hold_them(tmp_path: Path) -> None:
     assert safe(told.out)
     told = run("convert", "yuan2025", tmp_path / name, "--json", *small)
     assert told.result["written"] == str(tmp_path / name)
+
+
+def test_shown_text_is_the_same_twice() -> None:
+    """Text that was escaped is not escaped again where an error is wrapped in another."""
+    for character in BAD:
+        once = ModelError(f"a{character}b").what
+        assert safe(once) or character == "\n"
+        assert ModelError(once).what == once
+    for name in GOOD:
+        assert ModelError(name).what == name

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from cases.case import row
-from cases.reference import solve_exact
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle import solve_exact
 
 from exact_mdp import (
     MDP,

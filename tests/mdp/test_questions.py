@@ -6,11 +6,11 @@ from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
-import enumerated
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle import each_choice, hitting, hitting_within, rows_of, until, until_within
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, ModelError, Policy, Scenario, certify, evaluate, solve
@@ -38,9 +38,7 @@ def asked(draw: st.DrawFn) -> MDP:
 def test_the_probability_is_that_of_the_best_policy(mdp: MDP, avoiding: bool) -> None:
     target = mdp.labels["target"].tolist()
     allowed = mdp.labels["allowed"].tolist() if avoiding else [True] * mdp.n_states
-    every = [
-        enumerated.hitting(mdp, choice, target, allowed) for choice in enumerated.policies(mdp)
-    ]
+    every = [hitting(rows_of(mdp, choice), target, allowed) for choice in each_choice(mdp)]
     best = [SENSES[mdp.sense](column) for column in zip(*every, strict=True)]
     model = mdp.reaching("target", "allowed" if avoiding else None)
     proof = certify(model)
@@ -48,9 +46,9 @@ def test_the_probability_is_that_of_the_best_policy(mdp: MDP, avoiding: bool) ->
     assert proof.violations() == []
     low, high = solve(model).start.interval
     assert low <= best[mdp.start[0][0]] <= high
-    choice = next(enumerated.policies(mdp))
+    choice = next(each_choice(mdp))
     held = Policy.of(mdp, mdp.pair_action[list(choice)])
-    mine = enumerated.hitting(mdp, choice, target, allowed)[mdp.start[0][0]]
+    mine = hitting(rows_of(mdp, choice), target, allowed)[mdp.start[0][0]]
     assert evaluate(model, held).mean == pytest.approx(float(mine), abs=1e-12)
 
 
@@ -59,7 +57,7 @@ def test_the_probability_is_that_of_the_best_policy(mdp: MDP, avoiding: bool) ->
 def test_the_reward_until_then_is_that_of_the_best_policy(mdp: MDP) -> None:
     """Infinite where the target is not reached almost surely: under some policy, or under all."""
     target = mdp.labels["target"].tolist()
-    every = [enumerated.until(mdp, choice, target) for choice in enumerated.policies(mdp)]
+    every = [until(rows_of(mdp, choice), target) for choice in each_choice(mdp)]
     best = [SENSES[mdp.sense](column) for column in zip(*every, strict=True)]
     model = mdp.until("target")
     assert model.goal is not None
@@ -111,8 +109,8 @@ def test_within_n_steps_means_the_same_before_and_after_a_question(
     target, start = mdp.labels["target"].tolist(), mdp.start[0][0]
     allowed = mdp.labels["allowed"].tolist() if avoiding else [True] * mdp.n_states
     through = "allowed" if avoiding else None
-    best = enumerated.hitting_within(mdp, target, allowed, steps)[start]
-    cost = enumerated.until_within(mdp, target, steps)[start]
+    best = hitting_within(mdp, target, allowed, steps)[start]
+    cost = until_within(mdp, target, steps)[start]
     for model, answer in (
         (mdp.reaching("target", through).within(steps), best),
         (mdp.within(steps).reaching("target", through), best),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracle import ACTIONS, CLEAR, Oracle, acting
+from care_oracle import ACTIONS, CLEAR, Oracle, acting
 
 from exact_mdp import ModelError, Scenario, return_distribution
 from exact_mdp.paper_repro import run

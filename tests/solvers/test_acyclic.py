@@ -6,9 +6,9 @@ from fractions import Fraction as F
 
 import numpy as np
 import pytest
-from cases.reference import evaluate_exact, solve_exact
 from hypothesis import given
-from model_equality import is_acyclic
+from model_contents import is_acyclic
+from oracle import evaluate_exact, solve_exact
 from strategies import Rows, exact_values, models
 
 from exact_mdp import MDP, BackwardInduction, solve

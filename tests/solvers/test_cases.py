@@ -10,7 +10,7 @@ from functools import cache
 import pytest
 from cases import BY_NAME, CASES, Case
 from cases.case import Number, Pair
-from cases.reference import evaluate_exact, every_policy_ends, solve_exact
+from oracle import evaluate_exact, every_policy_ends, solve_exact
 
 each_case = pytest.mark.parametrize("case", CASES, ids=str)
 

@@ -7,10 +7,10 @@ from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 
-import enumerated
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from oracle import each_choice, policy_values, rows_of
 from strategies import DISCOUNTS, Rows, models
 
 from exact_mdp import (
@@ -40,7 +40,9 @@ COSTS = MDP.from_arrays(
 @given(models(discounts=DISCOUNTS))
 def test_the_least_over_all_policies(rows: Rows) -> None:
     costs = rows.model().with_(sense="min")
-    every = [enumerated.discounted(costs, choice) for choice in enumerated.policies(costs)]
+    every = [
+        policy_values(rows_of(costs, choice), costs.discount_exact) for choice in each_choice(costs)
+    ]
     least = [min(column) for column in zip(*every, strict=True)]
     proof = certify(costs)
     assert proof.value.tolist() == least
@@ -54,10 +56,10 @@ def test_the_least_over_all_policies(rows: Rows) -> None:
     assert bounds.violations() == []
     for low, value, high in zip(bounds.lower, least, bounds.upper, strict=True):
         assert F(float(low)) <= value <= F(float(high))
-    for choice in islice(enumerated.policies(costs), 3):
+    for choice in islice(each_choice(costs), 3):
         held = Policy.of(costs, costs.pair_action[list(choice)])
         audit = check(costs, held)
-        lost = enumerated.discounted(costs, choice)[0] - least[0]
+        lost = policy_values(rows_of(costs, choice), costs.discount_exact)[0] - least[0]
         assert audit.regret.at_start.value == lost >= 0
         assert audit.passed == (lost == 0)
         assert (audit.regret.optimal.value, audit.mdp) == (least[0], costs)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from large_models import garnet
+from made_models import garnet
 from strategies import Rows, models
 
 from exact_mdp import MDP, SOLVERS, ModelError, certify, evaluate, solve

@@ -5,9 +5,9 @@ from __future__ import annotations
 from fractions import Fraction as F
 
 import pytest
-from cases.reference import solve_exact
 from hypothesis import given, settings
-from large_models import garnet
+from made_models import garnet
+from oracle import solve_exact
 from strategies import Rows, models
 
 from exact_mdp import LinearProgram, PolicyIteration, Scenario, certify, solve

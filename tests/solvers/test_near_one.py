@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from large_models import classes
+from made_models import classes
 
 from exact_mdp import (
     MDP,

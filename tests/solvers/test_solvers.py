@@ -12,7 +12,7 @@ import pytest
 import scipy.sparse as sp
 from cases import BY_NAME, CASES, Case
 from hypothesis import given, settings
-from model_equality import is_acyclic
+from model_contents import is_acyclic
 from solver_checks import (
     BRIEF,
     QUICK,

@@ -7,11 +7,11 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import combinations, product
 
-import enumerated
 import numpy as np
 import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from oracle import each_choice, policy_values, rows_of, solved, until
 from strategies import models
 
 from exact_mdp import MDP, ConstrainedSolution, evaluate
@@ -58,7 +58,7 @@ def totals(mdp: MDP, names: list[str]) -> list[tuple[Fraction, ...]]:
             top, bottom = mdp.table.expected_gain_exact()
         table = replace(mdp.table, gain=top, gain_denominator=bottom)
         alone = mdp.with_(table=table)
-        each.append([value_at_start(alone, choice) for choice in enumerated.policies(alone)])
+        each.append([value_at_start(alone, choice) for choice in each_choice(alone)])
     return list(zip(*each, strict=True))
 
 
@@ -74,9 +74,9 @@ def going_on(mdp: MDP) -> NDArray[np.int64]:
 
 def value_at_start(mdp: MDP, choice: tuple[int, ...]) -> Fraction:
     value: Sequence[Fraction | float] = (
-        enumerated.discounted(mdp, choice)
+        policy_values(rows_of(mdp, choice), mdp.discount_exact)
         if mdp.discount_exact < 1
-        else enumerated.until(mdp, choice, mdp.terminal.tolist())
+        else until(rows_of(mdp, choice), mdp.terminal.tolist())
     )
     return sum((weight * F(value[state]) for state, weight in mdp.start), F(0))
 
@@ -150,8 +150,10 @@ def best_under(
     for count in range(1, len(limits) + 2):
         for mixed, tight in product(combinations(points, count), combinations(limits, count - 1)):
             rows = [[F(1)] * count] + [[point[k] for point in mixed] for k, _, _ in tight]
-            shares = enumerated.solution(rows, [F(1)] + [bound for _, _, bound in tight])
-            if shares is None or min(shares) < 0:
+            mixtures = solved(
+                map(dict, map(enumerate, rows)), [F(1)] + [bound for _, _, bound in tight]
+            )
+            if mixtures is None or min(shares := mixtures[0]) < 0:
                 continue
             total = [sum(x * p[k] for x, p in zip(shares, mixed, strict=True)) for k in range(3)]
             if all(sign * (total[k] - bound) >= 0 for k, sign, bound in limits):

@@ -1,427 +1,372 @@
-"""A slow, exact reference for the care model: fractions and dictionaries, no shared code.
+"""One exact reference for small models: plain fractions, and no code of the toolkit.
 
-A state is ``(subtask k, failed trials t, flag c, status s)`` or ``"end"``; a status is the four
-bits forgetfulness, confusion, anger, disengagement. The flag is 1 while no subtask of the current
-task was skipped; it stays 1 except under ``task_bonus = "no-subtask-skipped"``.
+A model is its rows (state, action, expected reward, {next state: probability}), a policy the rows
+that its states take, in their order. All equations are solved by one elimination, `solved`.
+`rows_of` reads the rows of a model off its table of outcomes.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from fractions import Fraction
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from fractions import Fraction as F
 from itertools import product
-from math import lcm
-from random import Random
+from math import inf, lcm
 from typing import Any
 
-Status = tuple[int, int, int, int]
-State = tuple[int, int, int, Status] | str
-Policy = Callable[[State], Mapping[str, Fraction]]
-Outcome = tuple[Fraction, State, dict[str, Fraction], bool]
-
-END = "end"
-CLEAR: Status = (0, 0, 0, 0)
-STATUSES = ("forgetfulness", "confusion", "anger", "disengagement")
-ACTIONS = ("none", "supportive", "non-directive", "directive")
-STATUS_WEIGHTS = ("forget", "confuse", "anger", "disengaged")
-COMPONENTS = (
-    *STATUS_WEIGHTS,
-    *("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete"),
-    *(f"assist.{action}" for action in ACTIONS),
-)
-READINGS: dict[str, tuple[str, ...]] = {
-    "influence_orientation": ("row-to-column", "column-to-row"),
-    "influence_on_present": ("none", "additive"),
-    "status_cost": ("next", "current"),
-    "trial_cost": ("every-trial", "failed-trials"),
-    "max_trial_rule": ("at", "after"),
-    "skip_timestep": ("same", "own"),
-    "skip_onset": ("none", "base", "reset"),
-    "task_bonus": ("always", "last-subtask-completed", "no-subtask-skipped"),
-}
-TABLE_3 = {  # in per cent: the base, then the row as printed, its diagonal being the persistence
-    "forgetfulness": (30, (99, 5, 6, 2)),
-    "confusion": (30, (7, 99, 8, 2)),
-    "anger": (5, (7, 8, 100, 10)),
-    "disengagement": (20, (7, 10, 20, 99)),
-}
-ASSISTANCE = {  # in per cent: the chance that a present status stays
-    "supportive": {"anger": 5, "disengagement": 5},
-    "non-directive": {"forgetfulness": 40, "confusion": 60},
-    "directive": {"forgetfulness": 5, "confusion": 5},
-}
-TABLE_4 = dict(zip(COMPONENTS, (-1, -1, -5, -1, -1, 50, -10, -1, 20, 0, -1, -3, -5), strict=True))
+Row = tuple[int, int, F, Mapping[int, F]]
+Vector = list[F]
+Values = list[F | float]  # some may be infinite
 
 
-def default_parameters() -> dict[str, Fraction]:
-    """All parameters by name, as Tables 3 and 4 and the text give them."""
-    values: dict[str, Fraction] = {}
-    for row, (base, entries) in TABLE_3.items():
-        values[f"base.{row}"] = Fraction(base, 100)
-        for column, entry in zip(STATUSES, entries, strict=True):
-            name = f"persistence.{row}" if row == column else f"influence.{row}.{column}"
-            values[name] = Fraction(entry, 100)
-    for action, stays in ASSISTANCE.items():
-        for status, percent in stays.items():
-            values[f"assistance.{action}.{status}.persistence"] = Fraction(percent, 100)
-            values[f"assistance.{action}.{status}.onset"] = Fraction(0)
-    for status in ("forgetfulness", "confusion"):
-        values[f"skip.{status}.alone"] = Fraction(1, 5)
-        values[f"skip.{status}.with-other"] = Fraction(1, 2)
-    for status in ("anger", "disengagement"):
-        values[f"skip.{status}.persistence"] = Fraction(1, 2)
-    for name, weight in TABLE_4.items():
-        values[f"reward.{name}"] = Fraction(weight)
-    return values
+# ---- equations -----------------------------------------------------------------------------------
 
 
-class Oracle:
-    """The care model under one choice of readings, tasks and parameters."""
-
-    def __init__(
-        self,
-        readings: Mapping[str, str] | None = None,
-        tasks: Sequence[int] = (3,),
-        max_trial: int = 5,
-        discount: Fraction = Fraction(1),
-        parameters: Mapping[str, Fraction] | None = None,
-    ) -> None:
-        self.readings = {name: options[0] for name, options in READINGS.items()}
-        self.readings.update(readings or {})
-        self.parameters = default_parameters()
-        known = set(self.parameters)
-        self.parameters.update({k: Fraction(v) for k, v in (parameters or {}).items()})
-        if set(self.readings) != set(READINGS) or set(self.parameters) != known:
-            raise ValueError("unknown reading or parameter")
-        if any(self.readings[name] not in options for name, options in READINGS.items()):
-            raise ValueError("unknown option of a reading")
-        self.tasks = list(tasks)
-        self.trials = max_trial + (self.readings["max_trial_rule"] == "after")  # M
-        self.discount = Fraction(discount)
-        self.start: State = (0, 0, 1, CLEAR)
-        # for every subtask, whether it is the last of its task
-        self.last = [i == size - 1 for size in self.tasks for i in range(size)]
-        self._outcomes: dict[tuple[State, str], list[Outcome]] = {}
-        self._optimal: dict[State, tuple[Fraction, frozenset[str]]] = {
-            END: (Fraction(0), frozenset())
-        }
-
-    # ------------------------------------------------------------ the chances
-
-    def influence(self, j: int, i: int) -> Fraction:
-        """What status j, when present now, adds to the chance of status i next."""
-        if self.readings["influence_orientation"] == "row-to-column":
-            return self.parameters[f"influence.{STATUSES[j]}.{STATUSES[i]}"]
-        return self.parameters[f"influence.{STATUSES[i]}.{STATUSES[j]}"]
-
-    def unassisted(self, s: Status, i: int, present: int) -> Fraction:
-        """The chance of status i next without assistance, it being `present` now, others as s."""
-        pushes = sum((self.influence(j, i) for j in range(4) if j != i and s[j]), Fraction(0))
-        if present == 0:
-            return min(Fraction(1), self.parameters[f"base.{STATUSES[i]}"] + pushes)
-        persistence = self.parameters[f"persistence.{STATUSES[i]}"]
-        if self.readings["influence_on_present"] == "additive":
-            return min(Fraction(1), persistence + pushes)
-        return persistence
-
-    def chances(self, s: Status, action: str) -> list[Fraction]:
-        """The chance of each status being 1 next, under one of the four assistive actions."""
-        result = []
-        for i, status in enumerate(STATUSES):
-            kind = "persistence" if s[i] else "onset"
-            assisted = self.parameters.get(f"assistance.{action}.{status}.{kind}")
-            result.append(self.unassisted(s, i, s[i]) if assisted is None else assisted)
-        return result
-
-    def skip_chances(self, s: Status) -> list[Fraction]:
-        """The chance of each status being 1 after a skip in status s."""
-        if self.readings["skip_onset"] == "reset":
-            return [Fraction(0)] * 4
-        result = []
-        for i, status in enumerate(STATUSES):
-            if s[i] == 0:
-                base = self.readings["skip_onset"] == "base"
-                result.append(self.unassisted(s, i, 0) if base else Fraction(0))
-            elif i < 2:
-                other = "with-other" if s[1 - i] else "alone"
-                result.append(self.parameters[f"skip.{status}.{other}"])
-            else:
-                result.append(self.parameters[f"skip.{status}.persistence"])
-        return result
-
-    # ------------------------------------------------------------ one timestep
-
-    def actions(self, state: State) -> tuple[str, ...]:
-        """The actions that may be taken in a state; none at the end."""
-        if isinstance(state, str):
-            return ()
-        return ("skip",) if state[1] == self.trials else ACTIONS
-
-    def outcomes(self, state: State, action: str) -> list[Outcome]:
-        """What one timestep can lead to: (probability, next state, rewards, skipped)."""
-        if action not in self.actions(state):
-            raise ValueError(f"no action {action!r} in {state!r}")
-        if (state, action) not in self._outcomes:
-            merged: dict[Any, Fraction] = defaultdict(Fraction)
-            for probability, nxt, names, skipped in self._branches(state, action):
-                merged[nxt, names, skipped] += probability
-            self._outcomes[state, action] = [
-                (probability, nxt, {n: self.parameters[f"reward.{n}"] for n in names}, skipped)
-                for (nxt, names, skipped), probability in merged.items()
-                if probability > 0
-            ]
-        return self._outcomes[state, action]
-
-    def _branches(self, state: State, action: str) -> Iterable[tuple[Fraction, State, Any, bool]]:
-        """The outcomes before merging, rewards as the names of the weights earned."""
-        assert not isinstance(state, str)
-        k, t, c, s = state
-        if action == "skip":  # only where skipping takes a timestep of its own
-            for p, z in independent(self.skip_chances(s)):
-                earned = {"timestep", *self._status_names(s, z), *self._skip_names(k)}
-                yield p, self._move_on(k, c, z, skipped=True), frozenset(earned), True
-            return
-        for p, s2 in independent(self.chances(s, action)):
-            earned = {"timestep", *self._status_names(s, s2)}
-            if s2 == CLEAR:
-                earned |= {"subtask-complete", f"assist.{action}"}
-                if self.readings["trial_cost"] == "every-trial":
-                    earned.add("trial")
-                if self.last[k] and c:
-                    earned.add("task-complete")
-                yield p, self._move_on(k, c, CLEAR, skipped=False), frozenset(earned), False
-                continue
-            earned.add("trial")
-            if t + 1 < self.trials or self.readings["skip_timestep"] == "own":
-                yield p, (k, t + 1, c, s2), frozenset(earned), False
-                continue
-            earned |= self._skip_names(k)
-            for q, z in independent(self.skip_chances(s2)):
-                yield p * q, self._move_on(k, c, z, skipped=True), frozenset(earned), True
-
-    def _status_names(self, now: Status, nxt: Status) -> set[str]:
-        paid = nxt if self.readings["status_cost"] == "next" else now
-        return {name for name, bit in zip(STATUS_WEIGHTS, paid, strict=True) if bit}
-
-    def _skip_names(self, k: int) -> set[str]:
-        paid = self.last[k] and self.readings["task_bonus"] == "always"
-        return {"subtask-skip", "task-complete"} if paid else {"subtask-skip"}
-
-    def _move_on(self, k: int, c: int, z: Status, skipped: bool) -> State:
-        if k + 1 == len(self.last):
-            return END
-        if skipped and self.readings["task_bonus"] == "no-subtask-skipped":
-            c = 0
-        return (k + 1, 0, 1 if self.last[k] else c, z)
-
-    # ------------------------------------------------------------ optimum and policies
-
-    def reachable(self, extra: Iterable[State] = ()) -> set[State]:
-        """All states reachable from the start (and `extra`) under any actions."""
-        found: set[State] = {self.start, *extra}
-        todo = list(found)
-        while todo:
-            state = todo.pop()
-            for action in self.actions(state):
-                for _, nxt, _, _ in self.outcomes(state, action):
-                    if nxt not in found:
-                        found.add(nxt)
-                        todo.append(nxt)
-        return found
-
-    def value(self, state: State) -> Fraction:
-        """The optimal expected discounted return from a state."""
-        return self._best(state)[0]
-
-    def optimal_actions(self, state: State) -> frozenset[str]:
-        """Every action that attains the optimal value; empty at the end."""
-        return self._best(state)[1]
-
-    def _best(self, state: State) -> tuple[Fraction, frozenset[str]]:
-        if state not in self._optimal:  # (k, t) only grows: the recursion ends, and is shallow
-            worth = {
-                action: sum(
-                    (
-                        p * (sum(rewards.values()) + self.discount * self.value(nxt))
-                        for p, nxt, rewards, _ in self.outcomes(state, action)
-                    ),
-                    Fraction(0),
-                )
-                for action in self.actions(state)
-            }
-            best = max(worth.values())
-            self._optimal[state] = (best, frozenset(a for a in worth if worth[a] == best))
-        return self._optimal[state]
-
-    def optimal(
-        self, extra: Iterable[State] = ()
-    ) -> tuple[dict[State, Fraction], dict[State, frozenset[str]]]:
-        """Optimal values and optimal action sets of all reachable states."""
-        states = self.reachable(extra)
-        return {x: self.value(x) for x in states}, {x: self.optimal_actions(x) for x in states}
-
-    def _choices(self, policy: Policy, state: State) -> Mapping[str, Fraction]:
-        only = self.actions(state)
-        choices = {only[0]: Fraction(1)} if len(only) == 1 else policy(state)
-        if sum(choices.values()) != 1 or min(choices.values()) < 0:
-            raise ValueError(f"no distribution over actions in {state!r}")
-        return choices
-
-    def evaluate(self, policy: Policy, distribution: bool = True) -> dict[str, Any]:
-        """Exact figures of the return under a policy; single-action states need none."""
-        zero, g = Fraction(0), self.discount
-        figures = ("mean", "square", "steps", "skip", *COMPONENTS)
-        memo: dict[State, dict[str, Fraction]] = {END: dict.fromkeys(figures, zero)}
-        spreads: dict[State, dict[Fraction, Fraction]] = {END: {zero: Fraction(1)}}
-
-        def at(state: State) -> dict[str, Fraction]:
-            """Expectations over the rest of the episode, from a state on."""
-            if state in memo:
-                return memo[state]
-            here = {**dict.fromkeys(figures, zero), "steps": Fraction(1)}
-            to: dict[State, Fraction] = defaultdict(Fraction)
-            jumps: dict[tuple[State, Fraction], Fraction] = defaultdict(Fraction)
-            for action, share in self._choices(policy, state).items():
-                for p, nxt, rewards, skipped in self.outcomes(state, action) if share else ():
-                    w, r, later = share * p, sum(rewards.values(), zero), at(nxt)
-                    to[nxt] += w
-                    jumps[nxt, r] += w
-                    here["skip"] += w * (1 if skipped else later["skip"])
-                    for name, reward in rewards.items():
-                        here[name] += w * reward
-            for nxt, w in to.items():
-                here["steps"] += w * at(nxt)["steps"]
-                for name in COMPONENTS:
-                    here[name] += w * g * at(nxt)[name]
-            for (nxt, r), w in jumps.items():  # E(r + g G) and E(r + g G)^2
-                mean, square = at(nxt)["mean"], at(nxt)["square"]
-                here["mean"] += w * (r + g * mean)
-                here["square"] += w * (r * r + 2 * r * g * mean + g * g * square)
-            if distribution and g == 1:
-                terms: dict[Fraction, list[Fraction]] = defaultdict(list)
-                for (nxt, r), w in jumps.items():
-                    for rest, p in spreads[nxt].items():
-                        terms[r + rest].append(w * p)
-                spreads[state] = {x: total(found) for x, found in terms.items()}
-            memo[state] = here
-            return here
-
-        found = at(self.start)
-        return {
-            "mean": found["mean"],
-            "variance": found["square"] - found["mean"] ** 2,
-            "steps": found["steps"],
-            "skip_probability": found["skip"],
-            "components": {name: found[name] for name in COMPONENTS},
-            "distribution": spreads.get(self.start),
-        }
-
-    # ------------------------------------------------------------ sampling
-
-    def simulate(self, policy: Policy, episodes: int, rng: Random) -> list[float]:
-        """Discounted returns of sampled episodes, following the rules and not `outcomes`."""
-        chances = {  # as floats, and looked up rather than worked out anew: for speed only
-            (s, action): [float(p) for p in kernel]
-            for _, s in independent([Fraction(1, 2)] * 4)
-            for action, kernel in [
-                ("skip", self.skip_chances(s)),
-                *((action, self.chances(s, action)) for action in ACTIONS),
-            ]
-        }
-        return [self._episode(policy, rng, chances) for _ in range(episodes)]
-
-    def _episode(
-        self, policy: Policy, rng: Random, chances: Mapping[tuple[Status, str], list[float]]
-    ) -> float:
-        weight = {name: float(self.parameters[f"reward.{name}"]) for name in COMPONENTS}
-        flagged = self.readings["task_bonus"] == "no-subtask-skipped"
-        gained, scale, k, s = 0.0, 1.0, 0, CLEAR
-
-        def step(now: Status, action: str) -> tuple[Status, float]:
-            """The next status, and what the timestep and the statuses cost."""
-            nxt = draw_bits(chances[now, action], rng)
-            paid = nxt if self.readings["status_cost"] == "next" else now
-            costs = (weight[n] for n, bit in zip(STATUS_WEIGHTS, paid, strict=True) if bit)
-            return nxt, weight["timestep"] + sum(costs)
-
-        for size in self.tasks:
-            skips_in_task = 0
-            for position in range(size):
-                done, reward = False, 0.0
-                for trial in range(self.trials):
-                    flag = 0 if flagged and skips_in_task else 1
-                    action = draw_action(policy((k, trial, flag, s)), rng)
-                    s, reward = step(s, action)
-                    done = s == CLEAR
-                    if done:
-                        reward += weight["subtask-complete"] + weight[f"assist.{action}"]
-                        break
-                    reward += weight["trial"]
-                    if trial + 1 < self.trials:
-                        gained, scale = gained + scale * reward, scale * float(self.discount)
-                if done:
-                    if self.readings["trial_cost"] == "every-trial":
-                        reward += weight["trial"]
-                else:
-                    skips_in_task += 1
-                    if self.readings["skip_timestep"] == "own":
-                        gained, scale = gained + scale * reward, scale * float(self.discount)
-                        s, reward = step(s, "skip")
-                    else:
-                        s = draw_bits(chances[s, "skip"], rng)
-                    reward += weight["subtask-skip"]
-                if position + 1 == size:
-                    bonus = {
-                        "always": True,
-                        "last-subtask-completed": done,
-                        "no-subtask-skipped": skips_in_task == 0,
-                    }
-                    reward += weight["task-complete"] * bonus[self.readings["task_bonus"]]
-                gained, scale = gained + scale * reward, scale * float(self.discount)
-                k += 1
-        return gained
+def solved(rows: Iterable[Mapping[int, F]], *right: Sequence[F]) -> list[Vector] | None:
+    """Return x with rows · x = b for each right side b; None unless there is one such x."""
+    above: dict[int, tuple[dict[int, F], Vector]] = {}  # by the column that was solved for
+    for number, (given, *values) in enumerate(zip(rows, *right, strict=True)):
+        row = dict(given)
+        for column, (other, known) in above.items():
+            if factor := row.pop(column, F(0)):
+                for c, x in other.items():
+                    row[c] = row.get(c, F(0)) - factor * x
+                values = [v - factor * k for v, k in zip(values, known, strict=True)]
+        row = {c: x for c, x in row.items() if x}
+        if not row:
+            return None
+        column = number if number in row else min(row)
+        pivot = row.pop(column)
+        above[column] = {c: x / pivot for c, x in row.items()}, [v / pivot for v in values]
+    found: dict[int, Vector] = {}
+    for column, (row, values) in reversed(above.items()):
+        found[column] = [
+            v - sum((x * found[c][k] for c, x in row.items()), F(0)) for k, v in enumerate(values)
+        ]
+    return [[found[s][k] for s in sorted(found)] for k in range(len(right))]
 
 
-def independent(chances: Sequence[Fraction]) -> Iterable[tuple[Fraction, Status]]:
-    """Every status with its probability, the four bits being independent."""
-    for f, c, a, d in product((0, 1), repeat=4):
-        p = Fraction(1)
-        for bit, chance in zip((f, c, a, d), chances, strict=True):
-            p *= chance if bit else 1 - chance
-        if p > 0:
-            yield p, (f, c, a, d)
+def fixed_point(right: Sequence[F], moves: Sequence[Mapping[int, F]]) -> Vector:
+    """x = right + moves x."""
+    found = solved([_less(s, row) for s, row in enumerate(moves)], right)
+    if found is None:
+        raise ValueError("at discount 1 this policy never ends: it has no value")
+    return found[0]
 
 
-def total(terms: Sequence[Fraction]) -> Fraction:
-    """The exact sum, over one common denominator: much faster than adding one by one."""
-    common = lcm(*(term.denominator for term in terms))
-    return Fraction(sum(t.numerator * (common // t.denominator) for t in terms), common)
+def _less(state: int, row: Mapping[int, F]) -> dict[int, F]:
+    """A row of I - P."""
+    return {t: -p for t, p in row.items()} | {state: 1 - row.get(state, F(0))}
 
 
-def draw_bits(chances: Sequence[float], rng: Random) -> Status:
-    """Four independent draws."""
-    f, c, a, d = (int(rng.random() < chance) for chance in chances)
-    return f, c, a, d
+def mean(row: Mapping[int, F], values: Sequence[F]) -> F:
+    return sum((p * values[t] for t, p in row.items()), F(0))
 
 
-def draw_action(choices: Mapping[str, Fraction], rng: Random) -> str:
-    """One action, drawn with the given probabilities."""
-    return rng.choices(list(choices), [float(p) for p in choices.values()])[0]
+# ---- models and their policies -------------------------------------------------------------------
 
 
-def oracle_of(scenario: Any, changes: Mapping[str, Fraction] = {}) -> Oracle:
-    """Return the independent model of a scenario's settings, some of its numbers changed."""
-    values = {**scenario.values(), "discount": scenario.discount, **changes}
-    discount = values.pop("discount")
-    return Oracle(dict(scenario.readings), scenario.tasks, scenario.max_trial, discount, values)
+def rows_of(mdp: Any, pairs: Iterable[int] | None = None) -> list[Row]:
+    """Return the rows of a model's pairs, or of some, such as those that a policy takes."""
+    found: list[Row] = []
+    for pair in range(mdp.n_pairs) if pairs is None else pairs:
+        law: dict[int, F] = {}
+        for p, t, _ in mdp.table.row(pair):
+            law[t] = law.get(t, F(0)) + p
+        reward = sum((p * r for p, _, r in mdp.table.row(pair)), F(0))
+        found.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), reward, law))
+    return found
 
 
-def acting(actions: Mapping[str, str]) -> Callable[[State], dict[str, Fraction]]:
-    """Return the policy that takes the action of a status, such as 0110, in all its states."""
+def each_choice(mdp: Any) -> Iterator[tuple[int, ...]]:
+    """Every deterministic policy of a model, as one pair for each state."""
+    return product(*(mdp.pairs_of(state) for state in range(mdp.n_states)))
 
-    def policy(state: State) -> dict[str, Fraction]:
-        assert not isinstance(state, str)
-        return {actions["".join(map(str, state[3]))]: Fraction(1)}
 
+def policies(rows: Iterable[Row]) -> Iterator[tuple[Row, ...]]:
+    """Every deterministic policy, as the rows that it takes."""
+    by_state: dict[int, list[Row]] = {}
+    for row in rows:
+        by_state.setdefault(row[0], []).append(row)
+    return product(*(by_state[s] for s in sorted(by_state)))
+
+
+def policy_values(policy: Sequence[Row], rate: F, ended: Collection[int] = ()) -> Vector:
+    """V = r + γ P V of a policy; states that have ended are worth 0."""
+    earned = [F(0) if s in ended else r for s, _, r, _ in policy]
+    return fixed_point(
+        earned,
+        [{} if s in ended else {t: rate * p for t, p in law.items()} for s, _, _, law in policy],
+    )
+
+
+def visits(start: Mapping[int, F], moves: Sequence[Mapping[int, F]]) -> Vector:
+    """d(t) = start(t) + Σ d(s) moves(s, t): how often each state is visited."""
+    back: list[dict[int, F]] = [{} for _ in moves]
+    for s, row in enumerate(moves):
+        for t, p in row.items():
+            back[t][s] = p
+    return fixed_point([start.get(s, F(0)) for s in range(len(moves))], back)
+
+
+# ---- the best policies, by policy iteration -----------------------------------------------------
+
+
+def solve_exact(n_states: int, pairs: Iterable[Row], discount: F) -> tuple[Vector, list[set[int]]]:
+    """Return the optimal values and, for each state, the set of all its optimal actions.
+
+    Move every state to an action of larger q(s, a), evaluate, and again (Howard 1960). At discount
+    1 the search starts from a policy that ends, in states whose every action is a self loop without
+    reward; they are worth 0. Where another policy never ends, the answer still holds if each such
+    policy loses without bound (Bertsekas and Tsitsiklis 1991).
+    """
+    model = _by_state(n_states, pairs)
+    ended, policy = _absorbing(model), _ending_policy(model)
+    while True:
+        v = policy_values([model[s][policy[s]] for s in range(n_states)], discount, ended)
+        q = [{a: r + discount * mean(law, v) for _, a, r, law in x.values()} for x in model]
+        worse = [s for s in range(n_states) if q[s][policy[s]] < max(q[s].values())]
+        if not worse:
+            return v, [{a for a in q[s] if q[s][a] == v[s]} for s in range(n_states)]
+        for s in worse:
+            policy[s] = max(q[s], key=q[s].__getitem__)
+
+
+def evaluate_exact(
+    n_states: int, pairs: Iterable[Row], discount: F, policy: Mapping[int, int]
+) -> Vector:
+    """Return the values of a policy given as {state: action}."""
+    model = _by_state(n_states, pairs)
+    return policy_values(
+        [model[s][policy[s]] for s in range(n_states)], discount, _absorbing(model)
+    )
+
+
+def every_policy_ends(n_states: int, pairs: Iterable[Row]) -> bool:
+    """Whether no policy can stay for ever among the states that are not absorbing."""
+    inside = set(range(n_states)) - _absorbing(model := _by_state(n_states, pairs))
+    while True:
+        stay = {s for s in inside if any(inside.issuperset(r[3]) for r in model[s].values())}
+        if stay == inside:
+            return not inside
+        inside = stay
+
+
+def _by_state(n_states: int, pairs: Iterable[Row]) -> list[dict[int, Row]]:
+    model: list[dict[int, Row]] = [{} for _ in range(n_states)]
+    for s, a, r, law in pairs:
+        if a in model[s] or min(law.values()) <= 0 or sum(law.values()) != 1:
+            raise ValueError(f"state {s}, action {a}: given twice, or not a distribution")
+        model[s][a] = (s, a, r, law)
+    return model
+
+
+def _absorbing(model: list[dict[int, Row]]) -> set[int]:
+    return {
+        s
+        for s, rows in enumerate(model)
+        if all(r == 0 and law == {s: 1} for _, _, r, law in rows.values())
+    }
+
+
+def _ending_policy(model: list[dict[int, Row]]) -> dict[int, int]:
+    """Any policy, but one that reaches the absorbing states from wherever that is possible."""
+    policy = {s: min(rows) for s, rows in enumerate(model)}
+    done, before = _absorbing(model), -1
+    while len(done) > before:
+        before = len(done)
+        for s in set(policy) - done:
+            if near := [a for a, row in model[s].items() if not done.isdisjoint(row[3])]:
+                policy[s] = near[0]
+                done.add(s)
     return policy
+
+
+# ---- labels: what is reached --------------------------------------------------------------------
+
+
+def hitting(policy: Sequence[Row], target: Sequence[bool], allowed: Sequence[bool]) -> Vector:
+    """The probability of reaching the target through allowed states: 0 where no path leads to it,
+    and there the equations are not asked, so that they have one solution."""
+    some = _leading_to(policy, [bool(t) for t in target], lambda s: bool(allowed[s]))
+    moves = [law if some[s] and allowed[s] and not target[s] else {} for s, _, _, law in policy]
+    return fixed_point([F(bool(t)) for t in target], moves)
+
+
+def until(policy: Sequence[Row], target: Sequence[bool]) -> Values:
+    """The expected reward until the target; infinite where it is not reached almost surely."""
+    sure = hitting(policy, target, [True] * len(policy))
+    ended = {s for s, chance in enumerate(sure) if chance < 1 or target[s]}
+    found = policy_values(policy, F(1), ended)
+    return [v if chance == 1 else inf for v, chance in zip(found, sure, strict=True)]
+
+
+def _leading_to(
+    policy: Sequence[Row], found: list[bool], through: Callable[[int], bool]
+) -> list[bool]:
+    """Whether a path leads to the states found, step by step, through some states."""
+    while True:
+        more = [found[s] or (through(s) and any(found[t] for t in law)) for s, _, _, law in policy]
+        if more == found:
+            return found
+        found = more
+
+
+def hitting_within(mdp: Any, target: Sequence[bool], allowed: Sequence[bool], steps: int) -> Vector:
+    """The best probability of reaching the target within N steps, through allowed states."""
+    best, found = max if mdp.sense == "max" else min, [F(bool(t)) for t in target]
+    for _ in range(steps):
+        after, rows = found, rows_by_state(mdp)
+        found = [
+            F(1) if target[s] else best(mean(law, after) for law in laws) if allowed[s] else F(0)
+            for s, laws in enumerate([[law for *_, law in each] for each in rows])
+        ]
+    return found
+
+
+def until_within(mdp: Any, target: Sequence[bool], steps: int) -> Values:
+    """The best reward until the target; at discount 1 infinite unless N steps are surely enough."""
+    best, rate = max if mdp.sense == "max" else min, mdp.discount_exact
+    found: Values = [F(0) if t else inf if rate == 1 else F(0) for t in target]
+    for _ in range(steps):
+        after = found
+        found = [
+            F(0)
+            if target[s]
+            else best(r + sum(rate * p * after[t] for t, p in law.items()) for _, _, r, law in each)
+            for s, each in enumerate(rows_by_state(mdp))
+        ]
+    return found
+
+
+def rows_by_state(mdp: Any) -> list[list[Row]]:
+    return [rows_of(mdp, mdp.pairs_of(state)) for state in range(mdp.n_states)]
+
+
+# ---- the long run --------------------------------------------------------------------------------
+
+
+def classes(policy: Sequence[Row]) -> list[list[int]]:
+    """The recurrent classes of a chain, by transitive closure."""
+    reach = [{s, *law} for s, _, _, law in policy]
+    for _ in range(2):
+        for k, i in product(range(len(reach)), repeat=2):
+            if k in reach[i]:
+                reach[i] |= reach[k]
+    closed = {frozenset(r) for i, r in enumerate(reach) if all(i in reach[j] for j in r)}
+    return [sorted(each) for each in closed]
+
+
+def limit(policy: Sequence[Row]) -> list[dict[int, F]]:
+    """The Cesàro limit of the powers of a chain, row by row."""
+    laws = [law for *_, law in policy]
+    found: dict[int, dict[int, F]] = {}
+    for each in classes(policy):
+        place = {s: k for k, s in enumerate(each)}
+        balance: list[dict[int, F]] = [{} for _ in each]  # of (I - P)ᵀ, and shares that sum to 1
+        for s in each:
+            for t, x in _less(s, laws[s]).items():
+                balance[place[t]][place[s]] = x
+        balance[-1] = dict.fromkeys(range(len(each)), F(1))
+        shares = solved(balance, [F(s == each[-1]) for s in each])
+        assert shares is not None
+        found |= {s: dict(zip(each, shares[0], strict=True)) for s in each}
+    moves = [{} if s in found else law for s, law in enumerate(laws)]
+    ends = sorted(found)
+    shares = solved(
+        [_less(s, row) for s, row in enumerate(moves)],
+        *([found[s].get(t, F(0)) if s in found else F(0) for s in range(len(laws))] for t in ends),
+    )
+    assert shares is not None
+    columns = dict(zip(ends, shares, strict=True))
+    never = [F(0)] * len(laws)
+    return [{t: columns.get(t, never)[s] for t in range(len(laws))} for s in range(len(laws))]
+
+
+def gain_and_bias(policy: Sequence[Row]) -> tuple[tuple[F, ...], tuple[F, ...]]:
+    """g = P* r and h = (I - P + P*)⁻¹ (r - g) (Puterman 1994, appendix A)."""
+    star, reward = limit(policy), [r for _, _, r, _ in policy]
+    gain = [mean(row, reward) for row in star]
+    rows = []
+    for s, _, _, law in policy:
+        row = _less(s, law)
+        rows.append(row | {t: row.get(t, F(0)) + x for t, x in star[s].items()})
+    bias = solved(rows, [r - g for r, g in zip(reward, gain, strict=True)])
+    assert bias is not None
+    return tuple(gain), tuple(bias[0])
+
+
+def best_average(rows: Iterable[Row]) -> tuple[tuple[F, ...], tuple[F, ...]]:
+    """Return the greatest gains, and the greatest biases of the policies that have them."""
+    found = [gain_and_bias(policy) for policy in policies(rows)]
+    gain = tuple(map(max, zip(*(g for g, _ in found), strict=True)))
+    return gain, tuple(map(max, zip(*(h for g, h in found if g == gain), strict=True)))
+
+
+# ---- totals without a discount -------------------------------------------------------------------
+
+
+def phases(policy: Sequence[Row]) -> Iterator[Values]:
+    """The limits of the expected total reward along each phase, one after the other.
+
+    With g + h = r + P h and g = P g, n steps earn n g + h - Pⁿ h. Where g = 0, the last term runs
+    through Pᵏ Π h, k = 0 … d-1, with d the common period of all classes, Π the limit of Pᵈⁿ.
+    """
+    gain, bias = gain_and_bias(policy)
+    laws = [law for *_, law in policy]
+    period, power = lcm(*(_period(laws, each) for each in classes(policy))), laws
+    for _ in range(period - 1):
+        power = [_then(row, laws) for row in power]
+    phase = limit([(s, 0, F(0), row) for s, row in enumerate(power)])
+    late = [mean(row, bias) for row in phase]
+    for _ in range(period):
+        yield [inf if g > 0 else -inf if g < 0 else bias[s] - late[s] for s, g in enumerate(gain)]
+        late = [mean(law, late) for law in laws]
+
+
+def _then(row: Mapping[int, F], laws: Sequence[Mapping[int, F]]) -> dict[int, F]:
+    found: dict[int, F] = {}
+    for s, p in row.items():
+        for t, q in laws[s].items():
+            found[t] = found.get(t, F(0)) + p * q
+    return found
+
+
+def _period(laws: Sequence[Mapping[int, F]], states: Sequence[int]) -> int:
+    here, seen = {states[0]}, list[set[int]]()
+    while here not in seen:
+        seen.append(here)
+        here = {t for s in here for t in laws[s]}
+    return len(seen) - seen.index(here)
+
+
+def total(policy: Sequence[Row]) -> Values:
+    """lim inf of the expected total reward from each state."""
+    return list(map(min, zip(*phases(policy), strict=True)))
+
+
+def best_total(rows: Iterable[Row]) -> tuple[Values, bool]:
+    """The greatest lim inf from each state, and whether some policy has no limit from some state.
+
+    That is so where its phases differ, or classes of positive and of negative mean cancel.
+    """
+    every, swings = list[Values](), False
+    for policy in policies(rows):
+        each = list(phases(policy))
+        every.append([min(x) for x in zip(*each, strict=True)])
+        swings |= any(len(set(x)) > 1 for x in zip(*each, strict=True)) or _cancels(policy)
+    return list(map(max, zip(*every, strict=True))), swings
+
+
+def _cancels(policy: Sequence[Row]) -> bool:
+    gain, _ = gain_and_bias(policy)
+    star = limit(policy)
+    return any(not g and any(x and gain[t] for t, x in star[s].items()) for s, g in enumerate(gain))
+
+
+def reaching(rows: Iterable[Row], missed: float, sign: int) -> Values:
+    """The greatest (1) or least (-1) totals until state 0; runs that miss it are worth `missed`."""
+    every = []
+    for policy in policies(rows):
+        found = until(policy, [s == 0 for s in range(len(policy))])
+        every.append([missed if v == inf else v for v in found])
+    return list(map(max if sign > 0 else min, zip(*every, strict=True)))

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 from fractions import Fraction
-from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from care_oracle import independent
 
 import exact_mdp
 from exact_mdp import Scenario
@@ -49,15 +50,6 @@ def skip_law(scenario: Scenario, status: tuple[int, ...]) -> list[Fraction]:
     return result
 
 
-def draws(chances: list[Fraction]) -> Iterable[tuple[tuple[int, ...], Fraction]]:
-    for bits in product((0, 1), repeat=len(chances)):
-        p = Fraction(1)
-        for bit, chance in zip(bits, chances, strict=True):
-            p *= chance if bit else 1 - chance
-        if p:
-            yield bits, p
-
-
 def check_own(scenario: Scenario, pairs: Iterable[int]) -> None:
     """Compare a one-task model, read by default, with laws worked out here."""
     mdp, count = scenario.compile(), len(scenario.statuses)
@@ -76,7 +68,7 @@ def check_own(scenario: Scenario, pairs: Iterable[int]) -> None:
             return mdp.space.index(subtask=subtask, trial=trial, status=code)
 
         wanted: dict[tuple[int, Fraction], Fraction] = defaultdict(Fraction)
-        for after, p in draws(independent_law(scenario, status, action)):
+        for p, after in independent(independent_law(scenario, status, action)):
             gain = reward["timestep"] + reward["trial"]
             gain += sum(reward[scenario.weights[n]] for n, bit in
                         zip(scenario.statuses, after, strict=True) if bit)  # fmt: skip
@@ -88,7 +80,7 @@ def check_own(scenario: Scenario, pairs: Iterable[int]) -> None:
                 wanted[number(subtask, trial + 1, after), gain] += p
             else:
                 gain += reward["subtask-skip"] + bonus
-                for kept, q in draws(skip_law(scenario, after)):
+                for q, kept in independent(skip_law(scenario, after)):
                     wanted[number(subtask + 1, 0, kept), gain] += p * q
         found: dict[tuple[int, Fraction], Fraction] = defaultdict(Fraction)
         for p, following, gain in mdp.table.row(pair):

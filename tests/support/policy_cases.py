@@ -1,7 +1,7 @@
 """Small chains with everything that may go wrong, and what is true of a policy on them, exactly.
 
-The reference solves the equations of the first and the second moment of the return by elimination
-in fractions; it shares nothing with the code that it checks, which uses neither of the two.
+The equations of the first and the second moment of the return are solved by `oracle`; they share
+nothing with the code that they check, which uses neither of the two.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from fractions import Fraction as F
 from functools import cached_property
 
 import numpy as np
+from care_oracle import ACTIONS, END, Oracle, State
+from care_oracle import Policy as OraclePolicy
 from hypothesis import strategies as st
-from model_equality import meant
-from oracle import ACTIONS, END, Oracle, State
-from oracle import Policy as OraclePolicy
+from model_contents import meant
+from oracle import fixed_point, visits
 
 from exact_mdp import MDP, Policy, Scenario
 
@@ -71,7 +72,7 @@ class Case:
             total = sum(F(float(w)) for (state, _), w in self.policy.items() if state == s)
             share = F(float(self.policy[s, a])) / total
             row = self.rows[s, a] if share else []
-            chances = meant([float(p) if self.floats else p for p, _, _, _ in row])
+            chances = meant([float(p) if self.floats else p for p, *_ in row]) if row else []
             for p, (_, t, r, event) in zip(chances, row, strict=True):
                 found[s].append((share * F(p), t, F(float(r)) if self.floats else r, event))
         return found
@@ -120,23 +121,14 @@ class Case:
         self, constant: Callable[[Outcome], F], rate: F, among: set[int], through: bool = True
     ) -> dict[int, F]:
         """x(s) = E[constant + rate x(next)], x = 0 outside `among`; events stop it on demand."""
-        order = sorted(among)
-        matrix = {s: defaultdict(F, {s: F(1)}) for s in order}
-        right = {s: sum((o[0] * constant(o) for o in self.outcomes[s]), F(0)) for s in order}
-        for s in order:
-            for p, t, _, event in self.outcomes[s]:
-                if t in among and (through or not event):
-                    matrix[s][t] -= rate * p
-        for k in order:
-            for s in order:
-                if s != k and matrix[s][k]:
-                    factor = matrix[s][k] / matrix[k][k]
-                    for t in order:
-                        matrix[s][t] -= factor * matrix[k][t]
-                    right[s] -= factor * right[k]
-        return {s: right[s] / matrix[s][s] for s in order} | dict.fromkeys(
-            set(range(self.n_states)) - among, F(0)
-        )
+        moves: list[dict[int, F]] = [defaultdict(F) for _ in range(self.n_states)]
+        right = [F(0)] * self.n_states
+        for s in among:
+            for outcome in self.outcomes[s]:
+                p, t, _, event = outcome
+                right[s] += p * constant(outcome)
+                moves[s][t] += rate * p * (through or not event)
+        return dict(enumerate(fixed_point(right, moves)))
 
     @cached_property
     def live(self) -> set[int]:
@@ -173,13 +165,11 @@ class Case:
 
     def visits(self, rate: F, among: set[int]) -> dict[int, F]:
         """Expected visits of each state, in which only those `among` lead on."""
-        return {s: self._visits_to(s, rate, among) for s in range(self.n_states)}
-
-    def _visits_to(self, state: int, rate: F, among: set[int]) -> F:
-        # One visit for being there, and rate times what comes of the next states.
-        own = {s: F(s == state) for s in range(self.n_states)}
-        later = self.solve(lambda o: own[o[1]], rate, among)
-        return self.mean({s: own[s] + rate * later[s] for s in own})
+        moves: list[dict[int, F]] = [defaultdict(F) for _ in range(self.n_states)]
+        for s in among:
+            for p, t, _, _ in self.outcomes[s]:
+                moves[s][t] += rate * p
+        return dict(enumerate(visits(self.start, moves)))
 
 
 @st.composite
@@ -275,3 +265,47 @@ def care(
     )
     oracle = Oracle(readings, tasks=tasks, max_trial=max_trial, discount=discount)
     return scenario.compile(), oracle
+
+
+Law = dict[F, F]
+SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])
+LAWFUL = cases(discounts=(F(1),), rewards=SMALL, weights=st.integers(1, 3))
+
+
+def brute_force(case: Case, steps: int) -> tuple[Law, F]:
+    """Follow every way of an episode for some steps: the law of the ended ones, and the rest."""
+    moving: dict[tuple[int, F], F] = defaultdict(F)
+    for s, weight in case.start.items():
+        moving[s, F(0)] += weight
+    ended: Law = defaultdict(F)
+    for step in range(steps + 1):
+        following: dict[tuple[int, F], F] = defaultdict(F)
+        for (s, total), mass in moving.items():
+            if s in case.terminal:
+                ended[total] += mass
+            elif step == steps:
+                following[s, total] += mass
+            else:
+                for p, t, r, _ in case.outcomes[s]:
+                    following[t, total + r] += mass * p
+        moving = following
+    return dict(ended), sum(moving.values(), F(0))
+
+
+def is_acyclic(case: Case) -> bool:
+    return brute_force(case, case.n_states)[1] == 0
+
+
+def coin(*rewards: object, ways: int = 1) -> MDP:
+    """One of some rewards at random, several times over."""
+    rows = [
+        (step, 0, [(F(1, len(rewards)), step + 1, reward) for reward in rewards])
+        for step in range(ways)
+    ]
+    return MDP.from_outcomes([*rows, (ways, 0, [(1, ways, 0)])])
+
+
+def geometric(stay: str, reward: object = -1) -> MDP:
+    return MDP.from_outcomes(
+        [(0, 0, [(stay, 0, reward), (1 - F(stay), 1, 0)]), (1, 0, [(1, 1, 0)])]
+    )

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 from cases import Case
-from cases.reference import evaluate_exact, solve_exact
-from model_equality import is_acyclic
+from model_contents import is_acyclic
+from oracle import evaluate_exact, solve_exact
 from strategies import Rows, exact_values, model_of
 
 from exact_mdp import (

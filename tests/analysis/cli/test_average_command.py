@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runner import run
-from forest import forest
+from made_models import forest
 
 AVERAGE = ("--criterion", "average")
 

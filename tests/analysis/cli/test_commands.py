@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from care_oracle import ACTIONS, END, Oracle, State, oracle_of
 from cli_runner import run
-from oracle import ACTIONS, END, Oracle, State, oracle_of
 
 from exact_mdp import Policy, Scenario, fingerprint, load
 

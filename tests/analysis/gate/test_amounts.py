@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-import enumerated
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import best_under, quiet_models, totals, totals_within, vertices
+from oracle import each_choice
 
 from exact_mdp import MDP, MDPEnv, ModelError, Policy, check, evaluate, solve, tradeoff
 
@@ -79,7 +79,7 @@ def test_limits_fronts_and_gates_agree_with_every_policy(
     mine = (
         totals_within(mdp, [[pair] for pair in choice], steps)
         if steps
-        else {totals(mdp, names)[[*enumerated.policies(mdp)].index(tuple(choice))]}
+        else {totals(mdp, names)[[*each_choice(mdp)].index(tuple(choice))]}
     )
     total = mine.pop()
     audit = check(mdp, q, subject_to=kept, horizon=steps, kind="q")

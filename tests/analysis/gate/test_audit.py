@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from care_oracle import ACTIONS, acting, oracle_of
 from cases import CASES, Case
-from cases.reference import evaluate_exact, solve_exact
-from forest import forest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import ACTIONS, acting, oracle_of
+from made_models import forest
+from oracle import evaluate_exact, solve_exact
 from strategies import Pairs, Rows, any_models, model_of, models
 
 from exact_mdp import (

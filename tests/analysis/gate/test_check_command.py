@@ -8,9 +8,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from care_oracle import Oracle, acting
 from cli_runner import launch, main, run
-from forest import forest
-from oracle import Oracle, acting
+from made_models import forest
 
 from exact_mdp import (
     MDP,

@@ -280,9 +280,6 @@ def test_the_sets_hold_at_every_time_at_once() -> None:
 # ---- robust: regret ----------------------------------------------------------------------------
 
 
-Model = tuple[np.ndarray, np.ndarray]  # rows (L, S) and rewards (L,)
-
-
 def test_costs_have_the_interval_of_rewards() -> None:
     frame = recorded(np.random.default_rng(1), 300)
     rewards = estimated(frame)

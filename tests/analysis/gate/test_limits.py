@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import enumerated
 import pytest
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import totals, with_components
+from oracle import each_choice
 
 from exact_mdp import MDP, ModelError, Scenario, assert_policy_optimal, check, solve
 
@@ -25,7 +25,7 @@ BOUNDS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(0), F(1, 7), F(1), F(5, 2)])
 def test_each_policy_against_the_best_mixture(mdp: MDP, bound: F, data: Any) -> None:
     """Passed is within the limit at no regret; states and the room left explain the regret."""
     every = totals(mdp, [*mdp.component_names])
-    choices = list(enumerated.policies(mdp))
+    choices = list(each_choice(mdp))
     number = data.draw(st.integers(0, len(choices) - 1))
     total, earned = every[number][0], sum(every[number], F(0))
     policy = [int(mdp.pair_action[pair]) for pair in choices[number]]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runner import Done, launch, run
+from made_models import corridor
 
 from exact_mdp import MDP, check, save
 
@@ -18,14 +19,6 @@ NASTY = [
     "<script>alert(1)</script>", "$x^$", "::error::x", "##[add-mask]x", "a | b", "`|` *b* _c_",
     "\"q\" 'r'", "&amp; {{ 7*7 }} {% if %}", "</title><img src=x onerror=alert(1)>",
 ]  # fmt: skip
-
-
-def corridor(names: list[str]) -> MDP:
-    """States in a row; `names[0]` earns 1 and moves on, `names[1]` stays put and earns nothing."""
-    last = len(names) - 1
-    rows = [(s, 0, [(1, s + 1, 1)]) for s in range(last)] + [(last, 0, [(1, last, 0)])]
-    rows += [(s, 1, [(1, s, 0)]) for s in range(last)]
-    return MDP.from_outcomes(sorted(rows), discount="1/2", states=names, actions=names[:2])
 
 
 class Seen(HTMLParser):

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import run
-from endless_oracle import eliminated
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle import fixed_point, rows_of, visits
 from strategies import Rows, models
 
 from exact_mdp import (
@@ -193,21 +193,18 @@ def small(draw: st.DrawFn) -> MDP:
     return MDP.from_outcomes([*rows, (states, 0, [(1, states, 0)])], discount)
 
 
+def onward(mdp: MDP, pairs: list[int]) -> list[dict[int, F]]:
+    rows = enumerate(rows_of(mdp, pairs))
+    return [
+        {} if mdp.terminal[s] else {t: mdp.discount_exact * p for t, p in law.items()}
+        for s, (*_, law) in rows
+    ]
+
+
 def solved(mdp: MDP, pairs: list[int], earned: list[F]) -> list[F]:
-    """Return x = earned + γ P x of some pairs, by elimination in fractions."""
-    n = mdp.n_states
-    matrix = [[F(int(i == j)) for j in range(n)] for i in range(n)]
-    right = [[F(0) if mdp.terminal[s] else earned[s]] for s in range(n)]
-    for s, pair in enumerate(pairs):
-        if not mdp.terminal[s]:
-            for p, t, _ in mdp.table.row(pair):
-                matrix[s][t] -= mdp.discount_exact * p
-    return [row for (row,) in eliminated(matrix, right)]
-
-
-def value(mdp: MDP, pairs: list[int]) -> list[F]:
-    rewards = [sum((p * r for p, _, r in mdp.table.row(l)), F(0)) for l in pairs]
-    return solved(mdp, pairs, rewards)
+    """Return x = earned + γ P x of some pairs."""
+    right = [F(0) if over else x for over, x in zip(mdp.terminal, earned, strict=True)]
+    return fixed_point(right, onward(mdp, pairs))
 
 
 def movable(mdp: MDP, pair: int, worth: list[F]) -> F:
@@ -227,10 +224,7 @@ def apart(mdp: MDP, own: tuple[list[int], list[F]], ideal: tuple[list[int], list
     """Return what rounding moves in the difference of two values at the start, pair by pair."""
     uses = []
     for pairs, _ in (own, ideal):
-        visited = [
-            solved(mdp, pairs, [F(s == t) for t in range(mdp.n_states)])[0]
-            for s in range(mdp.n_states)
-        ]
+        visited = visits({0: F(1)}, onward(mdp, pairs))
         uses.append({l: visited[s] for s, l in enumerate(pairs) if not mdp.terminal[s]})
     total, none = F(0), [F(0)] * mdp.n_states
     for l in uses[0].keys() | uses[1].keys():
@@ -269,7 +263,7 @@ def test_totals_without_end_on_both_sides_are_not_compared() -> None:
 def test_the_verdict_is_that_of_enumeration(mdp: MDP, data: st.DataObject) -> None:
     """It passes exactly where the exact regret is at most what rounding can move."""
     every = [list(pairs) for pairs in product(*(mdp.pairs_of(s) for s in range(mdp.n_states)))]
-    values = [value(mdp, pairs) for pairs in every]
+    values = [solved(mdp, pairs, [r for _, _, r, _ in rows_of(mdp, pairs)]) for pairs in every]
     best = [max(worth[s] for worth in values) for s in range(mdp.n_states)]
     optimal = [all(worth[s] == best[s] for s in range(mdp.n_states)) for worth in values]
     ideal = every[optimal.index(True)]  # product goes through the lowest actions first

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from care_oracle import ACTIONS, Oracle
 from cli_runner import run
-from oracle import ACTIONS, Oracle
 
 from exact_mdp import (
     MDP,

@@ -11,11 +11,10 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from forest import forest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_models import dense, forest, grid
 from matplotlib.axes import Axes
-from random_models import dense
 
 from exact_mdp import (
     MDP,
@@ -33,25 +32,12 @@ from exact_mdp import (
 )
 
 mpl.use("Agg")
-MOVES = ["LEFT", "DOWN", "RIGHT", "UP"]
 
 
 @pytest.fixture(autouse=True)
 def closed() -> Iterator[None]:
     yield
     plt.close("all")
-
-
-def grid(rows: int, columns: int) -> MDP:
-    """A grid world in which each step costs 1, and which ends in its last cell."""
-    goal, listed = rows * columns - 1, []
-    for state in range(goal):
-        r, c = divmod(state, columns)
-        for action, (down, right) in enumerate([(0, -1), (1, 0), (0, 1), (-1, 0)]):
-            to = min(max(r + down, 0), rows - 1), min(max(c + right, 0), columns - 1)
-            listed.append((state, action, [(1, to[0] * columns + to[1], -1)]))
-    listed.append((goal, 0, [(1, goal, 0)]))
-    return MDP.from_outcomes(listed, discount="9/10", actions=MOVES)
 
 
 def texts(ax: Axes) -> dict[tuple[int, int], str]:

@@ -4,7 +4,7 @@ from fractions import Fraction
 from itertools import product
 
 import pytest
-from forest import burning
+from made_models import burning
 
 from exact_mdp import (
     MDP,

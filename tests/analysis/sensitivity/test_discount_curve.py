@@ -6,11 +6,11 @@ from fractions import Fraction
 from itertools import pairwise
 
 import pytest
-from average_oracle import best, gain_and_bias
 from cases import BY_NAME
 from cli_runner import run
-from forest import forest
 from hypothesis import given, settings
+from made_models import forest
+from oracle import best_average, gain_and_bias
 from strategies import Rows, models
 
 from exact_mdp import MDP, Scenario, certify, curve, evaluate, solve
@@ -73,7 +73,7 @@ def test_the_last_piece_has_the_best_gain_and_of_these_the_best_bias(rows: Rows)
     actions = mdp.pair_action[pairs].tolist()
     chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(actions)]
     gain, bias = gain_and_bias(chosen)
-    assert (gain, bias) == best(rows.n_states, rows.pairs)
+    assert (gain, bias) == best_average(rows.pairs)
     average = certify(mdp, criterion="average")
     assert tuple(average.value) == gain
     assert average.optimal_pairs[pairs].all()

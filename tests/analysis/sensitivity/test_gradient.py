@@ -4,8 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from forest import burning
-from oracle import ACTIONS, END, Oracle, State, oracle_of
+from care_oracle import ACTIONS, END, Oracle, State, oracle_of
+from made_models import burning
 
 from exact_mdp import MDP, Family, ModelError, Parameter, Scenario, gradient, parametric
 

@@ -12,7 +12,6 @@ from exact_mdp import MDP, Scenario, evaluate, independent, parametric, perceive
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
-NAMES = ("forgetfulness", "confusion", "anger", "disengagement")
 ANGER = ("--parameter", "base.anger")
 ROUGH = independent([0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6])
 PLAN = {

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from forest import burning, forest
+from made_models import burning, forest
 from scipy.special import betainc
 
 from exact_mdp import (

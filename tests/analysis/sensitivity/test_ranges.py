@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracle import oracle_of
+from care_oracle import oracle_of
 
 from exact_mdp import (
     MDP,

@@ -4,9 +4,9 @@ from fractions import Fraction
 from itertools import pairwise
 
 import pytest
+from care_oracle import END, Oracle, oracle_of
 from cases.puterman import two_state
-from forest import burning
-from oracle import END, Oracle, oracle_of
+from made_models import burning
 
 from exact_mdp import MDP, Family, Parameter, Scenario, certify, thresholds
 

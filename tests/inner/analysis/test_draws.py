@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import run
-from forest import burning
+from made_models import burning
 from scipy import stats
 
 from exact_mdp import (

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import grid
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from exact_mdp import (
     MDP,
     ModelError,
-    QLearning,
     Scenario,
     accuracy_curves,
     analysis,
@@ -56,14 +56,6 @@ def test_every_kind_of_result_has_its_picture() -> None:
     assert set(PICTURES) <= {kind.__name__ for kind in kinds}
 
 
-LEARNER = QLearning(epochs=40)
-
-
-@pytest.fixture(scope="module")
-def care() -> MDP:
-    return Scenario.load("yuan2025").compile()
-
-
 @pytest.fixture
 def ax() -> Iterator[Axes]:
     with plots.style():
@@ -85,19 +77,6 @@ def test_labels_beside_the_axes_and_titles_within_them() -> None:
 
 
 mpl.use("Agg")
-MOVES = ["LEFT", "DOWN", "RIGHT", "UP"]
-
-
-def grid(rows: int, columns: int) -> MDP:
-    """A grid world in which each step costs 1, and which ends in its last cell."""
-    goal, listed = rows * columns - 1, []
-    for state in range(goal):
-        r, c = divmod(state, columns)
-        for action, (down, right) in enumerate([(0, -1), (1, 0), (0, 1), (-1, 0)]):
-            to = min(max(r + down, 0), rows - 1), min(max(c + right, 0), columns - 1)
-            listed.append((state, action, [(1, to[0] * columns + to[1], -1)]))
-    listed.append((goal, 0, [(1, goal, 0)]))
-    return MDP.from_outcomes(listed, discount="9/10", actions=MOVES)
 
 
 def texts(ax: Axes) -> dict[tuple[int, int], str]:

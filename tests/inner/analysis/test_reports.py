@@ -7,23 +7,15 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from made_models import corridor
 
-from exact_mdp import MDP, ModelError, Scenario, check, plots
+from exact_mdp import ModelError, Scenario, check, plots
 from exact_mdp.analysis import github
 from exact_mdp.analysis.cli.render import Report, Table, markdown
 from exact_mdp.analysis.layout import arrange, symbols
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import render
 from exact_mdp.analysis.plots.style import plain_text
-from exact_mdp.mdp.errors import UNSAFE, shown_text
-
-
-def corridor(names: list[str]) -> MDP:
-    """States in a row; `names[0]` earns 1 and moves on, `names[1]` stays put and earns nothing."""
-    last = len(names) - 1
-    rows = [(s, 0, [(1, s + 1, 1)]) for s in range(last)] + [(last, 0, [(1, last, 0)])]
-    rows += [(s, 1, [(1, s, 0)]) for s in range(last)]
-    return MDP.from_outcomes(sorted(rows), discount="1/2", states=names, actions=names[:2])
 
 
 def test_markdown_shows_facts_and_notes() -> None:
@@ -94,34 +86,6 @@ def test_nothing_is_said_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
     github.summarise("c")
     assert capsys.readouterr() == ("", "")
     assert github.inert("::error::x ##[y]") == "::error::x ##[y]"
-
-
-BAD = [
-    *map(chr, range(0x20)), *map(chr, range(0x7F, 0xA0)), *map(chr, range(0x202A, 0x202F)),
-    *map(chr, range(0x2066, 0x206A)), "\u200e", "\u200f", "\u061c", "\u2028", "\u2029", "\ud800",
-    "\udfff", "\ufffe", "\u200b", "\ufeff",
-]  # fmt: skip
-GOOD = [
-    "größer",
-    "<script>alert(1)</script>",
-    "$x^$",
-    "a & b",
-    '"q"',
-    "'",
-    "مساعدة",
-    "👩\u200d🔬",
-    "`|`",
-]
-
-
-def test_shown_text_is_the_same_twice() -> None:
-    """Text that was escaped is not escaped again where an error is wrapped in another."""
-    for character in BAD:
-        once = shown_text(f"a{character}b")
-        assert not UNSAFE.search(once)
-        assert shown_text(once) == once
-    for name in GOOD:
-        assert shown_text(name) == name
 
 
 def test_names_stay_text_in_figures(tmp_path: Path) -> None:

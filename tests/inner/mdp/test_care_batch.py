@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from care_oracle import ACTIONS, READINGS, Oracle
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import ACTIONS, READINGS, Oracle
 
 from exact_mdp import MDP, ModelError, Policy, Scenario, StateSpace, evaluate, solve
 from exact_mdp.solvers.care import Batch, optimal, policy_values

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from cases import CASES
-from cases.reference import every_policy_ends
 from hypothesis import given
 from hypothesis import strategies as st
+from oracle import every_policy_ends
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, ModelError, Scenario

@@ -8,7 +8,7 @@ from fractions import Fraction as F
 import numpy as np
 import pytest
 from hypothesis import given
-from model_equality import is_acyclic
+from model_contents import is_acyclic
 from own_scenarios import check_own, own_text, scenario_of
 from strategies import Rows, models
 

@@ -5,7 +5,7 @@ from fractions import Fraction as F
 from pathlib import Path
 
 import numpy as np
-from forest import forest
+from made_models import forest
 
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.solvers.average import checker

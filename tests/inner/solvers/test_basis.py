@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import garnet_rows
 from objective_models import LIMITS, sound, totals, with_components
-from random_models import garnet_rows
 
 from exact_mdp import MDP, Scenario, solve, tradeoff
 from exact_mdp.solvers.objectives import constrained

@@ -10,9 +10,9 @@ from fractions import Fraction as F
 import numpy as np
 import pytest
 from cases import BY_NAME
-from cases.reference import solve_exact
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from oracle import solve_exact
 from strategies import DISCOUNTS, Rows, exact_gains, exact_values, model_of, models
 
 from exact_mdp import MDP, SolverError

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg
-from cases.reference import evaluate_exact
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_twins import factor_pattern
+from oracle import evaluate_exact
 from strategies import Rows, exact_values, models
 
 from exact_mdp import (

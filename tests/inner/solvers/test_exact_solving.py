@@ -10,7 +10,7 @@ import pytest
 from flint import fmpq, fmpq_mat, fmpz
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from large_models import gridworld
+from made_models import gridworld
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, Certificate, ModelError, Scenario, certify, fingerprint

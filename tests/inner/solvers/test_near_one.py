@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from large_models import classes, sparse
+from made_models import classes, sparse
 
 from exact_mdp import (
     MDP,

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from fractions import Fraction
 from fractions import Fraction as F
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-from policy_cases import Case, cases
+from policy_cases import LAWFUL, Case, brute_force, coin, geometric, is_acyclic
 
 from exact_mdp import (
     MDP,
@@ -25,34 +22,7 @@ from exact_mdp import (
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.simulate import _cumulative
 
-Law = dict[F, F]
-SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])
-LAWFUL = cases(discounts=(F(1),), rewards=SMALL, weights=st.integers(1, 3))
 CYCLIC_STEPS = 8
-
-
-def brute_force(case: Case, steps: int) -> tuple[Law, F]:
-    """Follow every way of an episode for some steps: the law of the ended ones, and the rest."""
-    moving: dict[tuple[int, F], F] = defaultdict(F)
-    for s, weight in case.start.items():
-        moving[s, F(0)] += weight
-    ended: Law = defaultdict(F)
-    for step in range(steps + 1):
-        following: dict[tuple[int, F], F] = defaultdict(F)
-        for (s, total), mass in moving.items():
-            if s in case.terminal:
-                ended[total] += mass
-            elif step == steps:
-                following[s, total] += mass
-            else:
-                for p, t, r, _ in case.outcomes[s]:
-                    following[t, total + r] += mass * p
-        moving = following
-    return dict(ended), sum(moving.values(), F(0))
-
-
-def is_acyclic(case: Case) -> bool:
-    return brute_force(case, case.n_states)[1] == 0
 
 
 @pytest.fixture(params=["dense", "sparse"])
@@ -102,25 +72,10 @@ def test_the_law_is_that_of_brute_force(case: Case) -> None:
     assert found.sd == pytest.approx(wanted.sd, rel=1e-5, abs=1e-4)
 
 
-def coin(*rewards: object, ways: int = 1) -> MDP:
-    """One of some rewards at random, several times over."""
-    rows = [
-        (step, 0, [(F(1, len(rewards)), step + 1, reward) for reward in rewards])
-        for step in range(ways)
-    ]
-    return MDP.from_outcomes([*rows, (ways, 0, [(1, ways, 0)])])
-
-
 def test_halves_are_on_the_lattice(kind: str) -> None:
     found = return_distribution(coin("1/2", -1, ways=2), "random")
     assert found.as_dict() == {F(-2): 0.25, F(-1, 2): 0.5, F(1): 0.25}
     assert found.unit == F(1, 2)
-
-
-def geometric(stay: str, reward: object = -1) -> MDP:
-    return MDP.from_outcomes(
-        [(0, 0, [(stay, 0, reward), (1 - F(stay), 1, 0)]), (1, 0, [(1, 1, 0)])]
-    )
 
 
 def test_a_loop_is_followed_until_little_is_left(kind: str) -> None:
@@ -187,6 +142,3 @@ def test_probabilities_of_large_models_keep_their_digits() -> None:
     assert first.tolist() == [*range(0, 2 * states, 2), 2 * states - 1]
     assert (cumulative[0:-1:2] == 1 - rare).all()
     assert (cumulative[1:-1:2] == 1).all()
-
-
-F = Fraction

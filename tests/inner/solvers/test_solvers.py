@@ -7,8 +7,8 @@ from importlib import import_module
 
 import pytest
 from cases import BY_NAME
-from cases.reference import solve_exact
 from hypothesis import given
+from oracle import solve_exact
 from solver_checks import BRIEF, QUICK, SWEEPING, case_model, check_against_exact
 from strategies import Rows, model_of, models
 

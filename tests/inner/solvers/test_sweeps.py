@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kernel_twins import gains_of, relaxed
-from large_models import garnet, gridworld
+from made_models import garnet, gridworld
 from strategies import exact_gains, exact_values
 from workloads import garnet as garnet_rows
 from workloads import queue

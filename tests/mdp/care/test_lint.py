@@ -204,7 +204,7 @@ def test_unsafe_names_are_problems_among_others(name: str, odd: str, tmp_path: P
 def test_commands(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     made = run("new", path, "--json")
-    assert made.result.keys() == {"written", "notice"}
+    assert made.result.keys() == {"format", "written", "notice"}
     assert made.result["written"] == str(path)
     assert "no medical advice" in made.result["notice"]
     assert path.read_text("utf-8") == TEMPLATE

@@ -1,16 +1,14 @@
-"""The reference model against sampling and against numbers worked out by hand."""
+"""The reference model against numbers worked out by hand."""
 
 from __future__ import annotations
 
 from fractions import Fraction
 from itertools import product
-from math import sqrt
 from random import Random
 from typing import Any
 
 import pytest
-from oracle import ACTIONS, COMPONENTS, END, READINGS, Oracle, Policy
-from policy_cases import careful, uniform
+from care_oracle import ACTIONS, COMPONENTS, END, READINGS, Oracle, Policy
 
 ALL_READINGS: list[dict[str, str]] = [
     dict(zip(READINGS, options, strict=True)) for options in product(*READINGS.values())
@@ -23,42 +21,10 @@ def always(action: str) -> Policy:
     return lambda state: {action: Fraction(1)}
 
 
-def every_reading(quick: int) -> list[Any]:
-    """All readings, all but the first few of the sample marked slow."""
-    return [
-        pytest.param(readings, marks=() if readings in SAMPLE[:quick] else pytest.mark.slow)
-        for readings in ALL_READINGS
-    ]
-
-
 def test_there_are_as_many_readings_as_the_text_leaves_open() -> None:
     assert len(ALL_READINGS) == 2 * 2 * 2 * 2 * 2 * 2 * 3 * 3
     for name, options in READINGS.items():
         assert {readings[name] for readings in SAMPLE} == set(options)
-
-
-def check_sampling(oracle: Oracle, policy: Policy, episodes: int) -> None:
-    """Sampled returns lie within four standard errors, in mean and in variance."""
-    found = oracle.evaluate(policy, distribution=False)
-    returns = oracle.simulate(policy, episodes, Random(7))
-    mean, variance = float(found["mean"]), float(found["variance"])
-    off = [x - mean for x in returns]
-    assert abs(sum(off) / episodes) < 4 * sqrt(variance / episodes)
-    sampled = sum(x**2 for x in off) / episodes
-    fourth = sum(x**4 for x in off) / episodes
-    assert abs(sampled - variance) < 4 * sqrt((fourth - sampled**2) / episodes)
-
-
-@pytest.mark.parametrize("discount", [Fraction(1), Fraction(19, 20)])
-@pytest.mark.parametrize("policy", [uniform, careful])
-def test_sampling_agrees_by_default(policy: Policy, discount: Fraction) -> None:
-    check_sampling(Oracle(tasks=[2], discount=discount), policy, 20_000)
-
-
-@pytest.mark.parametrize("readings", every_reading(6))
-def test_sampling_agrees_under_every_reading(readings: dict[str, str]) -> None:
-    oracle = Oracle(readings, tasks=[2, 1], max_trial=2, discount=Fraction(19, 20))
-    check_sampling(oracle, careful, 4_000)
 
 
 @pytest.mark.parametrize("discount", [Fraction(1), Fraction(19, 20)])

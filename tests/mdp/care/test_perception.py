@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from care_oracle import Oracle
 from cli_runner import run
-from oracle import Oracle
 from scipy.stats import beta, dirichlet
 
 from exact_mdp import (

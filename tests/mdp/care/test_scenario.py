@@ -1,4 +1,4 @@
-"""The compiled care model against the reference of `oracle.py`, outcome by outcome, exactly."""
+"""The compiled care model against the one of `care_oracle.py`, outcome by outcome, exactly."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from care_oracle import STATUSES, Oracle, State
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import STATUSES, Oracle, State
 from policy_cases import state_of
 
 from exact_mdp import MDP, READINGS, Scenario

@@ -14,9 +14,8 @@ from archives import foreign_umb, read_by_umbi, written
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model_equality import assert_same
-from named_models import models
-from saved_models import MODELS
+from model_contents import assert_same
+from saved_models import MODELS, models
 
 from exact_mdp import MDP, Column, ModelError, StateSpace, load, save
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runner import run
-from model_equality import assert_same
+from model_contents import assert_same
 
 import exact_mdp
 from exact_mdp import MDP, ModelError, Scenario, load, save

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from archives import array_header, unzipped, zipped
-from model_equality import assert_same, meant
+from model_contents import assert_same, meant
 from saved_models import MODELS
 
 from exact_mdp import MDP, ModelError, load, save

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from oracle import Oracle
+from care_oracle import Oracle
 
 from exact_mdp import MDP, ModelError, Scenario, certify, load, save
 

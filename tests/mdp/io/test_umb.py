@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import umbi
 from archives import annotate, foreign_umb, read_by_umbi, tarred, untarred, written
-from laws import laws
+from model_contents import laws
 from saved_models import MODELS
 
 from exact_mdp import MDP, ModelError, Scenario, certify, load, save

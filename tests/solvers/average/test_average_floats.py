@@ -4,10 +4,10 @@ from fractions import Fraction as F
 
 import numpy as np
 import pytest
-from average_oracle import gain_and_bias
-from forest import forest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from made_models import forest
+from oracle import gain_and_bias
 from strategies import Row, Rows, models
 
 from exact_mdp import (

@@ -8,19 +8,16 @@ from math import inf
 import numpy as np
 import pytest
 from cases import BY_NAME
-from endless_oracle import best, reaching, total
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from oracle import best_total, reaching, total
 from strategies import Pairs, Row, any_models, model_of
 
 from exact_mdp import MDP, Certificate, ModelError, PrecisionWarning, certify, solve
 
 
-def chain_of(size: int, pairs: tuple[Row, ...], policy: np.ndarray) -> tuple:
-    chosen = [row for row in pairs if policy[row[0]] == row[1]]
-    return [[row[3].get(t, F(0)) for t in range(size)] for row in chosen], [
-        row[2] for row in chosen
-    ]
+def worth(pairs: tuple[Row, ...], policy: np.ndarray) -> list:
+    return total([row for row in pairs if policy[row[0]] == row[1]])
 
 
 def close(mdp: MDP, value: list, found) -> None:
@@ -33,7 +30,7 @@ def close(mdp: MDP, value: list, found) -> None:
 def test_values_are_the_best_of_all_policies(model: Pairs) -> None:
     size, pairs = model
     mdp = model_of(size, pairs, F(1))
-    value, swings = best(pairs, size)
+    value, swings = best_total(pairs)
     try:
         found = certify(mdp)
     except ModelError:
@@ -44,10 +41,10 @@ def test_values_are_the_best_of_all_policies(model: Pairs) -> None:
     assert found.value.tolist() == value
     assert found.violations() == []
     assert found.start_value == value[0]
-    assert total(*chain_of(size, pairs, found.policy)) == value
+    assert worth(pairs, found.policy) == value
     floats = solve(mdp)
     close(mdp, value, floats)
-    assert total(*chain_of(size, pairs, np.asarray(floats.policy))) == value
+    assert worth(pairs, np.asarray(floats.policy)) == value
 
 
 @given(
@@ -60,7 +57,7 @@ def test_a_goal_that_is_missed(model: Pairs, worth: float, sense: str) -> None:
     goal = np.arange(size) == 0
     mdp = replace(mdp, goal=goal, unreached=worth, sense=sense)
     sign = 1 if sense == "max" else -1
-    value = reaching(pairs, size, worth, sign)
+    value = reaching(pairs, worth, sign)
     try:
         found = certify(mdp)
     except ModelError as error:

@@ -3,8 +3,8 @@
 from math import sqrt
 from random import Random
 
+import care_oracle
 import numpy as np
-import oracle
 import pytest
 
 from exact_mdp import (
@@ -142,24 +142,26 @@ def test_discounted_curves_of_another_reading() -> None:
 # ---- an implementation of its own ----------------------------------------------------------------
 
 
-def learn_alone(care: oracle.Oracle, settings: QLearning, seed: int) -> tuple[list, list[float]]:
+def learn_alone(
+    care: care_oracle.Oracle, settings: QLearning, seed: int
+) -> tuple[list, list[float]]:
     """Q-learning on the independent implementation of the care model, by its own random numbers."""
     draw = Random(seed)
     laws: dict = {}
     q = {(s, a): 0.0 for s in range(16) for a in (*range(4), "skip")}
     returns = []
 
-    def number(state: oracle.State) -> int:
-        return 0 if state == oracle.END else int("".join(map(str, state[3])), 2)
+    def number(state: care_oracle.State) -> int:
+        return 0 if state == care_oracle.END else int("".join(map(str, state[3])), 2)
 
-    def law(state: oracle.State, action: str) -> tuple[list, list[float]]:
+    def law(state: care_oracle.State, action: str) -> tuple[list, list[float]]:
         if (state, action) not in laws:
             found = care.outcomes(state, action)
             results = [(nxt, float(sum(earned.values()))) for _, nxt, earned, _ in found]
             laws[state, action] = (results, [float(chance) for chance, *_ in found])
         return laws[state, action]
 
-    def options(state: oracle.State) -> list:
+    def options(state: care_oracle.State) -> list:
         names = care.actions(state)
         return ["skip"] if names == ("skip",) else list(range(4))
 
@@ -167,18 +169,18 @@ def learn_alone(care: oracle.Oracle, settings: QLearning, seed: int) -> tuple[li
         total = 0.0
         for _ in range(settings.episodes):
             state = care.start
-            while state != oracle.END:
+            while state != care_oracle.END:
                 row, offered = number(state), options(state)
                 if draw.random() < epsilon:
                     action = draw.choice(offered)
                 else:
                     action = max(offered, key=lambda a: q[row, a])
-                name = "skip" if action == "skip" else oracle.ACTIONS[action]
+                name = "skip" if action == "skip" else care_oracle.ACTIONS[action]
                 results, chances = law(state, name)
                 state, reward = draw.choices(results, chances)[0]
                 total += reward
                 ahead = 0.0
-                if state != oracle.END:
+                if state != care_oracle.END:
                     ahead = max(q[number(state), a] for a in options(state))
                 q[row, action] += 0.05 * (reward + 0.95 * ahead - q[row, action])
         returns.append(total / settings.episodes)
@@ -200,7 +202,7 @@ def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, s
     count = 24
     scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=[1, 1])
     ours = train(scenario.compile(), learner, 8 * count, rng=90210)
-    care = oracle.Oracle(readings, tasks=[1, 1])
+    care = care_oracle.Oracle(readings, tasks=[1, 1])
     theirs = [learn_alone(care, learner, 77_000 + number) for number in range(count)]
 
     def z(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from care_oracle import END, Oracle
 from cases import CASES, Case
-from cases.reference import every_policy_ends, solve_exact
 from certificates import CYCLE, MODELS, certified
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import END, Oracle
+from oracle import every_policy_ends, solve_exact
 from strategies import Rows, exact_gains, exact_values, model_of, models
 
 from exact_mdp import (

@@ -11,9 +11,9 @@ from random import Random
 
 import numpy as np
 import pytest
+from care_oracle import READINGS
 from hypothesis import given, settings
-from large_models import gridworld
-from oracle import READINGS
+from made_models import gridworld
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 
 from exact_mdp import (

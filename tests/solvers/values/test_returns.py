@@ -10,46 +10,30 @@ from random import Random
 
 import numpy as np
 import pytest
-from endless_oracle import classes, limit
+from care_oracle import READINGS
 from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-from oracle import READINGS
-from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
+from oracle import classes, limit
+from policy_cases import (
+    LAWFUL,
+    Case,
+    brute_force,
+    care,
+    careful,
+    coin,
+    directive,
+    geometric,
+    is_acyclic,
+    policy_of,
+    uniform,
+)
 from strategies import Pairs, any_models, model_of
 
 from exact_mdp import MDP, ModelError, Scenario, evaluate, return_distribution, simulate
 
-Law = dict[F, F]
-SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])
-LAWFUL = cases(discounts=(F(1),), rewards=SMALL, weights=st.integers(1, 3))
 SAMPLE = [
     dict(zip(READINGS, options, strict=True))
     for options in Random(6).sample(list(product(*READINGS.values())), 9)
 ]
-
-
-def brute_force(case: Case, steps: int) -> tuple[Law, F]:
-    """Follow every way of an episode for some steps: the law of the ended ones, and the rest."""
-    moving: dict[tuple[int, F], F] = defaultdict(F)
-    for s, weight in case.start.items():
-        moving[s, F(0)] += weight
-    ended: Law = defaultdict(F)
-    for step in range(steps + 1):
-        following: dict[tuple[int, F], F] = defaultdict(F)
-        for (s, total), mass in moving.items():
-            if s in case.terminal:
-                ended[total] += mass
-            elif step == steps:
-                following[s, total] += mass
-            else:
-                for p, t, r, _ in case.outcomes[s]:
-                    following[t, total + r] += mass * p
-        moving = following
-    return dict(ended), sum(moving.values(), F(0))
-
-
-def is_acyclic(case: Case) -> bool:
-    return brute_force(case, case.n_states)[1] == 0
 
 
 @settings(deadline=None, max_examples=40)
@@ -94,15 +78,6 @@ def test_a_hundred_subtasks_take_seconds() -> None:
     assert found.sd == pytest.approx(wanted.sd, rel=1e-12)
 
 
-def coin(*rewards: object, ways: int = 1) -> MDP:
-    """One of some rewards at random, several times over."""
-    rows = [
-        (step, 0, [(F(1, len(rewards)), step + 1, reward) for reward in rewards])
-        for step in range(ways)
-    ]
-    return MDP.from_outcomes([*rows, (ways, 0, [(1, ways, 0)])])
-
-
 def test_floats_are_the_dyadic_numbers_that_they_are() -> None:
     found = return_distribution(coin(0.1, 0.25, ways=2), "random")
     assert found.values == (2 * F(0.1), F(0.1) + F(0.25), F(0.5))
@@ -128,12 +103,6 @@ def test_cdf_and_quantiles() -> None:
     assert [tenths.quantile(p / 10) for p in range(1, 11)] == list(range(10))
     with pytest.raises(ModelError, match=r"1\.5"):
         found.quantile(1.5)
-
-
-def geometric(stay: str, reward: object = -1) -> MDP:
-    return MDP.from_outcomes(
-        [(0, 0, [(stay, 0, reward), (1 - F(stay), 1, 0)]), (1, 0, [(1, 1, 0)])]
-    )
 
 
 def test_tails_too_small_for_floats_are_reported() -> None:
@@ -165,10 +134,9 @@ def test_runs_without_end_are_a_return_of_their_own(model: Pairs) -> None:
     """Against the limits of the chain, and all that happens in some steps."""
     size, pairs = model
     rows = [next(pair for pair in pairs if pair[0] == s) for s in range(size)]
-    chain = [[row.get(t, F(0)) for t in range(size)] for *_, row in rows]
-    reward, star = [r for _, _, r, _ in rows], limit(chain)
+    reward, star = [r for _, _, r, _ in rows], limit(rows)
     mdp, lost, over = model_of(size, rows, F(1)), dict[float, F](), set[int]()
-    for each in classes(chain):
+    for each in classes(rows):
         mean = sum(star[each[0]][t] * reward[t] for t in each)
         over |= {*each}
         if mean:

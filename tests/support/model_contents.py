@@ -1,7 +1,8 @@
-"""What a model says: whether it has cycles, and when two say the same in every exact number."""
+"""What a model says: its laws and cycles, and when two say the same in every exact number."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from fractions import Fraction
 from graphlib import CycleError, TopologicalSorter
@@ -61,3 +62,15 @@ def same_array(ours: Any, theirs: Any, name: str) -> None:
     assert np.array_equal(ours, theirs), name
     if ours.dtype == object:
         assert {type(value) for value in theirs} == {int}, name
+
+
+def laws(mdp: MDP) -> dict[tuple[int, str], dict[tuple[int, Fraction], Fraction]]:
+    """Every pair's exact joint law of next state and reward, outcomes merged."""
+    result = {}
+    for pair in range(mdp.n_pairs):
+        law: dict[tuple[int, Fraction], Fraction] = defaultdict(Fraction)
+        for probability, following, reward in mdp.table.row(pair):
+            law[following, reward] += probability
+        key = (int(mdp.pair_state[pair]), mdp.actions[mdp.pair_action[pair]])
+        result[key] = dict(law)
+    return result

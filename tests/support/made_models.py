@@ -1,0 +1,140 @@
+"""Models that are made: random ones of any size, grids, rings, and the published forest."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from fractions import Fraction as F
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from exact_mdp import MDP, Parametric, moving
+
+
+def garnet(
+    states: int, *, seed: int, discount: object = "9/10", ends: bool = False, actions: int = 3
+) -> MDP:
+    """A random model; with an end in its last state where `ends`."""
+    rng = np.random.default_rng(seed)
+    pairs, width = states * actions, 6
+    after = np.sort(rng.integers(0, states, (pairs, width)))
+    chance = rng.dirichlet(np.ones(width), pairs)
+    reward = rng.normal(size=pairs)
+    if ends:
+        after[:, -1] = states - 1
+        last = slice(pairs - actions, pairs)
+        after[last], reward[last] = states - 1, 0.0
+    rows = sp.csr_array(
+        (chance.ravel(), after.ravel(), np.arange(0, pairs * width + 1, width)), (pairs, states)
+    )
+    rows.sum_duplicates()
+    if ends:
+        rows.data[rows.indptr[pairs - actions] :] = 1.0
+    owner, action = np.repeat(np.arange(states), actions), np.tile(np.arange(actions), states)
+    return MDP.from_pairs(owner, action, rows, reward, discount)
+
+
+def gridworld(width: int) -> MDP:
+    """Steps that go astray to either side with probability 1/10, and many ties."""
+
+    def at(row: int, column: int) -> int:
+        return min(max(row, 0), width - 1) * width + min(max(column, 0), width - 1)
+
+    rows = []
+    for i in range(width):
+        for j in range(width):
+            for action, (down, right) in enumerate([(0, 1), (1, 0), (0, -1), (-1, 0)]):
+                sides = [at(i + right, j + down), at(i - right, j - down)]
+                outcomes = [(F(8, 10), at(i + down, j + right), -1)]
+                outcomes += [(F(1, 10), side, -1) for side in sides]
+                if at(i, j) == width**2 - 1:
+                    outcomes = [(F(1), at(i, j), 0)]
+                rows.append((at(i, j), action, outcomes))
+    return MDP.from_outcomes(rows, F(99, 100))
+
+
+def sparse(rows: np.ndarray, weight: np.ndarray, reward: np.ndarray, discount: float) -> MDP:
+    """The model of `rows` (L, k) of next states and their weights, as many pairs in each state."""
+    pairs, states = len(rows), int(rows.max()) + 1
+    given = weight.ravel(), rows.ravel(), np.arange(0, rows.size + 1, rows.shape[1])
+    transition = sp.csr_array(given, shape=(pairs, states))
+    transition.sum_duplicates()
+    state, action = np.divmod(np.arange(pairs), pairs // states)
+    return MDP.from_pairs(state, action, transition, reward, discount=discount)
+
+
+def classes(reward: str, discount: float) -> MDP:
+    """Ways round a ring, in which some states may be stayed in for ever."""
+    rng, states, actions = np.random.default_rng(0), 3000, 3
+    pairs = states * actions
+    state = np.repeat(np.arange(states), actions)[:, None]
+    rows = (state + rng.integers(0, 4, (pairs, 3)) * (rng.random((pairs, 1)) > 0.03)) % states
+    weight = rng.dirichlet(np.ones(3), pairs)
+    rare = (rng.random(pairs) < 5 / pairs) * 1.0
+    return sparse(
+        rows, weight, rare if reward == "rare" else rng.integers(-3, 4, pairs) * 1.0, discount
+    )
+
+
+PARTS = 1000  # of which drawn probabilities and rewards are whole numbers
+Row = tuple[int, int, list[tuple[Fraction, int, Fraction]]]
+
+
+def garnet_rows(states: int, *, rng: int, actions: int = 4, branches: int = 5) -> list[Row]:
+    """Each action has some random successors and a reward in [0, 1) (Archibald et al., 1995)."""
+    draw = np.random.default_rng(rng)
+    ahead = [draw.choice(states, branches, replace=False) for _ in range(states * actions)]
+    return _rows(draw, np.array(ahead), actions)
+
+
+def dense(states: int, *, rng: int, actions: int = 4) -> MDP:
+    """Every state can follow every other."""
+    ahead = np.tile(np.arange(states), (states * actions, 1))
+    return MDP.from_outcomes(_rows(np.random.default_rng(rng), ahead, actions), "19/20")
+
+
+def _rows(draw: np.random.Generator, ahead: np.ndarray[Any, Any], actions: int) -> list[Row]:
+    """The rows of pairs with these successors (L, b), in proportion to whole numbers."""
+    weight, gain = draw.integers(1, PARTS, ahead.shape), draw.integers(0, PARTS, len(ahead))
+    rows = []
+    for pair, (nexts, weights) in enumerate(zip(ahead.tolist(), weight.tolist(), strict=True)):
+        reward, total = Fraction(int(gain[pair]), PARTS), sum(weights)
+        chances = [(Fraction(w, total), n, reward) for w, n in zip(weights, nexts, strict=True)]
+        rows.append((pair // actions, pair % actions, chances))
+    return rows
+
+
+def forest(discount: str) -> MDP:
+    """Return the forest of three ages."""
+    wait, cut = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]], [[1, 0, 0]] * 3
+    return MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount)
+
+
+def burning(discount: str) -> Parametric:
+    """Return the forest with the chance of fire as one number in three rows."""
+    mdp = forest(discount)
+    return moving(mdp, {"fire": [(mdp.pair(state, 0), 0) for state in range(3)]})
+
+
+MOVES = ["LEFT", "DOWN", "RIGHT", "UP"]
+
+
+def grid(rows: int, columns: int) -> MDP:
+    """A grid world in which each step costs 1, and which ends in its last cell."""
+    goal, listed = rows * columns - 1, []
+    for state in range(goal):
+        r, c = divmod(state, columns)
+        for action, (down, right) in enumerate([(0, -1), (1, 0), (0, 1), (-1, 0)]):
+            to = min(max(r + down, 0), rows - 1), min(max(c + right, 0), columns - 1)
+            listed.append((state, action, [(1, to[0] * columns + to[1], -1)]))
+    listed.append((goal, 0, [(1, goal, 0)]))
+    return MDP.from_outcomes(listed, discount="9/10", actions=MOVES)
+
+
+def corridor(names: list[str]) -> MDP:
+    """States in a row; `names[0]` earns 1 and moves on, `names[1]` stays put and earns nothing."""
+    last = len(names) - 1
+    rows = [(s, 0, [(1, s + 1, 1)]) for s in range(last)] + [(last, 0, [(1, last, 0)])]
+    rows += [(s, 1, [(1, s, 0)]) for s in range(last)]
+    return MDP.from_outcomes(sorted(rows), discount="1/2", states=names, actions=names[:2])
