@@ -192,7 +192,7 @@ def test_settings_and_what_is_refused() -> None:
     for solver in (GaussSeidel(), "backward-induction"):
         with pytest.raises(ModelError, match="does not apply to an average"):
             solve(mdp, solver, criterion="average")
-    with pytest.raises(ModelError, match="no start applies"):
+    with pytest.raises(ModelError, match="has no use for start="):
         solve(mdp, PolicyIteration(start=[0, 0, 0]), criterion="average")
     for verb in (solve, lambda *_, **known: evaluate(mdp, "random", **known)):
         with pytest.raises(ModelError, match="no horizon"):
