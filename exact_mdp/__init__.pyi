@@ -43,6 +43,8 @@ from exact_mdp.analysis.vary.ranges import load_ranges as load_ranges
 from exact_mdp.analysis.vary.robust import robust as robust
 from exact_mdp.analysis.vary.robust import robust_curve as robust_curve
 from exact_mdp.analysis.vary.sobol import sobol as sobol
+from exact_mdp.analysis.vary.study import Study as Study
+from exact_mdp.analysis.vary.study import study as study
 from exact_mdp.mdp.care.perception import Counted as Counted
 from exact_mdp.mdp.care.perception import counted as counted
 from exact_mdp.mdp.care.perception import independent as independent

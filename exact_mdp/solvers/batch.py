@@ -47,6 +47,7 @@ class Batch:
         States that are not terminal, at discount 1; all of them below.
     start : (D, S)
     components : (D, L, C)
+    component_names : tuple of C str
     state : (L,)
     first : (S,)
         The state of each pair, and the first pair of each state.
@@ -62,6 +63,7 @@ class Batch:
     live: np.ndarray
     start: Floats
     components: Floats
+    component_names: tuple[str, ...]
     state: Integers
     first: Integers
 
@@ -90,6 +92,7 @@ class Batch:
             live=np.stack([~mdp.terminal | (mdp.discount_exact < 1) for mdp in models]),
             start=np.stack([mdp.start_distribution for mdp in models]),
             components=np.stack([mdp.components for mdp in models]),
+            component_names=one.component_names,
             state=np.array(one.pair_state),
             first=np.array(one.pair_offsets[:-1]),
         )

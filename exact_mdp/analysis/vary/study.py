@@ -510,6 +510,14 @@ class ModelSolver:
         columns = [known.index(name) for name in components]
         found = np.empty((len(draws), len(policies), len(columns)))
         for here, part in self.parts(names, draws, first):
+            of = part.component_names if isinstance(part, Batch) else part[0].component_names
+            if of != known:
+                raise ModelError(
+                    f"the model's components are {', '.join(of)} there, and "
+                    f"{', '.join(known)} today",
+                    where=f"draw {first + here.start}",
+                    fix="make the model by a function that gives its components: Family(build=…)",
+                )
             for n, chosen in enumerate(policies):
                 if isinstance(part, Batch):
                     found[here, n] = part.totals(chosen)[:, columns]

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from exact_mdp.mdp.care.laws import excess, influence, warn_of_excess
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, placed
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, moved_from, parameter_of, placed
 
 
 class Scenario(Tables):
@@ -117,10 +118,14 @@ class ScenarioFamily:
 
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
-        if not values and self.base is not None:
-            return self.base
-        everything = placed(self, values)
-        there = self.scenario.with_(parameters={name: everything[name] for name in values})
+        moved = moved_from(self, values)
+        return self._compiled(self.scenario.with_(parameters=moved)) if moved else self._today
+
+    @cached_property
+    def _today(self) -> MDP:
+        return self._compiled(self.scenario) if self.base is None else self.base
+
+    def _compiled(self, there: Scenario) -> MDP:
         mdp = compile_scenario(there)
         self._tell(there)
         return mdp

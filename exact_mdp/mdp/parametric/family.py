@@ -20,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -136,7 +136,12 @@ class Family:
 
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
-        return self.build(placed(self, values))
+        moved = moved_from(self, values)
+        return self.build(placed(self, moved)) if moved else self._today
+
+    @cached_property
+    def _today(self) -> MDP:
+        return self.build(placed(self, {}))
 
     def degree(self, name: str) -> int:
         """See `Parametric.degree`."""
@@ -364,8 +369,18 @@ class Moved:
     rest: Mapping[int, Fraction]
     earned: Mapping[Fraction, str]
 
+    @cached_property
+    def _parted(self) -> bool:
+        """Whether the components of a pair's reward stay what they are where its row moves."""
+        rows = map(self.model.table.row, self.named)
+        return all(len({gain for _, _, gain in row}) == 1 for row in rows)
+
     def __call__(self, values: Mapping[str, Fraction]) -> MDP:
-        """Return the model at values of all parameters."""
+        """Return the model at values of all parameters.
+
+        Components of the reward are kept where it is known what they become: where no reward moves,
+        and a row that moves earns the same whatever follows.
+        """
         model = self.model
         if all(values[p.name] == p.value for p in self.parameters):
             return model.with_(discount=values[DISCOUNT])
@@ -378,7 +393,7 @@ class Moved:
             if moved:
                 outcomes = [(p, to, moved.get(gain, gain)) for p, to, gain in outcomes]
             rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
-        return MDP.from_outcomes(
+        found = MDP.from_outcomes(
             rows,
             values[DISCOUNT],
             start=model.start,
@@ -392,6 +407,10 @@ class Moved:
             unreached=model.unreached,
             floats=model.floats,
         )
+        if moved or model.component_table is None or not self._parted:
+            return found
+        names, table = model.component_names, model.component_table
+        return found.with_(component_names=names, component_table=table)
 
 
 def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
@@ -488,6 +507,13 @@ def placed(model: Parametric, values: Mapping[str, object]) -> dict[str, Fractio
         everything[name] = exact(value)
         parameter_of(model, name).check(everything[name])
     return everything
+
+
+def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:
+    """Return the values that differ from today's; raises ModelError as `placed` does."""
+    today = {parameter.name: parameter.value for parameter in model.parameters}
+    everything = placed(model, values)
+    return {name: everything[name] for name in values if everything[name] != today[name]}
 
 
 def _entry(mdp: MDP, pair: int, state: int) -> Fraction:

@@ -25,6 +25,7 @@ from exact_mdp import (
     curve,
     explore,
     gradient,
+    moving,
     thresholds,
 )
 
@@ -236,3 +237,57 @@ def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -
     by_discount = curve(floats, "discount")
     assert by_discount.violations() == []
     assert by_discount.at("1/2") == certify(floats.with_(discount="1/2")).start_value
+
+
+# ---- one curve, and its views -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["base.anxiety", "reward.assist.prompt", "discount"])
+def test_slopes_of_the_curve_are_the_derivatives(name: str) -> None:
+    found = curve(SMALL, name)
+    each = gradient(SMALL, names=[name])[name]
+    sides = [None if side is None else side.value for side in (each.left, each.right)]
+    assert [*found.slope(found.parameter.value)] == sides
+
+
+def test_slopes_at_a_tie_are_those_of_the_policies_on_both_sides() -> None:
+    p = Parameter(name="p", value=F(1, 2), low=F(0), high=F(1))
+
+    def build(at: Mapping[str, Fraction]) -> MDP:
+        rows = [(0, 0, [(1, 1, at["p"])]), (0, 1, [(1, 1, 1 - at["p"])]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows)
+
+    family = Family(parameters=(p,), build=build)
+    found, each = curve(family, "p"), gradient(family)["p"]
+    assert found.slope("1/2") == (each.left.value, each.right.value) == (-1, 1)
+    assert (found.slope(0), found.slope(1)) == ((None, -1), (1, None))
+
+
+def test_components_change_no_claim() -> None:
+    """What is earned in parts is known as well as what is earned at once."""
+    rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
+    whole = MDP.from_outcomes(rows, "1/2")
+    parts = MDP.from_outcomes(rows, "1/2", components={"a": [1, 2, 0], "b": [4, 8, -1]})
+    for name in ("p", "gain", "discount"):
+        one, two = (moving(mdp, {"p": [(0, 0)]}, {"gain": 10}) for mdp in (whole, parts))
+        assert curve(one, name).claim == curve(two, name).claim == "certified"
+        assert thresholds(one, name).claim == thresholds(two, name).claim == "certified"
+        assert gradient(one)[name] == gradient(two)[name]
+    assert two.at({"p": "1/3"}).component_names == ("a", "b")
+    assert two.at({"gain": 9}).component_names == ("reward",)  # nobody says which part has moved
+
+
+def test_every_model_of_a_threshold_is_made_once() -> None:
+    made: list[Fraction] = []
+
+    def build(at: Mapping[str, Fraction]) -> MDP:
+        made.append(at["p"])
+        rows = [(0, 0, [(at["p"], 1, 1), (1 - at["p"], 0, 0)]), (0, 1, [(1, 1, F(3, 4))])]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], "9/10")
+
+    p = Parameter(name="p", value=F(1, 2), low=F(0), high=F(1))
+    family = Family(parameters=(p,), build=build)
+    for _ in range(2):
+        made.clear()
+        assert len(thresholds(family, "p", (F(1, 10), F(3, 4))).found) == 1
+        assert len(made) == len(set(made))

@@ -10,10 +10,10 @@ from exact_mdp.analysis.cli.render import Report, Table, cell, claimed
 from exact_mdp.analysis.cli.sensitivity.options import ROUNDED, Asked, analysis
 from exact_mdp.analysis.vary.curves.gradient import Derivative, gradient
 from exact_mdp.analysis.vary.curves.thresholds import Threshold, Thresholds, thresholds
+from exact_mdp.analysis.vary.curves.walk import optimum
 from exact_mdp.analysis.vary.one_way import Bar, tornado
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
-from exact_mdp.solvers.solver import solve
 
 # ---- derivatives -------------------------------------------------------------------------------
 
@@ -159,7 +159,7 @@ def threshold_report(asked: Asked) -> Report:
         for threshold in each.found
         for switch in _switches(name, threshold)
     ]
-    start = solve(asked.loaded.mdp).start
+    start = optimum(asked.model.at({}))[1]
     result = {
         **claimed("start_value", start),
         "claim": next(

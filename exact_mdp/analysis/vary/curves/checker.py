@@ -81,6 +81,15 @@ class RationalFunction:
         """Return the ratio at a point."""
         return _horner(self.numerator, value) / _horner(self.denominator, value)
 
+    def slope(self, value: Fraction) -> Fraction:
+        """Return the derivative at a point."""
+        top, below = _horner(self.numerator, value), _horner(self.denominator, value)
+        rise, growth = (
+            _horner([k * c for k, c in enumerate(part)][1:], value)
+            for part in (self.numerator, self.denominator)
+        )
+        return (rise * below - top * growth) / below**2
+
 
 def _horner(coefficients: Sequence[Fraction], value: Fraction) -> Fraction:
     total = Fraction(0)
@@ -115,6 +124,10 @@ class CurvePiece:
     section : Section
     values, fixed_values : (N of each of S states, D)
         The values of all states, polynomials of y; those that are maximised, of a model of costs.
+    touches : tuple of (low, high, pair)
+        Brackets of points inside at which one more pair is as good, and no better.
+    ended : (L,) bool or None
+        The pairs that are optimal at the upper end, where that is the end of a section.
     """
 
     low: Bracket
@@ -125,6 +138,8 @@ class CurvePiece:
     section: Section
     values: Values
     fixed_values: Values | None = None
+    touches: tuple[tuple[Fraction, Fraction, int], ...] = ()
+    ended: NDArray[np.bool_] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {name: _coefficients(getattr(self, name)) for name in POLYNOMIALS}

@@ -12,6 +12,7 @@ the rows pass from one polynomial to another.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -22,17 +23,10 @@ from exact_mdp.analysis.gate.limits import limit_of
 from exact_mdp.analysis.vary.base_case import maximised
 from exact_mdp.analysis.vary.curves.checker import (
     CurvePiece,
-    RationalFunction,
-    Section,
     piece_violations,
 )
-from exact_mdp.analysis.vary.curves.optimal_stretches import Sweep, moved
 from exact_mdp.analysis.vary.curves.regret_limits import Interval, kept
-from exact_mdp.analysis.vary.curves.thresholds import (
-    NEARLY_ONE,
-    below_one,
-    sections_of,
-)
+from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, Sweep, below_one, pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
@@ -116,6 +110,22 @@ class ValueFunction(Pictured):
         where = exact(value)
         fixed = self.around(where)[0].fixed
         return None if fixed is None else fixed.at(where)
+
+    def slope(self, value: object) -> tuple[Fraction | None, Fraction | None]:
+        """Return the derivatives of the optimal value on the left and on the right of a value.
+
+        None beyond the range. They differ at a threshold, and at a breakpoint of the rows.
+        """
+        at = exact(value)
+        pieces = self.around(at)
+        best = self.at(at)
+        left, *_, right = [p.value.slope(at) for p in pieces if p.value.at(at) == best] * 2
+        if len(pieces) == 1 or pieces[0].value.at(at) != pieces[-1].value.at(at):
+            right = left
+        return (
+            None if at == self.range.low else left,
+            None if at == self.range.high else right,
+        )
 
     def negated(self, mdp: MDP) -> ValueFunction:
         """Return the function of costs, whose model is given, from that of their negation."""
@@ -255,10 +265,10 @@ def curve(
     if name == DISCOUNT and ranges is None and relative is None and span.high < 1:
         span = Range(low=span.low, high=NEARLY_ONE)
     span = below_one(family, name, span)
-    mdp, sections = family.at({}), sections_of(family, name, span)
+    mdp, (pieces, sweeps) = family.at({}), pieces_of(family, name, span)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
     if chain is not None and chain.policy is not None:
-        ends = np.logical_and.reduce([np.array(each.rows.terminal) for each in sections])
+        ends = np.logical_and.reduce([np.array(each.rows.terminal) for each in sweeps])
         open_ = np.flatnonzero(chain.policy.silent(mdp) & mdp.terminal & ~ends)
         if len(open_):
             raise ModelError(
@@ -270,33 +280,23 @@ def curve(
     return ValueFunction(
         parameter=parameter_of(family, name),
         range=span,
-        pieces=tuple(piece for section in sections for piece in _pieces(section, chain)),
+        pieces=tuple(pieces if chain is None else _with_fixed(pieces, sweeps, chain)),
         mdp=mdp,
         family=family,
         chain=chain,
-        checked=next((c for e in sections if (c := e.rows.change.checked) is not None), None),
+        checked=next((c for e in sweeps if (c := e.rows.change.checked) is not None), None),
     )
 
 
-def _pieces(sweep: Sweep, chain: PolicyChain | None) -> list[CurvePiece]:
-    fixed = fixed_values = None
-    if chain is not None:
-        weights = map(chain.exact_weights, range(chain.mdp.n_states))
-        mix = [[(pair, rational(w)) for pair, w in each.items()] for each in weights]
-        fixed_values = sweep.rows.values(mix, (sweep.low, sweep.high))
-        fixed = RationalFunction.of(moved(sweep.rows.worth(fixed_values), sweep.origin))
-    origin = sweep.origin
-    section = Section(low=sweep.low + origin, high=sweep.high + origin, origin=origin)
-    return [
-        CurvePiece(
-            low=stretch.before,
-            high=stretch.after,
-            optimal=np.array(stretch.optimal),
-            value=RationalFunction.of(stretch.worth),
-            fixed=fixed,
-            section=section,
-            values=stretch.values,
-            fixed_values=fixed_values,
-        )
-        for stretch in sweep
-    ]
+def _with_fixed(
+    pieces: Sequence[CurvePiece], sweeps: Sequence[Sweep], chain: PolicyChain
+) -> Iterator[CurvePiece]:
+    """Yield pieces with the values of a policy that is held fixed."""
+    weights = map(chain.exact_weights, range(chain.mdp.n_states))
+    mix = [[(pair, rational(w)) for pair, w in each.items()] for each in weights]
+    for sweep in sweeps:
+        values = sweep.rows.values(mix, (sweep.low, sweep.high))
+        fixed = sweep.ratio(values)
+        for piece in pieces:
+            if piece.section is sweep.section:
+                yield replace(piece, fixed=fixed, fixed_values=values)

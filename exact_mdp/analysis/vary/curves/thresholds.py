@@ -1,8 +1,6 @@
 """Every value of a parameter at which an optimal action changes, and where none does.
 
-Within a piece of the parameter's range a policy stays optimal up to a root of one of its gap
-polynomials (`sensitivity.curves.gap_polynomials`); `sensitivity.curves.optimal_stretches` goes from
-root to root and solves the model exactly on both sides of each.
+These are the ends of the pieces of the value's exact curve (`.curve`).
 
 The stability radius is the distance from today's value to the nearest threshold on either side, the
 policy being re-optimised (threshold analysis in the sense of the ISPOR-SMDM good practices: Briggs
@@ -14,35 +12,27 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import chain, count, pairwise
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.vary.base_case import maximised, unending
-from exact_mdp.analysis.vary.curves.gap_polynomials import Rows
-from exact_mdp.analysis.vary.curves.optimal_stretches import WIDTH, Bracket, Mask, Sweep
-from exact_mdp.analysis.vary.curves.real_roots import roots, simple
+from exact_mdp.analysis.vary.curves.curve import ValueFunction, curve
+from exact_mdp.analysis.vary.curves.walk import Mask
 from exact_mdp.analysis.vary.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import endless, reachable
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
-from exact_mdp.mdp.parametric.row_change import Piece, RowChange, row_change, transition_entries
+from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import shown
-from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-NEARLY_ONE = 1 - Fraction(1, 2**40)
 COLUMNS = ("parameter", "unit", "today", "threshold", "state", "before", "after", "reached")
 
 
@@ -231,109 +221,34 @@ def thresholds(
     [0.90909090909...]
     """
     family = parametric(model)
-    span = below_one(family, name, range_of(family, name, ranges, relative))
-    if family.at({}).sense == "min":
-        family, _ = maximised(family, "optimal")
-    sections = sections_of(family, name, span)
-    stretches = [stretch for section in sections for stretch in section]
-    checked_at = next((c for each in sections if (c := each.rows.change.checked) is not None), None)
-    mdp = family.at({})
-    found: list[Threshold] = []
-    for left, right in pairwise(stretches):
-        both = (left.optimal, right.optimal)
-        low, high = left.after[0], max(left.after[1], right.before[1])
-        if switches := _switches(mdp, *both, met=both):
-            found.append(Threshold(low=low, high=high, switches=switches))
-        if low == high:  # a breakpoint: rows have a kink there, and so may a gap that is 0 there
-            there = proven(family.at({name: low})).optimal_pairs
-            more = left.optimal | (there & ~right.optimal)
-            more = np.where(mdp.terminal[mdp.pair_state], left.optimal, more)
-            if switches := _switches(mdp, left.optimal, more, met=both):
-                found.append(Threshold(low=low, high=high, switches=switches, touch=True))
-    for each in stretches:
-        for low, high, pair in each.touches:
-            more = each.optimal.copy()
-            more[pair] = True
-            switches = _switches(mdp, each.optimal, more, met=(each.optimal,))
-            found.append(Threshold(low=low, high=high, switches=switches, touch=True))
-    found.sort(key=lambda threshold: threshold.low)
-    parameter = parameter_of(family, name)
-    return Thresholds(parameter=parameter, range=span, found=tuple(found), checked=checked_at)
-
-
-def below_one(family: Parametric, name: str, span: Range) -> Range:
-    """Return a range of the discount that ends below 1 where some policy never ends at 1."""
-    if name != DISCOUNT or span.high < 1 or not endless(family.at({name: 1})):
-        return span
-    if span.low >= NEARLY_ONE:
-        raise ModelError(
-            "at discount 1 some policy never ends",
-            where=f"parameter {name}",
-            fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
-        )
-    return Range(low=span.low, high=NEARLY_ONE)
-
-
-def sections_of(family: Parametric, name: str, span: Range) -> list[Sweep]:
-    """Return what yields stretches, over each section on which rows are polynomials.
-
-    Raises ModelError where some policy never ends at discount 1.
-    """
-    inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
-    found = list[Sweep]()
-    for low, high in pairwise(sorted({span.low, *inside, span.high})):
-        base, change = _middle(family, name, low, high)
-        if _endless(family, base, change):
-            raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
-        found.append(Sweep(Rows(base, change), lambda value: family.at({name: value}), low, high))
-    return found
-
-
-def _middle(family: Parametric, name: str, low: Fraction, high: Fraction) -> tuple[MDP, RowChange]:
-    """Return the model in the middle of a section, and how it changes; next to it if a chance is 0.
-
-    What may happen there may then happen next to it, too. A chance that moves is 0 at few points.
-    """
-    for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
-        origin = low + (high - low) * share
-        base = family.at({name: origin})
-        change = row_change(family, name, Piece(low=low, high=high), origin=origin, base=base)
-        if np.isin(change.transition.key, transition_entries(base)[0]).all():
-            break
-    return base, change
-
-
-def _endless(family: Parametric, mdp: MDP, change: RowChange) -> bool:
-    """Return whether some policy never ends in a section, its ends included, at discount 1.
-
-    Or earns where all is over, which is then over at one value of the parameter alone.
-    """
-    pairs = np.concatenate([change.reward.key, change.transition.key // mdp.n_states])
-    earns = mdp.discount_exact == 1 and not change.discount and mdp.terminal[mdp.pair_state[pairs]]
-    if endless(mdp) or np.any(earns):
-        return True
-    if mdp.discount_exact < 1 or change.discount or levels(mdp) is not None:
-        return False
-    low, high = change.piece.low, change.piece.high
-    assert low is not None
-    assert high is not None
-    for end in (low, high):
-        there = family.at({change.name: end})
-        if endless(there) or (there.terminal != mdp.terminal).any():
-            return True
-    return any(
-        low < high or endless(family.at({change.name: low}))
-        for low, high in _gone(PolynomialRows.of(mdp, change), low, high)
+    found = curve(family, name, range_of(family, name, ranges, relative))
+    return Thresholds(
+        parameter=found.parameter,
+        range=found.range,
+        found=tuple(sorted(_found(found), key=lambda threshold: threshold.low)),
+        checked=found.checked,
     )
 
 
-def _gone(rows: PolynomialRows, low: Fraction, high: Fraction) -> Iterator[Bracket]:
-    """Yield brackets of the values between two at which some chance becomes 0."""
-    origin = rows.change.origin
-    for poly in {str(p): p for p in rows.moving}.values():
-        for root in roots(simple(poly), low - origin, high - origin):
-            near = root.narrowed(WIDTH).simplest()
-            yield near.low + origin, near.high + origin
+def _found(curve: ValueFunction) -> Iterator[Threshold]:
+    """Yield the thresholds between the pieces of a curve, and the touches inside them."""
+    mdp = curve.mdp
+    for left, right in pairwise(curve.pieces):
+        both = (left.optimal, right.optimal)
+        low, high = left.high[0], max(left.high[1], right.low[1])
+        if switches := _switches(mdp, *both, met=both):
+            yield Threshold(low=low, high=high, switches=switches)
+        if left.ended is not None:  # rows have a kink there, and so may a gap that is 0 there
+            more = left.optimal | (left.ended & ~right.optimal)
+            more = np.where(mdp.terminal[mdp.pair_state], left.optimal, more)
+            if switches := _switches(mdp, left.optimal, more, met=both):
+                yield Threshold(low=low, high=high, switches=switches, touch=True)
+    for piece in curve.pieces:
+        for low, high, pair in piece.touches:
+            more = piece.optimal.copy()
+            more[pair] = True
+            switches = _switches(mdp, piece.optimal, more, met=(piece.optimal,))
+            yield Threshold(low=low, high=high, switches=switches, touch=True)
 
 
 def _switches(mdp: MDP, before: Mask, after: Mask, *, met: tuple[Mask, ...]) -> tuple[Switch, ...]:

@@ -1,16 +1,20 @@
-"""The stretches of a parameter on which the set of optimal actions stays as it is.
+"""The pieces of a parameter's range on which the set of optimal actions stays as it is.
 
-A policy π stays optimal until the first root at which one of its gap polynomials turns negative.
-At a point just beyond it the policy is improved, and the new policy's gaps show that it is optimal
-from that very root on: none of them may turn negative between the root and the point, else the
-point is moved closer. So no threshold is passed over, however close two of them lie.
+On a section between two breakpoints, rows are polynomials of the parameter. A policy stays optimal
+until the first root at which one of its gap polynomials turns negative. At a point just beyond it
+the policy is improved, and the new policy's gaps show that it is optimal from that very root on:
+none of them may turn negative between the root and the point, else the point is moved closer. So no
+threshold is passed over, however close two of them lie. The policy that is optimal at the end of a
+section is where the next one begins, so that one model is solved, once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from fractions import Fraction
+from functools import lru_cache
+from itertools import chain, count, pairwise
 from math import ceil, floor
 from typing import TYPE_CHECKING
 
@@ -19,11 +23,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Ratio, Rows, Values
+from exact_mdp.analysis.vary.base_case import unending
+from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, RationalFunction, Section
+from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Rows, Values
 from exact_mdp.analysis.vary.curves.real_roots import Root, roots, sign, simple, variations
-from exact_mdp.mdp.model import MDP
+from exact_mdp.analysis.vary.ranges import Range
+from exact_mdp.mdp.chain import endless
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.numbers import rational
-from exact_mdp.mdp.table import Integers
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric
+from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
+from exact_mdp.mdp.parametric.row_change import Piece, RowChange, row_change, transition_entries
+from exact_mdp.mdp.table import Integers, shown
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.solution import Bounded, Certified
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
@@ -33,81 +47,65 @@ WIDTH = Fraction(1, 10**12)
 GRID = 10**13
 ATTEMPTS = 200
 
+NEARLY_ONE = 1 - Fraction(1, 2**40)
+
 Mask = NDArray[np.bool_]
-Bracket = tuple[Fraction, Fraction]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stretch:
-    """An open interval in which the set of optimal actions stays as it is.
-
-    Attributes
-    ----------
-    before, after : (Fraction, Fraction)
-        Brackets of its lower and of its upper end; all are values of the parameter.
-    optimal : (L,) bool
-        The pairs that are optimal throughout.
-    touches : list of (low, high, pair)
-        Points inside at which one more pair is as good, and no better.
-    values : (N of each of S states, D)
-        The optimal values are N / D throughout, polynomials of y = θ - θ0.
-    worth : (fmpq_poly, fmpq_poly)
-        The same of the value at the start, polynomials of the parameter θ.
-    """
-
-    before: Bracket
-    after: Bracket
-    optimal: Mask
-    touches: list[tuple[Fraction, Fraction, int]]
-    values: Values
-    worth: Ratio
+At = Callable[[Fraction], MDP]
 
 
 class Sweep:
     """A walk over one piece (low, high) of a parameter, whose rows are polynomials there."""
 
-    def __init__(
-        self, rows: Rows, at: Callable[[Fraction], MDP], low: Fraction, high: Fraction
-    ) -> None:
-        self.rows, self.at, self.origin = rows, at, rows.change.origin
+    def __init__(self, rows: Rows, low: Fraction, high: Fraction) -> None:
+        self.rows, self.origin = rows, rows.change.origin
         self.low, self.high = low - self.origin, high - self.origin
+        self.section = Section(low=low, high=high, origin=self.origin)
         self.gaps = Gaps(rows, (self.low, self.high))
         self.simple: dict[int, fmpq_poly] = {}
         self.first: dict[int, Root | None] = {}
         self.touching: dict[int, list[Root]] = {}
         self.policy: Integers = np.empty(0, dtype=np.int64)
 
-    def __iter__(self) -> Iterator[Stretch]:
-        here = self._settle()
-
-        before = (self.low, self.low)
+    def pieces(self, policy: Integers) -> Iterator[CurvePiece]:
+        """Yield the pieces, beginning with a policy (S,) that may not be optimal."""
+        self._follow(policy)
+        here, before = self._settle(), (self.low, self.low)
         while found := self._next(here):
             root = found.narrowed(WIDTH / 16)
             optimal, touches = self._optimal(), self._touches(here, root.low)
             values = self.gaps.values
             here, after = self._cross(root, here)
-            yield self._stretch(before, after, optimal, touches, values)
+            yield self._piece(before, after, optimal, touches, values)
             before = after
-        touches = self._touches(here, self.high)
-        end = (self.high, self.high)
-        yield self._stretch(before, end, self._optimal(), touches, self.gaps.values)
+        touches, optimal = self._touches(here, self.high), self._optimal()
+        piece = self._piece(before, (self.high,) * 2, optimal, touches, self.gaps.values)
+        end = rational(self.high)
+        yield replace(piece, ended=np.array([poly(end) == 0 for poly in self.gaps.gap]))
 
-    def _stretch(
+    def _piece(
         self,
         before: Bracket,
         after: Bracket,
         optimal: Mask,
         touches: list[tuple[Fraction, Fraction, int]],
         values: Values,
-    ) -> Stretch:
-        return Stretch(
-            before=(before[0] + self.origin, before[1] + self.origin),
-            after=(after[0] + self.origin, after[1] + self.origin),
+    ) -> CurvePiece:
+        return CurvePiece(
+            low=(before[0] + self.origin, before[1] + self.origin),
+            high=(after[0] + self.origin, after[1] + self.origin),
             optimal=optimal,
-            touches=touches,
+            value=self.ratio(values),
+            section=self.section,
             values=values,
-            worth=moved(self.rows.worth(values), self.origin),
+            touches=tuple(touches),
         )
+
+    def ratio(self, values: Values) -> RationalFunction:
+        """Return what a policy's values are worth at the start, as a function of the parameter."""
+        top, below = self.rows.worth(values)
+        shared = top.gcd(below)
+        shift = flint.fmpq_poly([rational(-self.origin), 1])
+        return RationalFunction.of(((top / shared)(shift), (below / shared)(shift)))
 
     def _optimal(self) -> Mask:
         return np.array([poly.degree() < 0 for poly in self.gaps.gap])
@@ -197,11 +195,7 @@ class Sweep:
         The policy is followed if it is.
         """
         (low, high), former = bracket, self.policy
-        if len(former):
-            self._improve(low, high)
-        else:
-            optimal = np.flatnonzero(proven(self.at(high + self.origin)).optimal_pairs)
-            self._follow(optimal[np.searchsorted(optimal, self.rows.mdp.pair_offsets[:-1])])
+        self._improve(low, high)
         for pair, poly in enumerate(self.gaps.gap):
             if poly.degree() < 0 or self._far(pair, low, high):
                 continue
@@ -210,10 +204,7 @@ class Sweep:
                 if sign(poly, high) > 0:
                     continue
             if not self._clear(pair, poly, root, low, high):
-                if len(former):
-                    self._follow(former)
-                else:
-                    self.policy = former
+                self._follow(former)
                 return False
         return True
 
@@ -258,14 +249,6 @@ class Sweep:
         return len(found) == 1 and root.equals(self._simple(pair, poly)) is not None
 
 
-def moved(worth: Ratio, origin: Fraction) -> Ratio:
-    """Return N and D, polynomials of θ - origin, as polynomials of θ in their lowest terms."""
-    top, below = worth
-    shared = top.gcd(below)
-    shift = flint.fmpq_poly([rational(-origin), 1])
-    return (top / shared)(shift), (below / shared)(shift)
-
-
 def _turns(poly: fmpq_poly, root: Root) -> bool:
     """Whether a polynomial, not negative before, is negative just beyond a root."""
     if root.low == root.high:
@@ -292,3 +275,99 @@ def _earlier(one: Root, other: Root) -> Root:
         width = max(one.high - one.low, other.high - other.low) / 4
         one, other = one.narrowed(width), other.narrowed(width)
     return one if one.high <= other.low else other
+
+
+# ---- sections ----------------------------------------------------------------------------------
+
+
+@once
+def optimum(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
+    """Return an optimal pair of each state, and the proven value at the start, of a model."""
+    certificate = proven(mdp)
+    optimal = np.flatnonzero(certificate.optimal_pairs)
+    return optimal[np.searchsorted(optimal, mdp.pair_offsets[:-1])], certificate.start
+
+
+def pieces_of(family: Parametric, name: str, span: Range) -> tuple[list[CurvePiece], list[Sweep]]:
+    """Return the pieces over a range, and the sections that they are on.
+
+    Raises ModelError where some policy never ends at discount 1.
+    """
+    inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
+
+    @lru_cache
+    def at(value: Fraction) -> MDP:
+        return family.at({name: value})
+
+    found, sweeps, policy = list[CurvePiece](), list[Sweep](), None
+    for low, high in pairwise(sorted({span.low, *inside, span.high})):
+        base, change = _middle(family, at, name, low, high)
+        if _endless(at, base, change):
+            raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
+        sweep = Sweep(Rows(base, change), low, high)
+        found += sweep.pieces(optimum(base)[0] if policy is None else policy)
+        policy = sweep.policy
+        sweeps.append(sweep)
+    return found, sweeps
+
+
+def below_one(family: Parametric, name: str, span: Range) -> Range:
+    """Return a range of the discount that ends below 1 where some policy never ends at 1."""
+    if name != DISCOUNT or span.high < 1 or not endless(family.at({name: 1})):
+        return span
+    if span.low >= NEARLY_ONE:
+        raise ModelError(
+            "at discount 1 some policy never ends",
+            where=f"parameter {name}",
+            fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
+        )
+    return Range(low=span.low, high=NEARLY_ONE)
+
+
+def _middle(
+    family: Parametric, at: At, name: str, low: Fraction, high: Fraction
+) -> tuple[MDP, RowChange]:
+    """Return the model in the middle of a section, and how it changes; next to it if a chance is 0.
+
+    What may happen there may then happen next to it, too. A chance that moves is 0 at few points.
+    """
+    for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
+        origin = low + (high - low) * share
+        base = at(origin)
+        change = row_change(family, name, Piece(low=low, high=high), origin=origin, base=base)
+        if np.isin(change.transition.key, transition_entries(base)[0]).all():
+            break
+    return base, change
+
+
+def _endless(at: At, mdp: MDP, change: RowChange) -> bool:
+    """Return whether some policy never ends in a section, its ends included, at discount 1.
+
+    Or earns where all is over, which is then over at one value of the parameter alone.
+    """
+    pairs = np.concatenate([change.reward.key, change.transition.key // mdp.n_states])
+    earns = mdp.discount_exact == 1 and not change.discount and mdp.terminal[mdp.pair_state[pairs]]
+    if endless(mdp) or np.any(earns):
+        return True
+    if mdp.discount_exact < 1 or change.discount or levels(mdp) is not None:
+        return False
+    low, high = change.piece.low, change.piece.high
+    assert low is not None
+    assert high is not None
+    for end in (low, high):
+        there = at(end)
+        if endless(there) or (there.terminal != mdp.terminal).any():
+            return True
+    return any(
+        low < high or endless(at(low))
+        for low, high in _gone(PolynomialRows.of(mdp, change), low, high)
+    )
+
+
+def _gone(rows: PolynomialRows, low: Fraction, high: Fraction) -> Iterator[Bracket]:
+    """Yield brackets of the values between two at which some chance becomes 0."""
+    origin = rows.change.origin
+    for poly in {str(p): p for p in rows.moving}.values():
+        for root in roots(simple(poly), low - origin, high - origin):
+            near = root.narrowed(WIDTH).simplest()
+            yield near.low + origin, near.high + origin
