@@ -75,10 +75,10 @@ def chances(mdp: MDP) -> Parametric:
 @pytest.mark.parametrize(
     ("mdp", "policy", "what"),
     [
-        (GAINS, "optimal", r"\+∞"),
-        (GAINS, "always:1", r"\+∞"),
-        (LOSES, "always:0", "the policy held fixed is worth -∞"),
-        (BOTH, "optimal", "-∞"),
+        (GAINS, "optimal", "the optimum is infinite"),
+        (GAINS, "always:1", "is infinite"),
+        (LOSES, "always:0", "the policy held fixed is infinite"),
+        (BOTH, "optimal", "is infinite"),
     ],
 )
 def test_infinite_values_are_refused(name: str, mdp: MDP, policy: str, what: str) -> None:
@@ -101,20 +101,16 @@ def test_other_analyses_refuse_them() -> None:
 
 @pytest.mark.parametrize("kind", ["tornado", "psa --samples 4", "sobol --samples 4"])
 @pytest.mark.parametrize(
-    ("mdp", "more", "worth"),
-    [
-        (GAINS, "--policy always:1", "+∞"),
-        (LOSES, "--until g --policy always:0", "+∞"),
-        (BOTH, "", "-∞"),
-    ],
+    ("mdp", "more"),
+    [(GAINS, "--policy always:1"), (LOSES, "--until g --policy always:0"), (BOTH, "")],
 )
-def test_commands(kind: str, mdp: MDP, more: str, worth: str, tmp_path: Path) -> None:
+def test_commands(kind: str, mdp: MDP, more: str, tmp_path: Path) -> None:
     """Exit status 2, with what, where and fix; no word of the range of floats."""
     mdp.save(tmp_path / "model.npz")
     found = run(*kind.split(), tmp_path / "model.npz", *more.split())
     assert (found.status, found.out) == (2, "")
-    assert f"is worth {worth}, so that nothing can be compared" in found.err
-    assert "where: the total reward at discount 1" in found.err
+    assert "is infinite, so that nothing can be compared" in found.err
+    assert "where: the total at discount 1" in found.err
     assert "fix:" in found.err
     assert "floats" not in found.err
     assert "warning" not in found.err

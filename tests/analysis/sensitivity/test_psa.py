@@ -223,10 +223,10 @@ def test_a_published_model_with_an_uncertain_row() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ({"n": 0}, "0 draws"),
-        ({"n": -1}, "-1 draws"),
-        ({"n": 5.0}, "5.0 draws"),
-        ({"n": True}, "True draws"),
+        ({"n": 0}, "n is 0"),
+        ({"n": -1}, "n is -1"),
+        ({"n": 5.0}, "n is 5.0"),
+        ({"n": True}, "n is True"),
         ({"rng": None}, "None is not a source"),
         ({"rng": True}, "True is not a source"),
         ({"rng": -1}, "-1 is not a source"),

@@ -148,9 +148,9 @@ def test_an_index_that_is_not_there_is_not_a_number(of_chain: Any) -> None:
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"n": 0}, "0 samples"),
+        ({"n": 0}, "n is 0"),
         ({"n": 100}, "not a power of 2"),
-        ({"n": True}, "True samples"),
+        ({"n": True}, "n is True"),
         ({"rng": -1}, "-1 is not a source"),
         ({"names": ["x"]}, "unknown parameter 'x'"),
         ({"ranges": {"p": (HALF, HALF)}}, "empty"),
