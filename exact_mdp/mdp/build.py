@@ -323,15 +323,16 @@ def from_outcomes(
     else:
         gain = grouped([reward for row in rewards for reward in row], offsets)
     table = _table(offsets, following, weight, gain)
-    names["floats"] = names.get("floats", False) or any(row[3] for row in listed)
+    for place, name in ((3, "float_probabilities"), (4, "float_rewards")):
+        names[name] = names.get(name, False) or any(row[place] for row in listed)
     each_component(names, lambda values, where: of_length(values, where, len(listed))[order])
     _observed(names, np.array(order, dtype=np.int64), len(order))
     size = int(max([*state, *following], default=-1)) + 1
     return _assemble(state, action, table, size, discount, start, names)
 
 
-def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> tuple[Outcomes, bool]:
-    """Return the positive probabilities of a pair, sorted, and whether any number is a float."""
+def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> tuple[Outcomes, bool, bool]:
+    """Return a pair's positive probabilities, sorted; whether these, and rewards, are floats."""
     every = [(as_given(p), index(then), as_given(reward)) for p, then, reward in outcomes]
     keys = [(then, reward) for _, then, reward in every]
     row: Outcomes = dict(zip(keys, (chance for chance, _, _ in every), strict=True))
@@ -339,8 +340,13 @@ def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> tuple[Outcomes, bool]:
         row = {}
         for key, chance in zip(keys, meant([chance for chance, _, _ in every]), strict=True):
             row[key] = chance_sum(row[key], chance) if key in row else chance
-    floats = any(isinstance(number, float) for p, _, r in every for number in (p, r))
-    return {key: chance for key, chance in sorted(row.items(), key=itemgetter(0)) if chance}, floats
+    kept = {key: chance for key, chance in sorted(row.items(), key=itemgetter(0)) if chance}
+    chances, _, rewards = zip(*every, strict=True) if every else ((), (), ())
+    return kept, _any_float(chances), _any_float(rewards)
+
+
+def _any_float(numbers: Iterable[object]) -> bool:
+    return any(isinstance(number, float) for number in numbers)
 
 
 def _observed(names: dict[str, Any], order: Integers, total: int) -> None:
@@ -427,7 +433,7 @@ def _from_rows(
         gain = grouped(picked(reward, pair, following), offsets)
     following = following if size < 2**31 else following.astype(np.int64)
     table = _table(offsets, following, weight, gain)
-    names["floats"] = weight.floats or gain.floats
+    names |= {"float_probabilities": weight.floats, "float_rewards": gain.floats}
     if rising:
         vars(table)["rising"] = True  # it was made so, and need not be asked again
         if sound is not None:

@@ -96,9 +96,8 @@ class MDP(ByFields, Parts):
         observed and that are certain.
     episodes : int, optional
         How many recorded episodes `start` was counted from; None where the start is known.
-    floats : bool
-        Whether probabilities or rewards were given as floats, which stand for what they were
-        rounded from.
+    float_probabilities, float_rewards : bool
+        Whether some were given as floats, which stand for what they were rounded from.
 
     Raises
     ------
@@ -123,8 +122,9 @@ class MDP(ByFields, Parts):
         fill = object.__setattr__
         fill(self, "table", self.table.settled())
         check_model(self)
-        kinds = (self.table.weight.dtype, self.table.gain.dtype)
-        fill(self, "floats", self.floats or np.float64 in kinds)
+        for name, numbers in (("probabilities", self.table.weight), ("rewards", self.table.gain)):
+            if numbers.dtype == np.float64:
+                fill(self, f"float_{name}", True)
         fill(self, "start", Told(self.start))
         if self.observations is not None:
             fill(self, "observations", whole_numbers(self.observations, "observations"))
@@ -548,6 +548,11 @@ class MDP(ByFields, Parts):
             sense="max" if self.sense == "min" else "min",
             unreached=-self.unreached,
         )
+
+    @property
+    def floats(self) -> bool:
+        """Whether probabilities or rewards were given as floats."""
+        return self.float_probabilities or self.float_rewards
 
     @cached_property
     def undiscounted(self) -> MDP:

@@ -71,7 +71,8 @@ class Parts:
     unreached: float = inf
     observations: Integers | None = None
     episodes: int | None = None
-    floats: bool = False
+    float_probabilities: bool = False
+    float_rewards: bool = False
     action_objects: tuple[Hashable, ...] = ()
 
     @property

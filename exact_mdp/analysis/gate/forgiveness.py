@@ -3,16 +3,17 @@
 A float stands for whatever it was rounded from, half a unit in its last place to either side. To
 first order that moves the difference of two policies' values at the start by at most
 
-    Σ_l |v(l) - u(l)| ρ(l) + ω(l) γ (max x_i - min x_i),   x_i = v(l) V^*(s_i) - u(l) V^π(s_i)
+    Σ_l |v(l) - u(l)| ρ(l) + M_l(x),    x_i = v(l) (r_i + γ V^*(s_i)) - u(l) (r_i + γ V^π(s_i))
+    M_l(x) = min_c Σ_i ω_i |x_i - c|
 
 with u and v the expected uses of pair l, ρ half a unit in the last place of its expected reward,
-and ω a quarter of one in the last place of its probabilities, added up: these sum to 1, so that as
-much is given as taken. What both policies do alike moves both alike. A regret of at most that is
-none. A pair ties with the best action where its gap is at most e(l) + γ Σ P(l, s') F(s') + F(s),
-with e(l) = ρ(l) + ω(l) γ (max V_i - min V_i), and F what the optimum collects of that.
+and ω_i of the probability of its outcome i. As these sum to 1, their errors sum to 0, and any c may
+be taken off x; the median is best. What both policies do alike moves both alike. A regret of at
+most that is none. A pair ties with the best action where its gap is at most e(l) + γ Σ P(l, s')
+F(s') + F(s), with e(l) = ρ(l) + M_l(r + γ V), and F what the optimum collects of that.
 
-All of this is bounded from above. Nothing is forgiven of rewards where one of them is no float, and
-of probabilities likewise: they count as given exactly. So do 0, and a probability of 1.
+All of this is bounded from above. Nothing is forgiven where all rewards, or all probabilities, were
+given exactly, nor of 0 and of a probability of 1; beside floats, exact numbers count as these.
 """
 
 from __future__ import annotations
@@ -30,33 +31,37 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import visits
 
 
-def _roundings(mdp: MDP) -> tuple[Floats, Floats]:
-    """Return ρ and ω (L,)."""
-    table, first = mdp.table, mdp.table.offsets[:-1]
-    chance, gain, moved = table.probabilities(), table.gains(), np.zeros(mdp.n_pairs)
-    if table.weight.dtype == np.float64:
-        moved = np.where(chance < 1, np.spacing(chance) / 4, 0.0)
-        moved = np.add.reduceat(moved, first)
-    rounded = moved * (np.maximum.reduceat(gain, first) - np.minimum.reduceat(gain, first))
-    if table.gain.dtype == np.float64:
-        earned = np.where(gain, chance * np.spacing(np.abs(gain)) / 2, 0.0)
-        rounded = rounded + np.add.reduceat(earned, first)
-    return rounded, moved
+def _rounded_rewards(mdp: MDP) -> Floats:
+    """Return ρ (L,)."""
+    table, gain = mdp.table, mdp.table.gains()
+    if not mdp.float_rewards:
+        return np.zeros(mdp.n_pairs)
+    earned = np.where(gain, table.probabilities() * np.spacing(np.abs(gain)) / 2, 0.0)
+    return np.add.reduceat(earned, table.offsets[:-1])
 
 
-def _span(mdp: MDP, value: Floats, error: Floats) -> Floats:
-    """Return (L,) how far apart numbers (N,) of the outcomes of a pair are at most."""
-    first = mdp.table.offsets[:-1]
-    return np.maximum.reduceat(value + error, first) - np.minimum.reduceat(value - error, first)
+def _moved_by_rows(mdp: MDP, x: Floats, error: Floats) -> Floats:
+    """Return M (L,) of numbers (N,) known up to an error."""
+    table, first, pair = mdp.table, mdp.table.offsets[:-1], mdp.table.pair
+    if not mdp.float_probabilities:
+        return np.zeros(mdp.n_pairs)
+    chance = table.probabilities()
+    half = np.where(chance < 1, np.spacing(chance) / 2, 0.0)
+    order = np.lexsort((x, pair))
+    ahead = np.cumsum(half[order])
+    middle = (ahead[first] - half[order[first]] + ahead[table.offsets[1:] - 1]) / 2
+    places = np.where(ahead >= middle[pair], np.arange(len(x)), len(x))
+    median = x[order[np.minimum.reduceat(places, first)]]
+    return np.add.reduceat(half * (np.abs(x - median[pair]) + error), first)
 
 
 def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:
-    """Return e (L,) for values (S,) known up to an error."""
-    if not mdp.floats:
-        return np.zeros(mdp.n_pairs)
-    (rounded, moved), there = _roundings(mdp), mdp.table.next
-    span = mdp.discount * _span(mdp, known.value[there], known.error[there])
-    return np.asarray((rounded * rewards + moved * span) * SLACK + TINY)
+    """Return e (L,) for values (S,) known up to an error; without `rewards`, with r = 0."""
+    gain, there, rate = mdp.table.gains() * rewards, mdp.table.next, mdp.discount
+    x, error = gain + rate * known.value[there], rate * known.error[there]
+    error += 3 * UNIT * (np.abs(gain) + np.abs(x))
+    moved = _rounded_rewards(mdp) * rewards + _moved_by_rows(mdp, x, error)
+    return np.asarray(moved * SLACK + TINY)
 
 
 def forgiven(
@@ -68,9 +73,9 @@ def forgiven(
     """
     if not mdp.floats:
         return Fraction(0)
-    rounded, moved = _roundings(mdp)
     apart, unsure = np.zeros((2, mdp.n_pairs))
     x, off = np.zeros((2, len(mdp.table.next)))
+    gain, rate = mdp.table.gains(), mdp.discount
     with np.errstate(over="ignore", invalid="ignore"):
         for sign, (chain, known) in ((-1, own), (1, best)):
             try:
@@ -80,12 +85,14 @@ def forgiven(
             live = (chain.reached & ~chain.mdp.terminal)[mdp.pair_state] * chain.weights
             uses, loose = live * met.value[mdp.pair_state], live * met.error[mdp.pair_state]
             loose += 4 * UNIT * np.abs(uses)
-            value, error = known.value[mdp.table.next], known.error[mdp.table.next]
+            value, error = known.value[mdp.table.next], rate * known.error[mdp.table.next]
+            error += 3 * UNIT * (np.abs(gain) + np.abs(value))
+            value = gain + rate * value
             each, more = uses[mdp.table.pair], loose[mdp.table.pair]
             x += sign * each * value
             off += (more * np.abs(value) + (np.abs(each) + more) * error) + 3 * UNIT * np.abs(x)
             apart, unsure = apart + sign * uses, unsure + loose
-        most = rounded * (np.abs(apart) + unsure) + mdp.discount * moved * _span(mdp, x, off)
+        most = _rounded_rewards(mdp) * (np.abs(apart) + unsure) + _moved_by_rows(mdp, x, off)
     found = float(most.sum()) * SLACK
     return Fraction(found) if np.isfinite(found) else Fraction(0)
 

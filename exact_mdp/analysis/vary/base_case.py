@@ -84,7 +84,7 @@ def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
 def _refuse_infinite(what: str, value: Bounded, where: str) -> None:
     if isinf(value.value):
         raise ModelError(
-            f"{what} is worth {'+' if value.value > 0 else '-'}∞, so that nothing can be compared",
+            f"{what} is infinite, so that nothing can be compared",
             where=f"the total at discount 1, {where}",
             fix="give a discount below 1 (--discount 0.95), another policy, or ranges in which "
             "every value is finite",

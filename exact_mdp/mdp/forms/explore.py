@@ -94,7 +94,7 @@ def explored(
         ends = [0] * (len(found) - len(rows))
         names["components"] = {name: amounts + ends for name, amounts in named.items()}
         every = (amount for amounts in _amounts(outcomes_of) for amount in amounts.values())
-        names["floats"] = any(isinstance(as_given(amount), float) for amount in every)
+        names["float_rewards"] = any(isinstance(as_given(amount), float) for amount in every)
         found = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in found]
     places = ByNumber({states.number[state]: chance for state, chance in begins.items()})
     return found, names | {"start": places, "labels": flags}

@@ -28,8 +28,9 @@ values in row-major order), `objects` (of a column and of the actions: what thes
 `extra` (names of the states after those), `component_names`, `events`,
 `parameters` ([{"name", "value", "low", "high"}, …], low and high may be null), `time_limit` (a
 number of steps or null), `sense` ("max" or "min"), `labels` (their names), `unreached` ("inf" or
-"-inf", what a run that misses the goal is worth), `floats` (whether numbers were given as floats)
-and `arrays` (the names of the others); older files lack some of the last six and `objects`.
+"-inf", what a run that misses the goal is worth), `float_probabilities` and `float_rewards`
+(whether some were given as floats) and `arrays` (the names of the others); older files lack some of
+the last seven and `objects`.
 
 `np.load(path)["pair_state"]` and so on read the arrays, `json.loads` reads the bytes of the header.
 """
@@ -96,7 +97,8 @@ def as_header(mdp: MDP) -> dict[str, Any]:
         "sense": mdp.sense,
         "labels": list(mdp.labels),
         "unreached": str(mdp.unreached),
-        "floats": mdp.floats,
+        "float_probabilities": mdp.float_probabilities,
+        "float_rewards": mdp.float_rewards,
     }
 
 
@@ -157,7 +159,10 @@ def parts_of(content: object, *, pairs: int, labels: Sequence[Any] = ()) -> dict
         "sense": _of_kind(header.get("sense", "max"), "sense", str),
         "labels": dict(zip(named, labels, strict=True)),
         "unreached": float(unreached),
-        "floats": _of_kind(header.get("floats", False), "floats", bool),
+        **{
+            name: _of_kind(header.get(name, False), name, bool)
+            for name in ("float_probabilities", "float_rewards")
+        },
     }
 
 

@@ -632,7 +632,7 @@ def _table(outcomes: Integers, count: Integers, values: Sequence[Any]) -> dict[s
     )
     return {
         "table": table,
-        "floats": gain.floats,
+        "float_rewards": gain.floats,
         "pair_state": pair[first, 0].copy(),
         "pair_action": pair[first, 1].copy(),
         "observations": observations,

@@ -405,7 +405,8 @@ class Moved:
             labels=model.labels,
             goal=model.goal,
             unreached=model.unreached,
-            floats=model.floats,
+            float_probabilities=model.float_probabilities,
+            float_rewards=model.float_rewards,
         )
         if moved or model.component_table is None or not self._parted:
             return found

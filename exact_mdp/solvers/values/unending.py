@@ -144,7 +144,8 @@ def model_of(chain: PolicyChain) -> MDP:
         sense=mdp.sense,
         goal=mdp.goal,
         unreached=mdp.unreached,
-        floats=mdp.floats,
+        float_probabilities=mdp.float_probabilities,
+        float_rewards=mdp.float_rewards,
     )
 
 

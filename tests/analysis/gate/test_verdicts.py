@@ -11,6 +11,7 @@ import pytest
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from model_contents import meant
 from oracle import fixed_point, rows_of, visits
 from strategies import Rows, models
 
@@ -119,20 +120,23 @@ def test_what_is_forgiven_is_compared_exactly() -> None:
     assert len(check(choice(0.3, two), [0, 0]).disagreements) == 1
 
 
-def test_rounded_rows_forgive_by_the_span_of_what_they_reach() -> None:
-    """γ times the rounding of a row times the span of the values that this row can reach."""
-    high = 1000
-    rows = [
-        (0, 0, [(0.1, 1, 0), (0.9, 2, 0)]),
-        (0, 1, [(1, 2, F(0.1) * high - F(1, 10**14))]),
-        (1, 0, [(1, 3, high)]),
-        (2, 0, [(1, 3, 0)]),
-        (3, 0, [(1, 3, 0)]),
-    ]
-    mdp = MDP.from_outcomes(rows, "1/2")
-    moved = F(1, 2) * (ulp(0.1) + ulp(0.9)) / 2 * high  # what one gets, the other loses
-    audit = check(mdp, [0, 0, 0, 0])
-    assert moved <= audit.forgiven <= moved * (1 + F(1, 10**5))  # the rewards are exact
+@pytest.mark.parametrize("rare", [0.3, 1e-9])
+def test_rounded_rows_forgive_by_the_span_of_what_they_reach(rare: float) -> None:
+    """What one outcome gets, the other loses: the finer float says how much that may be."""
+    high, (chance, _) = 1000, meant([rare, 1 - rare])
+    moved = F(1, 2) * ulp(rare) * high
+    for loss, passed in ((moved / 2, True), (moved * 2, False)):
+        rows = [
+            (0, 0, [(rare, 1, 0), (1 - rare, 2, 0)]),
+            (0, 1, [(1, 2, F(1, 2) * chance * high + loss)]),
+            (1, 0, [(1, 3, high)]),
+            (2, 0, [(1, 3, 0)]),
+            (3, 0, [(1, 3, 0)]),
+        ]
+        audit = check(MDP.from_outcomes(rows, "1/2"), [0, 0, 0, 0])
+        assert audit.passed == passed
+        assert audit.regret.at_start.value == loss
+        assert moved <= audit.forgiven <= moved * (1 + F(1, 10**5))
 
 
 def test_long_horizons_forgive_by_visits() -> None:
@@ -207,17 +211,15 @@ def solved(mdp: MDP, pairs: list[int], earned: list[F]) -> list[F]:
     return fixed_point(right, onward(mdp, pairs))
 
 
-def movable(mdp: MDP, pair: int, worth: list[F]) -> F:
-    """Return what half a unit in the last place of one pair's numbers can move."""
-    row, table = mdp.table.row(pair), mdp.table
-    rounded, earns = (numbers.dtype == np.float64 for numbers in (table.weight, table.gain))
-    moved = rounded * sum((ulp(float(p)) / 2 for p, _, _ in row), F(0))
-
-    def by_row(x: list[F]) -> F:
-        return moved * (max(x) - min(x))
-
-    own = by_row([r for _, _, r in row]) + earns * sum(p * ulp(float(r)) for p, _, r in row if r)
-    return own + mdp.discount_exact * by_row([worth[t] for _, t, _ in row])
+def movable(mdp: MDP, pair: int, *ways: tuple[F, list[F]]) -> F:
+    """Return what half a unit in the last place of one pair's numbers moves in Σ n (r + γ V)."""
+    row, rounded, earns = mdp.table.row(pair), mdp.float_probabilities, mdp.float_rewards
+    x = [sum(n * (r + mdp.discount_exact * worth[t]) for n, worth in ways) for _, t, r in row]
+    # Errors of probabilities sum to 0: any number may be taken off, and the median is best.
+    halves = [rounded * ulp(float(p)) for p, _, _ in row]
+    moved = min(sum(h * abs(each - c) for h, each in zip(halves, x, strict=True)) for c in x)
+    earned = sum(p * ulp(float(r)) for p, _, r in row if r)
+    return moved + earns * earned * abs(sum(n for n, _ in ways))
 
 
 def apart(mdp: MDP, own: tuple[list[int], list[F]], ideal: tuple[list[int], list[F]]) -> F:
@@ -226,12 +228,10 @@ def apart(mdp: MDP, own: tuple[list[int], list[F]], ideal: tuple[list[int], list
     for pairs, _ in (own, ideal):
         visited = visits({0: F(1)}, onward(mdp, pairs))
         uses.append({l: visited[s] for s, l in enumerate(pairs) if not mdp.terminal[s]})
-    total, none = F(0), [F(0)] * mdp.n_states
+    total = F(0)
     for l in uses[0].keys() | uses[1].keys():
         u, v = (of.get(l, F(0)) for of in uses)
-        x = [v * b - u * a for a, b in zip(own[1], ideal[1], strict=True)]
-        rewards = movable(mdp, l, none)
-        total += abs(v - u) * rewards + movable(mdp, l, x) - rewards
+        total += movable(mdp, l, (v, ideal[1]), (-u, own[1]))
     return total
 
 
@@ -269,14 +269,14 @@ def test_the_verdict_is_that_of_enumeration(mdp: MDP, data: st.DataObject) -> No
     ideal = every[optimal.index(True)]  # product goes through the lowest actions first
     place = data.draw(st.integers(0, len(every) - 1))
     pairs, worth = every[place], values[place]
-    perfect = solved(mdp, ideal, [movable(mdp, l, best) for l in ideal])
+    perfect = solved(mdp, ideal, [movable(mdp, l, (F(1), best)) for l in ideal])
     moved = apart(mdp, (pairs, worth), (ideal, best))
     audit = check(mdp, [int(mdp.pair_action[l]) for l in pairs])
     lost = best[0] - worth[0]
     assert audit.regret.at_start.value == lost
     assert audit.passed == (lost <= moved)
     assert moved <= audit.forgiven <= moved * (1 + F(1, 10**5)) + F(1, 10**28)
-    own = solved(mdp, pairs, [movable(mdp, l, worth) for l in pairs])
+    own = solved(mdp, pairs, [movable(mdp, l, (F(1), worth)) for l in pairs])
     assert moved <= own[0] + perfect[0]  # what both do alike moves both alike
     unlisted = audit.regret.optimal_pairs[pairs].all()
     assert audit.passed or not unlisted
@@ -286,7 +286,7 @@ def test_the_verdict_is_that_of_enumeration(mdp: MDP, data: st.DataObject) -> No
         s, row = int(mdp.pair_state[l]), mdp.table.row(l)
         gap = best[s] - sum((p * (r + mdp.discount_exact * best[t]) for p, t, r in row), F(0))
         later = sum((p * perfect[t] for p, t, _ in row), F(0)) * mdp.discount_exact
-        ties = mdp.terminal[s] or gap <= movable(mdp, l, best) + later + perfect[s]
+        ties = mdp.terminal[s] or gap <= movable(mdp, l, (F(1), best)) + later + perfect[s]
         assert audit.regret.optimal_pairs[l] == ties
         if not ties:
             assert audit.regret.gap[l] == pytest.approx(float(gap), rel=1e-8)

@@ -116,3 +116,13 @@ def test_numbers_that_are_no_floats_are_not_forgiven() -> None:
         assert mdp.floats
         assert not check(mdp, [0] * 4).passed
         assert check(mdp, [1, 0, 0, 0]).passed
+
+
+def test_floats_that_were_added_up_stay_floats() -> None:
+    """Two thirds that lead to one state are exact in the table, and rounded all the same."""
+    third, ends = 1 / 3, [(s, 0, [(1, 3, s)]) for s in (1, 2, 3)]
+    law = [(third, 1, 0), (third, 1, 0), (third, 2, 0)]
+    mdp = MDP.from_outcomes([(0, 0, law), (0, 1, [(1, 1, 0)]), *ends], "1/2")
+    assert (mdp.float_probabilities, mdp.float_rewards) == (True, False)
+    moved = np.spacing(third) / 2 / 2
+    assert float(check(mdp, [1, 0, 0, 0]).forgiven) == pytest.approx(moved, rel=1e-6)
