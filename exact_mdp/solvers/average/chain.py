@@ -20,7 +20,7 @@ one kind of equation with a nonsingular matrix, and periodic chains are no diffe
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 
@@ -33,8 +33,8 @@ from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
-from exact_mdp.solvers.proof.exact import solve_exactly
-from exact_mdp.solvers.proof.rationals import fractions, primes_of
+from exact_mdp.solvers.exact.linear import Matrix, exact_solve
+from exact_mdp.solvers.proof.rationals import fractions
 from exact_mdp.solvers.solution import SolverError, Status
 
 Mask = NDArray[np.bool_]
@@ -187,6 +187,7 @@ class ExactAverages(Averages):
         states = len(rows.scale)
         graph = sp.csr_array((np.ones(len(rows.next)), rows.next, rows.offsets), (states, states))
         self.classes, self._rows = Classes.of(graph), rows
+        self._systems: dict[bytes, Matrix] = {}
 
     @property
     def ones(self) -> Numbers:
@@ -202,23 +203,23 @@ class ExactAverages(Averages):
 
     def total(self, constant: Numbers, stop: Mask) -> Numbers:
         """Return y (S,)."""
-        rows = self._rows
-        kept = np.repeat(~stop, np.diff(rows.offsets))
-        lengths = np.where(stop, 0, np.diff(rows.offsets))
         numbers, unit = common(constant.tolist())
-        earned = rows.scale.astype(object) * np.array(numbers, dtype=object)
-        found = solve_exactly(
-            replace(
-                rows,
-                terminal=np.zeros_like(stop),
-                constant=integers(earned.tolist()),
-                offsets=np.concatenate([[0], np.cumsum(lengths)]),
-                next=rows.next[kept],
-                weight=rows.weight[kept],
+        earned = zip(numbers, self._rows.scale.tolist(), strict=True)
+        top, below = exact_solve(self._system(stop), [number * scale for number, scale in earned])
+        return fractions(map(int, top), [int(below) * unit] * len(top), int(below) * unit)
+
+    def _system(self, stop: Mask) -> Matrix:
+        """Return the equations y = c + P y, with y = c where `stop`."""
+        key, rows = stop.tobytes(), self._rows
+        if key not in self._systems:
+            states, kept = np.arange(len(stop)), ~stop[rows.pair]
+            self._systems[key] = Matrix.of(
+                len(stop),
+                np.concatenate([states, rows.pair[kept]]),
+                np.concatenate([states, rows.next[kept]]),
+                integers([*rows.scale.tolist(), *(-rows.weight[kept]).tolist()]),
             )
-        )
-        below = [found.denominator[group] * unit for group in found.group.tolist()]
-        return fractions(found.numerator, below, primes_of(found.denominator) * unit)
+        return self._systems[key]
 
     def onward(self, value: Numbers) -> Numbers:
         """Return (C,) Fractions."""

@@ -11,7 +11,7 @@ of the limits that bind,
     B (V, p) = r,    x B = (μ, b)
 
 give the exact values and prices, and the exact visits. These two systems have one determinant, so
-that the second one takes half the time of the first (`solvers.proof.linear`). Where x ≥ 0, p ≥ 0,
+that the second one takes half the time of the first (`solvers.exact.linear`). Where x ≥ 0, p ≥ 0,
 all other limits are kept and no pair gains on V, both are optimal: it is the rule of linear
 programming (Applegate, Cook, Dash and Espinoza, Operations Research Letters 35, 2007). Where
 floats went wrong there is no answer.
@@ -27,11 +27,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-import flint
 import numpy as np
 import scipy.sparse as sp
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Integers, common
+from exact_mdp.solvers.exact.linear import exact_solve
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Limit, Values, Visits, room, totals_of, wrong_bound
 from exact_mdp.solvers.objectives.optima import NOISE, equations, proposed
@@ -152,16 +153,15 @@ def _proven(
     ]
     system = equations(of, live, chosen, limited, steps=not feasible)
     earned = (of.amounts[0].astype(object)[chosen] * feasible).tolist()
-    values = system.lifting([flint.fmpz(v) for v in [*earned, *[1] * (not feasible)]])
-    if values is None:
+    try:
+        values = exact_solve(system, [*earned, *[1] * (not feasible)])
+    except (ZeroDivisionError, ModelError):  # singular, or nearly so
         return None
     first = dict.fromkeys(live.tolist(), Fraction(0))
     first.update((s, weight) for s, weight in of.mdp.start if s in first)
     given = [-limits[k].sign * limits[k].bound for k in basis.binding]
     whole, parts = common([*first.values(), *given])
-    visits = system.transposed().lifting([flint.fmpz(v) for v in whole], values[1])
-    if visits is None:
-        return None
+    visits = exact_solve(system.transposed, whole)
     return _checked(of, limits, basis, chosen, values, (visits[0], visits[1] * parts), feasible)
 
 

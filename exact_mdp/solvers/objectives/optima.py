@@ -21,11 +21,11 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from exact_mdp.mdp.numbers import rational
-from exact_mdp.mdp.table import Integers, Numbers, common, spans
+from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
+from exact_mdp.solvers.exact.linear import Matrix, exact_solve
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Attained, Proof, Values, slack
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
-from exact_mdp.solvers.proof.linear import Equations
 from exact_mdp.solvers.proof.margins import quotient
 from exact_mdp.solvers.proof.uniqueness import uniqueness
 
@@ -172,9 +172,9 @@ def attained(of: Objectives, pairs: Integers) -> Attained:
     """
     if of.cyclic:
         live, found = np.flatnonzero(~of.rows.terminal), list[Values]()
-        chosen, below, own = equations(of, live, pairs[live]), None, [0] * of.mdp.n_states
+        system, own = equations(of, live, pairs[live]), [0] * of.mdp.n_states
         for amount in of.amounts:
-            top, below = chosen.solve([flint.fmpz(int(a)) for a in amount[pairs[live]]], below)
+            top, below = exact_solve(system, amount[pairs[live]].tolist())
             for state, number in zip(live.tolist(), top, strict=True):
                 own[state] = int(number)
             found.append(Values(list(own), int(below)))
@@ -190,7 +190,7 @@ def equations(
     limited: Sequence[Numbers] = (),
     *,
     steps: bool = False,
-) -> Equations:
+) -> Matrix:
     """Return the equations of pairs, states' first, over the values of live states and prices.
 
     `limited` are the amounts, of each pair, that have prices; with `steps`, the last equation says
@@ -211,19 +211,8 @@ def equations(
         row.append(np.full(len(limited), size - 1))
         column.append(np.arange(states, size))
         entry.append(np.full(len(limited), 1, dtype=object))
-    key, same = np.unique(np.concatenate(row) * size + np.concatenate(column), return_inverse=True)
-    total = np.zeros(len(key), dtype=object)
-    np.add.at(total, same, np.concatenate(entry))
-    at, to = np.divmod(key, size)
-    pivot, beside = np.zeros(size, dtype=object), (at != to) & (total != 0)
-    pivot[at[at == to]] = total[at == to]
-    return Equations(
-        pivot=pivot.tolist(),
-        row=at[beside],
-        column=to[beside],
-        weight=-total[beside],
-        border=len(limited),
-        long=True,
+    return Matrix.of(
+        size, np.concatenate(row), np.concatenate(column), integers(np.concatenate(entry).tolist())
     )
 
 

@@ -29,18 +29,16 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import linalg
 
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
-from exact_mdp.mdp.table import Integers, Numbers, magnitude, spans
-from exact_mdp.solvers.proof.linear import Equations
+from exact_mdp.mdp.table import Integers, Numbers, integers, magnitude, spans
+from exact_mdp.solvers.exact.linear import Matrix, exact_solve
 
 if TYPE_CHECKING:
     from flint import fmpz, fmpz_mat
 
 
 STEPS = 100  # of policy iteration, before the exact ones
-PRECISE = 256  # bits of fixed-point values
-BEYOND = 2**900  # pivots that floats would not hold, with their remainders
+PRECISE = 256  # bits of values in fixed point
 LARGEST = 20_000  # states; the numbers of a larger cycle would fill the memory
 CHUNK = 64  # states whose pairs are multiplied together
 FILLED = 4  # one in this many entries of a matrix is not zero, at least
@@ -198,6 +196,8 @@ class Cycle:
     def policy(self) -> Integers:
         """Return (K,) pairs that are optimal as far as 53 bits, then as PRECISE bits can show."""
         size, policy = len(self.offsets) - 1, self.offsets[:-1].copy()
+        if size == len(self.pivot):
+            return policy
         largest = max(1, *(abs(int(number)) for number in self.fixed))
         pivot = self.pivot
         earned = np.array([int(a) / (largest * b) for a, b in zip(self.fixed, pivot, strict=True)])
@@ -218,43 +218,22 @@ class Cycle:
                 if better is None:
                     break
                 policy = better
-            return self._sharpened(policy, chain)
+        return self._sharpened(policy)
 
-    def _sharpened(self, policy: Integers, chain: sp.csr_array) -> Integers:
-        """Improve a policy by fixed-point values, until no pair gains one part in 2^128."""
-        if magnitude(np.array(self.pivot, dtype=object)) > BEYOND:
-            return policy
-        longest = max(int(number).bit_length() for number in self.fixed)
-        spare, units = max(0, longest - PRECISE), PRECISE + max(0, PRECISE - longest)
-        fixed = np.array([int(number) >> spare << units for number in self.fixed], dtype=object)
+    def _sharpened(self, policy: Integers) -> Integers:
+        """Improve a policy by values of PRECISE bits, until no pair gains one part in 2^128."""
         pivot, weight = np.array(self.pivot, dtype=object), self.weight.astype(object)
         filled = np.flatnonzero(np.diff(self.row, prepend=-1))
-        scale, identity = pivot.astype(np.float64), sp.eye_array(len(policy), format="csc")
-
-        def gains(value: Numbers) -> Numbers:
+        for _ in range(STEPS):
+            side = [int(self.fixed[pair]) for pair in policy.tolist()]
+            found = self._matrix(policy).lifting.approximate(side, PRECISE)
+            if found is None:
+                break
+            value, point = np.array(found[0], dtype=object), found[1]
+            fixed = [int(n) << point if point > 0 else int(n) >> -point for n in self.fixed]
             gain = fixed - pivot * np.repeat(value, np.diff(self.offsets))
             if len(filled):
                 gain[self.row[filled]] += np.add.reduceat(weight * value[self.column], filled)
-            return np.asarray(gain)
-
-        for _ in range(STEPS):
-            try:
-                factors: Any = linalg.splu((identity - chain[policy]).tocsc())
-            except RuntimeError:  # singular, up to rounding
-                return policy
-            value, before = np.zeros(len(policy), dtype=object), 2 * units + longest
-            while True:
-                gain = gains(value)
-                left = magnitude(gain[policy]).bit_length()
-                if left <= PRECISE:
-                    break
-                low = left - 60
-                step = factors.solve((gain[policy] >> low).astype(np.float64) / scale[policy])
-                step = np.ldexp(step, 60)
-                if left >= before or not np.isfinite(step).all():
-                    return policy
-                value += np.array([int(x) for x in step], dtype=object) << low >> 60
-                before = left
             better = self._better(policy, gain // pivot, magnitude(value) >> PRECISE // 2)
             if better is None:
                 break
@@ -273,18 +252,16 @@ class Cycle:
 
     def values(self, policy: Integers) -> tuple[list[fmpz], fmpz]:
         """Return the values of a policy as integers over one positive denominator."""
-        try:
-            return self._equations(policy).solve([self.fixed[pair] for pair in policy.tolist()])
-        except ZeroDivisionError:
-            raise endless() from None
+        return exact_solve(self._matrix(policy), [self.fixed[pair] for pair in policy.tolist()])
 
-    def _equations(self, policy: Integers) -> Equations:
-        chosen = np.isin(self.row, policy)
-        return Equations(
-            pivot=[self.pivot[pair] for pair in policy.tolist()],
-            row=np.searchsorted(policy, self.row[chosen]),
-            column=self.column[chosen],
-            weight=self.weight[chosen],
+    def _matrix(self, policy: Integers) -> Matrix:
+        """Return the equations of a policy."""
+        chosen, states = np.isin(self.row, policy), np.arange(len(policy))
+        return Matrix.of(
+            len(policy),
+            np.concatenate([np.searchsorted(policy, self.row[chosen]), states]),
+            np.concatenate([self.column[chosen], states]),
+            integers([*(-self.weight[chosen]).tolist(), *(self.pivot[l] for l in policy.tolist())]),
         )
 
     def losses(self, value: Sequence[fmpz], rest: Mapping[int, fmpz]) -> list[list[fmpz]]:
@@ -300,12 +277,3 @@ class Cycle:
             ]
             for i, (first, last) in enumerate(pairwise(self.offsets.tolist()))
         ]
-
-
-def endless(where: str = "rows of floats on a cycle") -> ModelError:
-    """Return the error to raise where a policy is found not to end."""
-    return ModelError(
-        "a policy need not end, because the probabilities of some rows sum to more than 1",
-        where=where,
-        fix='give the probabilities as exact numbers such as "1/10", or a discount below 1',
-    )

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, row_sums
 from exact_mdp.mdp.table import COMPILED, Floats, Integers, magnitude, spans
-from exact_mdp.solvers.proof.cycle import CHUNK, LARGEST, Cycle, Product, RightSides, endless
+from exact_mdp.solvers.proof.cycle import CHUNK, LARGEST, Cycle, Product, RightSides
 from exact_mdp.solvers.proof.equations import judged
 from exact_mdp.solvers.proof.margins import quotient
 from exact_mdp.solvers.proof.stages import Kind, stages
@@ -64,27 +64,21 @@ class ExactValues:
     gap_scale: list[int]  # of length S
 
 
-def solve_exactly(rows: BellmanRows, *, positive: bool = False) -> ExactValues:
-    """Return the exact optimal values of the Bellman equations `rows`.
-
-    `positive` raises an error where a policy has a value that is not positive. With positive
-    constants this shows that it does not end, which need not be known before.
-    """
-    if not positive and (same := _same_everywhere(rows)) is not None:
+def solve_exactly(rows: BellmanRows) -> ExactValues:
+    """Return the exact optimal values of Bellman equations of which every policy ends."""
+    if (same := _same_everywhere(rows)) is not None:
         return same
-    found = _solved(rows, positive, guess=True) or _solved(rows, positive, guess=False)
+    found = _solved(rows, guess=True) or _solved(rows, guess=False)
     assert found is not None
     return found
 
 
-def _solved(rows: BellmanRows, positive: bool, *, guess: bool) -> ExactValues | None:
+def _solved(rows: BellmanRows, *, guess: bool) -> ExactValues | None:
     """Return the values; None where pairs that floats were left to choose are not the best ones."""
     solver = _Solver(rows, guess=guess)
-    if positive:
-        solver.require_leaving()
     for stage in stages(rows):
         if stage.kind is Kind.CYCLE:
-            solver.cycle(stage.states, positive)
+            solver.cycle(stage.states)
         elif stage.kind is Kind.CHAIN:
             solver.chain(stage.states)
         else:
@@ -167,14 +161,6 @@ class _Solver:
         self.optimal = [True] * len(rows.constant)
         self.gap: list[Any] = [None] * len(rows.scale)
         self.gap_scale: list[Any] = rows.scale.tolist()
-
-    def require_leaving(self) -> None:
-        """Raise an error where a pair stays in its state with probability 1 or more, discounted."""
-        pivot, live = np.array(self.sides.pivot, dtype=object), ~self.sides.rows.terminal
-        state = self.sides.rows.pair_state
-        stuck = np.flatnonzero(np.asarray(pivot <= 0, dtype=bool) & live[state])
-        if len(stuck):
-            raise endless(f"state {int(state[stuck[0]])}, which an action does not leave")
 
     # ---- states one by one -------------------------------------------------------------------
 
@@ -380,7 +366,7 @@ class _Solver:
 
     # ---- states on a cycle -------------------------------------------------------------------
 
-    def cycle(self, states: Integers, positive: bool) -> None:
+    def cycle(self, states: Integers) -> None:
         """Settle states that lead to each other and to settled ones."""
         if len(states) > LARGEST:
             raise ModelError(
@@ -402,8 +388,6 @@ class _Solver:
         numbers = np.arange(len(cycle.pivot))
         while True:
             value, below = cycle.values(policy)
-            if positive and min(value) <= 0:
-                raise endless()
             scaled = {state: own * below for state, own in outer.items()}
             scaled |= zip(inside, value, strict=True)
             others = np.setdiff1d(numbers, policy)

@@ -10,6 +10,8 @@ sections 6.1 and 6.9.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
+from math import lcm
 from typing import TYPE_CHECKING
 
 import flint
@@ -21,6 +23,8 @@ from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.polynomial_rows import ratios
 from exact_mdp.mdp.parametric.row_change import reward_entries, transition_entries
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.table import integers
+from exact_mdp.solvers.exact.linear import Matrix, exact_solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
@@ -123,18 +127,31 @@ class ExactChain:
             for following, p in self.rows[pair]:
                 found[following] += step * p
 
-    def _solve(self, side: list[fmpq], *, transposed: bool = False) -> list[fmpq]:
-        """Return the solution of (I - γ P_π) x = side over the live states, or of its transpose."""
-        count, place = len(side), {state: number for number, state in enumerate(self._live)}
-        if not count:
-            return []
-        entries = [rational(0)] * (count * count)
-        for row, state in enumerate(self._live):
-            entries[row * count + row] += 1
+    @cached_property
+    def _system(self) -> tuple[Matrix, list[int]]:
+        """I - γ P_π over the live states, in integers, and what each row is multiplied by."""
+        place = {state: number for number, state in enumerate(self._live)}
+        row, column, entry, scale = list[int](), list[int](), list[int](), list[int]()
+        for number, state in enumerate(self._live):
+            shares = {number: rational(1)}
             for pair, weight in self.weight[state]:
                 for following, p in self.rows[pair]:
-                    if following in place:
-                        entries[row * count + place[following]] -= self.rate * weight * p
-        matrix = flint.fmpq_mat(count, count, entries)
-        matrix = matrix.transpose() if transposed else matrix
-        return list(matrix.solve(flint.fmpq_mat(count, 1, side)).entries())
+                    if (to := place.get(following)) is not None:
+                        shares[to] = shares.get(to, 0) - self.rate * weight * p
+            scale.append(lcm(*(int(share.q) for share in shares.values())))
+            row += [number] * len(shares)
+            column += shares
+            entry += [int((share * scale[-1]).p) for share in shares.values()]
+        return Matrix.of(len(scale), np.array(row), np.array(column), integers(entry)), scale
+
+    def _solve(self, side: list[fmpq], *, transposed: bool = False) -> list[fmpq]:
+        """Return the solution of (I - γ P_π) x = side over the live states, or of its transpose."""
+        if not side:
+            return []
+        matrix, scale = self._system
+        given = side if transposed else [a * b for a, b in zip(side, scale, strict=True)]
+        unit = lcm(*(int(number.q) for number in given))
+        right = [int((number * unit).p) for number in given]
+        top, below = exact_solve(matrix.transposed if transposed else matrix, right)
+        found = [flint.fmpq(number, below * unit) for number in top]
+        return [a * b for a, b in zip(found, scale, strict=True)] if transposed else found

@@ -1,0 +1,249 @@
+"""Numeric lifting: solutions of sparse integer systems A x = b, digit by digit, from float factors.
+
+A is factored once in floats. The digits of x to the base 2^k then come out one after the other,
+
+    d = round(A⁻¹ (2^k r + β)),    r ← 2^k r + β - A d,    β the next digit of b
+
+(Wan, Journal of Symbolic Computation 41, 2006). A digit is as good as floats make it, but r is
+exact: as long as digits stay below 2^k it is no larger than A, so that it need only be known modulo
+2^64. Long entries of A are split into limbs.
+
+A denominator q of x is found from a combination of all unknowns (`reconstruction`), and n = q x by
+rounding. The solution is checked in integers, A n = q b; where that fails, more digits are taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice, pairwise
+from operator import mul
+from typing import TYPE_CHECKING, Any
+
+import flint
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import linalg
+
+from exact_mdp.mdp.exact import row_sums
+from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.solvers.exact.reconstruction import SPARE, convergents, over_one_denominator
+
+if TYPE_CHECKING:
+    from flint import fmpz
+
+
+WIDTHS = (40, 32, 24)  # bits of a digit, in whole bytes; the first that floats can tell is taken
+FIRST, GROWTH = 24, 1.2  # digits before a denominator is looked for, and before the next attempt
+LACKING = 160  # bits beyond a known denominator, for factors that it may lack
+NEAR = 2.0**-44  # what moves a matrix that is singular in floats
+CHUNK = 256  # unknowns whose digits are joined at once
+
+Rows = Sequence[tuple[Sequence[int], Sequence[int]]]  # columns and entries
+
+
+class Lifting:
+    """A square matrix of K rows, factored in floats, and split into limbs for digits of a width."""
+
+    def __init__(self, offsets: Integers, column: Integers, entry: Numbers) -> None:
+        """Take M entries, row by row, where `offsets` (K+1,) say that the rows begin."""
+        self.size, self._entries = len(offsets) - 1, (offsets, column, entry)
+        norms = row_sums(np.abs(entry), offsets).tolist()
+        self.bits = np.array([int(number).bit_length() for number in norms])
+        bits = np.repeat(self.bits, np.diff(offsets))
+        if entry.dtype == object:  # beyond the floats, at times
+            spare = np.maximum(bits - 512, 0)
+            entry, bits = entry >> spare.astype(object), bits - spare
+        near = (np.ldexp(entry.astype(np.float64), -bits), column, offsets)
+        self._near = sp.csr_array(near, (self.size, self.size)).tocsc()
+        self._factors = _factored(self._near)
+        self._widths = list(WIDTHS) if self._factors is not None else []
+        self._split()
+
+    @property
+    def width(self) -> int:
+        """Bits of a digit; 0 where floats cannot tell digits of any width."""
+        return self._widths[0] if self._widths else 0
+
+    def _narrow(self) -> None:
+        """Take narrower digits, as floats cannot tell those of the present width."""
+        del self._widths[0]
+        self._split()
+
+    def _split(self) -> None:
+        """Split the entries into limbs; those below the last one have products within 64 bits."""
+        offsets, column, left = self._entries
+        lengths = np.diff(offsets)
+        self._limb = 61 - self.width - int(lengths.max()).bit_length()
+        parts = []
+        for _ in range(-(-(int(self.bits.max()) - 61) // self._limb)):
+            parts.append((left & ((1 << self._limb) - 1)).astype(np.int64))
+            left = left >> self._limb
+        parts.append(left.astype(np.int64))
+        count = len(parts)
+        ends = np.cumsum(np.concatenate([[0], np.tile(lengths, count)]))
+        data = (np.concatenate(parts), np.tile(column, count), ends)
+        self._limbs = sp.csr_array(data, (count * self.size, self.size))
+        shifts = [self.width + self._limb * place for place in range(count)]
+        self._scales = [np.ldexp(1.0, shift - self.bits) for shift in shifts]
+
+    def weakest(self) -> tuple[int, int, int] | None:
+        """Return a row, a column and what to add there, for which no pivot is as small.
+
+        None where floats find no pivots.
+        """
+        factors = _factored(self._near + NEAR * sp.eye_array(self.size, format="csc"))
+        if factors is None:
+            return None
+        pivots = factors.U.diagonal()
+        place = int(np.abs(pivots).argmin())
+        orders = (factors.perm_r, factors.perm_c)
+        row, column = (int(np.flatnonzero(order == place)[0]) for order in orders)
+        amount = 1 << max(0, int(self.bits[row]) - 1)
+        return row, column, amount if pivots[place] > 0 else -amount
+
+    def approximate(self, side: Sequence[Any], bits: int) -> tuple[list[int], int] | None:
+        """Return n and e such that n / 2^e is the solution to `bits` bits of b or more.
+
+        None where floats cannot start.
+        """
+        while self.width:
+            lead = self._lead(side)
+            count = lead + (bits - 1) // self.width + 1
+            digits = self._taken(self._digits(side, lead), count)
+            if digits is not None:
+                return _joined(digits, self.width), self.width * (count - lead)
+            self._narrow()
+        return None
+
+    def solve(
+        self, side: Sequence[Any], rows: Rows, known: fmpz | None = None
+    ) -> tuple[list[fmpz], fmpz] | None:
+        """Return the solution as integers over one denominator, None where floats cannot start.
+
+        `rows` are those of the matrix, to check it; `known` is a denominator to be tried first.
+        """
+        while self.width:
+            found = self._solved(side, rows, known)
+            if found is not None:
+                return found
+            self._narrow()
+        return None
+
+    def _solved(
+        self, side: Sequence[Any], rows: Rows, known: fmpz | None
+    ) -> tuple[list[fmpz], fmpz] | None:
+        """Return the solution from digits of the present width; None where floats fail."""
+        size, width, lead = self.size, self.width, self._lead(side)
+
+        def enough(below: fmpz) -> int:
+            return lead + (int(below.bit_length()) + LACKING) // width + 1
+
+        most = lead + 2 * (int(self.bits.sum()) + SPARE) // width + 1  # whatever det A is
+        share = np.random.default_rng(0).integers(1, max(2, 2 ** (62 - width) // size), size)
+        coming, parts, mixed = self._digits(side, lead), list[Integers](), list[Integers]()
+        taken, count = 0, lead + FIRST if known is None else enough(known)
+        below, search = known, (flint.fmpz(0), flint.fmpz(1))
+        while True:
+            fresh = self._taken(coming, count - taken)
+            if fresh is None:
+                return None
+            parts.append(fresh)
+            mixed.append(fresh @ share)
+            if below is None:
+                (number,) = _joined(np.concatenate(mixed)[:, None], width)
+                bits = width * (count - lead)
+                before, after, fits = convergents(flint.fmpz(number), bits, search)
+                below, search = abs(after) if fits else None, (before, after)
+            if below is not None:
+                digits = np.concatenate(parts)
+                for few in sorted({min(count, enough(below)), count}):
+                    numbers = _joined(digits[:few], width)
+                    found = over_one_denominator(numbers, width * (few - lead), below)
+                    if found is not None and _solves(rows, side, *found):
+                        return found
+            if count >= most:
+                return None
+            below, taken, count = None, count, min(most, int(count * GROWTH) + 1)
+
+    def _lead(self, side: Sequence[Any]) -> int:
+        """Return how many digits stand before the point, those of b and of its solution.
+
+        A solution is less than 2^54 times as large as b, where floats can start.
+        """
+        longest = max(int(number).bit_length() for number in side)
+        return (longest + 54) // self.width + 1
+
+    def _digits(self, side: Sequence[Any], lead: int) -> Iterator[Integers]:
+        """Yield the digits (K,) of the solution, of which `lead` stand before the point."""
+        size, limb = self.size, self._limb
+        coming = _digits_of(side, self.width, lead)
+        rest = np.zeros(len(self._scales) * size, dtype=np.int64)
+        parts = rest.reshape(-1, size)
+        while True:
+            near = parts[0] * self._scales[0]
+            for own, scale in zip(parts[1:], self._scales[1:], strict=True):
+                near += own * scale
+            rest <<= self.width
+            following = next(coming, None)
+            if following is not None:
+                parts[0] += following
+                near += np.ldexp(following, -self.bits)
+            digit = np.rint(self._factors.solve(near)).astype(np.int64)
+            yield digit
+            rest -= self._limbs @ digit
+            for own, after in pairwise(parts):
+                carry = own >> limb
+                own -= carry << limb
+                after += carry
+
+    def _taken(self, digits: Iterator[Integers], count: int) -> Integers | None:
+        """Return the next digits (count, K); None where they are too large, as floats fail."""
+        with np.errstate(all="ignore"):
+            found = np.array(list(islice(digits, count)))
+        limit = 1 << self.width
+        return None if found.max() > limit or found.min() < -limit else found
+
+
+def _factored(matrix: sp.csc_array) -> Any:
+    """Return the factors of a matrix; None where it is singular, up to rounding."""
+    try:
+        return linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A")
+    except RuntimeError:
+        return None
+
+
+def _digits_of(numbers: Sequence[Any], width: int, count: int) -> Iterator[Integers]:
+    """Return an iterator over the digits (K,) of numbers, the highest first, which have a sign."""
+    size = width // 8
+    data = b"".join(int(each).to_bytes(count * size, "little", signed=True) for each in numbers)
+    digits = np.zeros((len(numbers), count, 8), dtype=np.uint8)
+    digits[:, :, :size] = np.frombuffer(data, dtype=np.uint8).reshape(len(numbers), count, size)
+    found = digits.view(np.int64)[:, ::-1, 0].T
+    found[0] -= found[0] >> (width - 1) << width
+    return iter(found)
+
+
+def _joined(digits: Integers, width: int) -> list[int]:
+    """Return the numbers whose digits (T, K) to the base 2^width are given, the highest first."""
+    low, mask = np.empty_like(digits), (1 << width) - 1
+    carry = np.zeros(digits.shape[1], dtype=np.int64)
+    for own, found in zip(digits[::-1], low, strict=True):
+        total = own + carry
+        np.bitwise_and(total, mask, out=found)
+        carry = total >> width
+    numbers, tops, size = list[int](), carry.tolist(), len(digits) * width // 8
+    for first in range(0, len(tops), CHUNK):
+        part = np.ascontiguousarray(low[:, first : first + CHUNK].T)
+        data = part.view(np.uint8).reshape(*part.shape, 8)[:, :, : width // 8].tobytes()
+        for i, top in enumerate(tops[first : first + CHUNK]):
+            number = int.from_bytes(data[i * size : (i + 1) * size], "little")
+            numbers.append(number + (top << 8 * size))
+    return numbers
+
+
+def _solves(rows: Rows, side: Sequence[Any], top: list[fmpz], below: fmpz) -> bool:
+    """Return whether A n = q b."""
+    return all(
+        sum(map(mul, map(top.__getitem__, column), entry)) == below * own
+        for (column, entry), own in zip(rows, side, strict=True)
+    )

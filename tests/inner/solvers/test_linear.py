@@ -1,0 +1,205 @@
+"""Exact solutions of linear systems, beside elimination in fractions."""
+
+from fractions import Fraction as F
+from math import gcd
+from typing import Any
+
+import numpy as np
+import pytest
+from flint import fmpz
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from exact_mdp import ModelError
+from exact_mdp.mdp.table import integers
+from exact_mdp.solvers.exact import linear
+from exact_mdp.solvers.exact.lifting import Lifting
+from exact_mdp.solvers.exact.linear import Matrix, exact_solve
+from exact_mdp.solvers.exact.reconstruction import SPARE, convergents
+
+Entries = dict[tuple[int, int], int]
+
+
+def matrix_of(size: int, entries: Entries) -> Matrix:
+    row, column = np.array(list(entries), dtype=np.int64).reshape(-1, 2).T
+    return Matrix.of(size, row, column, integers(entries.values()))
+
+
+def eliminated(size: int, entries: Entries, side: list[int]) -> list[F] | None:
+    """The solution by Gauss and Jordan, None where there is not just one."""
+    rows = [[F(entries.get((i, j), 0)) for j in range(size)] + [F(side[i])] for i in range(size)]
+    for k in range(size):
+        chosen = next((i for i in range(k, size) if rows[i][k]), None)
+        if chosen is None:
+            return None
+        rows[k], rows[chosen] = rows[chosen], rows[k]
+        rows[k] = [number / rows[k][k] for number in rows[k]]
+        for i in range(size):
+            if i != k and rows[i][k]:
+                rows[i] = [a - rows[i][k] * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return [row[-1] for row in rows]
+
+
+def fractions(found: tuple[list[fmpz], fmpz]) -> list[F]:
+    assert found[1] > 0
+    return [F(int(number), int(found[1])) for number in found[0]]
+
+
+@st.composite
+def systems(draw: st.DrawFn) -> tuple[int, Entries]:
+    """Integers of any length: in any place, or as the equations of a chain that hardly ends."""
+    size, bits = draw(st.integers(1, 9)), draw(st.sampled_from([1, 3, 30, 62, 70, 300, 1300]))
+    number = st.integers(-(2**bits), 2**bits)
+    place = st.integers(0, size - 1)
+    entries = draw(st.dictionaries(st.tuples(place, place), number, max_size=4 * size))
+    if draw(st.booleans()):
+        entries = {(i, j): -abs(a) for (i, j), a in entries.items() if i != j}
+        for i in range(size):
+            entries[i, i] = draw(st.integers(0, 2)) - sum(
+                a for (k, _), a in entries.items() if k == i
+            )
+    return size, entries
+
+
+@pytest.mark.parametrize("few", [120, 1])
+@settings(max_examples=200, deadline=None)
+@given(systems(), st.data())
+def test_elimination_in_fractions_agrees(
+    few: int, system: tuple[int, Entries], data: st.DataObject
+) -> None:
+    """By FLINT and by lifting, for several right sides, with rows for columns, and singular."""
+    size, entries = system
+    matrix = matrix_of(size, entries)
+    turned = {(j, i): a for (i, j), a in entries.items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(linear, "FEW", few)
+        for _ in range(2):
+            numbers = st.one_of(st.integers(-9, 9), st.integers(-(2**90), 2**90), st.just(3**900))
+            side = data.draw(st.lists(numbers, min_size=size, max_size=size))
+            for each, listed in ((matrix, entries), (matrix.transposed, turned)):
+                wanted = eliminated(size, listed, side)
+                if wanted is None:
+                    with pytest.raises(ZeroDivisionError, match="the matrix is singular"):
+                        exact_solve(each, side)
+                else:
+                    found = exact_solve(each, side)
+                    assert fractions(found) == wanted
+                    assert gcd(*map(int, found[0]), int(found[1])) == 1
+
+
+def ring(size: int, pivot: int, weight: int) -> Matrix:
+    """pivot x(s) - weight x(s + 1) = b(s), all round."""
+    place = np.arange(size)
+    return Matrix.of(
+        size,
+        np.concatenate([place, place]),
+        np.concatenate([place, (place + 1) % size]),
+        integers([pivot] * size + [-weight] * size),
+    )
+
+
+@pytest.mark.parametrize("size", [60, 200])
+@pytest.mark.parametrize("bits", [1, 25, 45, 60, 200])
+def test_long_rings(size: int, bits: int) -> None:
+    """Floats see no difference between 1 - 2^-60 and 1; entries may be longer than 64 bits."""
+    pivot, weight = 2**bits, 2**bits - 1
+    matrix = ring(size, pivot, weight)
+    assert fractions(exact_solve(matrix, [1] * size)) == [F(1)] * size
+    found = fractions(exact_solve(matrix, [1] + [0] * (size - 1)))
+    below = pivot**size - weight**size
+    assert found == [F(pivot ** (size - 1 - (-s % size)) * weight ** (-s % size), below)
+                     for s in range(size)]  # fmt: skip
+    with pytest.raises(ZeroDivisionError, match="the matrix is singular"):
+        exact_solve(ring(size, pivot, pivot), [1] * size)
+
+
+@pytest.mark.parametrize("parts", [2, 4, 12])
+def test_sets_that_are_hardly_ever_left(parts: int) -> None:
+    """Each set of states leads to the next one with a chance of 2^-70: one change for each."""
+    size, rare, rng = 30, 2**70, np.random.default_rng(parts)
+    count, entries = parts * size, Entries()
+    for s in range(count):
+        base = s - s % size
+        ahead = {base + (s + 1) % size, *(base + rng.integers(0, size, 2)).tolist()} - {s}
+        entries |= {(s, t): -rare for t in ahead}
+        entries[s, s] = rare * len(ahead) + (s == 0)
+        if s == base:
+            entries[s, (s + size) % count] = -1
+            entries[s, s] += 1
+    side = rng.integers(-9, 9, count).tolist()
+    matrix = matrix_of(count, entries)
+    wanted = linear._dense(matrix, side)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(linear, "FEW", 20)
+        assert fractions(exact_solve(matrix, side)) == fractions(wanted)
+
+
+def test_components_are_solved_in_order() -> None:
+    """Rings that lead to the next one, and single unknowns between them."""
+    size, entries, rng = 300, Entries(), np.random.default_rng(1)
+    for s in range(size):
+        base, length = s - s % 30, 20
+        if s - base < length:
+            entries[s, base + (s - base + 1) % length] = -int(rng.integers(1, 9))
+        if s + 30 < size:
+            entries[s, s + 30] = -int(rng.integers(1, 9))
+        entries[s, s] = 30
+    order = rng.permutation(size)
+    entries = {(int(order[i]), int(order[j])): a for (i, j), a in entries.items()}
+    matrix, side = matrix_of(size, entries), rng.integers(-9, 9, size).tolist()
+    assert sorted({len(states) for states, _ in matrix.components}) == [1, 20]
+    assert fractions(exact_solve(matrix, side)) == fractions(linear._dense(matrix, side))
+
+
+def test_a_known_denominator_takes_half_the_digits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is tried first, also by the transposed system; a wrong one changes nothing."""
+    taken, each = list[int](), Lifting._taken
+
+    def counted(lifting: Lifting, digits: Any, count: int) -> Any:
+        taken.append(count)
+        return each(lifting, digits, count)
+
+    monkeypatch.setattr(Lifting, "_taken", counted)
+    matrix = ring(500, 10, 3)
+    first = exact_solve(matrix, list(range(500)))
+    whole = sum(taken)
+    for known in (first[1], first[1] // 7 if first[1] % 7 == 0 else first[1], 6 * first[1]):
+        taken.clear()
+        matrix.denominators[0] = known
+        assert fractions(exact_solve(matrix, list(range(500)))) == fractions(first)
+        assert len(taken) == 1
+        assert sum(taken) < 0.6 * whole
+    taken.clear()
+    found = exact_solve(matrix.transposed, [1] + [0] * 499)
+    assert fractions(found)[0] == F(10**499, 10**500 - 3**500)
+    assert sum(taken) < 0.6 * whole
+    matrix.denominators[0] = fmpz(11)
+    assert fractions(exact_solve(matrix, list(range(500)))) == fractions(first)
+
+
+def test_what_floats_cannot_start_is_refused_where_it_is_large(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(linear, "FEW", 8)
+    monkeypatch.setattr(linear, "MANY", 9)
+    monkeypatch.setattr(linear, "MOST_CHANGES", 0)
+    with pytest.raises(ModelError, match="are singular, or nearly so"):
+        exact_solve(ring(10, 2**90, 2**90 - 1), [1] * 10)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(1, 3**900), st.integers(-(3**900), 3**900), st.data())
+def test_fractions_are_found_from_their_first_digits(
+    under: int, over: int, data: st.DataObject
+) -> None:
+    """From twice the bits of the denominator on, also in two steps."""
+    wanted = F(over, under).denominator
+    bits = 2 * wanted.bit_length() + 2 * SPARE + 4
+    assert convergents(fmpz((over << bits) // under), bits)[1:] in (
+        (fmpz(wanted), True), (fmpz(-wanted), True)
+    )  # fmt: skip
+    early = data.draw(st.integers(SPARE, bits))
+    *start, _ = convergents(fmpz((over << early) // under), early)
+    _, below, fits = convergents(fmpz((over << bits) // under), bits, start)
+    assert fits
+    assert abs(below) == wanted
