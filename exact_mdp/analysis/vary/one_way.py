@@ -23,7 +23,7 @@ import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.ranges import Range, range_of, ranges_of, unit_of
-from exact_mdp.analysis.vary.study import Study, at_points, solver_of
+from exact_mdp.analysis.vary.study import Study, solver_of, study
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
@@ -209,7 +209,7 @@ def one_way(
     """
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points)
-    found = at_points(family, [name], np.array(values, dtype=object)[:, None], [policy])
+    found = study(family, {name: values}, [policy])
     sense = family.at({}).sense
     every = tuple(_point(found, n, value, sense) for n, value in enumerate(values))
     return Curve(parameter=parameter_of(family, name), points=every)
@@ -266,9 +266,10 @@ def tornado(
     points = np.tile(today, (len(ends), 1))
     for row, (column, end) in enumerate(ends):
         points[row, column] = end
+    columns = dict(zip(spans, points.T, strict=True))
     bars = []
     if len(spans):
-        found = at_points(family, list(spans), points, [held], solver)
+        found = study(family, columns, [held], solver=solver)
         for k, (name, span) in enumerate(spans.items()):
             low, high = (
                 _point(found, 2 * k + end, at, mdp.sense)
@@ -409,10 +410,10 @@ def two_way(
         )
     spans = ranges_of(family, [x, y], ranges, relative)
     across, along = (grid(spans[name], points) for name in (x, y))
-    pairs = [(at_x, at_y) for at_y in along for at_x in across]
+    columns = {x: across * points, y: [at for at in along for _ in across]}
     solver, shape = solver_of(family), (points, points)
     mdp = solver.base.mdp
-    found = at_points(family, [x, y], np.array(pairs, dtype=object), [policy], solver)
+    found = study(family, columns, [policy], solver=solver)
     weights = [solver.weights(row) for row in found.rows]
     actions = np.array([mdp.pair_action[np.flatnonzero(each)] for each in weights])
     seen = np.array([reachable(mdp, pairs=each > 0) & ~mdp.forced for each in weights])

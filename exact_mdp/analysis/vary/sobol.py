@@ -30,7 +30,7 @@ import numpy as np
 from numpy.random import default_rng
 
 from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
-from exact_mdp.analysis.vary.study import at_points
+from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -229,7 +229,7 @@ def sobol(
     family, seed = parametric(model), seed_of(rng)
     spans = spans_of(family, None if names is None else list(names), ranges, relative)
     draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
-    found = at_points(family, [parameter.name for parameter in spans], draws, [policy], **how)
+    found = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
     every = found.optimal, found.fixed[:, 0], found.regret[:, 0]
     indices = {

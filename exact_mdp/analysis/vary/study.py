@@ -119,6 +119,8 @@ def study(
     model: Scenario | MDP | Parametric,
     points: Mapping[str, Sequence[object]] | DataFrame,
     policies: Sequence[PolicyLike] = ("optimal",),
+    *,
+    solver: DrawSolver | None = None,
     **how: Unpack[How],
 ) -> Study:
     """Return the optimum's value and the policies' at every point.
@@ -130,6 +132,8 @@ def study(
         A column for each parameter that is varied, a row for each point.
     policies : sequence of PolicyLike
         Held fixed at every point; "optimal" is the optimum at today's values.
+    solver : optional
+        That of the model, where there is one (`solver_of`).
     **how
         n_jobs, folder and progress; see `solvers.parallel.many`.
 
@@ -152,31 +156,13 @@ def study(
     ([2.0, 4.0], [[0.0], [0.0]])
     """
     family, names = parametric(model), tuple(points)
-    if len({len(points[name]) for name in names}) > 1:
-        raise ModelError("columns of several lengths", where="points", fix="give a row a point")
-    columns = [list(points[name]) for name in names]
-    table = np.empty((len(columns[0]) if columns else 0, len(names)), dtype=object)
-    for place, column in enumerate(columns):
-        table[:, place] = column
-    return at_points(family, names, table, policies, **how)
-
-
-def at_points(
-    model: Parametric,
-    names: Sequence[str],
-    points: Numbers,
-    policies: Sequence[PolicyLike] = (),
-    solver: DrawSolver | None = None,
-    **how: Unpack[How],
-) -> Study:
-    """Return the study of points (D, P), a column for each name."""
-    names, solver = tuple(names), solver or solver_of(model)
-    points, draws = _checked(model, names, points)
+    solver = solver or solver_of(family)
+    table, draws = _checked(family, {name: _column(points[name]) for name in names})
     weights = [solver.base.held(policy) for policy in policies]
     size = max(1, solver.block // 2)
     key: dict[str, object] = {}
     if how.get("folder") is not None:
-        _, first = next(models(model, names, points[:1], 0))
+        _, first = next(models(family, names, table[:1], 0))
         key = {
             "model": fingerprint(solver.base.mdp),
             "first_draw": fingerprint(first),  # two families may agree today and differ elsewhere
@@ -186,17 +172,17 @@ def at_points(
             "draws_per_file": size,
             "compiled": solver.compiled,
         }
-    blocks = [(at, points[at : at + size]) for at in range(0, len(points), size)]
+    blocks = [(at, table[at : at + size]) for at in range(0, len(table), size)]
     if isinstance(solver, CareSolver):
-        tell_cut(model, names, draws, cut_off(solver.scenario, names, draws))
+        tell_cut(family, names, draws, cut_off(solver.scenario, names, draws))
     else:
-        tell_cut(model, names, draws)
+        tell_cut(family, names, draws)
     done = run(solver, "draws", partial(_block, solver, names, weights), blocks, key, **how)
     rows, which = merged(done)
     found = joined(done, ("start", "start_error", "value", "error"))
     return Study(
         names=names,
-        points=points,
+        points=table,
         optimal=found["start"],
         fixed=found["value"],
         error=np.column_stack([found["start_error"], found["error"]]),
@@ -218,18 +204,26 @@ def _block(
     return found | {"start_error": best["error"]} | solver.values(names, draws, weights, first)
 
 
-def _checked(model: Parametric, names: Sequence[str], points: Numbers) -> tuple[Numbers, Floats]:
-    """Return points, checked, as they are and as floats."""
-    points = np.asarray(points)
-    if points.ndim != 2 or points.shape[1] != len(names):
+def _column(numbers: Any) -> Numbers:
+    """Return numbers as an array: of floats where all are, else as each of them was given."""
+    column = np.asarray(numbers)
+    return column if column.dtype.kind == "f" else np.array(list(numbers), dtype=object)
+
+
+def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers, Floats]:
+    """Return points (D, P), checked, as they are and as floats."""
+    shapes = {column.shape for column in columns.values()}
+    if len(shapes) != 1 or len(*shapes) != 1:
         raise ModelError(
-            f"draws of shape {points.shape} for {len(names)} parameters",
-            where="draws",
-            fix="give one row for each draw and a column for each parameter",
+            f"columns of shape {', '.join(map(str, sorted(shapes))) or 'none'}",
+            where="points",
+            fix="give one number for each point and parameter",
         )
+    names, floats = list(columns), all(c.dtype.kind == "f" for c in columns.values())
+    points = np.column_stack([c if floats else c.astype(object) for c in columns.values()])
     if not len(points):
-        raise ModelError("no draws", where="draws", fix="ask for at least 1")
-    if points.dtype == object:
+        raise ModelError("no points", where="points", fix="give at least one")
+    if not floats:
         points = np.array([[exact(number) for number in row] for row in points.tolist()])
     draws = points.astype(float)
     for column, name in enumerate(names):

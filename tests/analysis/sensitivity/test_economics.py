@@ -1,6 +1,7 @@
 """Cost-effectiveness against loops and closed forms, and the speed of draws of small models."""
 
 import re
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,22 @@ def test_the_guide_has_the_numbers_of_the_published_model() -> None:
             total += state @ mdp.components[action::4]
             state = state @ rows / 1.03
         assert list(parts.values()) == pytest.approx(total.tolist(), rel=1e-9)
+
+
+def test_points_are_the_numbers_that_were_given() -> None:
+    """A float beside a fraction in words stays the float that it is."""
+    found = study(MODEL, {"gain": [0.1, "1/10", 2]})
+    assert found.points[:, 0].tolist() == [Fraction(0.1), Fraction(1, 10), 2]
+    assert found.frame()["gain"].tolist() == [0.1, 0.1, 2]
+    for points, message in (
+        ({"gain": [1], "price": [1, 2]}, "columns of shape"),
+        ({"gain": [[1, 2]]}, "columns of shape"),
+        ({"gain": []}, "no points"),
+        ({}, "none"),
+        ({"gains": [1]}, "unknown parameter 'gains'"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            study(MODEL, points)
 
 
 # ---- many small models at once -------------------------------------------------------------------

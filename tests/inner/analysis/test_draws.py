@@ -35,7 +35,7 @@ from exact_mdp import (
 )
 from exact_mdp.analysis.vary.one_way import Values
 from exact_mdp.analysis.vary.ranges import around, spans_of
-from exact_mdp.analysis.vary.study import ModelSolver, Study, at_points
+from exact_mdp.analysis.vary.study import ModelSolver, Study, study
 from exact_mdp.mdp.care import scenario as care_scenario
 from exact_mdp.mdp.parametric.row_change import pieces, row_change, transition_entries
 
@@ -56,17 +56,18 @@ def chain() -> Parametric:
 
 
 class Told:
-    """What `at_points` gives, of a function of the draws."""
+    """What `study` gives, of a function of the draws."""
 
     def __init__(self, function: Callable[[np.ndarray], np.ndarray]) -> None:
         self.function, self.value = function, np.empty(0)
 
-    def __call__(self, model: Parametric, names: Any, draws: np.ndarray, *_: Any) -> Study:
+    def __call__(self, model: Parametric, points: Any, *_: Any) -> Study:
+        names, draws = tuple(points), np.column_stack(list(points.values()))
         self.value = self.function(draws)
         none = np.zeros((len(draws), 2))
         which = np.zeros(len(draws), dtype=int)
         return Study(
-            names=tuple(names),
+            names=names,
             points=draws,
             optimal=self.value,
             fixed=self.value[:, None],
@@ -74,6 +75,10 @@ class Told:
             rows=np.zeros((1, 1), dtype=int),
             which=which,
         )
+
+
+def columns(names: list[str], draws: np.ndarray) -> dict[str, np.ndarray]:
+    return dict(zip(names, draws.T, strict=True))
 
 
 def ishigami(x: np.ndarray) -> np.ndarray:
@@ -87,7 +92,7 @@ def test_the_indices_of_ishigami(monkeypatch: pytest.MonkeyPatch) -> None:
     rewards = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (0, 2, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
     names = [f"reward.{n}" for n in (1, 2, 3)]
     told = Told(ishigami)
-    monkeypatch.setattr(sobol_module, "at_points", told)
+    monkeypatch.setattr(sobol_module, "study", told)
     how: dict[str, Any] = {"ranges": dict.fromkeys(names, (-pi, pi)), "n": 2**13}
     found = sobol(MDP.from_outcomes(rewards), rng=0, **how).optimal
     variance = 49 / 8 + pi**4 / 50 + pi**8 / 1800 + 1 / 2
@@ -109,7 +114,7 @@ def test_the_indices_of_ishigami(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_intervals_cover_as_often_as_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of x1 + 2 x2, both indices are 1/5 and 4/5; intervals are those of a random sample."""
     rewards = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
-    monkeypatch.setattr(sobol_module, "at_points", Told(lambda x: x[:, 0] + 2 * x[:, 1]))
+    monkeypatch.setattr(sobol_module, "study", Told(lambda x: x[:, 0] + 2 * x[:, 1]))
     how: dict[str, Any] = {"ranges": {"reward.1": (0, 1), "reward.2": (0, 1)}, "n": 64}
     for seed in range(20):
         found = sobol(MDP.from_outcomes(rewards), rng=seed, **how).optimal
@@ -124,7 +129,7 @@ def test_intervals_cover_as_often_as_they_say(monkeypatch: pytest.MonkeyPatch) -
 def test_draws_of_a_published_model_are_solved_one_by_one() -> None:
     model = burning("24/25")
     draws = np.array([[0.05, 0.9], [0.1, 0.96], [0.6, 0.5]])
-    found = at_points(model, ["fire", "discount"], draws, ["optimal", "always:1"], n_jobs=2)
+    found = study(model, columns(["fire", "discount"], draws), ["optimal", "always:1"], n_jobs=2)
     for row, (fire, discount) in enumerate(draws.tolist()):
         at = model.at({"fire": fire, "discount": discount})
         assert found.optimal[row] == pytest.approx(solve(at).start_value, abs=1e-9)
@@ -154,9 +159,9 @@ def test_compiled_draws_of_a_scenario_are_those_of_models_built_one_by_one(
     names = ["base.anger", "influence.anger.confusion", "reward.trial", "discount"]
     draws = np.column_stack([*rng.random((2, 6)), rng.normal(size=6), 0.5 + rng.random(6) / 2])
     policies = ["optimal", "random", "always:supportive"]
-    found = at_points(model, names, draws, policies, n_jobs=2)
+    found = study(model, columns(names, draws), policies, n_jobs=2)
     monkeypatch.setattr(solver_module, "MOST_STATUSES", 0)
-    slow = at_points(model, names, draws, policies)
+    slow = study(model, columns(names, draws), policies)
     np.testing.assert_allclose(found.optimal, slow.optimal, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.fixed, slow.fixed, rtol=0, atol=1e-9)
     assert (abs(found.optimal - slow.optimal) <= found.error[:, 0] + slow.error[:, 0]).all()
@@ -183,16 +188,15 @@ def test_probabilities_that_sum_to_more_than_one_name_the_draw() -> None:
     rows += [(s, 0, [(1, s, 0)]) for s in (1, 2, 3)]
     model = moving(MDP.from_outcomes(rows, 1), {"a": [(0, 1)], "b": [(0, 2)]})
     with pytest.raises(ModelError, match="more than 1") as caught:
-        at_points(model, ["a", "b"], np.array([[0.5, 0.25], [0.5, 0.75]]))
+        study(model, columns(["a", "b"], np.array([[0.5, 0.25], [0.5, 0.75]])))
     assert caught.value.where.startswith("draw 1")
     for draws, message in (
-        (np.zeros((0, 2)), "no draws"),
-        (np.zeros((3, 1)), "shape"),
+        (np.zeros((0, 2)), "no points"),
         (np.array([[0.5, 1.5]]), "outside"),
         (np.array([[0.5, np.nan]]), "outside"),
     ):
         with pytest.raises(ModelError, match=message):
-            at_points(model, ["a", "b"], draws)
+            study(model, columns(["a", "b"], draws))
 
 
 def test_optimal_actions_beside_infinite_states() -> None:
