@@ -70,7 +70,6 @@ from exact_mdp.mdp.policies.policy import Policy as Policy
 from exact_mdp.mdp.policies.policy import PolicyLike as PolicyLike
 from exact_mdp.mdp.space import Column as Column
 from exact_mdp.mdp.space import StateSpace as StateSpace
-from exact_mdp.solvers.average.certificate import AverageCertificate as AverageCertificate
 from exact_mdp.solvers.average.solve import AverageSolution as AverageSolution
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction as BackwardInduction
 from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel as GaussSeidel
@@ -79,15 +78,15 @@ from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration as Modifi
 from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration as PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import Solver as Solver
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration as ValueIteration
+from exact_mdp.solvers.exact.certificate import BoundedCertificate as BoundedCertificate
+from exact_mdp.solvers.exact.certificate import Certificate as Certificate
+from exact_mdp.solvers.exact.certify import certify as certify
 from exact_mdp.solvers.learning.q_learning import QLearning as QLearning
 from exact_mdp.solvers.learning.q_learning import TrainingRun as TrainingRun
 from exact_mdp.solvers.learning.schedules import Constant as Constant
 from exact_mdp.solvers.learning.schedules import Exponential as Exponential
 from exact_mdp.solvers.learning.training import train as train
 from exact_mdp.solvers.objectives.constrained import ConstrainedSolution as ConstrainedSolution
-from exact_mdp.solvers.proof.certificate import BoundedCertificate as BoundedCertificate
-from exact_mdp.solvers.proof.certificate import Certificate as Certificate
-from exact_mdp.solvers.proof.certify import certify as certify
 from exact_mdp.solvers.risk.tail import best_cvar as best_cvar
 from exact_mdp.solvers.robust.robust import solve_robust as solve_robust
 from exact_mdp.solvers.robust.sets import Intervals as Intervals

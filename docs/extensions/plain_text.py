@@ -1,6 +1,6 @@
 """Plain text as the modules write it: paragraphs, `code` in single backticks, indented examples.
 
-    ```{text-of} exact_mdp.solvers.proof.file
+    ```{text-of} exact_mdp.solvers.exact.codec
     ```
 
 shows what a module says of itself: a file format is described once, beside the code that reads it.

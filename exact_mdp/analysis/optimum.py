@@ -24,13 +24,12 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.dynamic.stopping import Solver
-from exact_mdp.solvers.proof.certify import certify as certified
+from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.solution import Claim, Solution, SolverError, warn_of_precision
 from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
 if TYPE_CHECKING:
-    from exact_mdp.solvers.average.certificate import AverageCertificate
-    from exact_mdp.solvers.proof.certificate import Certificate
+    from exact_mdp.solvers.exact.certificate import Certificate
 
 Mask = NDArray[np.bool_]
 
@@ -56,10 +55,10 @@ class Optimum:
     mdp: MDP
     method: str
     solution: Solution | None
-    certificate: Certificate | AverageCertificate | None
+    certificate: Certificate | None
 
     @property
-    def best(self) -> Solution | Certificate | AverageCertificate:
+    def best(self) -> Solution | Certificate:
         """What vouches for the values."""
         found = self.solution if self.certificate is None else self.certificate
         assert found is not None

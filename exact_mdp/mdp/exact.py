@@ -8,47 +8,43 @@ where all numbers are integers, scale(s) > 0 and weight(i) > 0. Outcomes that le
 are added up. All pairs of a state share the state's scale, so that their right sides are compared
 as they are. Numbers are 64-bit integers where they fit and Python integers where they do not.
 
-The hash is SHA-256 of the number of states, discount, start, state and action of every pair, the
-transition matrix (outcomes with the same next state added up), the expected rewards, and of the
-sense and the goal where rewards are costs or a goal has to be reached. Names of states and actions,
-labels, reward components and events are left out: they do not change what is optimal. Models hash
-equally if and only if these exact contents are equal, so that 0.5, 1/2 and 2/4 are one and the
-same, and so are a row of 0.1 ten times and one of 1/10. Rows are encoded by their values alone:
-those that a row of doubles means (`mdp.rows`) as these doubles, so that a large float model is
-hashed without touching its numbers one by one; any other as integers over their denominator in
-lowest terms. A reward of 0.1 (a dyadic rational) differs from 1/10.
+The hash is SHA-256 of a text of lines. The first one is `exact-mdp model 2`, the sense, and where
+there is a goal what a run that misses it is worth and the list of its states. The others are
+integers in hexadecimal, such as 0x1f, with a blank between them:
+
+    number of states, numerator and denominator of the discount
+    state, numerator and denominator of the probability, for each state of the start
+    of all pairs, by state and action: the states; the actions; the numerators of the expected
+    rewards; their denominators; the denominators of the rows; how many next states they have
+    these next states, of all pairs in rising order, outcomes with the same one added up
+    the weights: numerators of their probabilities
+
+with fractions and rows in lowest terms. Names of states and actions, labels, reward components and
+events are left out: they do not change what is optimal. Models hash equally if and only if these
+contents are equal, so that 0.5, 1/2 and 2/4 are one and the same, and 0.1 (a dyadic rational)
+differs from 1/10.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.rows import in_floats
 from exact_mdp.mdp.table import (
-    EXACT_IN_FLOAT,
-    EXACT_IN_INT64,
-    Floats,
     Integers,
     Numbers,
-    distinct,
     magnitude,
     merged,
     multiply,
     reduced,
     spans,
 )
-
-if TYPE_CHECKING:
-    from hashlib import _Hash
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -199,86 +195,19 @@ def fingerprint(model: MDP) -> str:
     >>> fingerprint(one) == fingerprint(other)
     True
     """
-    digest = sha256(b"exact-mdp model 1\n")
-    start = sorted((state, weight) for state, weight in model.start if weight)
-    digest.update(f"{model.n_states} {model.n_pairs} {_text(model.discount_exact)}\n".encode())
-    digest.update(" ".join(f"{state} {_text(weight)}" for state, weight in start).encode())
-    index = "<i4" if model.n_states < 2**31 else "<i8"
-    _add(digest, model.pair_state, index)
-    _add(digest, model.pair_action, "<i8")
-    first, offsets = distinct(model.table)
-    _add(digest, offsets, "<i8")
-    if model.table.weight.dtype == np.float64 and len(first) == len(model.table.next):
-        _add(digest, model.table.next, index)
-        _add_floats(digest, model.table.weight, model.n_pairs)
-    else:
-        _, following, weight, denominator = merged(model.table)
-        _add(digest, following, index)
-        floats, meant = in_floats(weight, denominator, offsets)
-        _add_rationals(digest, weight, denominator, offsets, floats, ~meant)
-    if model.table.gain.dtype == np.float64 and len(model.table.gain) == model.n_pairs:
-        _add_floats(digest, model.table.gain, model.n_pairs)
-    else:
-        top, bottom = reduced(*model.table.expected_gain_exact())
-        floats = _doubles(top, bottom)
-        each = np.arange(model.n_pairs + 1)
-        _add_rationals(digest, top, bottom, each, floats, ~np.isfinite(floats))
-    if model.sense != "max":
-        digest.update(f"\nsense {model.sense}".encode())
+    offsets, following, weight, _ = merged(model.table)
+    weight = weight // np.repeat(np.gcd.reduceat(weight, offsets[:-1]), np.diff(offsets))
+    rate, start = model.discount_exact, sorted((s, p) for s, p in model.start if p)
+    columns = (
+        np.array([model.n_states, rate.numerator, rate.denominator], dtype=object),
+        np.array([n for s, p in start for n in (s, p.numerator, p.denominator)], dtype=object),
+        *(model.pair_state, model.pair_action, *reduced(*model.table.expected_gain_exact())),
+        *(row_sums(weight, offsets), np.diff(offsets), following, weight),
+    )
+    head = f"exact-mdp model 2 {model.sense}"
     if model.goal is not None:
-        _add(digest, np.packbits(model.goal), "u1")
-        digest.update(str(model.unreached).encode())
+        head += f" {model.unreached} {np.flatnonzero(model.goal).tolist()}"
+    digest = sha256(head.encode())
+    for column in columns:
+        digest.update(("\n" + " ".join(map(hex, column.tolist()))).encode())
     return digest.hexdigest()
-
-
-def _add(digest: _Hash, values: Numbers, kind: str) -> None:
-    digest.update(f"\n{len(values)}:".encode())
-    digest.update(np.ascontiguousarray(values, dtype=kind).data)
-
-
-def _add_floats(digest: _Hash, values: Numbers, rows: int) -> None:
-    """Add rows of doubles as `_add_rationals` would."""
-    _add(digest, np.zeros(rows, dtype=bool), "?")
-    _add(digest, values + 0.0, "<f8")  # -0.0 becomes 0.0
-
-
-def _add_rationals(
-    digest: _Hash,
-    top: Numbers,
-    bottom: Numbers,
-    offsets: Integers,
-    floats: Floats,
-    others: NDArray[np.bool_],
-) -> None:
-    """Add rows in lowest terms: `floats` (M,), or top (M,) over bottom (L,) where marked (L,)."""
-    inside = np.repeat(others, np.diff(offsets))
-    _add(digest, others, "?")
-    _add(digest, floats[~inside], "<f8")
-    if not others.any():
-        return
-    for values in (top[inside], bottom[others]):
-        large = np.abs(values) >= EXACT_IN_INT64
-        _add(digest, np.where(large, 0, values), "<i8")
-        digest.update(" ".join(f"{value:x}" for value in values[large]).encode())
-
-
-def _doubles(top: Numbers, bottom: Numbers) -> Floats:
-    """Return the doubles that equal top / bottom, an infinity where none does."""
-    if top.dtype == object or bottom.dtype == object:
-        return np.array([_double(int(a), int(b)) for a, b in zip(top, bottom, strict=True)])
-    dyadic = (bottom & (bottom - 1)) == 0
-    odd = np.abs(top) // np.maximum(top & -top, 1)
-    return np.where(dyadic & (odd < EXACT_IN_FLOAT), top / bottom, np.inf)
-
-
-def _double(top: int, bottom: int) -> float:
-    try:
-        rounded = top / bottom
-    except OverflowError:
-        return np.inf
-    over, under = rounded.as_integer_ratio()
-    return rounded if over * bottom == top * under else np.inf
-
-
-def _text(value: Fraction) -> str:
-    return f"{value.numerator:x}/{value.denominator:x}"

@@ -147,8 +147,8 @@ def solve(
     Raises
     ------
     ModelError
-        For an unknown name, or a `tol` that the solver does not take; at discount 1 where a total
-        has no limit, or no policy has the best one, as `certify` says.
+        For an unknown name, or a `tol` that the solver does not take; at discount 1 where no policy
+        has the best total, as `certify` says, or one state of the start is worth +∞ and another -∞.
     SolverError
         Where a solver reaches a limit: of iterations, or of double precision.
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction as F
+from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -51,8 +52,22 @@ def test_costs_and_goals_are_other_models_and_labels_are_not() -> None:
     assert len({fingerprint(mdp) for mdp in (plain, *of_three)}) == 4
     assert fingerprint(plain.with_(labels={"end": end})) == fingerprint(plain)
     assert fingerprint(plain.negated().negated()) == fingerprint(plain)
-    # As it was before models had any of these.
-    assert fingerprint(plain).startswith("14507d5d3475dc90")
+
+
+def test_the_hash_is_that_of_the_lines_that_are_documented() -> None:
+    """docs/reference/certificates.md: lines of integers in hexadecimal."""
+    walk = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [20, 0], sense="min")
+    walk = walk.with_(goal=np.array([False, True]))
+    lines = [
+        "exact-mdp model 2 min inf [1]",
+        "0x2 0x1 0x1",  # states, discount
+        "0x0 0x1 0x1",  # start
+        *("0x0 0x1", "0x0 0x0"),  # states and actions of the pairs
+        *("0x14 0x0", "0x1 0x1"),  # expected rewards
+        *("0x2 0x1", "0x2 0x1"),  # denominators of the rows, and how many next states
+        *("0x0 0x1 0x1", "0x1 0x1 0x1"),  # next states, weights
+    ]
+    assert fingerprint(walk) == sha256("\n".join(lines).encode()).hexdigest()
 
 
 def test_a_tenth_is_not_the_float_nearest_to_it() -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction as F
 from itertools import product
-from math import inf, lcm
+from math import inf
 from typing import Any
 
 Row = tuple[int, int, F, Mapping[int, F]]
@@ -305,62 +305,15 @@ def best_average(rows: Iterable[Row]) -> tuple[tuple[F, ...], tuple[F, ...]]:
 # ---- totals without a discount -------------------------------------------------------------------
 
 
-def phases(policy: Sequence[Row]) -> Iterator[Values]:
-    """The limits of the expected total reward along each phase, one after the other.
-
-    With g + h = r + P h and g = P g, n steps earn n g + h - Pⁿ h. Where g = 0, the last term runs
-    through Pᵏ Π h, k = 0 … d-1, with d the common period of all classes, Π the limit of Pᵈⁿ.
-    """
-    gain, bias = gain_and_bias(policy)
-    laws = [law for *_, law in policy]
-    period, power = lcm(*(_period(laws, each) for each in classes(policy))), laws
-    for _ in range(period - 1):
-        power = [_then(row, laws) for row in power]
-    phase = limit([(s, 0, F(0), row) for s, row in enumerate(power)])
-    late = [mean(row, bias) for row in phase]
-    for _ in range(period):
-        yield [inf if g > 0 else -inf if g < 0 else bias[s] - late[s] for s, g in enumerate(gain)]
-        late = [mean(law, late) for law in laws]
-
-
-def _then(row: Mapping[int, F], laws: Sequence[Mapping[int, F]]) -> dict[int, F]:
-    found: dict[int, F] = {}
-    for s, p in row.items():
-        for t, q in laws[s].items():
-            found[t] = found.get(t, F(0)) + p * q
-    return found
-
-
-def _period(laws: Sequence[Mapping[int, F]], states: Sequence[int]) -> int:
-    here, seen = {states[0]}, list[set[int]]()
-    while here not in seen:
-        seen.append(here)
-        here = {t for s in here for t in laws[s]}
-    return len(seen) - seen.index(here)
-
-
 def total(policy: Sequence[Row]) -> Values:
-    """lim inf of the expected total reward from each state."""
-    return list(map(min, zip(*phases(policy), strict=True)))
+    """The limit of the expected discounted reward from each state: g / (1 - γ) + h + …."""
+    pairs = zip(*gain_and_bias(policy), strict=True)
+    return [h if not g else inf if g > 0 else -inf for g, h in pairs]
 
 
-def best_total(rows: Iterable[Row]) -> tuple[Values, bool]:
-    """The greatest lim inf from each state, and whether some policy has no limit from some state.
-
-    That is so where its phases differ, or classes of positive and of negative mean cancel.
-    """
-    every, swings = list[Values](), False
-    for policy in policies(rows):
-        each = list(phases(policy))
-        every.append([min(x) for x in zip(*each, strict=True)])
-        swings |= any(len(set(x)) > 1 for x in zip(*each, strict=True)) or _cancels(policy)
-    return list(map(max, zip(*every, strict=True))), swings
-
-
-def _cancels(policy: Sequence[Row]) -> bool:
-    gain, _ = gain_and_bias(policy)
-    star = limit(policy)
-    return any(not g and any(x and gain[t] for t, x in star[s].items()) for s, g in enumerate(gain))
+def best_total(rows: Iterable[Row]) -> Values:
+    """The greatest limit from each state."""
+    return list(map(max, zip(*map(total, policies(rows)), strict=True)))
 
 
 def reaching(rows: Iterable[Row], missed: float, sign: int) -> Values:

@@ -43,7 +43,7 @@ class Commands(click.Group):
     commands=[command for group in GROUPS.values() for command in group],
     context_settings={"help_option_names": HELP},
     epilog="MODEL is a shipped scenario (yuan2025, tea), a .toml scenario, a saved "
-    ".npz or .umb model, or gymnasium:ID.",
+    ".npz, .json or .umb model, or gymnasium:ID.",
 )
 @click.version_option(package_name=PROGRAM, message="%(prog)s %(version)s")
 def cli() -> None:

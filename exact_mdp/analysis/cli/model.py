@@ -212,7 +212,7 @@ def convert(
     constants: str | None,
 ) -> Report:
     """Write a model in another format."""
-    check_outputs((target, (".npz", ".umb")))
+    check_outputs((target, (".npz", ".umb", ".json")))
     loaded = read_model(source, sets=sets, discount=discount, constants=constants)
     save(loaded.mdp, target)
     result = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from math import isinf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import click
 import numpy as np
@@ -27,10 +27,9 @@ from exact_mdp.mdp.io.load import Loaded
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.solve import AverageSolution
-from exact_mdp.solvers.proof.certificate import Certificate
-from exact_mdp.solvers.proof.certify import certify
+from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.certify import certify
 from exact_mdp.solvers.solution import Bounded, Certified
 from exact_mdp.solvers.solver import solve as solve_model
 
@@ -123,10 +122,16 @@ def solve(
     return asked.report(result, facts, [_table(result, asked.loaded)])
 
 
+def _of_average(best: object) -> TypeGuard[Certificate | AverageSolution]:
+    """Return whether a result is that of an average reward."""
+    certified = isinstance(best, Certificate) and best.kind == "average"
+    return certified or isinstance(best, AverageSolution)
+
+
 def _averages(mdp: MDP, found: Optimum) -> dict[str, Any]:
     """Return gain and bias of each state, exactly where they are certified."""
     best = found.best
-    if mdp.n_states > LISTED_STATES or not isinstance(best, AverageCertificate | AverageSolution):
+    if mdp.n_states > LISTED_STATES or not _of_average(best):
         return {"gain": None, "bias": None}
     labels = _labels(mdp.space)
     return {
@@ -318,7 +323,7 @@ def _save_arrays(mdp: MDP, found: Optimum, path: str) -> None:
         "error_bound": np.float64(found.error_bound),
         "claim": np.array(str(found.claim)),
     }
-    if isinstance(found.best, AverageCertificate | AverageSolution):
+    if _of_average(found.best):
         arrays["bias"] = found.best.bias.astype(np.float64)
     else:
         q = np.full((mdp.n_states, mdp.n_actions), np.nan)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from fractions import Fraction
-from functools import partial
 from math import ulp
 from typing import Any
 
 from exact_mdp.analysis.cli.options import given
 from exact_mdp.analysis.cli.render import Report, Table
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.io.files import LARGEST, read_bytes
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.average.certificate import AverageCertificate
-from exact_mdp.solvers.objectives.file import CHECKS, ObjectivesProof
-from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.exact import codec
+from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.objectives.file import PROOFS, ObjectivesProof
 from exact_mdp.solvers.solution import Bounded, Certified
 
 HOLDS, FAILS = 0, 1
@@ -25,11 +22,14 @@ HOLDS, FAILS = 0, 1
 def verify(*, certificate: str, **shared: Any) -> Report:
     """Check a certificate."""
     asked = given(**shared)
-    proof = _read(certificate)
+    kind, proof = codec.load(KINDS, certificate)
+    proof = (
+        proof if isinstance(proof, ObjectivesProof) else replace(proof, mdp=asked.mdp, **_of(kind))
+    )
     violations = proof.violations(asked.mdp)
     result = {
         "certificate": certificate,
-        "passed": not violations,
+        "holds": not violations,
         "violations": violations,
         "claim": None if violations else proof.claim,
     }
@@ -40,11 +40,11 @@ def verify(*, certificate: str, **shared: Any) -> Report:
     tables = list[Table]()
     if isinstance(proof, ObjectivesProof):
         proven = {} if violations else proof.found(asked.mdp)
-        result |= {"kind": proof.kind, "objectives": list(proof.objectives)} | proven
+        result |= {"kind": kind, "objectives": list(proof.objectives)} | proven
         if "vertices" in proven:
             facts |= {"names": proven["names"], "vertices": proven["vertices"]}
             tables.append(_totals(proven))
-        elif proven:
+        elif "limits" in proven:
             result["limits"] = [str(limit) for limit in proven["limits"]]
             result["closest"] = {moved.name: moved.bound for moved in proven["closest"]}
             if proven["exact_start_value"] is not None:
@@ -58,8 +58,7 @@ def verify(*, certificate: str, **shared: Any) -> Report:
         facts["start value"] = start if isinstance(proof, BoundedCertificate) else proof.start
         if isinstance(proof, Certificate):
             result |= {"exact_start_value": proof.start_value, "unique": proof.unique}
-        if isinstance(proof, AverageCertificate):
-            result |= {"exact_start_value": proof.start_value, "criterion": "average"}
+            result |= {"criterion": "average"} if kind == "average" else {}
     table = Table(
         title="violations",
         rows=[{"what": violation} for violation in violations],
@@ -94,33 +93,20 @@ def _limits(proven: Mapping[str, Any]) -> Table:
     return Table(title=title, rows=rows, columns={"limit": "limit", "closest": "closest"})
 
 
-Proof = Certificate | BoundedCertificate | AverageCertificate | ObjectivesProof
-KINDS: dict[object, Callable[[str], Proof]] = {
-    "bounded": BoundedCertificate.load,
-    "average": AverageCertificate.load,
-    **{kind: partial(ObjectivesProof.load, kind=kind) for kind in CHECKS},
+KINDS: dict[str, Any] = {
+    "total": Certificate,
+    "average": Certificate,
+    "bounds": BoundedCertificate,
+    **PROOFS,
 }
 
 
-def _read(path: str) -> Proof:
-    """Read a certificate of any kind."""
-    try:
-        text = read_bytes(path, most=LARGEST).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ModelError(
-            "not a certificate, which is JSON text",
-            where=path,
-            fix="name the file that `exact-mdp solve MODEL --certificate F.json` wrote",
-        ) from error
-    try:
-        content = json.loads(text)
-        kind = str(content.get("kind")) if isinstance(content, dict) else ""
-    except (ValueError, RecursionError):  # integers of over 4,300 decimal digits among them
-        kind = ""  # reading it as a certificate says what is wrong
-    return KINDS.get(kind, Certificate.load)(path)
+def _of(kind: str) -> dict[str, str]:
+    """Return what a certificate says of its kind."""
+    return {} if kind == "bounds" else {"kind": kind}
 
 
-def _start(proof: Certificate | BoundedCertificate | AverageCertificate, mdp: MDP) -> Bounded:
+def _start(proof: Certificate | BoundedCertificate, mdp: MDP) -> Bounded:
     """Return what a sound certificate proves of the start value."""
     if not isinstance(proof, BoundedCertificate):
         value = float(proof.start_value)

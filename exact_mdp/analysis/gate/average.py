@@ -29,16 +29,15 @@ from exact_mdp.analysis.gate.forgiveness import per_use
 from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Numbers, common
+from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.average.certificate import AverageCertificate
 from exact_mdp.solvers.average.chain import ExactAverages
-from exact_mdp.solvers.average.checker import Rationals, surplus
 from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.proof.certify import certify
-from exact_mdp.solvers.proof.checker import policy_pairs
+from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.certify import certify
+from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -76,8 +75,8 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
     alone = mixed_rows(rows, held)
     own = ExactAverages(alone)
     gain, bias, second = own.expansion(own.reward)
-    vectors = (Rationals(*common(each.tolist())) for each in (gain, bias, second))
-    if any(np.asarray(each != 0, dtype=bool).any() for each in surplus(alone, *vectors)):
+    levels = [Level.of(each.tolist()) for each in (gain, bias, second)]
+    if any(any(tops) for tops, _ in surplus(alone, *levels)):
         raise RuntimeError("the exact gain of a policy does not solve its equations")
     learned = sum((p * gain[state] for state, p in mdp.start), Fraction(0))
     lost, short = best.losses
@@ -86,8 +85,7 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
     forgiven = Fraction(0)
     if mdp.floats:
         optimal |= _ties(step, best, gap)
-        taken = policy_pairs(step, best.policy)
-        assert taken is not None
+        taken = best.pairs
         ideal = ExactAverages(rows.of_pairs(taken))
         uses = [held.exact_weights(state) for state in range(mdp.n_states)]
         forgiven += _movable(step, own, uses, (gain, bias))
@@ -109,11 +107,10 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
     )
 
 
-def _ties(step: MDP, best: AverageCertificate, gap: Numbers) -> Flags:
+def _ties(step: MDP, best: Certificate, gap: Numbers) -> Flags:
     """Return (L,) where the rounding of a row, and of the best one, can cause the whole gap."""
     own = per_use(step, _rounded(best.bias))
-    taken = policy_pairs(step, best.policy)
-    return np.asarray(gap.astype(np.float64) * SLACK <= own + own[taken][step.pair_state])
+    return np.asarray(gap.astype(np.float64) * SLACK <= own + own[best.pairs][step.pair_state])
 
 
 def _movable(

@@ -33,7 +33,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import gains
-from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import Certified, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.visits import visits

@@ -19,41 +19,36 @@ import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, divide, in_proportion, integers
+from exact_mdp.mdp.table import Floats, divide, in_proportion, integers
+from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.objectives.occupancy import flow
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
-from exact_mdp.solvers.proof.margins import Values, alike
-from exact_mdp.solvers.proof.rationals import fraction, on_average
+from exact_mdp.solvers.proof.margins import alike
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExactPolicy:
-    """Exact values V(s) = numerator[s] / denominator[group[s]] of a policy."""
+    """Exact values of a policy."""
 
     mdp: MDP
-    numerator: Sequence[int]
-    group: Integers
-    denominator: Sequence[int]
+    h: Level
 
     @cached_property
     def value_float(self) -> Floats:
         """(S,) the values, each rounded once."""
-        return divide(np.array(self.numerator, object), np.array(self._below, object))
+        return divide(np.array(self.h.top, object), np.array(self.h.each_below, object))
 
     @cached_property
     def value(self) -> list[Fraction]:
         """The values of all states."""
-        return [fraction(a, b) for a, b in zip(self.numerator, self._below, strict=True)]
+        return list(self.h.fractions())
 
     @cached_property
     def start_value(self) -> Fraction:
         """The value of the start distribution."""
-        return on_average(self.mdp.start, self.numerator, self.group, self.denominator)
-
-    @property
-    def _below(self) -> list[int]:
-        return [self.denominator[group] for group in self.group.tolist()]
+        return self.h.mean(self.mdp.start)
 
 
 def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -> ExactPolicy:
@@ -68,15 +63,8 @@ def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -
         scaled = zip(earned, rows.scale.tolist(), strict=True)
         constant = [int(number * times) * scale for number, scale in scaled]
         rows = replace(rows, constant=integers(constant))
-    found = solve_exactly(rows)
-    if not _holds(rows, found):
-        raise RuntimeError("exact values of a policy do not solve its equations")
-    return ExactPolicy(
-        mdp=mdp,
-        numerator=found.numerator,
-        group=found.group,
-        denominator=[below * times for below in found.denominator],
-    )
+    found = _proven(rows, solve_exactly(rows), "values")
+    return ExactPolicy(mdp=mdp, h=replace(found, below=[below * times for below in found.below]))
 
 
 def exact_visits(chain: PolicyChain) -> Floats:
@@ -87,12 +75,8 @@ def exact_visits(chain: PolicyChain) -> Floats:
     """
     mdp = chain.mdp
     rows = mixed_rows(bellman_rows(mdp), chain)
-    equations, found = flow(mdp, rows, np.flatnonzero(chain.reached & ~mdp.terminal))
-    if not _holds(equations, found):
-        raise RuntimeError("exact visits of a policy do not solve their equations")
-    return ExactPolicy(
-        mdp=mdp, numerator=found.numerator, group=found.group, denominator=found.denominator
-    ).value_float
+    found = flow(mdp, rows, np.flatnonzero(chain.reached & ~mdp.terminal))
+    return ExactPolicy(mdp=mdp, h=_proven(*found, "visits")).value_float
 
 
 def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
@@ -127,55 +111,20 @@ def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
     )
 
 
-def exact_gaps(mdp: MDP, best: Values, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:
+def exact_gaps(mdp: MDP, best: Certificate, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:
     """Return V*(s) - Q*(l) of some pairs as numerator and denominator, both integers."""
-    found: dict[int, tuple[int, int]] = {}
     asked = np.unique(np.array(list(pairs), dtype=np.int64))
-    if not len(asked):
-        return found
-    rows = bellman_rows(mdp)
-    for l, first in zip(asked.tolist(), alike(mdp, asked).tolist(), strict=True):
-        if first != l:
-            found[l] = found[first]
-            continue
-        state = int(mdp.pair_state[l])
-        part = slice(int(rows.offsets[l]), int(rows.offsets[l + 1]))
-        loss, unit = _loss(
-            best, state, int(rows.scale[state]), int(rows.constant[l]),
-            rows.next[part].tolist(), rows.weight[part].tolist(),
-        )  # fmt: skip
-        found[l] = loss, unit * int(rows.scale[state])
-    return found
+    same = alike(mdp, asked)
+    distinct = np.unique(same)
+    ((tops, belows),) = surplus(bellman_rows(mdp), best.h, pairs=distinct)
+    found = {l: (-a, b) for l, a, b in zip(distinct.tolist(), tops, belows, strict=True)}
+    return {l: found[first] for l, first in zip(asked.tolist(), same.tolist(), strict=True)}
 
 
-def _loss(
-    of: Values, state: int, scale: int, constant: int,
-    following: Sequence[int], weight: Sequence[int],
-) -> tuple[int, int]:  # fmt: skip
-    """Return scale · V - constant - Σ weight V' as an integer over a second one."""
-    below = of.denominator
-    own = below[of.group[state]]
-    groups = of.group[list(following)].tolist()
-    unit = lcm(own, *{below[group] for group in groups})
-    times = {group: unit // below[group] for group in {*groups}}
-    later = sum(
-        w * of.numerator[t] * times[group]
-        for t, w, group in zip(following, weight, groups, strict=True)
-    )
-    return scale * of.numerator[state] * (unit // own) - constant * unit - later, unit
-
-
-def _holds(rows: BellmanRows, found: ExactValues) -> bool:
-    """Return whether values solve the equations of rows with one pair for each state."""
-    offsets, scale, constant = rows.offsets.tolist(), rows.scale.tolist(), rows.constant.tolist()
-    following, weight = rows.next.tolist(), rows.weight.tolist()
-    for state in range(len(scale)):
-        if rows.terminal[state]:
-            if found.numerator[state]:
-                return False
-            continue
-        part = slice(offsets[state], offsets[state + 1])
-        loss, _ = _loss(found, state, scale[state], constant[state], following[part], weight[part])
-        if loss:
-            return False
-    return True
+def _proven(rows: BellmanRows, found: ExactValues, what: str) -> Level:
+    """Return the solution of equations with one pair for each state, after putting it into them."""
+    level = Level(top=found.numerator, below=found.denominator, group=found.group)
+    ((tops, _),) = surplus(rows, level)
+    if any(top for top, over in zip(tops, rows.terminal, strict=True) if not over):
+        raise RuntimeError(f"exact {what} of a policy do not solve their equations")
+    return level

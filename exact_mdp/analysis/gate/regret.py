@@ -47,9 +47,9 @@ from exact_mdp.solvers.bounds.bounds import Bounds, bounds, lower, margin_weight
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.policy_iteration import improved
-from exact_mdp.solvers.proof.certificate import Certificate
-from exact_mdp.solvers.proof.certify import certify
-from exact_mdp.solvers.proof.margins import Values
+from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.certify import certify
+from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
@@ -206,7 +206,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         at_start=Certified(value=lost),
         optimal_value=best.value_float,
         learned_value=own.value_float,
-        by_state=_differences(best, own),
+        by_state=_differences(best.h, own.h),
         optimal_pairs=optimal,
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=gap,
@@ -300,16 +300,10 @@ def _settled(chain: PolicyChain) -> PolicyChain:
     return PolicyChain(mdp=stays, chosen=chain.chosen, policy=chain.policy)
 
 
-def _differences(best: Values, own: Values) -> Floats:
+def _differences(best: Level, own: Level) -> Floats:
     """Return (S,) the exact differences of the values, each rounded once."""
-    if own is best:
-        return np.zeros(len(best.numerator))
-    found = []
-    for state, (a, c) in enumerate(zip(best.numerator, own.numerator, strict=True)):
-        b = best.denominator[best.group[state]]
-        d = own.denominator[own.group[state]]
-        found.append((a * d - c * b) / (b * d))
-    return np.array(found)
+    parts = zip(best.top, best.each_below, own.top, own.each_below, strict=True)
+    return np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
 
 
 def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags, Floats]:

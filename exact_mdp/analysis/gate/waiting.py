@@ -14,22 +14,22 @@ such a class at s. To blame are the states of the class in which an optimal acti
 it. Where none does, because the optimum stays in a part of the class, or earns more for ever there,
 those are to blame in which the policy departs from the optimal one of the certificate: a policy
 that does not is as good. Among these, an action cannot be used for ever where V + w > P w, with the
-w of the proof (`solvers.proof.endless`), since the mean of V + w - P w in the class is what it
+w of the proof (`solvers.exact.checker`), since the mean of V + w - P w in the class is what it
 loses. Where there are several states, each has an equal share.
 """
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import closure, strong_components
+from exact_mdp.mdp.chain import closure, endless, strong_components
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.levels import surplus
 from exact_mdp.solvers.proof.margins import alike
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import ended
@@ -73,12 +73,10 @@ def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
 def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
     """Return those pairs (L,) of finite states for which V + w > P w."""
     found = np.zeros(len(pairs), dtype=bool)
-    if best.endless is not None:
-        w = best.endless.potential
-        for pair in np.flatnonzero(pairs & (best.endless.sign == 0)[mdp.pair_state]).tolist():
-            state = int(mdp.pair_state[pair])
-            later = sum((p * w[t] for p, t, _ in mdp.table.row(pair)), Fraction(0))
-            found[pair] = best.value[state] + w[state] > later
+    if best.g is not None and best.w is not None:
+        some = np.flatnonzero(pairs & (best.infinite_sign == 0)[mdp.pair_state])
+        third, _ = surplus(bellman_rows(mdp), best.g, best.h, best.w, pairs=some)[2]
+        found[some] = [top < 0 for top in third]
     return found
 
 
@@ -104,17 +102,25 @@ def shares(chain: PolicyChain, by_state: Floats, gap: Floats, wrong: Flags) -> F
     return np.where(blamed, whole[label] / np.maximum(number[label], 1), 0.0)
 
 
+def _taken(best: Certificate) -> Floats:
+    """Return (L,) 1 for the pairs of the certificate's policy."""
+    found = np.zeros(len(best.optimal_pairs))
+    found[best.pairs] = 1.0
+    return found
+
+
 def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
     """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
     pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
-    claims = best.endless
-    if claims is None or len(pairs) < 2 or claims.rank[state] == 0 or claims.sign[state] < 0:
+    sign, stays = best.infinite_sign, kept(PolicyChain(mdp=mdp, chosen=_taken(best))) >= 0
+    stays |= mdp.terminal
+    if not endless(mdp) or len(pairs) < 2 or stays[state] or sign[state] < 0:
         return pairs
     used = np.flatnonzero(optimal & (mdp.pair_state != state))
     choice = sp.csr_array(
         (np.ones(len(used)), (mdp.pair_state[used], used)), (mdp.n_states, mdp.n_pairs)
     )
-    home = (claims.rank == 0) & (claims.sign == claims.sign[state])
+    home = stays & (sign == sign[state])
     arrives = closure((choice @ mdp.transition).T.tocsr(), home)
     arrives[state] = False
     found = [pair for pair in pairs if arrives[mdp.transition[[pair]].indices].any()]

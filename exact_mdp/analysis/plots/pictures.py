@@ -20,7 +20,6 @@ from exact_mdp.mdp.errors import ModelError
 PICTURES: dict[str, Any] = {
     "AccuracyCurves": perception.plot_accuracy_curves,
     "Audit": states.plot_audit,
-    "AverageCertificate": states.plot_solution,
     "BoundedCertificate": states.plot_solution,
     "Certificate": states.plot_solution,
     "CostEffectiveness": psa.plot_cost_effectiveness,

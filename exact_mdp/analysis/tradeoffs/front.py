@@ -36,20 +36,20 @@ from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import (
     Attained,
     Point,
-    Proof,
+    Rank,
     Values,
     best_for,
     front_violations,
 )
-from exact_mdp.solvers.objectives.file import FRONT, ObjectivesProof
+from exact_mdp.solvers.objectives.file import FrontProof
 from exact_mdp.solvers.objectives.optima import (
     Losses,
     attained,
     extreme,
     known_optimum,
     optimum,
-    proof,
     proposed,
+    rank_of,
 )
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
@@ -96,7 +96,8 @@ class Front(Pictured):
         A deterministic policy for each vertex, in rising order of the first total.
     duals : {weights: Values}
         For the corners of the weights, values of states that no policy exceeds.
-    proof : Proof
+    rank : (S,) int64, optional
+        Proof that every policy ends, at discount 1.
     objectives : Objectives
 
     Examples
@@ -113,7 +114,7 @@ class Front(Pictured):
     names: tuple[str, ...]
     attained: tuple[Attained, ...]
     duals: Mapping[Point, Values]
-    proof: Proof
+    rank: Rank
     objectives: Objectives
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
@@ -196,12 +197,12 @@ class Front(Pictured):
     def violations(self) -> list[str]:
         """Return what does not hold of the front, in words: nothing where it is sound."""
         of = Objectives.of(self.objectives.mdp, self.objectives.texts)
-        return front_violations(of, self.proof, self.attained, self.duals)
+        return front_violations(of, self.rank, self.attained, self.duals)
 
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
-        parts = {"proof": self.proof, "vertices": self.attained, "duals": self.duals}
-        ObjectivesProof.of(FRONT, self.objectives, **parts).save(path)
+        parts = {"rank": self.rank, "vertices": self.attained, "duals": self.duals}
+        FrontProof.about(self.objectives, **parts).save(path)
 
 
 def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
@@ -258,7 +259,7 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
             )
             for corner, values in sorted(duals.items())
         },
-        proof=proof(of),
+        rank=rank_of(of),
         objectives=of,
     )
 

@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -38,14 +39,14 @@ from exact_mdp.solvers.objectives.checker import (
     Flow,
     Interval,
     Point,
-    Proof,
+    Rank,
     Values,
     allowed,
-    rationalization_violations,
     totals_of,
 )
+from exact_mdp.solvers.objectives.file import WeightsProof
 from exact_mdp.solvers.objectives.occupancy import flow, visits
-from exact_mdp.solvers.objectives.optima import optimum, proof
+from exact_mdp.solvers.objectives.optima import optimum, rank_of
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
@@ -79,7 +80,8 @@ class Rationalization(Result):
     intervals : {component: Interval}
         What proves `alone`.
     objectives : Objectives
-    proof : Proof
+    rank : (S,) int64, optional
+        Proof that every policy ends, at discount 1.
 
     Examples
     --------
@@ -99,7 +101,7 @@ class Rationalization(Result):
     cuts: tuple[Cut, ...]
     intervals: dict[str, Interval]
     objectives: Objectives
-    proof: Proof
+    rank: Rank
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
 
@@ -129,11 +131,25 @@ class Rationalization(Result):
 
     def violations(self) -> list[str]:
         """Return what does not hold of the result, in words: nothing where it is sound."""
-        return rationalization_violations(
-            Objectives.of(self.objectives.mdp, self.objectives.texts),
-            self.proof, self.flow, list(self.weights.values()), self.change, self.dual, self.cuts,
-            list(self.intervals.values()),
-        )  # fmt: skip
+        return self._proof.violations(self.objectives.mdp)
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
+        self._proof.save(path)
+
+    @property
+    def _proof(self) -> WeightsProof:
+        proof: WeightsProof = WeightsProof.about(
+            self.objectives,
+            rank=self.rank,
+            weights=tuple(self.weights.values()),
+            change=self.change,
+            flow=self.flow,
+            dual=self.dual,
+            cuts=self.cuts,
+            intervals=tuple(self.intervals.values()),
+        )
+        return proof
 
 
 def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
@@ -173,7 +189,7 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
         cuts=cuts,
         intervals={name: search.alone(k) for k, name in enumerate(of.names)},
         objectives=of,
-        proof=proof(of),
+        rank=rank_of(of),
     )
 
 

@@ -1,7 +1,7 @@
 """Models by name or file, as the command line takes them.
 
-A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`), a
-model checker's file (`.umb`; `.umb#NAME` chooses among its reward models), its source
+A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved model (`.npz`,
+`.json`), a model checker's file (`.umb`; `.umb#NAME` chooses among its reward models), its source
 (`.prism`, `.jani`, which Storm builds), or `gymnasium:ID`.
 """
 
@@ -16,12 +16,12 @@ from typing import Any
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.io import npz, storm, umb
+from exact_mdp.mdp.io import model_json, npz, storm, umb
 from exact_mdp.mdp.model import MDP
 
 GYMNASIUM = "gymnasium:"
 SOURCES = (".prism", ".nm", ".pm", ".jani")
-FILES = (".toml", ".npz", ".umb", *SOURCES)
+FILES = (".toml", ".npz", ".umb", ".json", *SOURCES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ def read_model(
     Parameters
     ----------
     spec : str or path
-        A shipped scenario, a `.toml`, `.npz` or `.umb` file (`.umb#NAME` chooses
+        A shipped scenario, a `.toml`, `.npz`, `.json` or `.umb` file (`.umb#NAME` chooses
         a reward model), a `.prism` or `.jani` file, or `gymnasium:ID`.
     sets : sequence of "KEY=VALUE"
         Changes to a scenario, in order; other models have nothing to set.
@@ -90,6 +90,9 @@ def read_model(
         mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), 1 if discount is None else discount)
     elif suffix == ".npz":
         mdp = npz.load(text)
+        mdp = mdp if discount is None else mdp.with_(discount=discount)
+    elif suffix == ".json":
+        mdp = model_json.load(text)
         mdp = mdp if discount is None else mdp.with_(discount=discount)
     elif suffix == ".umb":
         file, reward = _parts(text)
@@ -158,7 +161,7 @@ def load_scenario(
 
 
 def save(model: MDP, path: str | Path) -> None:
-    """Write a model as `.npz`, or as `.umb` for model checkers, by its ending.
+    """Write a model as `.npz`, as `.umb` for model checkers or as `.json`, by its ending.
 
     Parameters
     ----------
@@ -175,8 +178,8 @@ def save(model: MDP, path: str | Path) -> None:
     >>> from tempfile import TemporaryDirectory
     >>> from exact_mdp import MDP, load, save
     >>> with TemporaryDirectory() as folder:
-    ...     save(MDP.from_arrays([[[1]]], ["1/2"], discount="1/2"), f"{folder}/one.npz")
-    ...     load(f"{folder}/one.npz").n_states
+    ...     save(MDP.from_arrays([[[1]]], ["1/2"], discount="1/2"), f"{folder}/one.json")
+    ...     load(f"{folder}/one.json").n_states
     1
     """
     given: Any = (model, path)
@@ -189,11 +192,13 @@ def save(model: MDP, path: str | Path) -> None:
         npz.save(model, path)
     elif suffix == ".umb":
         umb.save(model, path)
+    elif suffix == ".json":
+        model_json.save(model, path)
     else:
         raise ModelError(
             f"cannot write a model as {suffix or 'a file without ending'}",
             where=str(path),
-            fix="name it .npz or .umb",
+            fix="name it .npz, .umb or .json",
         )
 
 

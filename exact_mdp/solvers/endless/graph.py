@@ -114,23 +114,3 @@ class Graph:
                 number[stays] = label
                 return number, inside
             inside[chosen[apart]] = False
-
-    def levels(self, label: Integers, pairs: Mask) -> Integers:
-        """Return (S,) ranks that may fall along each of `pairs` (L,), states of one label as one.
-
-        Each of -1 is a state by itself. The pairs make no end component of the merged states.
-        """
-        own = np.where(label >= 0, label, int(label.max(initial=-1)) + 1 + np.arange(self.states))
-        names, own = np.unique(own, return_inverse=True)
-        chosen = np.flatnonzero(pairs)
-        chosen = chosen[np.argsort(own[self.pair_state[chosen]], kind="stable")]
-        lengths = self.offsets[chosen + 1] - self.offsets[chosen]
-        state = own[self.pair_state[chosen]]
-        merged = Graph(
-            state,
-            np.searchsorted(state, np.arange(len(names) + 1)),
-            np.concatenate([[0], np.cumsum(lengths)]),
-            own[self.next[spans(self.offsets[chosen], self.offsets[chosen + 1])]],
-        )
-        none, every = np.zeros(len(names), dtype=bool), np.ones(len(chosen), dtype=bool)
-        return merged.ranks(none, every)[own]

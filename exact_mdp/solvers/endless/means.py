@@ -1,13 +1,11 @@
-"""The best mean reward of end components: its sign, its exact value, and what proves either.
+"""The sign of the best mean reward of end components, and a policy that earns for ever.
 
-    r(l) + P_l h - h(s) ≤ g  for all pairs l of the component,   with equality along a policy
+    r(l) + P_l h - h(s) < 0  for all pairs l of the component,   or > 0 along a policy
 
-says that no policy earns more than g a step for ever, and that one does. h is a potential: what is
-earned on the way from s to t is h(s) - h(t), g a step apart. The sign alone is shown by any h with
-r + P h - h < 0 (or > 0 along a policy) everywhere. Values V_γ with a discount γ near 1 are such
-potentials, as r + P V_γ - V_γ = (1 - γ) P V_γ along an optimal policy and no more elsewhere: so
-floats do, rounded. Where they leave the sign open, g and h are found in rational arithmetic as any
-best average (`solvers.average`; Puterman, Markov Decision Processes, 1994, chapter 8).
+for any potential h shows that no policy earns something for ever, or that one does. Values V_γ with
+a discount γ near 1 are such potentials, as r + P V_γ - V_γ = (1 - γ) P V_γ along an optimal policy
+and no more elsewhere: so floats do, rounded. Where they leave the sign open, rational arithmetic
+finds the best average (`solvers.exact.find`; Puterman, Markov Decision Processes, 1994, chapter 8).
 """
 
 from __future__ import annotations
@@ -16,31 +14,21 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
 from exact_mdp.solvers.endless.derived import Derived, derived
 from exact_mdp.solvers.endless.graph import Mask
-from exact_mdp.solvers.proof.checker import policy_pairs
+from exact_mdp.solvers.exact.certificate import exact_rows
+from exact_mdp.solvers.exact.find import best_average
+from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError
 
 NEARNESS = (Fraction(1, 2**8), Fraction(1, 2**16), Fraction(1, 2**26))  # 1 - γ
 BITS = 40  # of a potential, below its greatest absolute value
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Mean:
-    """The best mean reward of a component, potentials (K,), and the pairs (K,) of a policy."""
-
-    mean: Fraction
-    potential: list[Fraction]
-    pairs: Integers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,7 +63,7 @@ class Components:
         states, own = self.among(numbers)
         place = np.searchsorted(numbers, self.label[states])
         for nearness in NEARNESS:
-            near = nearly(own, nearness)
+            near = _nearly(own, nearness)
             if near is None:
                 continue
             low, high = np.full(len(numbers), np.inf), np.full(len(numbers), -np.inf)
@@ -85,40 +73,27 @@ class Components:
             if found.all():
                 break
         for i in np.flatnonzero(found == 0).tolist():
-            mean = self.mean(int(numbers[i])).mean
-            found[i] = (mean > 0) - (mean < 0)
+            _, (gain, _, _) = best_average(self.among(numbers[[i]])[1].mdp)
+            found[i] = (gain.top[0] > 0) - (gain.top[0] < 0)
         return found
 
-    def mean(self, number: int) -> Mean:
-        """Return the exact mean of one component."""
-        return exact_mean(self.among([number])[1])
-
-    def proof(self, numbers: Integers, sign: int) -> tuple[Integers, list[Fraction], Integers]:
-        """Return states (K,), potentials (K,) that prove the sign of means, and pairs (K,)."""
+    def gaining(self, numbers: Integers) -> tuple[Integers, Integers]:
+        """Return states (K,) of components of positive means, and pairs (K,) that earn for ever."""
         states, own = self.among(numbers)
-        rows = bellman_rows(own.mdp)
         for nearness in NEARNESS:
-            near = nearly(own, nearness)
+            near = _nearly(own, nearness)
             if near is None or not near.value.any():
                 continue
             step = Fraction(2) ** (int(np.ceil(np.log2(np.abs(near.value).max()))) - BITS)
             whole = np.rint(near.value / float(step)).tolist()
-            numerators = [int(x) * step for x in whole]
-            pairs = near.pairs if sign > 0 else np.arange(own.mdp.n_pairs)
-            if all(number * sign > 0 for number in surplus(rows, numerators, pairs[:-1])):
-                return states, numerators[:-1], own.source[near.pairs[:-1]]
-        if len(numbers) == 1:
-            best = exact_mean(own)
-            return states, best.potential, best.pairs
-        parts = [self.proof(numbers[[i]], sign) for i in range(len(numbers))]
-        return (
-            np.concatenate([part[0] for part in parts]),
-            [number for part in parts for number in part[1]],
-            np.concatenate([part[2] for part in parts]),
-        )
+            potential = Level.of([int(number) * step for number in whole])
+            ((tops, _),) = surplus(exact_rows(own.mdp), potential, pairs=near.pairs[:-1])
+            if min(tops) > 0:
+                return states, own.source[near.pairs[:-1]]
+        return states, own.source[best_average(own.mdp)[0][:-1]]
 
 
-def nearly(own: Derived, nearness: Fraction) -> Solution | None:
+def _nearly(own: Derived, nearness: Fraction) -> Solution | None:
     """Return the solution with discount 1 - `nearness`; None where floats do not bound it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PrecisionWarning)
@@ -126,24 +101,3 @@ def nearly(own: Derived, nearness: Fraction) -> Solution | None:
             return ModifiedPolicyIteration().solve(own.mdp.with_(discount=1 - nearness))
         except SolverError:
             return None
-
-
-def exact_mean(own: Derived) -> Mean:
-    """Return the best mean reward of an end component, given as a model of its own."""
-    found = certify_average(own.mdp)
-    pairs = policy_pairs(own.mdp, found.policy)
-    assert pairs is not None
-    potential = found.bias[:-1].tolist()
-    return Mean(mean=found.value[0], potential=potential, pairs=own.source[pairs[:-1]])
-
-
-def surplus(rows: BellmanRows, value: Sequence[Any], pairs: Integers | None = None) -> list[Any]:
-    """Return r + P V - V(s) for some pairs (K,), or all, in rationals of the kind that V has."""
-    offsets, following, weight = rows.offsets.tolist(), rows.next.tolist(), rows.weight.tolist()
-    owner, scale, constant = rows.pair_state.tolist(), rows.scale.tolist(), rows.constant.tolist()
-    found, zero = [], value[0] * 0
-    for pair in range(len(owner)) if pairs is None else pairs.tolist():
-        state, here = owner[pair], range(offsets[pair], offsets[pair + 1])
-        later = sum((weight[i] * value[following[i]] for i in here), zero + constant[pair])
-        found.append(later / scale[state] - value[state])
-    return found

@@ -4,9 +4,9 @@ What is left once the structure of a model is known (`solvers.endless.structure`
 finite values, its rests merged. Its end components all lose. Policy iteration in floats, from a
 policy that ends, tells which pairs in them lose clearly; without these every policy ends.
 
-A policy attains the values if it takes best pairs of the merged model, moves inside a rest to where
-it leaves, and stays only where staying is worth what it claims: never a pair just because it keeps
-the value of a state, which staying for ever would not earn.
+A policy attains the values if it takes best pairs of the merged model, and moves inside a rest to
+where it leaves: never a pair just because it keeps the value of a state, which staying for ever
+would not earn.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from exact_mdp.solvers.dynamic.known import evaluated
 from exact_mdp.solvers.endless.derived import Derived
 from exact_mdp.solvers.endless.graph import Graph, Mask
 from exact_mdp.solvers.endless.structure import Structure
-from exact_mdp.solvers.proof.checker import policy_pairs
 from exact_mdp.solvers.solution import SolverError, Status
 
 LIMIT = 1000  # policies
@@ -74,51 +73,33 @@ def toward(graph: Graph, distance: Integers, pairs: Mask, chosen: Integers) -> N
     chosen[states] = falling[first]
 
 
-def lifted(found: Structure, whole: Derived, chosen: Integers) -> tuple[Integers, Mask]:
-    """Return the pairs (S,) of the model for the sources `chosen` (S',) in the merged one.
-
-    And where the policy stays for ever: (S,) True in its rests, its cores, and at the end.
-    """
+def lifted(found: Structure, whole: Derived, chosen: Integers) -> Integers:
+    """Return the pairs (S,) of the model for the sources `chosen` (S',) in the merged one."""
     graph, mdp, rest = found.graph, found.mdp, found.rest
-    pairs, stays = mdp.pair_offsets[:-1].copy(), found.over & (found.sign == 0)
+    pairs, target = mdp.pair_offsets[:-1].copy(), found.over & (found.sign == 0)
     taken = chosen[whole.label]  # of each state's merged one
     leaves = (taken >= 0) & (taken < mdp.n_pairs)
     plain = (found.sign == 0) & leaves & (rest < 0)
     pairs[plain] = taken[plain]
-    resting = (rest >= 0) & ~leaves
-    uneven = np.isin(rest, list(found.tilted))
-    stay = [found.inside & (resting & ~uneven)[mdp.pair_state]]
-    for number, each in found.tilted.items():
-        some = np.zeros(mdp.n_pairs, dtype=bool)
-        some[each.stay] = resting[rest == number].any()
-        stay.append(some)
-    staying = np.logical_or.reduce(stay)
+    staying = found.inside & ((rest >= 0) & ~leaves)[mdp.pair_state]
     _first(mdp, np.flatnonzero(staying), pairs)
-    stays |= graph.having(staying)
+    target |= graph.having(staying)
     ways = taken[(rest >= 0) & leaves]
     pairs[mdp.pair_state[ways]] = ways
-    target = stays.copy()
     target[mdp.pair_state[ways]] = True
     toward(graph, graph.distance(target, found.inside), found.inside, pairs)
     every = np.ones(mdp.n_pairs, dtype=bool)
-    if found.drift is not None:
-        drifting = found.sign != 0
-        drifted = policy_pairs(mdp, found.drift.policy)
-        assert drifted is not None
-        pairs[drifting] = drifted[drifting]
-    elif found.missing.any():
+    if found.missing.any():
         _first(mdp, np.flatnonzero(graph.every(found.missing)), pairs)
         toward(graph, graph.distance(found.missing, every), every, pairs)
-        stays |= found.missing
     elif len(found.core):
-        states, _, best = found.gaining
+        states, best = found.components.gaining(found.core)
         pairs[states] = best
         above = np.zeros(mdp.n_states, dtype=bool)
         above[states] = True
         safe = graph.every(found.sign >= 0)
         toward(graph, graph.distance(above, safe), safe & (found.sign > 0)[mdp.pair_state], pairs)
-        stays |= above
-    return pairs, stays
+    return pairs
 
 
 def _first(mdp: MDP, some: Integers, pairs: Integers) -> None:

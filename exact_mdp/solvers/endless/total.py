@@ -6,7 +6,7 @@ verified:
 
     V(s) - e(s) ≥ r + P (V + e)     for values V with errors e, roundings counted
 
-Where rewards cancel in a component, floats cannot tell what is best, and rational arithmetic does.
+Where rewards cancel for ever, or +∞ and -∞ come together, rational arithmetic tells what is best.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from time import perf_counter
 
 import numpy as np
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gains
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.bounds.gains import SLACK, gains
 from exact_mdp.solvers.endless.derived import Derived
 from exact_mdp.solvers.endless.merged import lifted, without_losing
-from exact_mdp.solvers.endless.proven import certify_total
-from exact_mdp.solvers.endless.structure import finite, sign_at_start, structure
-from exact_mdp.solvers.proof.checker import policy_pairs
+from exact_mdp.solvers.endless.structure import finite, structure
+from exact_mdp.solvers.exact.find import expansion, reaching
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 
@@ -32,30 +33,26 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
 
     `solved` solves a model in which every policy ends.
 
-    Raises ModelError where the total swings for ever (`solvers.endless.structure`), or the start
-    mixes +∞ and -∞; SolverError where floats do not bound the values.
+    Raises ModelError where the start mixes +∞ and -∞; SolverError where floats do not bound the
+    values.
     """
     started = perf_counter()
     found = structure(mdp)
-    sign_at_start(mdp, found.sign)
-    whole, swings = finite(found)
-    if swings.any():
+    if found is None:
         return _rounded(mdp, started)
+    _check_start(mdp, found.sign)
+    whole = finite(found)
     part = without_losing(whole)
     solution = solved(part.mdp)
     _verify(whole, part, solution)
-    height = np.zeros(mdp.n_states)
-    height[list(found.height)] = [float(number) for number in found.height.values()]
-    value = solution.value[whole.label] + height
-    error = solution.state_error[whole.label]
-    error = error + (2 * UNIT * (np.abs(value) + np.abs(height))) * (height != 0)
+    value, error = solution.value[whole.label], solution.state_error[whole.label]
     value[found.sign > 0], value[found.sign < 0] = np.inf, -np.inf
     chosen = part.source[solution.pairs]
     return replace(
         solution,
         mdp=mdp,
         value=value,
-        pairs=lifted(found, whole, chosen)[0],
+        pairs=lifted(found, whole, chosen),
         state_error=np.where(found.sign == 0, error, 0.0),
         seconds=perf_counter() - started,
         gaps=None,
@@ -75,11 +72,21 @@ def _verify(whole: Derived, part: Derived, solution: Solution) -> None:
         raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
 
 
+def _check_start(mdp: MDP, sign: Integers) -> None:
+    """Raise ModelError where states of the start are worth +∞ (sign 1) and others -∞ (-1)."""
+    if len({int(sign[state]) for state, weight in mdp.start if weight} - {0}) > 1:
+        raise ModelError(
+            "the value is +∞ from one state of the start and -∞ from another",
+            where="start",
+            fix="start in one state: --start, or mdp.with_(start=…)",
+        )
+
+
 def _rounded(mdp: MDP, started: float) -> Solution:
     """Return exact values, rounded once."""
-    proof = certify_total(mdp)
-    value, pairs = proof.value_float, policy_pairs(mdp, proof.policy)
-    assert pairs is not None
+    proof = expansion(mdp, "total") if mdp.goal is None else reaching(mdp)
+    value, pairs = proof.value_float, proof.pairs
+    _check_start(mdp, proof.infinite_sign)
     with np.errstate(invalid="ignore"):
         error = np.where(np.isfinite(value), np.spacing(np.abs(value)), 0.0)
     return Solution(

@@ -2,7 +2,7 @@
 
 Nothing here imports a solver. V ≥ c_w + γ P V for all pairs bounds the weighted total of every
 policy at the start by μ V, because the equations of every policy have one solution (see
-`solvers.proof.checker`, which checks that); V = c + γ P V for the pairs of a policy is its total.
+`solvers.exact.checker`; `sound` checks that); V = c + γ P V for the pairs of a policy is its total.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.exact import row_sums
 from exact_mdp.mdp.table import Integers, Numbers, common, shown
+from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.proof.checker import one_solution
 from exact_mdp.solvers.proof.rationals import fraction
 
 Point = tuple[Fraction, ...]
@@ -30,12 +29,6 @@ class Values(NamedTuple):
 
     top: list[int]
     below: int
-
-
-class Proof(NamedTuple):
-    """What proves that the equations of every policy have one solution; see `Certificate`."""
-
-    rank: Integers | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,24 +43,34 @@ class Attained:
     total: Point
 
 
-def sound(of: Objectives, proof: Proof) -> list[str]:
+Rank = Integers | None
+"""(S,) integers that each pair may lower, where a run goes on: every policy ends, at discount 1."""
+
+
+def sound(of: Objectives, rank: Rank) -> list[str]:
     """Return why the equations may have several solutions; nothing where they have one."""
-    if one_solution(of.ending, proof.rank):
+    mdp, table = of.ending, of.ending.table
+    if mdp.discount_exact < 1:
         return []
+    if rank is not None and rank.shape == mdp.terminal.shape:
+        falls = np.minimum.reduceat(rank[table.next], table.offsets[:-1]) < rank[mdp.pair_state]
+        if (falls | mdp.terminal[mdp.pair_state]).all():
+            return []
     return ["nothing proves that the equations of every policy have one solution"]
 
 
-def slack(of: Objectives, amount: Numbers, values: Values) -> Numbers:
-    """Return (L,) what V is above amount + γ P V, times positive integers."""
-    return _slack(of, amount.astype(object) * values.below, values.top)
+def slack(
+    of: Objectives, amount: Numbers, values: Values, pairs: Integers | None = None
+) -> Numbers:
+    """Return what V is above amount + γ P V, times positive integers; V itself at ends.
 
-
-def _slack(of: Objectives, earned: Numbers, top: Sequence[int]) -> Numbers:
-    rows, state = of.rows, of.mdp.pair_state
-    own = np.array(top, dtype=object)
-    after = row_sums(rows.weight * own[rows.next], rows.offsets)
-    found = rows.scale[state] * own[state] - earned - after
-    return np.where(rows.terminal[state], own[state], found)
+    Of some pairs, all by default.
+    """
+    state = of.mdp.pair_state if pairs is None else of.mdp.pair_state[pairs]
+    rows, level = replace(of.rows, constant=amount), Level.over(values.top, values.below)
+    ((tops, _),) = surplus(rows, level, pairs=pairs)
+    own = np.array(values.top, dtype=object)[state]
+    return np.where(rows.terminal[state], own, -np.array(tops, dtype=object))
 
 
 def tight(of: Objectives, weights: Sequence[Fraction], values: Values) -> Integers:
@@ -83,7 +86,7 @@ def _weighted_slack(of: Objectives, weights: Sequence[Fraction], values: Values)
     unit = lcm(below, values.below)  # prices and values share long denominators
     times = unit // values.below
     earned = of.weighted([number * (unit // below) for number in whole])
-    return _slack(of, earned, [number * times for number in values.top])
+    return slack(of, earned, Values([number * times for number in values.top], 1))
 
 
 def wrong_totals(of: Objectives, policy: Attained, name: str) -> list[str]:
@@ -91,7 +94,7 @@ def wrong_totals(of: Objectives, policy: Attained, name: str) -> list[str]:
     if not np.array_equal(of.mdp.pair_state[policy.pairs], np.arange(of.mdp.n_states)):
         return [f"{name} does not take one pair of each state"]
     for amount, values, total in zip(of.amounts, policy.values, policy.total, strict=True):
-        if values.below <= 0 or slack(of, amount, values)[policy.pairs].any():
+        if values.below <= 0 or slack(of, amount, values, policy.pairs).any():
             return [f"the values of {name} do not solve its equations"]
         if of.at_start(*values) != total:
             return [f"{name} has other totals at the start"]
@@ -108,7 +111,7 @@ def wrong_bound(
 
 
 def front_violations(
-    of: Objectives, proof: Proof, vertices: Sequence[Attained], duals: Mapping[Point, Values]
+    of: Objectives, rank: Rank, vertices: Sequence[Attained], duals: Mapping[Point, Values]
 ) -> list[str]:
     """Return what does not hold of an exact front of two or three objectives.
 
@@ -117,7 +120,7 @@ def front_violations(
     sum to 1, h is linear between such points, H ≤ h, and no policy is beyond the vertices. Cells of
     two vertices share no area, so that areas add up: a vertex that is written twice is refused.
     """
-    wrong = sound(of, proof)
+    wrong = sound(of, rank)
     for number, vertex in enumerate(vertices):
         wrong += wrong_totals(of, vertex, f"vertex {number}")
     cells: list[list[Point]] = [[] for _ in vertices]
@@ -267,7 +270,7 @@ def _over_scales(of: Objectives, flow: Mapping[int, Fraction]) -> tuple[list[int
 
 def constrained_violations(
     of: Objectives,
-    proof: Proof,
+    rank: Rank,
     limits: Sequence[Limit],
     flow: Mapping[int, Fraction],
     price: Sequence[Fraction],
@@ -279,7 +282,7 @@ def constrained_violations(
     `price` begins with that of the reward: 1, or 0 where no policy keeps the limits. Prices p ≥ 0
     bound p₀ r(π) + Σ p c(π) by μ V; a flow that keeps the limits and meets the bound is optimal.
     """
-    wrong, (reward, *each) = [*sound(of, proof), *_not_reward(of)], price
+    wrong, (reward, *each) = [*sound(of, rank), *_not_reward(of)], price
     if reward not in (0, 1) or min(each, default=0) < 0 or shift < 0 or (reward and shift):
         wrong.append("a price or the step of the limits is negative")
     if not _flows(of, flow):
@@ -387,8 +390,8 @@ def allowed(
 
 def rationalization_violations(
     of: Objectives,
-    proof: Proof,
-    flow: Flow,
+    rank: Rank,
+    flow: Mapping[int, Fraction],
     weights: Sequence[Fraction],
     change: Fraction,
     dual: Values,
@@ -400,7 +403,7 @@ def rationalization_violations(
     For multipliers x ≥ 0 of other policies, D = Σ x (v(ρ) - v(π)) satisfies w D ≤ 0 for all weights
     under which π is optimal, so that |w - 1| ≤ t needs t ≥ Σ D / Σ |D|.
     """
-    wrong = sound(of, proof)
+    wrong = sound(of, rank)
     flows = [flow, *(cut.flow for cut in cuts), *(own for each in intervals for own in each.cuts)]
     if not all(_flows(of, own) for own in flows):
         return [*wrong, "visits are not those of a policy"]

@@ -48,7 +48,7 @@ from exact_mdp.solvers.objectives.checker import (
     Flow,
     Limit,
     Point,
-    Proof,
+    Rank,
     Values,
     Visits,
     constrained_violations,
@@ -57,9 +57,9 @@ from exact_mdp.solvers.objectives.checker import (
     tight,
     totals_of,
 )
-from exact_mdp.solvers.objectives.file import LIMITS, ObjectivesProof
+from exact_mdp.solvers.objectives.file import LimitsProof
 from exact_mdp.solvers.objectives.occupancy import visits
-from exact_mdp.solvers.objectives.optima import extreme, optimum, proof
+from exact_mdp.solvers.objectives.optima import extreme, optimum, rank_of
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.solution import Certified, Claim
 
@@ -90,7 +90,8 @@ class ConstrainedSolution(Result):
         of the limited totals times their prices.
     objectives : Objectives
         The reward, then what is limited.
-    proof : Proof
+    rank : (S,) int64, optional
+        Proof that every policy ends, at discount 1.
 
     Examples
     --------
@@ -111,7 +112,7 @@ class ConstrainedSolution(Result):
     price: tuple[Fraction, ...]
     dual: Values
     objectives: Objectives
-    proof: Proof
+    rank: Rank
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
 
@@ -228,7 +229,7 @@ class ConstrainedSolution(Result):
     @property
     def _claims(self) -> dict[str, Any]:
         return {
-            "proof": self.proof,
+            "rank": self.rank,
             "limits": self.limits,
             "flow": self.flow,
             "price": (ONE if self.feasible else ZERO, *self.price),
@@ -238,7 +239,7 @@ class ConstrainedSolution(Result):
 
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
-        ObjectivesProof.of(LIMITS, self.objectives, **self._claims).save(path)
+        LimitsProof.about(self.objectives, **self._claims).save(path)
 
 
 LIMIT = re.compile(r"\s*(>=|<=)\s*(\S+)\s*$")
@@ -285,7 +286,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         price=found.price,
         dual=found.dual,
         objectives=of,
-        proof=proof(of),
+        rank=rank_of(of),
     )
 
 

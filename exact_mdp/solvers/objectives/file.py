@@ -1,33 +1,17 @@
-"""Proofs of fronts and of optima under limits as files, in the form of `solvers.proof.file`.
+"""Proofs about totals that stand alone: fronts, optima under limits, and weights of a reward.
 
-All have the keys format, version, kind, model, and
+    front      an exact front of two or three totals: its vertices, and what bounds all policies
+    limits     an optimum under limits, or that no policy keeps them
+    weights    the least change of the weights of a reward that makes a policy optimal
 
-    objectives    [texts], as `amounts` reads them
-    states        S
-
-An exact front, of kind "front", has besides them
-
-    rank          [S integers], or null: why equations have one solution
-    vertices      [{"pairs": [S pairs], "values": [vector, …], "totals": [rational, …]}]: of each
-                  policy, by objective
-    bounds        [{"weights": [rational, …], "values": vector}]
-
-where a rational is [numerator, denominator], and a vector {"top": [S integers], "below": integer}.
-An optimum under limits, of kind "limits" (`.constrained`), has
-
-    rank          as above
-    limits        [{"name": text, "sign": 1 or -1, "bound": rational}]
-    shift, price  rational, [rational, …]
-    pairs, flow   [pairs visited], [rational, …]: their expected visits
-    dual          vector
-
-What is read is checked for its form; whether its claims hold is for `violations` to say. Nothing
-here imports a solver.
+Each has besides its own fields the model's hash, the objectives as `amounts` reads them, and the
+rank that proves that every policy ends, at discount 1. `solvers.exact.codec` writes and reads them;
+nothing here imports a solver.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -35,100 +19,154 @@ from typing import Any, ClassVar
 
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import (
     Attained,
+    Cut,
+    Interval,
     Limit,
     Point,
-    Proof,
     Values,
     constrained_violations,
     front_violations,
     moved_by,
+    rationalization_violations,
     totals_of,
 )
-from exact_mdp.solvers.proof.checker import not_of
-from exact_mdp.solvers.proof.file import (
-    ProofFile,
-    array_of,
-    count,
-    digest,
-    hexed,
-    hexed_ratio,
-    list_of,
-    or_none,
-    over_one,
-    ratio,
-    typed,
-    wanted,
-    write,
-)
 from exact_mdp.solvers.solution import Claim
-
-FRONT, LIMITS = "front", "limits"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObjectivesProof:
-    """A proof about totals that stands on its own: `violations` needs only the model.
+    """A proof about totals: `violations` needs only the model.
 
     Attributes
     ----------
-    kind : str
     model : str
-        `mdp.exact` of the model.
+        `fingerprint(mdp)`, a hash of the model.
     objectives : tuple of str
-    states : int
-    content : dict
-        What the checker of this kind takes.
+    rank : (S,) int64, optional
     """
 
-    kind: str
     model: str
     objectives: tuple[str, ...]
-    states: int
-    content: Mapping[str, Any]
+    rank: Integers | None
 
+    kind: ClassVar[str]
     claim: ClassVar[Claim] = Claim.CERTIFIED
 
     @classmethod
-    def of(cls, kind: str, of: Objectives, **content: Any) -> ObjectivesProof:
+    def about(cls, of: Objectives, **content: Any) -> Any:
         """Return a proof about objectives of a model."""
-        model, states = fingerprint(of.mdp), of.mdp.n_states
-        return cls(kind=kind, model=model, objectives=of.texts, states=states, content=content)
+        return cls(model=fingerprint(of.mdp), objectives=of.texts, **content)
 
     def violations(self, mdp: MDP) -> list[str]:
         """Return what does not hold of the proof, in words: nothing where it is sound."""
-        if wrong := not_of(mdp, self.model, range(self.states)):
-            return wrong
-        if any(not 0 <= pair < mdp.n_pairs for pair in _pairs(self.kind, self.content)):
+        if self.model != fingerprint(mdp):
+            return ["the certificate is of another model"]
+        lengths = {len(vector) for vector in self._vectors()} - {mdp.n_states}
+        if lengths:
+            return [f"it has {lengths} states, the model {mdp.n_states}"]
+        if any(not 0 <= pair < mdp.n_pairs for pair in self._pairs()):
             return ["a pair is none of the model"]
-        of = Objectives.of(mdp, self.objectives)
-        if not {limit.name for limit in self.content.get("limits", ())} <= {*of.names[1:]}:
-            return ["what is limited is not counted"]
-        return CHECKS[self.kind](of, **self.content)
+        return self._check(Objectives.of(mdp, self.objectives))
 
     def found(self, mdp: MDP) -> dict[str, Any]:
-        """Return what a sound proof proves: totals of vertices, or those under limits.
+        """Return what a sound proof proves."""
+        return self._proven(Objectives.of(mdp, self.objectives))
 
-        Those of limits that nobody keeps are missing.
-        """
-        of, own = Objectives.of(mdp, self.objectives), self.content
-        if self.kind == LIMITS:
-            return self._under_limits(of)
-        points = sorted(tuple(of.sign * t for t in v.total) for v in own["vertices"])
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON."""
+        codec.save(self.kind, self, path)
+
+    @staticmethod
+    def load(path: str | Path) -> ObjectivesProof:
+        """Read a proof of any kind; raises ModelError where the file is none."""
+        return codec.load(PROOFS, path)[1]
+
+    def _vectors(self) -> Iterator[Any]:
+        """Yield what has an entry for each state."""
+        raise NotImplementedError
+
+    def _pairs(self) -> Iterator[int]:
+        """Yield the pairs that are looked up."""
+        raise NotImplementedError
+
+    def _check(self, of: Objectives) -> list[str]:
+        raise NotImplementedError
+
+    def _proven(self, of: Objectives) -> dict[str, Any]:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrontProof(ObjectivesProof):
+    """The vertices of a front, and for weights of the totals what no policy exceeds."""
+
+    vertices: tuple[Attained, ...]
+    duals: dict[Point, Values]
+
+    kind: ClassVar[str] = "front"
+
+    def _vectors(self) -> Iterator[Any]:
+        for vertex in self.vertices:
+            yield vertex.pairs
+            yield from (values.top for values in vertex.values)
+        yield from (values.top for values in self.duals.values())
+
+    def _pairs(self) -> Iterator[int]:
+        return (pair for vertex in self.vertices for pair in vertex.pairs.tolist())
+
+    def _check(self, of: Objectives) -> list[str]:
+        sizes = {len(weights) for weights in self.duals}
+        sizes |= {len(part) for each in self.vertices for part in (each.values, each.total)}
+        if sizes != {len(of.names)} or len(of.names) not in (2, 3):
+            return ["its totals or weights are not one for each of two or three objectives"]
+        return front_violations(of, self.rank, self.vertices, self.duals)
+
+    def _proven(self, of: Objectives) -> dict[str, Any]:
+        points = sorted(tuple(of.sign * t for t in vertex.total) for vertex in self.vertices)
         totals = [dict(zip(of.texts, point, strict=True)) for point in points]
         return {"names": of.texts, "vertices": len(totals), "totals": totals}
 
-    def _under_limits(self, of: Objectives) -> dict[str, Any]:
-        own = self.content
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LimitsProof(ObjectivesProof):
+    """Visits of an optimal policy, and prices; or a proof that no policy keeps the limits."""
+
+    limits: tuple[Limit, ...]
+    flow: Mapping[int, Fraction]
+    price: tuple[Fraction, ...]
+    dual: Values
+    shift: Fraction
+
+    kind: ClassVar[str] = "limits"
+
+    def _vectors(self) -> Iterator[Any]:
+        yield self.dual.top
+
+    def _pairs(self) -> Iterator[int]:
+        return iter(self.flow)
+
+    def _check(self, of: Objectives) -> list[str]:
+        if not {limit.name for limit in self.limits} <= {*of.names[1:]}:
+            return ["what is limited is not counted"]
+        if len(self.price) != 1 + len(self.limits) or {abs(l.sign) for l in self.limits} - {1}:
+            return ["it has not one price for each limit"]
+        return constrained_violations(
+            of, self.rank, self.limits, self.flow, self.price, self.dual, self.shift
+        )
+
+    def _proven(self, of: Objectives) -> dict[str, Any]:
         named = dict(zip(of.names, of.texts, strict=True))  # a name may be given to any sum
-        limits = [replace(limit, name=named[limit.name]) for limit in own["limits"]]
-        feasible = own["price"][0] == 1
+        limits = [replace(limit, name=named[limit.name]) for limit in self.limits]
+        feasible = self.price[0] == 1
         prices = dict.fromkeys(of.texts[1:], Fraction(0))
-        for limit, price in zip(limits, own["price"][1:], strict=True):
+        for limit, price in zip(limits, self.price[1:], strict=True):
             prices[limit.name] += price
-        point = totals_of(of, own["flow"])
+        point = totals_of(of, self.flow)
         total = dict(zip(of.texts, [of.sign * t for t in point], strict=True))
         return {
             "limits": limits,
@@ -136,169 +174,59 @@ class ObjectivesProof:
             "exact_start_value": total[of.texts[0]] if feasible else None,
             "totals": {limit.name: total[limit.name] for limit in limits},
             "prices": prices,
-            "closest": [moved_by(own["shift"], limit) for limit in limits],
+            "closest": [moved_by(self.shift, limit) for limit in limits],
         }
 
-    def save(self, path: str | Path) -> None:
-        """Write the proof as JSON."""
-        head = {"objectives": list(self.objectives), "states": self.states}
-        write(path, self.kind, self.model, head | WRITTEN[self.kind](**self.content))
 
-    @classmethod
-    def load(cls, path: str | Path, kind: str) -> ObjectivesProof:
-        """Read a proof; raises ModelError where the file is none of this kind."""
-        file = ProofFile(path, kind)
-        states = file.get("states", count)
-        return cls(
-            kind=kind,
-            model=file.get("model", digest),
-            objectives=tuple(file.get("objectives", list_of(typed(str)))),
-            states=states,
-            content=READ[kind](file, states),
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WeightsProof(ObjectivesProof):
+    """The least change of weights, visits of the policy, and those that beat it for less."""
+
+    weights: tuple[Fraction, ...]
+    change: Fraction
+    flow: Mapping[int, Fraction]
+    dual: Values
+    cuts: tuple[Cut, ...]
+    intervals: tuple[Interval, ...]
+
+    kind: ClassVar[str] = "weights"
+
+    def _vectors(self) -> Iterator[Any]:
+        yield self.dual.top
+        for each in self.intervals:
+            yield from (end.top for end in (each.at_low, each.at_high) if end is not None)
+
+    def _pairs(self) -> Iterator[int]:
+        flows = [self.flow, *(cut.flow for cut in self.cuts)]
+        flows += [flow for each in self.intervals for flow in each.cuts]
+        return (pair for flow in flows for pair in flow)
+
+    def _check(self, of: Objectives) -> list[str]:
+        if {len(self.weights), len(self.intervals)} != {len(of.names)}:
+            return ["it has not one weight and one interval for each objective"]
+        return rationalization_violations(
+            of,
+            self.rank,
+            self.flow,
+            self.weights,
+            self.change,
+            self.dual,
+            self.cuts,
+            self.intervals,
         )
 
-
-def _pairs(kind: str, content: Mapping[str, Any]) -> list[int]:
-    """Return the pairs that are looked up."""
-    if kind == FRONT:
-        return [pair for vertex in content["vertices"] for pair in vertex.pairs.tolist()]
-    return list(content["flow"])
-
-
-# ---- a kind each: what is written, and what is read ----------------------------------------------
-
-Written = dict[str, object]
-
-
-def _vector(values: Values) -> Written:
-    return {"top": hexed(values.top), "below": f"{values.below:x}"}
-
-
-def _ratios(numbers: Sequence[Fraction]) -> list[object]:
-    return [hexed_ratio(number) for number in numbers]
-
-
-def _proof(proof: Proof) -> Written:
-    return {"rank": None if proof.rank is None else proof.rank.tolist()}
-
-
-def _vertices(vertices: Sequence[Attained]) -> list[Written]:
-    return [
-        {
-            "pairs": vertex.pairs.tolist(),
-            "values": [_vector(v) for v in vertex.values],
-            "totals": _ratios(vertex.total),
+    def _proven(self, of: Objectives) -> dict[str, Any]:
+        return {
+            "possible": self.change < 1,
+            "change": self.change,
+            "weights": dict(zip(of.texts, self.weights, strict=True)),
+            "alone": {
+                name: None if own.ends is None else list(own.ends)
+                for name, own in zip(of.texts, self.intervals, strict=True)
+            },
         }
-        for vertex in vertices
-    ]
 
 
-def _front(proof: Proof, vertices: Sequence[Attained], duals: Mapping[Point, Values]) -> Written:
-    return _proof(proof) | {
-        "vertices": _vertices(vertices),
-        "bounds": [{"weights": _ratios(w), "values": _vector(v)} for w, v in duals.items()],
-    }
-
-
-def _limits(
-    proof: Proof,
-    limits: Sequence[Limit],
-    flow: Mapping[int, Fraction],
-    price: Sequence[Fraction],
-    dual: Values,
-    shift: Fraction,
-) -> Written:
-    return _proof(proof) | {
-        "limits": _bounds(limits),
-        "shift": hexed_ratio(shift),
-        "price": _ratios(price),
-        "pairs": list(flow),
-        "flow": _ratios(list(flow.values())),
-        "dual": _vector(dual),
-    }
-
-
-def _bounds(limits: Sequence[Limit]) -> list[Written]:
-    return [
-        {"name": each.name, "sign": each.sign, "bound": hexed_ratio(each.bound)} for each in limits
-    ]
-
-
-def _read_proof(file: ProofFile, states: int) -> Proof:
-    return Proof(file.get("rank", or_none(array_of(states))))
-
-
-def _values(states: int) -> Callable[[Any], Values]:
-    read = over_one(states)
-
-    def values(parts: Any) -> Values:
-        found = read(parts)
-        return Values(found.top, found.below)
-
-    return values
-
-
-def _vertex(file: ProofFile, states: int) -> Callable[[Any], Attained]:
-    of = len(file.get("objectives", list_of(typed(str))))
-
-    def vertex(parts: dict[str, Any]) -> Attained:
-        return Attained(
-            pairs=array_of(states)(parts["pairs"]),
-            values=tuple(list_of(_values(states), of)(parts["values"])),
-            total=tuple(list_of(ratio, of)(parts["totals"])),
-        )
-
-    return vertex
-
-
-def _empty_or(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    return lambda value: [] if value == [] else list_of(read)(value)
-
-
-def _read_front(file: ProofFile, states: int) -> dict[str, Any]:
-    of = len(file.get("objectives", list_of(typed(str))))
-
-    def bound(parts: dict[str, Any]) -> tuple[Point, Values]:
-        return tuple(list_of(ratio, of)(parts["weights"])), _values(states)(parts["values"])
-
-    return {
-        "proof": _read_proof(file, states),
-        "vertices": file.get("vertices", list_of(_vertex(file, states))),
-        "duals": dict(file.get("bounds", list_of(bound))),
-    }
-
-
-def _limit_list(file: ProofFile) -> list[Limit]:
-    def limit(parts: dict[str, Any]) -> Limit:
-        sign = typed(int)(parts["sign"])
-        return Limit(
-            name=typed(str)(parts["name"]),
-            sign=wanted(sign, sign in (1, -1)),
-            bound=ratio(parts["bound"]),
-        )
-
-    return list(file.get("limits", list_of(limit)))
-
-
-def _read_limits(file: ProofFile, states: int) -> dict[str, Any]:
-    limits = _limit_list(file)
-    pairs = file.get("pairs", _empty_or(typed(int)))  # none where all has ended at the start
-    return {
-        "proof": _read_proof(file, states),
-        "limits": limits,
-        "flow": dict(zip(pairs, file.get("flow", list_of(ratio, len(pairs))), strict=True)),
-        "price": file.get("price", list_of(ratio, 1 + len(limits))),
-        "dual": file.get("dual", _values(states)),
-        "shift": file.get("shift", ratio),
-    }
-
-
-WRITTEN: dict[str, Callable[..., Written]] = {
-    FRONT: _front, LIMITS: _limits,
-}  # fmt: skip
-READ: dict[str, Callable[[ProofFile, int], dict[str, Any]]] = {
-    FRONT: _read_front, LIMITS: _read_limits,
-}  # fmt: skip
-CHECKS: dict[str, Callable[..., list[str]]] = {
-    FRONT: front_violations, LIMITS: constrained_violations,
-}  # fmt: skip
+PROOFS: dict[str, type[ObjectivesProof]] = {
+    proof.kind: proof for proof in (FrontProof, LimitsProof, WeightsProof)
+}

@@ -20,14 +20,14 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
+from exact_mdp.mdp.chain import termination
 from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.exact.linear import Matrix, exact_solve
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.checker import Attained, Proof, Values, slack
+from exact_mdp.solvers.objectives.checker import Attained, Rank, Values, slack
 from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
 from exact_mdp.solvers.proof.margins import quotient
-from exact_mdp.solvers.proof.uniqueness import uniqueness
 
 if TYPE_CHECKING:
     from flint import fmpq
@@ -216,9 +216,9 @@ def equations(
     )
 
 
-def proof(of: Objectives) -> Proof:
+def rank_of(of: Objectives) -> Rank:
     """Return what proves that the equations of every policy have one solution."""
-    return Proof(uniqueness(of.ending))
+    return termination(of.ending).rank if of.mdp.discount_exact == 1 else None
 
 
 def _values(found: ExactValues, times: int) -> Values:

@@ -1,17 +1,17 @@
-"""Checks that claimed values solve the Bellman equations, in integers over common denominators.
+"""What pairs lose against values V(s) = numerator[s] / denominator[group[s]], in integers.
 
-Claims are those of an exact certificate: V(s) = numerator[s] / denominator[group[s]], which pairs
-attain it, and by how much the next best pair is worse. Groups whose denominators have a short
-common multiple are judged together (`solvers.proof.losses`), long numbers pair by pair.
+Groups whose denominators have a short common multiple are judged together (`solvers.proof.losses`),
+long numbers pair by pair.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import lcm
 from operator import mul
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,25 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.table import Integers, spans
 from exact_mdp.solvers.proof.losses import distinct, losses, short_rows
-from exact_mdp.solvers.proof.margins import Claims, Values
 
 FEW = 64  # pairs that are not worth the arrays
 SHORT = 768  # bits of a common denominator, for states to be judged together
+
+
+class Values(Protocol):
+    """Exact values V(s) = numerator[s] / denominator[group[s]]."""
+
+    @property
+    def numerator(self) -> Sequence[int]:
+        """One for each state."""
+
+    @property
+    def group(self) -> Integers:
+        """(S,) the place of each state's denominator."""
+
+    @property
+    def denominator(self) -> Sequence[int]:
+        """Each positive."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,87 +61,6 @@ class Judged:
     nothing: NDArray[np.bool_]
     negative: NDArray[np.bool_]
     least: dict[int, tuple[int, int]]
-
-
-def equation_violations(rows: BellmanRows, found: Claims) -> list[str]:
-    """Return which equations, optimal pairs (L,) and gaps are not as claimed, in words."""
-    gap, below = found.gap, found.gap_scale
-    gaps = (
-        {state for state, number in enumerate(below) if number <= 0} if min(below) <= 0 else set()
-    )
-    wrong = list[str]()
-    asked = ~(_repeated(rows, found) | rows.terminal)
-    over = rows.terminal[rows.pair_state]
-    gaps.update(s for s in np.flatnonzero(rows.terminal).tolist() if gap[s] is not None)
-    marked = np.logical_and.reduceat(found.optimal_pairs | ~over, rows.pair_offsets[:-1])
-    unmarked = np.flatnonzero(~marked).tolist()
-    for block in judged(rows, found, np.flatnonzero(asked[rows.pair_state])):
-        states, least = block.states, block.least
-        solved = np.logical_or.reduceat(block.nothing, block.first)
-        solved &= ~np.logical_or.reduceat(block.negative, block.first)
-        wrong += [
-            f"the value of state {s} does not solve the Bellman equation"
-            for s in states[~solved].tolist()
-        ]
-        same = block.nothing == found.optimal_pairs[block.pairs]
-        unmarked += states[~np.logical_and.reduceat(same, block.first)].tolist()
-        claimed = {state for state in states.tolist() if gap[state] is not None}
-        gaps |= claimed ^ least.keys()
-        for state in claimed & least.keys():
-            loss, over_all = least[state]
-            if gap[state] * over_all != loss * below[state]:
-                gaps.add(state)
-    wrong += [f"the optimal actions of state {s} are not those of the model" for s in unmarked]
-    return wrong + [f"the gap of state {s} is not that of the model" for s in sorted(gaps)]
-
-
-def finite_part(sign: Integers, rows: BellmanRows) -> tuple[BellmanRows, NDArray[np.bool_]] | None:
-    """Return the equations between finite states, and their pairs (L,); None where one has none.
-
-    `sign` (S,) is 0 in finite states. The others keep their first pair, as terminal ones.
-    """
-    finite = sign == 0
-    state = rows.pair_state
-    kept = finite[state] & np.logical_and.reduceat(finite[rows.next], rows.offsets[:-1])
-    if not np.logical_or.reduceat(kept, rows.pair_offsets[:-1])[finite].all():
-        return None
-    chosen = kept.copy()
-    chosen[rows.pair_offsets[:-1][~finite]] = True
-    lengths = np.diff(rows.offsets)
-    entries = np.repeat(chosen, lengths)
-    part = BellmanRows(
-        pair_offsets=np.concatenate([[0], np.cumsum(np.bincount(state[chosen]))]),
-        terminal=rows.terminal | ~finite,
-        scale=rows.scale,
-        constant=rows.constant[chosen],
-        offsets=np.concatenate([[0], np.cumsum(lengths[chosen])]),
-        next=rows.next[entries],
-        weight=rows.weight[entries],
-    )
-    return part, chosen
-
-
-def _repeated(rows: BellmanRows, found: Claims) -> NDArray[np.bool_]:
-    """Return (S,) True for states whose one pair leads to one state for nothing, of equal value.
-
-    Their equation is that of the two values; a claim of more than these is left to others.
-    """
-    first, optimal = rows.pair_offsets[:-1], found.optimal_pairs
-    alone = (np.diff(rows.pair_offsets) == 1) & (np.diff(rows.offsets)[first] == 1)
-    states = np.flatnonzero(alone & (rows.constant[first] == 0) & ~rows.terminal & optimal[first])
-    entries = rows.offsets[first[states]]
-    kept = (rows.weight[entries] == rows.scale[states]).astype(bool)
-    states, after = states[kept], rows.next[entries][kept]
-    kept = found.group[states] == found.group[after]
-    states, after = states[kept], after[kept]
-    numerator, gap, below = found.numerator, found.gap, found.gap_scale
-    same = [
-        numerator[s] == numerator[t] and gap[s] is None and below[s] > 0
-        for s, t in zip(states.tolist(), after.tolist(), strict=True)
-    ]
-    repeated = np.zeros(len(first), dtype=bool)
-    repeated[states[np.array(same, dtype=bool)]] = True
-    return repeated
 
 
 def judged(rows: BellmanRows, values: Values, pairs: Integers) -> Iterator[Judged]:

@@ -15,7 +15,7 @@ worth the same, the most that a pair makes of the chance to end,
 as a probability of 1 is; and that a cycle in which nothing is earned is worth, throughout, the
 greatest value that it leads to.
 
-The caller makes sure that the equations have one solution; `solvers.proof.certify` proves it.
+The caller makes sure that the equations have one solution; `solvers.exact.certify` proves it.
 """
 
 from __future__ import annotations

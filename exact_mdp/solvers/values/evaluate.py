@@ -58,7 +58,7 @@ class Evaluation(Pictured):
     value, error : (S,)
         Mean return from every state, which may be infinite, and how far it may be from the exact
         one. NaN and infinity where it is unknown: at discount 1 in states that no episode comes to,
-        where the total of some of them has no limit.
+        where the policy may go on for ever in some of them.
     given : PolicyChain
         The same without the ends that states of rest stand for; else the chain itself.
     settled : bool
@@ -149,8 +149,7 @@ class Evaluation(Pictured):
     def components(self) -> dict[str, float]:
         """Expected discounted total of each reward component; they sum to `mean`.
 
-        At discount 1, one that is earned for ever is infinite; NaN where it has no limit, or where
-        ends differ in sign.
+        At discount 1, one that is earned for ever is infinite; NaN where ends differ in sign.
         """
         return {name: number.value for name, number in self._components.items()}
 
@@ -447,8 +446,7 @@ def evaluate(
     Raises
     ------
     ModelError
-        At discount 1 where a policy goes on for ever and its total has no limit
-        (`solvers.endless.structure`).
+        At discount 1 where one state of the start is worth +∞ and another -∞.
     SolverError
         Where double precision cannot bound the error.
 

@@ -20,9 +20,8 @@ from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
-from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.average.evaluate import evaluated
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.exact.find import best_average, expansion
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 
 
@@ -97,7 +96,16 @@ def parted(chain: PolicyChain) -> Parted:
     gone = np.logical_or.reduce([rest, *lost.values()])
     ending = PolicyChain(mdp=ended(mdp, gone), chosen=chain.chosen, policy=chain.policy)
     lost = {sign: each for sign, each in lost.items() if each.any()}
-    worth = solve(model_of(chain)).start_value if len(lost) == 2 else sum(lost)
+    worth = sum(lost)
+    if len(lost) == 2:
+        limit = expansion(model_of(chain), "total").start_value
+        if isinstance(limit, Fraction):
+            raise ModelError(
+                "gains and losses for ever have a mean of 0, and the mean return has no value",
+                where="policy",
+                fix=ways_out(mdp, "take evaluate(), which gives the limit of the discounted means"),
+            )
+        worth = limit
     return Parted(chain=ending, lost=lost, worth=worth)
 
 
@@ -109,8 +117,10 @@ def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
     found = evaluated(mdp, chain.weights, chain.roundings)
     gain, open_ = found.value, busy & (np.abs(found.value) <= found.error)
     if open_.any():
-        exactly = certify_average(model_of(chain)).value
-        gain = np.array([(each > 0) - (each < 0) for each in exactly])
+        of_policy = model_of(chain)
+        sign = 1 if of_policy.sense == "max" else -1
+        _, (mean, _, _) = best_average(of_policy)
+        gain = sign * np.array([(each > 0) - (each < 0) for each in mean.top])
         if (flat := busy & (gain == 0)).any():
             state = int(np.flatnonzero(flat)[0])
             raise ModelError(

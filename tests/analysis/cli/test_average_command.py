@@ -26,8 +26,8 @@ def test_an_average_is_solved_proven_and_verified(model: Path, tmp_path: Path) -
     assert found["policy_by_state"] == {"0": "0", "1": "0", "2": "0"}
     assert np.load(arrays)["bias"].tolist() == [-6.48, -2.88, 1.12]
     verified = run("verify", proof, model, "--json").result
-    assert (verified["passed"], verified["exact_start_value"]) == (True, "81/25")
-    proof.write_text(proof.read_text().replace('"51"', '"52"', 1))
+    assert (verified["holds"], verified["exact_start_value"]) == (True, "81/25")
+    proof.write_text(proof.read_text().replace('"0x51"', '"0x52"', 1))
     assert run("verify", proof, model).status == 1
     assert run("check", model, tmp_path / "policy.csv", *AVERAGE).status == 0
 

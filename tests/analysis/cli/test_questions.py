@@ -220,12 +220,6 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "start", "words", "told"),
     [
-        (
-            [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1)]), (1, 1, [(1, 2, -7)]), (2, 0, [(1, 2, 0)])],
-            0,
-            [],
-            "rewards cancel",
-        ),
         ([(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, -1)])], {0: "1/2", 1: "1/2"}, [], "from another"),
         (
             [(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])],

@@ -161,5 +161,5 @@ def test_commands_write_proofs(tmp_path: Path) -> None:
     assert (found["feasible"], found["closest"]) == (False, wanted["closest"])
     assert "anger >= 0" in run("verify", limits, "yuan2025", *SMALL).out
     assert run("verify", limits, "yuan2025").status == 1
-    front.write_text(front.read_text().replace('"bounds"', '"bound"'))
+    front.write_text(front.read_text().replace('"duals"', '"dual"'))
     assert run("verify", front, "yuan2025", *SMALL).status == 2

@@ -111,7 +111,6 @@ MADE: dict[str, Callable[[], object]] = {
     "Audit": lambda: check(care(), "always:directive"),
     "AverageEvaluation": lambda: evaluate(care(), "random", criterion="average"),
     "AverageSolution": lambda: solve(care(), criterion="average"),
-    "AverageCertificate": lambda: certify(care(), criterion="average"),
     "BestPolicy": lambda: best_policy(care()),
     "BoundedCertificate": lambda: certify(care(), bounded=True),
     "CVaROptimum": lambda: best_cvar(care(), "1/10"),

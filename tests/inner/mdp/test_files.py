@@ -48,6 +48,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "model.npz": load,
     "model.umb": load,
     "load.npz": read_model,
+    "load.json": read_model,
     "load.umb": read_model,
     "load.toml": read_model,
     "scenario.toml": Scenario.load,

@@ -22,8 +22,8 @@ from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.basis import Optimal, by_basis
 from exact_mdp.solvers.objectives.checker import Limit, Values, constrained_violations, slack
 from exact_mdp.solvers.objectives.constrained import Relaxed, limits_of, relaxed
-from exact_mdp.solvers.objectives.file import ObjectivesProof
-from exact_mdp.solvers.objectives.optima import Losses, proof
+from exact_mdp.solvers.objectives.file import LimitsProof, ObjectivesProof
+from exact_mdp.solvers.objectives.optima import Losses, rank_of
 from exact_mdp.solvers.objectives.simplex import maximise
 
 BOUNDS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(1, 7), F(1), F(5, 2)])
@@ -38,7 +38,7 @@ def test_a_basis_and_mixtures_give_the_same_optimum(mdp: MDP, bounds: tuple[F, F
     if found is not None:
         weight = F(found.shift == 0)
         values = (found.flow, (weight, *found.price), found.dual, found.shift)
-        assert constrained_violations(of, proof(of), limits, *values) == []
+        assert constrained_violations(of, rank_of(of), limits, *values) == []
         assert found.shift == wanted.shift
         assert found.shift or worth(of, limits, found) == worth(of, limits, wanted)
 
@@ -133,14 +133,13 @@ def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
     mdp = MDP.from_outcomes(rows, "1/2", components={"help": [0, 4, 0], "calm": [5, 0, 0]})
     held = solve(mdp, subject_to={"calm=2*calm": ">= 5"})
     held.save(path := tmp_path / "held.json")
-    proof = ObjectivesProof.load(path, "limits")
+    proof = ObjectivesProof.load(path)
     assert proof.violations(mdp) == []
     assert [str(limit) for limit in proof.found(mdp)["limits"]] == ["calm=2*calm >= 5"]
     twice = replace(proof, objectives=("return=2*reward", *proof.objectives[1:]))
-    dual = proof.content["dual"]
-    content = {**proof.content, "dual": Values([2 * v for v in dual.top], dual.below)}
-    content["price"] = [F(1), 2 * proof.content["price"][1]]
-    assert replace(twice, content=content).violations(mdp) == [
+    assert isinstance(proof, LimitsProof)
+    dual = Values([2 * v for v in proof.dual.top], proof.dual.below)
+    assert replace(twice, dual=dual, price=(F(1), 2 * proof.price[1])).violations(mdp) == [
         "what is maximised is not the reward"
     ]
 
@@ -153,7 +152,7 @@ def test_a_file_may_say_that_nothing_is_visited(bound: int, tmp_path: Path) -> N
     held = solve(mdp, subject_to={"a": f">= {bound}"})
     assert held.violations() == []
     held.save(path := tmp_path / "held.json")
-    proof = ObjectivesProof.load(path, "limits")
+    proof = ObjectivesProof.load(path)
     assert (proof.violations(mdp), proof.found(mdp)["feasible"]) == ([], not bound)
 
 

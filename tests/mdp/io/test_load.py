@@ -78,7 +78,7 @@ def test_a_gymnasium_environment() -> None:
     [
         ("yuan2052", "unknown model 'yuan2052'", "did you mean yuan2025?"),
         ("", "unknown model ''", ".toml"),
-        ("model.json", "unknown model", ".npz"),
+        ("model.txt", "unknown model", ".npz"),
         ("missing.toml", "cannot read the file", "check the path"),
         ("missing.umb#cost", "cannot read the file", "check the path"),
         ("gymnasium:FrozenLakes-v1", "FrozenLakes", "FrozenLake-v1"),
@@ -96,11 +96,11 @@ def test_models_that_are_not_there(
 
 
 def test_a_file_of_another_kind(tmp_path: Path) -> None:
-    (tmp_path / "model.json").write_text("{}", encoding="utf-8")
+    (tmp_path / "model.txt").write_text("{}", encoding="utf-8")
     with pytest.raises(ModelError, match="unknown kind of model file"):
-        load(tmp_path / "model.json")
-    with pytest.raises(ModelError, match=r"name it \.npz or \.umb"):
-        save(load("yuan2025", sets=SMALL), tmp_path / "model.json")
+        load(tmp_path / "model.txt")
+    with pytest.raises(ModelError, match=r"name it \.npz, \.umb or \.json"):
+        save(load("yuan2025", sets=SMALL), tmp_path / "model.txt")
     with pytest.raises(ModelError, match="a file without ending"):
         save(load("yuan2025", sets=SMALL), tmp_path / "model")
 

@@ -19,11 +19,7 @@ def test_values_of_policies(model: Pairs, data: st.DataObject) -> None:
     mdp = model_of(size, pairs, F(1))
     chosen = data.draw(st.sampled_from(list(policies(pairs))[:20]))
     value = total(chosen)
-    try:
-        found = evaluate(mdp, np.array([action for _, action, _, _ in chosen]))
-    except ModelError as error:
-        assert "no limit" in str(error)  # noqa: PT017
-        return
+    found = evaluate(mdp, np.array([action for _, action, _, _ in chosen]))
     assert found.mean == value[0] or abs(F(found.mean) - value[0]) <= F(found.start.error)
     for number, exact in zip(found.value, value, strict=True):
         assert isnan(number) or number == exact or abs(number - exact) < 1e-9
@@ -96,7 +92,7 @@ def test_what_is_lost_adds_up_where_it_is_lost(model: Pairs, data: st.DataObject
         try:
             found = check(tried, np.array(chosen))
         except ModelError as error:
-            assert "no limit" in str(error) or "nothing can be compared" in str(error)  # noqa: PT017
+            assert "nothing can be compared" in str(error)  # noqa: PT017
             continue
         lost = found.regret.at_start.value
         assert lost >= 0

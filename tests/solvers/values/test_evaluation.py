@@ -210,12 +210,12 @@ def test_no_event_happens_in_an_end() -> None:
 
 
 def test_parts_of_what_is_earned_for_ever_are_infinite_or_finite() -> None:
-    """Each part is a total of its own; one that has no limit is unknown, the others stand."""
+    """Each part is a total of its own: 1 - 1 + 1 - … is worth 1/2."""
     rows = [(0, 0, [(1, 1, 5)]), (1, 0, [(1, 2, -1)]), (2, 0, [(1, 1, 0)])]
     parts = {"once": [5, 0, 0], "turns": [0, 1, -1]}
     found = evaluate(MDP.from_outcomes(rows, components=parts), [0, 0, 0])
     assert (found.mean, found.components["once"], found.components["rest"]) == (-inf, 5, -inf)
-    assert np.isnan(found.components["turns"])
+    assert found.components["turns"] == 0.5
     assert np.isnan(found.variance).all()
     assert solve(found.mdp).gap_table.tolist() == [[0.0], [0.0], [0.0]]
 

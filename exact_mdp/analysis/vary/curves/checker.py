@@ -6,7 +6,7 @@ y = θ - θ0, N_s / D are the optimal values for all y of an interval [a, b] bec
     D > 0,     D h_l = N_s - D r_l - Σ p(l, s') N_s' ≥ 0 of all pairs,     = 0 of one of each state
 
 and the Bellman equations have one solution: where γ Σ P < 1 throughout, or where γ Σ P ≤ 1 and some
-transition of each pair leads to a state that is nearer to the end (see `solvers.proof.checker`).
+transition of each pair leads to a state that is nearer to the end (see `solvers.exact.checker`).
 
 No sign is sampled (`.signs`). A bracket between two pieces has one root in it at which everything
 changes that changes: the left values are optimal up to it, the right ones from it on.

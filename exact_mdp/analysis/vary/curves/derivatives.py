@@ -36,7 +36,7 @@ from exact_mdp.mdp.parametric.row_change import RowChange
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
-from exact_mdp.solvers.proof.certificate import Certificate
+from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate

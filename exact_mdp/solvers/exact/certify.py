@@ -1,46 +1,43 @@
-"""Make certificates: solve exactly and say what is optimal, or widen a solution to proven bounds.
+"""Make certificates: solve exactly and prove it, or widen a solution to proven bounds.
 
-An exact certificate needs a proof that values are unique: a discount, or a rank.
+Below discount 1, and where every policy ends, the values are those of `solvers.proof.exact`.
 
-A bounded one takes the values V of a solution and the weights w of `solvers.bounds.bounds`:
-upper = V + c w and lower = V - c' w, c and c' being the least that satisfy the inequalities of
-`solvers.proof.checker`, in floats.
+Other totals, and averages, are found by `solvers.exact.find`.
+
+A bounded certificate takes the values V of a solution and the weights w of `solvers.bounds.bounds`:
+high = V + c w and low = V - c' w, with the least c and c' that floats prove to suffice.
 """
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from fractions import Fraction
 from typing import Literal, overload
 
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import endless, where_endless
+from exact_mdp.mdp.chain import endless, termination, where_endless
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import bellman_rows, fingerprint
+from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.average.certificate import AverageCertificate
-from exact_mdp.solvers.average.certify import certify_average
 from exact_mdp.solvers.bounds.bounds import margin_weights
-from exact_mdp.solvers.endless.proven import certify_total
-from exact_mdp.solvers.proof.certificate import BoundedCertificate, Certificate
-from exact_mdp.solvers.proof.checker import one_optimum
+from exact_mdp.solvers.bounds.gains import UNIT, gains
+from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, exact_rows
+from exact_mdp.solvers.exact.find import certificate, expansion, first_of, reaching
+from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.proof.exact import solve_exactly
-from exact_mdp.solvers.proof.margins import UNIT, alike, gains
-from exact_mdp.solvers.proof.rationals import on_average
-from exact_mdp.solvers.proof.uniqueness import uniqueness
+from exact_mdp.solvers.proof.margins import alike
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, solve
 
 
 @overload
 def certify(
-    model: MDP | Scenario, *, bounded: Literal[False] = ..., criterion: Literal["total"] = ...
+    model: MDP | Scenario, *, bounded: Literal[False] = ..., criterion: str = ...
 ) -> Certificate: ...
-@overload
-def certify(model: MDP | Scenario, *, criterion: Literal["average"]) -> AverageCertificate: ...
 @overload
 def certify(
     model: MDP | Scenario,
@@ -56,13 +53,14 @@ def certify(
     tol: float | None = None,
     solution: Solution | None = None,
     criterion: str = "total",
-) -> Certificate | BoundedCertificate | AverageCertificate:
+) -> Certificate | BoundedCertificate:
     """Return a proof of the optimal values: exact, or as bounds in floats.
 
     Parameters
     ----------
     model : MDP or Scenario
-        Any finite model. At discount 1 values may be infinite, and policies may never end.
+        Any finite model. At discount 1 the total is the limit of discounted ones: it may be
+        infinite, and policies may never end.
     bounded : bool
         Prove floats that the values lie between, at once for a million states, instead of the
         values themselves. At discount 1 every policy has to end.
@@ -76,13 +74,12 @@ def certify(
 
     Returns
     -------
-    Certificate, BoundedCertificate or AverageCertificate
+    Certificate or BoundedCertificate
 
     Raises
     ------
     ModelError
-        At discount 1: where rewards cancel for ever and the total swings, and that may be best;
-        where +∞ and -∞ come together with a mean of 0, or in the start; where the start's costs can
+        At discount 1: where one state of the start is worth +∞ and another -∞, or its costs can
         fall without end before a goal. Where a cycle has too many states to be solved exactly.
     SolverError
         Only with `bounded`: where double precision does not suffice.
@@ -119,43 +116,33 @@ def certify(
         raise ModelError(
             "tol and solution apply only to bounds", where="certify", fix="add bounded=True"
         )
-    if average:
-        return certify_average(mdp)
-    if mdp.sense == "min":
-        of_rewards = certify(mdp.maximised)
-        return replace(
-            of_rewards,
-            mdp=mdp,
-            model=fingerprint(mdp),
-            numerator=[-number for number in of_rewards.numerator],
-            start_value=-of_rewards.start_value,
-            endless=None if of_rewards.endless is None else of_rewards.endless.negated(),
-        )
-    if endless(mdp):
-        return certify_total(mdp)
-    rank = uniqueness(mdp)
-    pairs, optimal = _contenders(mdp), np.zeros(mdp.n_pairs, dtype=bool)
+    if average or (endless(mdp) and mdp.goal is None):
+        return expansion(mdp, "average" if average else "total")
+    return reaching(mdp) if endless(mdp) else _alone(mdp)
+
+
+# ---- values alone --------------------------------------------------------------------------------
+
+
+def _alone(mdp: MDP) -> Certificate:
+    """Return the proof of values that are the one solution of their equations."""
+    optimal = np.zeros(mdp.n_pairs, dtype=bool)
+    pairs = _contenders(mdp)
     same = alike(mdp, pairs)
     distinct = np.unique(same)
-    found = solve_exactly(bellman_rows(mdp, distinct))
-    optimal[distinct], first = found.optimal, mdp.pair_offsets[:-1]
+    found = solve_exactly(exact_rows(mdp, pairs=distinct))
+    optimal[distinct] = found.optimal
     optimal[pairs] = optimal[same]
-    numbers = np.where(optimal, np.arange(mdp.n_pairs), mdp.n_pairs)
-    return Certificate(
-        model=fingerprint(mdp),
-        numerator=found.numerator,
-        group=found.group,
-        denominator=found.denominator,
-        policy=mdp.pair_action[np.minimum.reduceat(numbers, first)],
-        optimal_pairs=optimal,
-        gap=found.gap,
-        gap_scale=found.gap_scale,
-        unique=one_optimum(mdp, optimal),
-        start_value=on_average(mdp.start, found.numerator, found.group, found.denominator),
-        rank=rank,
-        mdp=mdp,
+    return certificate(
+        mdp,
+        first_of(mdp, optimal),
+        optimal,
+        h=Level(top=found.numerator, below=found.denominator, group=found.group),
+        rank=termination(mdp).rank if mdp.discount_exact == 1 else None,
     )
 
+
+# ---- bounds --------------------------------------------------------------------------------------
 
 MANY = 20_000  # transitions from which on floats choose the pairs that are solved exactly
 
@@ -167,6 +154,7 @@ def _contenders(mdp: MDP) -> Integers:
     be are not optimal; and those that another one of these is proven to be above do not make the
     gap.
     """
+    mdp = mdp.maximised
     every, state = np.arange(mdp.n_pairs), mdp.pair_state
     if mdp.n_transitions < MANY or mdp.n_pairs < 2 * mdp.n_states:
         return every
@@ -175,17 +163,15 @@ def _contenders(mdp: MDP) -> Integers:
     except (SolverError, ModelError):
         return every
     low, high = _worth(mdp, found.lower, -1), _worth(mdp, found.upper, 1)
-    first = mdp.pair_offsets[:-1]
-    behind = high < np.maximum.reduceat(low, first)[state]
-    second = np.maximum.reduceat(np.where(behind, low, -np.inf), first)[state]
-    return np.flatnonzero(~behind | (high >= second) | mdp.terminal[state])
+    behind = high < np.maximum.reduceat(low, mdp.pair_offsets[:-1])[state]
+    return np.flatnonzero(~behind | mdp.terminal[state])
 
 
 def _worth(mdp: MDP, value: Floats, sign: int) -> Floats:
     """Return (L,) what pairs are worth before these values, at least (-1) or at most (1)."""
-    gain, error = gains(mdp, value)
-    own = value[mdp.pair_state]
-    return np.asarray(own + gain + sign * (error + 4 * UNIT * (np.abs(own) + np.abs(gain) + error)))
+    found, own = gains(mdp, value), value[mdp.pair_state]
+    size = np.abs(own) + np.abs(found.value) + found.error
+    return np.asarray(own + found.value + sign * (found.error + 4 * UNIT * size))
 
 
 WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the other
@@ -196,8 +182,7 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
     if mdp.sense == "min":
         known = None if solution is None else solution.negated(mdp.maximised)
         found = _bounded(mdp.maximised, tol, known)
-        low, high = 0.0 - found.upper, 0.0 - found.lower
-        return replace(found, mdp=mdp, model=fingerprint(mdp), lower=low, upper=high)
+        return replace(found, mdp=mdp, model=fingerprint(mdp), sense="min")
     if solution is None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say what was reached
@@ -205,30 +190,31 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
         raise ModelError("the solution is of another model", where="certify", fix="solve this one")
     weight = np.where(mdp.terminal, 0.0, margin_weights(mdp).value)
-    loss, error = gains(mdp, weight, earning=False)
-    margin, value = -(loss + error), np.array(solution.value)
-    gain, error = gains(mdp, value)
-    error += 8 * UNIT * np.abs(value).max()
+    lost = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
+    margin, value = -(lost.value + lost.error), np.array(solution.value)
+    near = gains(mdp, value)
+    gain, error = near.value, near.error + 8 * UNIT * np.abs(value).max()
 
-    def widen(pairs: Integers, sign: int) -> Floats:
+    def widen(pairs: Integers, sign: int) -> Level:
         """Return values proven not to gain (1), or not to lose (-1), by any of the pairs."""
         for times in WIDER:
             surplus = sign * gain[pairs] + times * error[pairs]
             step = max(0.0, float((surplus / margin[pairs]).max(initial=0.0)))
             moved = value + sign * step * weight
-            after, doubt = gains(mdp, moved)
-            if (sign * after[pairs] <= -doubt[pairs]).all():
-                return moved
+            after = gains(mdp, moved)
+            if (sign * after.value[pairs] <= -after.error[pairs]).all():
+                return Level.of([Fraction(number) for number in moved.tolist()])
         raise SolverError(Status.NO_BOUND)
 
     live = ~mdp.terminal
     found = BoundedCertificate(
-        model=fingerprint(mdp),
-        lower=widen(solution.pairs[live], -1),
-        upper=widen(np.flatnonzero(live[mdp.pair_state]), 1),
-        policy=mdp.pair_action[solution.pairs],
-        weight=weight,
         mdp=mdp,
+        model=fingerprint(mdp),
+        sense=mdp.sense,
+        policy=mdp.pair_action[solution.pairs],
+        low=widen(solution.pairs[live], -1),
+        high=widen(np.flatnonzero(live[mdp.pair_state]), 1),
+        rank=termination(mdp).rank if mdp.discount_exact == 1 else None,
     )
     if tol is not None and not found.error_bound <= tol:
         raise SolverError(Status.PRECISION, f"{found.error_bound:.2g} is the error bound")

@@ -1,0 +1,515 @@
+"""Proofs of what is optimal, in exact numbers, and of bounds around it.
+
+    certificate = certify(mdp)                          # V, all optimal actions and gaps
+    certificate = certify(mdp, criterion="average")     # gain and bias
+    certificate = certify(mdp, bounded=True)            # lower ≤ V^π ≤ V ≤ upper, floats
+
+A certificate claims; `violations` checks every claim against the model, in code that shares nothing
+with the solvers (`solvers.exact.checker`, which also says what the levels g, h and w are).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows
+from exact_mdp.mdp.io import model_json
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import Floats, Integers, Numbers, divide
+from exact_mdp.solvers.exact import checker, codec
+from exact_mdp.solvers.exact.levels import Level, surplus
+from exact_mdp.solvers.proof.rationals import fraction
+from exact_mdp.solvers.solution import Certified, Claim, by_state, in_decimals, in_float
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Flags = NDArray[np.bool_]
+
+
+def model_of(given: MDP | None, own: MDP | None, where: str = "violations") -> MDP:
+    """Return the model given, or else the certificate's own; raises ModelError without either."""
+    mdp = own if given is None else given
+    if mdp is None:
+        raise ModelError(
+            "a certificate read from a file does not contain the model",
+            where=where,
+            fix="give the model: certificate.violations(mdp)",
+        )
+    return mdp
+
+
+def violations_of(kind: str, record: Any, mdp: MDP) -> list[str]:
+    """Return what does not hold of a certificate, in words."""
+    try:
+        content = {"format": codec.FORMAT, "version": codec.VERSION, "kind": kind}
+        return checker.violations(model_json.content(mdp), content | codec.encode(record))
+    except (checker.Unreadable, TypeError) as error:
+        return [str(error)]
+
+
+def _listed(numbers: Iterable[Fraction | None]) -> Numbers:
+    listed = list(numbers)
+    found = np.empty(len(listed), dtype=object)
+    found[:] = listed
+    found.setflags(write=False)
+    return found
+
+
+def exact_rows(mdp: MDP, *, average: bool = False, pairs: Integers | None = None) -> BellmanRows:
+    """Return the equations that levels are of: rewards to be maximised, rows that sum to 1.
+
+    Of some pairs (K,), rising numbers with one of each state at least, if they are given.
+    """
+    return bellman_rows(mdp.maximised.undiscounted if average else mdp.maximised, pairs)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Certificate(Pictured):
+    """The optimum of a total or an average reward, and what proves it.
+
+    Attributes
+    ----------
+    model : str
+        `fingerprint(mdp)`, a hash of the model.
+    sense : "max" or "min"
+        Whether the numbers of the model are rewards or costs.
+    policy : (S,) int64
+        Action numbers of an optimal policy.
+    g, h, w : Level
+        The levels, for rewards that are maximised: costs count as rewards times -1. Without g, the
+        values are h; else h is the bias of the average reward g, and w proves that.
+    rank : (S,) int64, optional
+        Proof that every policy ends, or with a goal, that it is reached.
+    infinite : (S,) int64, optional
+        With a goal: 1 where the value is +∞, -1 where it is -∞, 0 elsewhere.
+    order : (S,) int64, optional
+        With a goal: proof of these.
+    start_value : Fraction, or an infinite float
+        Optimal value of the start distribution.
+    unique : bool
+        Whether every state that optimal actions reach from the start has only one optimal action,
+        ends aside, in which it does not matter what is done.
+    kind : "total" or "average"
+    mdp : MDP, optional
+        The model, unless the certificate was read from a file.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import certify
+    >>> found = certify(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
+    >>> found.frame().iloc[0].to_dict()
+    {'state': 'state 0', 'value': 3.0, 'action': '1', 'gap': 2.0, 'exact': Fraction(3, 1)}
+    >>> mdp = MDP.from_arrays([[[0, 1], [1, 0]], [[1, 0], [0, 1]]], [[2, 0], [3, "1/2"]])
+    >>> found = certify(mdp, criterion="average")
+    >>> found.start_value, found.bias.tolist(), found.violations()
+    (Fraction(5, 2), [Fraction(-1, 4), Fraction(1, 4)], [])
+    """
+
+    model: str
+    sense: str
+    policy: Integers
+    g: Level | None
+    h: Level
+    w: Level | None
+    rank: Integers | None
+    infinite: Integers | None
+    order: Integers | None
+    start_value: Fraction | float
+    unique: bool
+    kind: str = "total"
+    mdp: MDP | None = None
+
+    claim: ClassVar[Claim] = Claim.CERTIFIED
+
+    def __post_init__(self) -> None:
+        for array in (self.policy, self.rank, self.infinite, self.order):
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
+
+    def __repr__(self) -> str:
+        if self.kind == "average":
+            return f"Certificate({len(self.policy)} states, gain at the start {self.start})"
+        unique = "the only optimal policy" if self.unique else "not the only optimal policy"
+        return (
+            f"Certificate({len(self.policy)} states, "
+            f"start value ≈ {in_float(self.start_value):.12g}, {unique})"
+        )
+
+    @property
+    def start(self) -> Certified:
+        """The optimal value of the start distribution as a claim."""
+        return Certified(value=self.start_value)
+
+    # ---- values -------------------------------------------------------------------------------
+
+    @property
+    def sign(self) -> int:
+        """1, or -1 where the numbers are costs."""
+        return 1 if self.sense == "max" else -1
+
+    @property
+    def infinite_sign(self) -> Integers:
+        """(S,) 1 where the total is +∞ of the numbers that are maximised, -1 for -∞, else 0."""
+        if self.infinite is not None:
+            return self.infinite
+        if self.g is None or self.kind == "average":
+            return np.zeros(len(self.policy), dtype=np.int64)
+        return np.array([(top > 0) - (top < 0) for top in self.g.top], dtype=np.int64)
+
+    @cached_property
+    def value(self) -> Numbers:
+        """(S,) the optimal values as Fractions, `math.inf` or `-math.inf`; of averages the gain."""
+        if self.kind == "average":
+            return self._average(self.g).fractions(self.sign)
+        found: Numbers = self._with_infinite(self.h.fractions(self.sign))
+        return found
+
+    def _with_infinite(self, values: Any) -> Any:
+        infinite = self.infinite_sign
+        if not infinite.any():
+            return values
+        found = values.copy()
+        for sign in (1, -1):
+            found[infinite == sign] = self.sign * sign * inf
+        found.setflags(write=False)
+        return found
+
+    @cached_property
+    def value_float(self) -> Floats:
+        """(S,) the same as floats, each correctly rounded.
+
+        Raises ModelError where one is beyond the floats.
+        """
+        level = self._average(self.g) if self.kind == "average" else self.h
+        top, below = np.array(level.top, object), np.array(level.each_below, object)
+        found: Floats = self._with_infinite(divide(self.sign * top, below))
+        return found
+
+    def _average(self, level: Level | None) -> Level:
+        if level is None or self.kind != "average":
+            raise ModelError(
+                "a total reward has neither gain nor bias",
+                where="certificate",
+                fix='ask for certify(mdp, criterion="average")',
+            )
+        return level
+
+    @cached_property
+    def bias(self) -> Numbers:
+        """(S,) the greatest bias of the policies with this gain, as Fractions."""
+        self._average(self.g)
+        return self.h.fractions(self.sign)
+
+    @property
+    def pairs(self) -> Integers:
+        """(S,) the policy's pairs.
+
+        Raises ModelError where the certificate was read from a file, which lacks the model.
+        """
+        mdp = model_of(None, self.mdp, "pairs")
+        wanted = np.arange(mdp.n_states) * mdp.n_actions + self.policy
+        offered = mdp.pair_state * mdp.n_actions + mdp.pair_action
+        return np.asarray(np.searchsorted(offered, wanted))
+
+    # ---- pairs --------------------------------------------------------------------------------
+
+    @cached_property
+    def _gains(self) -> list[tuple[list[int], list[int]]]:
+        """What each pair gains, level by level; w does not count."""
+        mdp = model_of(None, self.mdp, "optimal_pairs")
+        rows = exact_rows(mdp, average=self.kind == "average")
+        if self.g is None:
+            return surplus(rows, self.h)
+        assert self.w is not None
+        return surplus(rows, self.g, self.h, self.w)[:2]
+
+    @cached_property
+    def losses(self) -> tuple[Numbers, Numbers]:
+        """(L,) what each pair loses of the gain, and, where that is nothing, of the bias."""
+        self._average(self.g)
+        lost, short = (
+            _listed(fraction(-top, below) for top, below in zip(*column, strict=True))
+            for column in self._gains
+        )
+        return lost, np.asarray(short * (lost == 0))
+
+    @cached_property
+    def optimal_pairs(self) -> Flags:
+        """(L,) the pairs that attain the optimum of their state.
+
+        Raises ModelError where the certificate was read from a file, which lacks the model.
+        """
+        mdp = model_of(None, self.mdp, "optimal_pairs")
+        found = np.logical_and.reduce([[not top for top in tops] for tops, _ in self._gains])
+        infinite = self.infinite_sign
+        if not infinite.any():
+            return np.asarray(found)
+        own, after, first = infinite[mdp.pair_state], infinite[mdp.table.next], mdp.table.offsets
+        if self.g is None:
+            least, most = (f.reduceat(after, first[:-1]) for f in (np.minimum, np.maximum))
+            found &= (least == 0) & (most == 0)
+            above = (least >= 0) & (most > 0)
+        else:  # the pairs after which the mean reward still is positive
+            (tops, belows), g = self._gains[0], self.g.fractions()[mdp.pair_state]
+            above = np.array([x * b + t > 0 for x, t, b in zip(g, tops, belows, strict=True)])
+        return np.asarray(np.where(own == 0, found, (own < 0) | above), dtype=bool)
+
+    @cached_property
+    def gaps(self) -> Numbers:
+        """(S,) what the best action that is not optimal loses, as Fractions; None without one."""
+        mdp = model_of(None, self.mdp, "gaps")
+        infinite, counts = self.infinite_sign, ~self.optimal_pairs
+        counts &= (infinite == 0)[mdp.pair_state] & ~mdp.terminal[mdp.pair_state]
+        if self.g is None:
+            stays = infinite[mdp.table.next] == 0
+            counts &= np.logical_and.reduceat(stays, mdp.table.offsets[:-1])
+        else:
+            counts &= np.array([not top for top in self._gains[0][0]])
+        tops, belows = self._gains[-1]
+        least: list[tuple[int, int] | None] = [None] * mdp.n_states
+        for pair in np.flatnonzero(counts).tolist():
+            best, own = least[state := int(mdp.pair_state[pair])], (-tops[pair], belows[pair])
+            if best is None or own[0] * best[1] < best[0] * own[1]:
+                least[state] = own
+        return _listed(None if best is None else fraction(*best) for best in least)
+
+    @property
+    def optimal(self) -> Flags:
+        """(S, A) whether an action is optimal; False where it is not offered.
+
+        Raises ModelError where the certificate was read from a file: it lacks the model.
+        """
+        return np.asarray(model_of(None, self.mdp).by_action(self.optimal_pairs))
+
+    def optimal_policy(self) -> Policy:
+        """Return the policy that draws one of the optimal actions of each state, all alike.
+
+        Raises ModelError where the certificate was read from a file, which lacks the model; and
+        where some policy never ends and a state has several: each is right alone, and drawing among
+        them may go round for ever.
+
+        Examples
+        --------
+        >>> from exact_mdp.solvers import certify
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 3, [[3, 1, 3], [0, 0, 0]])
+        >>> certify(mdp).optimal_policy().table[0].tolist()
+        [0.5, 0.0, 0.5]
+        """
+        mdp, optimal = model_of(None, self.mdp), self.optimal
+        several = (optimal.sum(axis=1) > 1) & ~mdp.terminal
+        endless = self.g is not None or self.infinite is not None
+        if endless and several.any():
+            raise ModelError(
+                "several actions are optimal, and not every policy ends: drawn among, they may not "
+                "be optimal together",
+                where=f"state ({mdp.space.label(int(np.flatnonzero(several)[0]))})",
+                fix="take certificate.policy, which is",
+            )
+        table = optimal / optimal.sum(axis=1, keepdims=True)
+        return Policy(
+            space=mdp.space, actions=mdp.actions, rule=table, shares=optimal.astype(np.int64)
+        )
+
+    # ---- views --------------------------------------------------------------------------------
+
+    def frame(self) -> DataFrame:
+        """Return the value of each state, its action, and what the next best action loses.
+
+        In decimals, infinite beyond the range of floats; `exact` is the value as it is. Of an
+        average these are gain and bias.
+        """
+        if self.kind == "average":
+            decimals = {"gain": in_decimals(self.value), "bias": in_decimals(self.bias)}
+            columns = decimals | {"action": self.policy}
+            return by_state(self.mdp, columns | {"exact gain": self.value, "exact bias": self.bias})
+        columns = {
+            "value": in_decimals(self.value),
+            "action": self.policy,
+            "gap": in_decimals(self.gaps),
+        }
+        return by_state(self.mdp, columns | {"exact": self.value})
+
+    def violations(self, model: MDP | None = None) -> list[str]:
+        """Return what does not hold of this certificate, in words: nothing where it is sound.
+
+        Parameters
+        ----------
+        model : MDP, optional
+            Needed where the certificate was read from a file.
+        """
+        return violations_of(self.kind, self, model_of(model, self.mdp))
+
+    def save(self, path: str | Path) -> None:
+        """Write the certificate as JSON; docs/reference/certificates.md describes the format."""
+        codec.save(self.kind, self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, model: MDP | None = None) -> Certificate:
+        """Read a certificate from a file.
+
+        Parameters
+        ----------
+        path : str or path
+        model : MDP, optional
+            The model that it is of, for what the file alone does not say: optimal actions, gaps.
+
+        Returns
+        -------
+        Certificate
+
+        Raises
+        ------
+        ModelError
+            Where the file is not an exact certificate.
+
+        Examples
+        --------
+        >>> from tempfile import TemporaryDirectory
+        >>> from exact_mdp.solvers import certify
+        >>> mdp = MDP.from_arrays([[[1]]], [1], "1/2")
+        >>> with TemporaryDirectory() as folder:
+        ...     certify(mdp).save(f"{folder}/proof.json")
+        ...     Certificate.load(f"{folder}/proof.json").value
+        array([Fraction(2, 1)], dtype=object)
+        """
+        kind, found = codec.load({"total": cls, "average": cls}, path)
+        return replace(found, kind=kind, mdp=model)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BoundedCertificate(Pictured):
+    """Floats that the optimal values, and those of a policy, are proven to lie between.
+
+    Attributes
+    ----------
+    model : str
+        `fingerprint(mdp)`, a hash of the model.
+    sense : "max" or "min"
+        Whether the numbers of the model are rewards or costs.
+    policy : (S,) int64
+        Action numbers.
+    low, high : Level
+        low ≤ V^π ≤ V ≤ high in every state, for the policy π given here and rewards that are
+        maximised: of costs, -upper and -lower.
+    rank : (S,) int64, optional
+        Proof that every policy ends, at discount 1.
+    mdp : MDP, optional
+        The model, unless the certificate was read from a file.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers import certify
+    >>> certify(MDP.from_arrays([[[1]]], [1], "1/2"), bounded=True).frame().columns.tolist()
+    ['state', 'value', 'lower', 'upper', 'action']
+    """
+
+    model: str
+    sense: str
+    policy: Integers
+    low: Level
+    high: Level
+    rank: Integers | None
+    mdp: MDP | None = None
+
+    claim: ClassVar[Claim] = Claim.BOUNDED
+
+    def __repr__(self) -> str:
+        return f"BoundedCertificate({len(self.policy)} states, error ≤ {self.error_bound:.2g})"
+
+    @cached_property
+    def _bounds(self) -> tuple[Floats, Floats]:
+        sign = 1 if self.sense == "max" else -1
+        found = [
+            divide(sign * np.array(level.top, object), np.array(level.each_below, object))
+            for level in (self.low, self.high)[::sign]
+        ]
+        for bound in found:
+            bound.setflags(write=False)
+        return found[0], found[1]
+
+    @property
+    def lower(self) -> Floats:
+        """(S,) a lower bound of the values."""
+        return self._bounds[0]
+
+    @property
+    def upper(self) -> Floats:
+        """(S,) an upper bound of the values."""
+        return self._bounds[1]
+
+    @property
+    def value(self) -> Floats:
+        """(S,) the middle between the bounds."""
+        return self.lower + (self.upper - self.lower) / 2
+
+    @property
+    def error_bound(self) -> float:
+        """|value - V| and |value - V^π| are at most this in every state."""
+        return float(self.error.max(initial=2.0**-51 * self._largest))
+
+    @property
+    def _largest(self) -> float:
+        return float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
+
+    @property
+    def error(self) -> Floats:
+        """(S,) |value - V| and |value - V^π| are at most this."""
+        return (self.upper - self.lower) / 2 * (1 + 1e-12) + 2.0**-51 * self._largest
+
+    def frame(self) -> DataFrame:
+        """Return the value of each state, its bounds and its action."""
+        columns = {"value": self.value, "lower": self.lower, "upper": self.upper}
+        return by_state(self.mdp, columns | {"action": self.policy})
+
+    def violations(self, model: MDP | None = None) -> list[str]:
+        """Return what does not hold of this certificate, in words: nothing where it is sound."""
+        return violations_of("bounds", self, model_of(model, self.mdp))
+
+    def save(self, path: str | Path) -> None:
+        """Write the certificate as JSON; docs/reference/certificates.md describes the format."""
+        codec.save("bounds", self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, model: MDP | None = None) -> BoundedCertificate:
+        """Read a certificate from a file.
+
+        Parameters
+        ----------
+        path : str or path
+        model : MDP, optional
+            The model that it is of.
+
+        Returns
+        -------
+        BoundedCertificate
+
+        Raises
+        ------
+        ModelError
+            Where the file is not a certificate of bounds.
+
+        Examples
+        --------
+        >>> from tempfile import TemporaryDirectory
+        >>> from exact_mdp.solvers import certify
+        >>> mdp = MDP.from_arrays([[[1]]], [1], "1/2")
+        >>> with TemporaryDirectory() as folder:
+        ...     certify(mdp, bounded=True).save(f"{folder}/bounds.json")
+        ...     BoundedCertificate.load(f"{folder}/bounds.json").violations(mdp)
+        []
+        """
+        _, found = codec.load({"bounds": cls}, path)
+        return replace(found, mdp=model)

@@ -1,0 +1,350 @@
+"""Checks a certificate against a model in integers, with Python's standard library alone.
+
+    python checker.py model.json certificate.json    exit status 0: it holds, 1: it does not, 2: bad
+
+With d(x) = Σ p(s') x(s') - x(s), for rewards that are maximised, all pairs of a state and an action
+have d(g) ≤ 0; where that is 0, r - g + d(h) ≤ 0; where that is 0, too, d(w) - h ≤ 0; and those of
+the policy all three as equations. So g is the greatest average reward per step and h the greatest
+bias (Puterman, Markov Decision Processes, 1994, sections 9.1 and 10.2). Discounted values are
+g / (1 - γ) + h and what vanishes as γ tends to 1: the total reward, their limit, is +∞ where g > 0,
+-∞ where g < 0, and else h.
+
+V = max r + γ P V alone will do, as h, below discount 1, and where a rank that each pair may lower
+shows that every run ends. For goals see `reaching`; for the files docs/reference/certificates.md.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from fractions import Fraction
+from hashlib import sha256
+from itertools import chain, islice
+from math import gcd, inf, lcm
+from operator import mul
+from pathlib import Path
+from typing import Any
+
+NUMBER = re.compile(r"(-?(?:0x[0-9a-f]+|[0-9]+))(/(0x[0-9a-f]+|[0-9]+))?")
+PAIR = ("state", "action", "denominator", "next", "weight", "reward")
+LEVELS, RANKS = ("g", "h", "w", "low", "high"), ("rank", "order", "infinite")
+HEAD = {"format", "version", "kind", "model", "sense", "policy", "rank"}
+OPTIMUM = HEAD | {"g", "h", "w", "infinite", "order", "start_value", "unique"}
+KEYS = {"total": OPTIMUM, "average": OPTIMUM, "bounds": HEAD | {"low", "high"}}
+
+
+class Unreadable(ValueError):
+    """What is no model, or no certificate."""
+
+
+def wanted(condition: object, what: str) -> None:
+    """Raise Unreadable unless a condition holds."""
+    if not condition:
+        raise Unreadable(what)
+
+
+def ratio(given: object, what: str) -> Fraction:
+    """Read an integer, or a text such as "-7", "0x1f" or "1/3"."""
+    if type(given) is int:
+        return Fraction(given)
+    found = NUMBER.fullmatch(given) if isinstance(given, str) else None
+    try:
+        return Fraction(int(found[1], 0), int(found[3] or "1", 0)) if found else Fraction("")
+    except (ValueError, ZeroDivisionError) as error:  # 007, 1/0, or digits beyond Python's limit
+        raise Unreadable(f"{what}: {str(given)[:40]!r} is no number; long ones as 0x…") from error
+
+
+def integers(given: Any, what: str, length: int | None = None) -> list[int]:
+    """Read a list of integers, of a length if one is given."""
+    wanted(type(given) is list and length in (None, len(given)), f"{what}: no list, or its length")
+    numbers = [each if type(each) is int else ratio(each, what) for each in given]
+    wanted({number.denominator for number in numbers} <= {1}, f"{what}: not all are integers")
+    return [number.numerator for number in numbers]
+
+
+def headed(given: Any, kind: str) -> None:
+    """Raise Unreadable unless content is of a kind and of version 2."""
+    head = [given.get(key) for key in ("format", "version")] if type(given) is dict else given
+    wanted(head == [f"exact-mdp {kind}", 2], f"no {kind}: format and version are {str(head)[:80]}")
+
+
+class Level:
+    """Numbers of the states: top[s] / below[group[s]], integers."""
+
+    def __init__(self, given: Any, what: str, states: int) -> None:
+        wanted(type(given) is dict and given.keys() == {"top", "below", "group"}, f"{what}: keys")
+        self.top = integers(given["top"], f"{what}.top", states)
+        self.below = integers(given["below"], f"{what}.below")
+        self.group = integers(given["group"], f"{what}.group", states)
+        wanted(min(self.below, default=0) > 0, f"{what}.below is not positive")
+        wanted({*self.group} <= {*range(len(self.below))}, f"{what}.group has no denominator")
+        self._times: dict[frozenset[int], tuple[int, dict[int, int]]] = {}
+
+    def number(self, state: int) -> Fraction:
+        """Return the number of a state."""
+        return Fraction(self.top[state], self.below[self.group[state]])
+
+    def over_one(self, *states: int) -> tuple[list[int], int]:
+        """Return the numbers of some states over a common denominator."""
+        groups = frozenset([self.group[s] for s in states])
+        if groups not in self._times:
+            unit = lcm(*(self.below[each] for each in groups))
+            self._times[groups] = unit, {each: unit // self.below[each] for each in groups}
+        unit, times = self._times[groups]
+        return [self.top[s] * times[self.group[s]] for s in states], unit
+
+
+class Model:
+    """States and actions of pairs; expected rewards top / below; rows weight / denominator."""
+
+    def __init__(self, given: Any) -> None:
+        headed(given, "model")
+        (self.states,) = integers([given.get("states")], "states")
+        self.discount, self.sense = ratio(given.get("discount"), "discount"), given.get("sense")
+        fits = 0 <= self.discount <= 1 and self.sense in ("max", "min")
+        wanted(fits, "the discount is not from 0 to 1, or sense is neither max nor min")
+        start, pairs = given.get("start"), given.get("pairs")
+        wanted(type(start) is dict and type(pairs) is list, "start or pairs: no object, or no list")
+        odds = [ratio(share, "start") for share in start.values()]
+        self.start = sorted(x for x in zip(integers([*start], "start"), odds, strict=True) if x[1])
+        fits = all(0 <= state < self.states <= len(pairs) for state, _ in self.start)
+        wanted(fits and sum(odds) == 1 and min(odds) >= 0, "start: no distribution of states")
+        rows = sorted(map(self._row, pairs), key=lambda row: row[:2])
+        columns: Any = [list(column) for column in zip(*rows, strict=True)]
+        self.state, self.action, self.top, self.below, *columns = columns or [[]] * 7
+        self.denominator, self.next, self.weight = columns
+        self.pair = {key: l for l, key in enumerate(zip(self.state, self.action, strict=True))}
+        wanted(len(self.pair) == len(rows), "two pairs have the same state and action")
+        wanted({*self.state} == {*range(self.states)}, "a state has no pair, or a pair no state")
+        moving = zip(self.state, self.top, self.next, strict=True)
+        self.ends = {*range(self.states)} - {s for s, top, after in moving if top or after != [s]}
+        self.goal, self.missing = given.get("goal"), given.get("unreached", "inf")
+        self.goal = None if self.goal is None else {*integers(self.goal, "goal")}
+        fits = self.goal is None or (self.discount == 1 and self.goal <= self.ends)
+        wanted(fits and self.missing in ("inf", "-inf"), "the goal, or what missing it is worth")
+
+    def _row(self, given: Any) -> tuple[Any, ...]:
+        wanted(type(given) is dict and given.keys() == {*PAIR}, f"a pair's keys are not {PAIR}")
+        state, action, below = integers([given[key] for key in PAIR[:3]], "a pair")
+        where = f"state {state}, action {action}"
+        after, weight = (integers(given[key], where) for key in PAIR[3:5])
+        wanted(len(after) == len(weight) and min(weight, default=0) > 0, f"{where}: the weights")
+        wanted(sum(weight) == below, f"{where}: the weights do not add up to the denominator")
+        wanted(min(after) >= 0 and max(after) < self.states, f"{where}: a next state is none")
+        reward = given["reward"]
+        each = reward if type(reward) is list else [reward] * len(weight)
+        wanted(len(each) == len(weight), f"{where}: the number of rewards")
+        earned = [x if type(x) is int else ratio(x, where) for x in each]
+        mean = Fraction(sum(map(mul, weight, earned))) / below
+        total = dict.fromkeys(sorted(after), 0)
+        for s, w in zip(after, weight, strict=True):
+            total[s] += w
+        shared = gcd(below, *total.values())
+        row = [w // shared for w in total.values()]
+        return state, action, mean.numerator, mean.denominator, below // shared, list(total), row
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that counts: lines of integers in hexadecimal."""
+        lines: list[Iterable[int]] = [
+            [self.states, self.discount.numerator, self.discount.denominator],
+            [n for s, p in self.start for n in (s, p.numerator, p.denominator)],
+            *(self.state, self.action, self.top, self.below, self.denominator),
+            *(map(len, self.next), chain(*self.next), chain(*self.weight)),
+        ]
+        aim = "" if self.goal is None else f" {self.missing} {sorted(self.goal)}"
+        text = [f"exact-mdp model 2 {self.sense}{aim}", *(" ".join(map(hex, x)) for x in lines)]
+        return sha256("\n".join(text).encode()).hexdigest()
+
+
+class Check:
+    """What a certificate claims of a model, and what does not hold of it, in words."""
+
+    def __init__(self, model: Model, given: Any) -> None:
+        headed(given, "certificate")
+        self.model, self.kind = model, given.get("kind")
+        wanted(str(self.kind) in KEYS, f"kind {self.kind!r} is none of {', '.join(KEYS)}")
+        wanted(given.keys() == KEYS[str(self.kind)], f"the keys are not {KEYS[str(self.kind)]}")
+        states, some = model.states, {key: x for key, x in given.items() if x is not None}
+        self.digest, self.sense = given["model"], given["sense"]
+        self.policy = integers(given["policy"], "policy", states)
+        ranks = {key: integers(some[key], key, states) for key in RANKS if key in some}
+        levels = {key: Level(some[key], key, states) for key in LEVELS if key in some}
+        self.parts = [*levels, *ranks]
+        self.rank, self.order, self.infinite = (ranks.get(key, []) for key in RANKS)
+        zero = Level({"top": [0] * states, "below": [1], "group": [0] * states}, "zero", states)
+        self.g, self.h, self.w = (levels.get(key, zero) for key in LEVELS[:3])
+        self.low, self.high = (levels.get(key, self.h) for key in LEVELS[3:])
+        self.discount = Fraction(1) if self.kind == "average" else model.discount
+        self.sign = 1 if model.sense == "max" else -1
+        self.optimal = [False] * len(model.state)
+        of_sign = ({s for s, sign in enumerate(self.infinite) if sign == x} for x in (0, -1, 1))
+        self.finite, self.never, self.above = of_sign
+        self.arriving, self.lost = set[int](), (model.missing == "-inf") is (model.sense == "max")
+        self.unique, start = given.get("unique", True), given.get("start_value", 0)
+        wanted(type(self.unique) is bool, "unique is neither true nor false")
+        self.start = float(start) if start in ("inf", "-inf") else ratio(start, "start_value")
+
+    def violations(self) -> Iterator[str]:
+        """Yield what does not hold."""
+        model = self.model
+        if [self.digest, self.sense] != [model.digest(), model.sense]:
+            yield "the certificate is of another model"
+            return
+        if other := {*enumerate(self.policy)} - model.pair.keys():
+            yield f"state {min(other)[0]}: the policy takes an action that there is not"
+            return
+        taken, one = {model.pair[key] for key in enumerate(self.policy)}, self.discount == 1
+        total, alone = self.kind == "total", ["low", "high"] if self.kind == "bounds" else ["h"]
+        if self.kind != "average" and self.parts == alone + ["rank"] * one:
+            judge = self.alone
+        elif self.parts == ["g", "h", "w"] and one and not (total and model.goal is not None):
+            judge = self.expansion
+        elif self.parts == ["h", *RANKS] and total and model.goal is not None:
+            judge = self.reaching
+        else:
+            yield f"{', '.join(self.parts)} prove no {self.kind} of a model with such a discount"
+            return
+        for pair, state in enumerate(model.state):
+            if wrong := judge(pair, state, pair in taken):
+                yield f"state {state}, action {model.action[pair]}: {wrong}"
+        if self.lost and not self.above <= self.arriving:
+            yield f"state {min(self.above - self.arriving)}: the goal may be out of reach"
+        if self.kind != "bounds" and self.sign * self.start != self.at_start():
+            yield "the start value is not that of the start states"
+        if self.kind != "bounds" and self.unique is not self.one_optimum():
+            yield f"it says wrongly that the optimum is {'' if self.unique else 'not '}unique"
+
+    def gain(self, pair: int, x: Level, earned: tuple[int, int] | None = None) -> int:
+        """Return r + γ Σ p(s') x(s') - x(s), times a positive integer; r may be something else."""
+        model, rate = self.model, self.discount
+        top, below = earned or (self.sign * model.top[pair], model.below[pair])
+        values, unit = x.over_one(*model.next[pair], model.state[pair])
+        scale = rate.denominator * model.denominator[pair]
+        flow: int = rate.numerator * sum(map(mul, model.weight[pair], values))
+        return int(top * scale * unit + below * (flow - scale * values[-1]))
+
+    def falls(self, pair: int, rank: Sequence[int], inside: Container[int]) -> bool:
+        """Return whether a pair may lead to a state inside, of a lower rank than its own."""
+        own = rank[self.model.state[pair]]
+        return any(rank[s] < own and s in inside for s in self.model.next[pair])
+
+    def alone(self, pair: int, state: int, taken: bool) -> str:
+        """Check U ≥ r + γ P U, of the policy L ≤ r + γ P L, of values both; and that runs end."""
+        if self.discount == 1 and state not in self.model.ends:
+            if not self.falls(pair, self.rank, range(self.model.states)):
+                return "the rank does not show that every policy ends"
+        elif self.discount == 1:
+            if self.model.goal is not None and state not in self.model.goal:
+                return "a run may end here, beside the goal"
+            if not self.low.top[state] <= 0 <= self.high.top[state]:
+                return "an end is not worth 0"
+        gain = self.gain(pair, self.high)
+        self.optimal[pair] = not gain
+        if gain > 0:
+            return "it is worth more than is claimed"
+        less = taken and self.gain(pair, self.low) < 0
+        return "the policy is worth less than is claimed" if less else ""
+
+    def expansion(self, pair: int, state: int, taken: bool) -> str:
+        """Check g, h and w: the first level that is not 0 is negative; all are 0 for the policy."""
+        top, below = self.sign * self.model.top[pair], self.model.below[pair]
+        ([mean], under), ([bias], over) = self.g.over_one(state), self.h.over_one(state)
+        earned = ((0, 1), (top * under - below * mean, below * under), (-bias, over))
+        levels = zip("ghw", (self.g, self.h, self.w), earned, strict=True)
+        gains = ((name, self.gain(pair, x, each)) for name, x, each in levels)
+        name, gain = next(((name, gain) for name, gain in gains if gain), ("", 0))
+        self.optimal[pair] = name not in ("g", "h")
+        if mean and self.kind == "total":  # infinite: all pairs that keep the sign of the mean
+            self.optimal[pair] = mean < 0 or self.gain(pair, self.g, (mean, under)) > 0
+        if gain > 0:
+            return f"its {name} is more than is claimed"
+        return f"the policy's {name} is less than is claimed" if gain and taken else ""
+
+    def reaching(self, pair: int, state: int, taken: bool) -> str:
+        """Check values where a run that never reaches the goal is worth +∞, or -∞ (`lost`).
+
+        +∞: each pair of a finite state may lower the rank, so that every policy arrives; elsewhere
+        the policy may come, by falling order, to states of order 0, and stays in these.
+        -∞: each pair of a state of -∞ may lead to one of lower order, or to its own order only. The
+        policy arrives from finite states, worth the most that such policies earn; from those of +∞
+        pairs may lower the rank, and it goes round in states of order 0 for a gain in each step.
+        """
+        after, order, lost = self.model.next[pair], self.order, self.lost
+        inside, safe = self.finite.issuperset(after), self.never.isdisjoint(after)
+        self.optimal[pair] = True
+        if state in (self.model.goal or ()):
+            worth_0 = state in self.finite and not self.h.top[state]
+            return "" if worth_0 else "a state of the goal is not worth 0"
+        if state in self.never and lost:
+            same = self.never.issuperset(after) and {order[s] for s in after} == {order[state]}
+            missed = same or self.falls(pair, order, self.never)
+            return "" if missed else "the order does not show that the goal is missed"
+        if state in self.above:
+            self.optimal[pair] = safe and not self.above.isdisjoint(after)
+            if safe and (self.finite & {*after} or self.falls(pair, self.rank, self.above)):
+                self.arriving.add(state)
+            stays = self.above.issuperset(after) and not any(order[s] for s in (state, *after))
+            stays = stays and not (lost and self.gain(pair, self.h) <= 0)
+            right = not taken or (safe and (stays or self.falls(pair, order, self.above)))
+            return "" if right else "the order does not show that the policy is worth +∞"
+        gain = self.gain(pair, self.h) if inside else -1
+        self.optimal[pair] = not gain
+        if (safe and not inside) or gain > 0 or state not in self.finite:
+            return "it is worth more than is claimed"
+        if taken and not self.optimal[pair]:
+            return "the policy is worth less than is claimed"
+        reached = (lost and not taken) or self.falls(pair, self.rank, self.finite)
+        return "" if reached else "the rank does not show that the goal is reached"
+
+    def at_start(self) -> Fraction | float:
+        """Return the value of the start; of discounted values, their limit at discount 1."""
+        start, sign_of = self.model.start, self.infinite or [0] * self.model.states
+        if signs := {sign_of[s] for s, _ in start} - {0}:
+            return sum(inf * sign for sign in signs)
+        mean, value = (sum(p * x.number(s) for s, p in start) for x in (self.g, self.h))
+        if self.kind == "average" or not mean:
+            return Fraction(mean if self.kind == "average" else value)
+        return inf if mean > 0 else -inf
+
+    def one_optimum(self) -> bool:
+        """Return whether states that optimal pairs reach from the start have one each, or end."""
+        best: list[list[list[int]]] = [[] for _ in range(self.model.states)]
+        for pair, state in enumerate(self.model.state):
+            best[state] += [self.model.next[pair]] if self.optimal[pair] else []
+        waiting = [state for state, _ in self.model.start]
+        seen = {*waiting}
+        for state in waiting:
+            if len(best[state]) != 1 and state not in self.model.ends:
+                return False
+            waiting += (fresh := {*chain(*best[state])} - seen)
+            seen |= fresh
+        return True
+
+
+def violations(model: object, certificate: object) -> list[str]:
+    """Return what does not hold, the first 20 sentences, of what two files contain; or nothing."""
+    return list(islice(Check(Model(model), certificate).violations(), 20))
+
+
+def read(path: str) -> Any:
+    """Return the content of a JSON file."""
+    return json.loads(Path(path).read_text("utf-8-sig"))
+
+
+def main(words: Sequence[str] | None = None, load: Callable[[str], Any] = read) -> int:
+    """Check a certificate file against a model file, and say what does not hold."""
+    asked = sys.argv[1:] if words is None else words
+    try:
+        wanted(len(asked) == 2, "give two files: MODEL CERTIFICATE")
+        wrong = violations(load(asked[0]), read(asked[1]))
+    except (ValueError, OSError, RecursionError) as error:
+        print(f"not checked: {error}", file=sys.stderr)
+        return 2
+    print("\n".join(f"does not hold: {what}" for what in wrong) or "holds")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

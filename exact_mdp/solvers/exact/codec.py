@@ -1,0 +1,171 @@
+"""Records as JSON and back, by the types of their fields: the one form of all proofs in files.
+
+    int                  a text in hexadecimal, such as "-0x1f4", of any length
+    Fraction             a text of two, such as "0x1/0x3"; infinite floats "inf" and "-inf"
+    str, bool            as they are
+    array of integers    a list of numbers
+    array of flags       a text with 0 or 1 for each
+    tuple or list        a list; a mapping is a list of [key, value]
+    a record             an object with the keys of its fields
+    what may be None     null, or the other type
+
+A file has the keys `format` ("exact-mdp certificate"), `version` (2) and `kind` as well as those of
+its record. Python refuses to read or write over 4,300 decimal digits; hexadecimal is quick, too.
+What is read is checked for its form; whether its claims hold is for `violations` to say.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
+from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.proof.rationals import fraction
+
+T = TypeVar("T")
+Flags = NDArray[np.bool_]
+
+FORMAT, VERSION = "exact-mdp certificate", 2
+INTEGER = re.compile(r"-?0x(0|[1-9a-f][0-9a-f]*)")
+
+
+def encode(value: Any) -> Any:
+    """Return a record, or a value of a field, as JSON has it."""
+    if is_dataclass(value) or hasattr(value, "_fields"):
+        return {name: encode(getattr(value, name)) for name in _types(cast(Any, type(value)))}
+    if isinstance(value, np.ndarray):
+        if value.dtype == bool:
+            return "".join(np.where(value, "1", "0"))
+        return value.tolist()
+    if isinstance(value, bool | str | NoneType):
+        return value
+    if isinstance(value, int):
+        return hex(value)
+    if isinstance(value, Fraction):
+        return f"{hex(value.numerator)}/{hex(value.denominator)}"
+    if isinstance(value, float):
+        return str(value)
+    if isinstance(value, Mapping):
+        return [[encode(key), encode(each)] for key, each in value.items()]
+    if not isinstance(value, list | tuple):
+        raise TypeError(f"{value!r} is of type {type(value).__name__}, which no file holds")
+    return [encode(each) for each in value]
+
+
+def decode(kind: Any, value: Any) -> Any:
+    """Return what JSON has as a value of a type; raises ValueError where it is none."""
+    of = get_args(kind)
+    if get_origin(kind) in (Union, UnionType):
+        return _either(of, value)
+    if is_dataclass(kind) or hasattr(kind, "_fields"):
+        types = _types(kind)
+        _wanted(isinstance(value, dict) and value.keys() == types.keys())
+        return kind(**{name: decode(each, value[name]) for name, each in types.items()})
+    if kind in (str, bool, NoneType):
+        _wanted(type(value) is kind)
+        return value
+    if kind is int:
+        _wanted(isinstance(value, str) and INTEGER.fullmatch(value))
+        return int(value, 16)
+    if kind is Fraction:
+        _wanted(isinstance(value, str))
+        top, below = (decode(int, part) for part in value.split("/"))
+        _wanted(below > 0)
+        return fraction(top, below)
+    if kind is float:
+        _wanted(value in ("inf", "-inf"))
+        return float(value)
+    if kind == Integers:
+        _wanted(isinstance(value, list) and {*map(type, value)} <= {int})
+        return np.array(value, dtype=np.int64)
+    if kind == Flags:
+        _wanted(isinstance(value, str) and {*value} <= {"0", "1"})
+        return np.array([each == "1" for each in value], dtype=bool)
+    origin: Any = get_origin(kind)
+    _wanted(isinstance(value, list))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        pairs = [(decode(of[0], key), decode(of[1], each)) for key, each in value]
+        _wanted(len(dict(pairs)) == len(pairs))
+        return dict(pairs)
+    if origin is tuple and of[-1] is not Ellipsis:
+        return tuple(decode(each, part) for each, part in zip(of, value, strict=True))
+    found = [decode(of[0], each) for each in value]
+    return tuple(found) if origin is tuple else found
+
+
+def _either(of: Sequence[Any], value: Any) -> Any:
+    """Return a value as the first of some types that it is of."""
+    for kind in of:
+        try:
+            return decode(kind, value)
+        except (ValueError, TypeError, AttributeError):
+            continue
+    raise ValueError
+
+
+def _wanted(right: object) -> None:
+    if not right:
+        raise ValueError
+
+
+@cache
+def _types(kind: Any) -> dict[str, Any]:
+    """Return the types of the fields that are written: those without a default."""
+    hints = get_type_hints(kind)
+    names: Iterable[str] = hints
+    if is_dataclass(kind):  # those without a default
+        names = [f.name for f in fields(kind) if f.default is f.default_factory]
+    return {name: hints[name] for name in names}
+
+
+def save(kind: str, record: Any, path: str | Path) -> None:
+    """Write a record as a certificate of some kind, whole or not at all."""
+    content = {"format": FORMAT, "version": VERSION, "kind": kind} | encode(record)
+    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()]
+    write_atomically(path, "{" + ",\n ".join(lines) + "}\n")
+
+
+def load(kinds: Mapping[str, type[T]], path: str | Path) -> tuple[str, T]:
+    """Read a certificate of one of some kinds; raises ModelError for another file."""
+    where = str(path)
+    try:
+        data = json.loads(read_bytes(path, most=LARGEST))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise _damaged("not a certificate, which is JSON text", where) from error
+    data = data if isinstance(data, dict) else {}
+    head: dict[str, list[Any]] = {"format": [FORMAT], "version": [VERSION], "kind": [*kinds]}
+    for key, known in head.items():
+        if (own := data.pop(key, None)) not in known or isinstance(own, bool):
+            wanted = " or ".join(map(repr, known))
+            raise _damaged(f"{key} is {str(own)[:40]!r}, not {wanted}", where)
+        kind = own
+    types = _types(cast(Any, kinds[kind]))
+    if data.keys() != types.keys():
+        keys = ", ".join(sorted(data.keys() ^ types.keys()))[:80]
+        raise _damaged(f"keys that are missing, or too many: {keys}", where)
+    found = {}
+    for name, each in types.items():
+        try:
+            found[name] = decode(each, data[name])
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
+            raise _damaged(f"{name} is damaged", where) from error
+    return kind, kinds[kind](**found)
+
+
+def _damaged(what: str, where: str) -> ModelError:
+    fix = "name a file that certificate.save or --certificate F.json wrote, of this version"
+    return ModelError(what, where=where, fix=fix)

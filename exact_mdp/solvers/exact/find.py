@@ -1,0 +1,303 @@
+"""Find optimal levels in rational arithmetic, with what proves them.
+
+Policy iteration: a policy is evaluated, and every state takes the first pair that is greatest in
+
+    (d(g),  r - g + d(h),  d(w) - h)      compared in this order,
+
+keeping its own where that is among them. Each change makes the value at small interest rates
+greater, so that no policy comes twice; what is left satisfies all that the checker asks for
+(Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3; Veinott, Annals of Mathematical
+Statistics 37, 1966).
+
+With a goal whose missing is worth -∞: the states from which no policy reaches it for sure are worth
+that; g of the others says where going round pays without end; and between the rest, policy
+iteration from a policy that arrives finds only such ones, as a class of better pairs would gain
+(Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from math import inf
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from exact_mdp.mdp.chain import closure, reachable, ways_out
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Integers, integers, spans
+from exact_mdp.solvers.average.chain import ExactAverages
+from exact_mdp.solvers.average.iteration import improved
+from exact_mdp.solvers.endless.graph import Graph
+from exact_mdp.solvers.exact.certificate import Certificate, Flags, exact_rows
+from exact_mdp.solvers.exact.levels import Column, Level, surplus
+from exact_mdp.solvers.proof.exact import solve_exactly
+from exact_mdp.solvers.solution import SolverError
+
+LIMIT = 200  # policies that floats try
+NOISE = 2.0**-40  # of the numbers added up: what floats take for no gain
+
+
+def certificate(
+    mdp: MDP, pairs: Integers, optimal: Flags | None = None, **parts: Any
+) -> Certificate:
+    """Return a certificate with the start value that its levels make, and whether it is unique."""
+    none: dict[str, Any] = dict.fromkeys(("g", "w", "rank", "infinite", "order"))
+    found = Certificate(
+        mdp=mdp,
+        model=fingerprint(mdp),
+        sense=mdp.sense,
+        policy=mdp.pair_action[pairs],
+        start_value=Fraction(0),
+        unique=True,
+        **none | parts,
+    )
+    optimal = found.optimal_pairs if optimal is None else optimal
+    start = found.sign * _at_start(found, [(state, p) for state, p in mdp.start if p])
+    return replace(found, start_value=start, unique=one_optimum(mdp, optimal))
+
+
+def _at_start(found: Certificate, start: Sequence[tuple[int, Fraction]]) -> Fraction | float:
+    if found.kind == "average":
+        assert found.g is not None
+        return found.g.mean(start)
+    infinite = {int(found.infinite_sign[state]) for state, _ in start} - {0}
+    if len(infinite) > 1:
+        raise ModelError(
+            "the value is +∞ from one state of the start and -∞ from another",
+            where="start",
+            fix="start in one state: --start, or mdp.with_(start=…)",
+        )
+    return inf * infinite.pop() if infinite else found.h.mean(start)
+
+
+def one_optimum(mdp: MDP, optimal: Flags) -> bool:
+    """Return whether one pair alone of each state that optimal pairs (L,) lead to is among them."""
+    other = np.add.reduceat(optimal.astype(np.int64), mdp.pair_offsets[:-1]) != 1
+    rows, own = bellman_rows(mdp), mdp.pair_state
+    stays = np.logical_and.reduceat(mdp.table.next == own[mdp.table.pair], mdp.table.offsets[:-1])
+    stays &= np.asarray(rows.constant == 0, dtype=bool)
+    other &= ~np.logical_and.reduceat(stays, mdp.pair_offsets[:-1])  # not at an end
+    return not (other.any() and (other & reachable(mdp, pairs=optimal)).any())
+
+
+def first_of(mdp: MDP, some: Flags) -> Integers:
+    """Return (S,) the first of some pairs (L,) in each state."""
+    numbers = np.where(some, np.arange(mdp.n_pairs), mdp.n_pairs)
+    return np.asarray(np.minimum.reduceat(numbers, mdp.pair_offsets[:-1]))
+
+
+# ---- levels --------------------------------------------------------------------------------------
+
+
+def expansion(mdp: MDP, kind: str) -> Certificate:
+    """Return the proof of gain and bias, which are also those of a total at discount 1."""
+    pairs, (g, h, w) = best_average(mdp)
+    return certificate(mdp, pairs, g=g, h=h, w=w, kind=kind)
+
+
+def best_average(mdp: MDP) -> tuple[Integers, list[Level]]:
+    """Return the pairs (S,) of a policy of greatest gain and bias, and the levels g, h and w."""
+    try:
+        pairs = improved(mdp.maximised.undiscounted).pairs
+    except SolverError:  # floats only suggest a policy to begin with
+        pairs = mdp.pair_offsets[:-1]
+    pairs, _, levels = expanded(exact_rows(mdp, average=True), pairs)
+    return pairs, levels
+
+
+def expanded(rows: BellmanRows, pairs: Integers) -> tuple[Integers, Flags, list[Level]]:
+    """Return the pairs (S,) of an optimal policy, its recurrent states (S,), and g, h and w."""
+    while True:
+        chain = ExactAverages(rows.of_pairs(pairs))
+        levels = [Level.of(each.tolist()) for each in chain.expansion(chain.reward)]
+        better = _greatest(rows, surplus(rows, *levels), pairs)
+        if (better == pairs).all():
+            return pairs, chain.classes.recurrent, levels
+        pairs = better
+
+
+def _greatest(rows: BellmanRows, columns: Sequence[Column], keep: Integers) -> Integers:
+    """Return (S,) the first pair of each state that gains most, `keep` where it is one."""
+    first, state = rows.pair_offsets[:-1], rows.pair_state
+    left = np.ones(len(state), dtype=bool)
+    for tops, _ in columns:  # those of a state are over the same number
+        level = np.array(tops, dtype=object)
+        inside = np.where(left, level, level.min() - 1)
+        left &= np.asarray(inside == np.maximum.reduceat(inside, first)[state], dtype=bool)
+    numbers = np.where(left, np.arange(len(state)), len(state))
+    return np.where(left[keep], keep, np.minimum.reduceat(numbers, first))
+
+
+# ---- a goal --------------------------------------------------------------------------------------
+
+
+def reaching(mdp: MDP) -> Certificate:
+    """Return the proof of a total until a goal that some policy never reaches."""
+    found = _missed if mdp.maximised.unreached == inf else _required
+    assert mdp.goal is not None
+    return found(mdp, exact_rows(mdp), Graph.of(mdp), mdp.goal)
+
+
+def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certificate:
+    """Return the proof where a run that misses the goal is worth +∞."""
+    every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
+    label, staying = graph.end_components(~goal[state])
+    order = graph.distance(label >= 0, every)
+    finite = order < 0
+    part, number = _closed(rows, finite)
+    found = solve_exactly(part)
+    best = np.zeros(mdp.n_pairs, dtype=bool)
+    best[number[found.optimal]] = True
+    best[~finite[state]] = (staying | _falling(graph, order))[~finite[state]]
+    top = [x if f else 0 for x, f in zip(found.numerator, finite, strict=True)]
+    return certificate(
+        mdp,
+        first_of(mdp, best),
+        h=Level(top=top, below=found.denominator, group=found.group),
+        rank=np.maximum(graph.ranks(goal, finite[state]), 0),
+        infinite=np.where(finite, 0, 1),
+        order=np.maximum(order, 0),
+    )
+
+
+def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certificate:
+    """Return the proof where a run that misses the goal is worth -∞."""
+    every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
+    order = graph.rounds(goal, every)
+    arriving, bias = order == 0, Level.over([0] * mdp.n_states, 1)
+    above, policy = np.zeros(mdp.n_states, dtype=bool), mdp.pair_offsets[:-1]
+    part, number = _closed(rows, arriving)
+    _, staying = graph.end_components(graph.every(arriving & ~goal) & (arriving & ~goal)[state])
+    if (rows.constant[staying] > 0).any():  # going round may pay without end
+        pairs, recurrent, (gain, bias, _) = expanded(part, part.pair_offsets[:-1])
+        above, policy = np.array([mean > 0 for mean in gain.top]), number[pairs]
+        used = np.zeros(mdp.n_pairs, dtype=bool)
+        used[policy[above]] = True
+        order = np.where(above, graph.distance(recurrent & above, used), order)
+    if (bad := above & (mdp.start_distribution > 0)).any():
+        raise falling_costs(mdp, bad)
+    finite = arriving & ~above
+    part, number = _closed(rows, finite)
+    kept = np.zeros(mdp.n_pairs, dtype=bool)
+    kept[number] = finite[state[number]]
+    far = graph.distance(goal, kept)
+    nearer = kept & _falling(graph, far)
+    nearer[mdp.pair_offsets[:-1][~finite | goal]] = True
+    own = np.searchsorted(number, first_of(mdp, nearer & np.isin(np.arange(mdp.n_pairs), number)))
+    own, values = _improved(part, own)
+    policy = np.where(finite, number[own], policy)
+    used = np.zeros(mdp.n_pairs, dtype=bool)
+    used[policy[finite]] = True
+    top = [x if f else b for x, b, f in zip(values.top, bias.top, finite, strict=True)]
+    group = np.where(finite, values.group, len(values.below))
+    inside = graph.every(arriving) & arriving[state]
+    return certificate(
+        mdp,
+        policy,
+        h=Level(top=top, below=[*values.below, *bias.below], group=group),
+        rank=np.maximum(graph.distance(goal, np.where(finite[state], used, inside)), 0),
+        infinite=np.where(above, 1, np.where(finite, 0, -1)),
+        order=order,
+    )
+
+
+def falling_costs(mdp: MDP, states: Flags) -> ModelError:
+    """Return the error to raise where the costs of some states (S,) of the start have no least."""
+    return ModelError(
+        "at discount 1 no policy has the best value: costs fall without end before the goal",
+        where=f"state ({mdp.space.label(int(np.flatnonzero(states)[0]))})",
+        fix=ways_out(mdp),
+    )
+
+
+def _falling(graph: Graph, distance: Integers) -> Flags:
+    """Return (L,) the pairs that may lead to a smaller distance, of those that are not -1."""
+    far = np.where(distance < 0, graph.states, distance)
+    least = np.minimum.reduceat(far[graph.next], graph.offsets[:-1])
+    return np.asarray(least < far[graph.pair_state])
+
+
+def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
+    """Return the equations between some states (S,), and the pairs (K,) that these have.
+
+    Pairs that lead elsewhere are left out; another state has its first pair, and stays for nothing.
+    """
+    owner, first = rows.pair_state, rows.pair_offsets[:-1]
+    kept = states[owner] & np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
+    kept[first[~states]] = True
+    number = np.flatnonzero(kept)
+    own = owner[number]
+    inside = states[own]
+    lengths = np.where(inside, np.diff(rows.offsets)[number], 1)
+    offsets = np.concatenate([[0], np.cumsum(lengths)])
+    loops = offsets[:-1][~inside]
+    entries = spans(rows.offsets[number[inside]], rows.offsets[number[inside] + 1])
+    following, weight = np.empty(offsets[-1], dtype=np.int64), np.empty(offsets[-1], dtype=object)
+    others = np.ones(offsets[-1], dtype=bool)
+    others[loops] = False
+    following[others], following[loops] = rows.next[entries], own[~inside]
+    weight[others], weight[loops] = rows.weight[entries], rows.scale[own[~inside]]
+    part = BellmanRows(
+        pair_offsets=np.searchsorted(own, np.arange(len(states) + 1)),
+        terminal=rows.terminal | ~states,
+        scale=rows.scale,
+        constant=np.where(inside, rows.constant[number], 0),
+        offsets=offsets,
+        next=following,
+        weight=integers(weight.tolist()),
+    )
+    return part, number
+
+
+def _improved(rows: BellmanRows, pairs: Integers) -> tuple[Integers, Level]:
+    """Return the best pairs (S,) and their values, from those of a policy that ends.
+
+    Every policy on the way ends, since no class of states gains anything for ever: a pair takes the
+    place of another only if it is better.
+    """
+    pairs = _nearly(rows, pairs)
+    while True:
+        found = solve_exactly(rows.of_pairs(pairs))
+        value = Level(top=found.numerator, below=found.denominator, group=found.group)
+        ((tops, belows),) = surplus(rows, value)
+        better, most = pairs.copy(), dict[int, Fraction]()
+        for pair in (pair for pair, top in enumerate(tops) if top > 0):
+            state, gain = int(rows.pair_state[pair]), Fraction(tops[pair], belows[pair])
+            if gain > most.get(state, 0) and not rows.terminal[state]:
+                most[state], better[state] = gain, pair
+        if not most:
+            return pairs, value
+        pairs = better
+
+
+def _nearly(rows: BellmanRows, first: Integers) -> Integers:
+    """Return pairs (S,) that floats find better than the first ones, by more than rounding."""
+    state, live = rows.pair_state, ~rows.terminal
+    scale = rows.scale[state].astype(object)
+    share = (rows.weight / scale[rows.pair]).astype(np.float64) * live[state][rows.pair]
+    earned = (rows.constant / scale).astype(np.float64) * live[state]
+    moves = sp.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(live)))
+    one, pairs = sp.eye_array(len(live), format="csc"), first
+    for _ in range(LIMIT):
+        value = splu(sp.csc_array(one - moves[pairs])).solve(earned[pairs])
+        gain = earned + moves @ value - value[state]
+        noise = NOISE * (np.abs(earned) + abs(moves) @ np.abs(value) + np.abs(value[state]))
+        if not np.all(np.isfinite(gain)):
+            return first
+        gain[gain < noise.max(initial=0.0)] = 0.0
+        most = np.maximum.reduceat(gain, rows.pair_offsets[:-1])
+        best = np.flatnonzero((gain > 0) & (gain == most[state]))
+        if not len(best):
+            break
+        pairs = pairs.copy()
+        own, place = np.unique(state[best], return_index=True)
+        pairs[own] = best[place]
+    graph = sp.csr_array(moves[pairs] > 0).T.tocsr()
+    return pairs if closure(graph, rows.terminal.copy()).all() else first

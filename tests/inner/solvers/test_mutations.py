@@ -1,0 +1,213 @@
+"""Certificates of every kind with one thing changed: none is accepted whose claim is false."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from copy import deepcopy
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from exact_mdp import MDP, Certificate, certify
+from exact_mdp.mdp.io import model_json
+from exact_mdp.solvers.exact import checker
+
+LOOP = [
+    (0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]),
+    (0, 1, [(1, 1, 1)]),
+    (1, 0, [("1/3", 0, 2), ("2/3", 1, -1)]),
+    (1, 1, [(1, 2, 0)]),
+    (2, 0, [(1, 2, 0)]),
+]
+TIES = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 2, 3)]), (2, 0, [(1, 2, 0)])]
+ISLANDS = [
+    (0, 0, [(1, 1, 0)]),
+    (0, 1, [("1/2", 2, 5), ("1/2", 3, 0)]),
+    (1, 0, [(1, 1, 1)]),
+    (2, 0, [(1, 2, -1)]),
+    (2, 1, [(1, 3, "-1/3")]),
+    (3, 0, [(1, 3, 0)]),
+    (4, 0, [(1, 4, -1)]),
+    (4, 1, [("1/2", 4, 0), ("1/2", 3, 2)]),
+]
+TURNS = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1)]), (1, 1, [(1, 2, 0)]), (2, 0, [(1, 2, 0)])]
+WALK = [
+    (0, 0, [(1, 0, -1)]),
+    (0, 1, [("1/2", 1, -2), ("1/2", 0, 0)]),
+    (1, 0, [("2/3", 2, -1), ("1/3", 0, 0)]),
+    (2, 0, [(1, 2, 0)]),
+    (3, 0, [(1, 3, 0)]),
+    (3, 1, [("1/2", 2, 4), ("1/2", 3, 0)]),
+    (4, 0, [("1/2", 3, 0), ("1/2", 5, 0)]),
+    (5, 0, [(1, 5, 1)]),
+]
+RICH = [*WALK[:5], (3, 1, [("1/2", 2, 4), ("1/2", 6, 0)]), *WALK[6:], (6, 0, [(1, 6, 1)]),
+        (6, 1, [(1, 2, 0)])]  # fmt: skip
+GOAL = {"goal": [state == 2 for state in range(6)]}
+
+
+def negated(rows: Any) -> Any:
+    return [(s, a, [(p, t, -r) for p, t, r in outcomes]) for s, a, outcomes in rows]
+
+
+def of(rows: Any, **parts: Any) -> MDP:
+    return MDP.from_outcomes(rows, **parts)
+
+
+MODELS: dict[str, tuple[MDP, dict[str, Any]]] = {
+    "discounted": (of(LOOP, discount="1/2"), {}),
+    "least costs": (of(LOOP, discount="9/10", sense="min", start=["1/2", "1/2", 0]), {}),
+    "every policy ends": (of(TIES), {}),
+    "islands": (of(ISLANDS, start=[1, 0, 0, 0, 0]), {}),
+    "a costly island": (of(ISLANDS, sense="min", start=[0, 0, 0, 0, 1]), {}),
+    "rewards cancel": (of(TURNS), {}),
+    "average": (of(ISLANDS), {"criterion": "average"}),
+    "least average": (of(LOOP, sense="min", discount="1/3"), {"criterion": "average"}),
+    "goal, rewards": (of(WALK, labels=GOAL).until("goal"), {}),
+    "goal, costs": (
+        of(negated(WALK), labels=GOAL, sense="min", start=[0, 1, 0, 0, 0, 0]).until("goal"), {},
+    ),
+    "goal, costs that fall": (
+        of(negated(RICH), labels={"goal": [*GOAL["goal"], False]}, sense="min",
+           start=[0, 1, 0, 0, 0, 0, 0]).until("goal"), {},
+    ),
+    "reaching": (of(LOOP, labels={"goal": [False, True, False]}).reaching("goal"), {}),
+    "within": (of(LOOP).within(2), {}),
+    "bounds": (of(LOOP, discount="1/2"), {"bounded": True}),
+    "bounds of costs": (of(TIES, sense="min"), {"bounded": True}),
+}  # fmt: skip
+
+
+def file_of(name: str, folder: Path) -> dict[str, Any]:
+    mdp, asked = MODELS[name]
+    certify(mdp, **asked).save(folder / "proof.json")
+    content: dict[str, Any] = json.loads((folder / "proof.json").read_text("utf-8"))
+    return content
+
+
+def changes(value: Any) -> Iterator[Any]:
+    """Yield values of the same type, or of another that a field may have."""
+    if isinstance(value, bool):
+        yield not value
+    elif isinstance(value, int):
+        yield from (value + 1, value - 1, -value - 1, 2 * value + 1, 0)
+    elif isinstance(value, str) and "/" in value:
+        number = Fraction(*(int(part, 16) for part in value.split("/")))
+        for other in (number + 1, number - 1, -number, number / 2, Fraction(0)):
+            yield f"{hex(other.numerator)}/{hex(other.denominator)}"
+        yield from ("inf", "-inf")
+    elif value in ("inf", "-inf"):
+        yield from ("0x0/0x1", "-inf" if value == "inf" else "inf")
+    elif isinstance(value, str) and value.lstrip("-").startswith("0x"):
+        number = int(value, 16)
+        yield from map(hex, (number + 1, number - 1, -number, 2 * number, number // 2, 0))
+    elif isinstance(value, str):
+        yield from (value[::-1], value[:-1] + "0", "max", "min", "total", "average")
+    elif isinstance(value, list):
+        for i, each in enumerate(value):
+            for other in changes(each):
+                yield [*value[:i], other, *value[i + 1 :]]
+            if i:
+                yield [*value[: i - 1], each, value[i - 1], *value[i + 1 :]]
+        yield from (value[:-1], [*value, *value[-1:]], value[::-1], None)
+        if value and isinstance(value[0], int):
+            yield from ([0] * len(value), [each + 1 for each in value])
+        elif value:
+            yield [hex(2 * int(each, 16)) for each in value]
+    elif isinstance(value, dict):
+        for key, each in value.items():
+            for other in changes(each):
+                yield value | {key: other}
+        yield None
+
+
+def mutants(content: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a file with one field changed, also by what another field has."""
+    states = len(content["policy"])
+    level = {"top": ["0x0"] * states, "below": ["0x1"], "group": [0] * states}
+    for key, value in content.items():
+        for other in changes(value):
+            yield content | {key: other}
+        for same in ("g", "h", "w", "low", "high"):
+            if key in ("g", "h", "w", "low", "high") and content.get(same) not in (None, value):
+                yield content | {key: deepcopy(content[same])}
+        if value is None:
+            yield content | {key: level if key in ("g", "h", "w") else [0] * states}
+            yield content | {key: [1] * states}
+
+
+def claims(content: dict[str, Any], mdp: MDP) -> tuple[Any, ...]:
+    """Return what a certificate that was accepted says of the model, and what is true of that."""
+    kind = content["kind"]
+    if kind == "bounds":
+        best = certify(mdp).value
+        low, high = (
+            [Fraction(int(top, 16), int(content[key]["below"][group], 16))
+             for top, group in zip(content[key]["top"], content[key]["group"], strict=True)]
+            for key in ("low", "high")
+        )  # fmt: skip
+        sign = 1 if mdp.sense == "max" else -1
+        true = all(a <= sign * v <= b for a, v, b in zip(low, best, high, strict=True))
+        own = certify(under(mdp, content["policy"])).value
+        true &= all(a <= sign * v for a, v in zip(low, own, strict=True))
+        return true, True
+    asked = {} if kind == "total" else {"criterion": "average"}
+    truth = certify(mdp, **asked)
+    said = loaded(content, mdp)
+    own = certify(under(mdp, content["policy"]), **asked)
+    values = [list(said.value), list(said.bias) if kind == "average" else []]
+    right = [list(truth.value), list(truth.bias) if kind == "average" else []]
+    attained = [list(own.value), list(own.bias) if kind == "average" else []]
+    if content["infinite"] is not None:  # +∞ may be no policy's
+        attained[0] = [a if a == r or abs(r) != float("inf") else r
+                       for a, r in zip(attained[0], right[0], strict=True)]  # fmt: skip
+    return (
+        (values, attained, said.start_value, said.unique, said.model, said.sense),
+        (right, right, truth.start_value, truth.unique, truth.model, truth.sense),
+    )
+
+
+def loaded(content: dict[str, Any], mdp: MDP) -> Certificate:
+    path = Path(FOLDER[0]) / "mutant.json"
+    path.write_text(json.dumps(content), "utf-8")
+    return Certificate.load(path, mdp)
+
+
+FOLDER: list[Path] = []
+
+
+def under(mdp: MDP, policy: list[int]) -> MDP:
+    """Return the model with one pair in each state: that of a policy."""
+    wanted = np.flatnonzero(mdp.pair_action == np.array(policy)[mdp.pair_state])
+    return mdp.with_(
+        table=mdp.table.of_pairs(wanted),
+        pair_state=mdp.pair_state[wanted],
+        pair_action=mdp.pair_action[wanted],
+    )
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_no_change_of_a_certificate_is_accepted_that_makes_it_false(
+    name: str, tmp_path: Path
+) -> None:
+    mdp, _ = MODELS[name]
+    FOLDER[:] = [tmp_path]
+    content, model = file_of(name, tmp_path), checker.Model(model_json.content(mdp))
+    assert not list(checker.Check(model, content).violations())
+    tried = 0
+    for mutant in mutants(content):
+        if mutant == content:
+            continue
+        tried += 1
+        try:
+            wrong = list(checker.Check(model, mutant).violations())
+        except checker.Unreadable:
+            continue
+        if not wrong:
+            said, true = claims(mutant, mdp)
+            assert said == true, {k: v for k, v in mutant.items() if v != content[k]}
+    assert tried > 50
