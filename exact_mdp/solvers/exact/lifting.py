@@ -84,7 +84,8 @@ class Lifting:
         data = (np.concatenate(parts), np.tile(column, count), ends)
         self._limbs = sp.csr_array(data, (count * self.size, self.size))
         shifts = [self.width + self._limb * place for place in range(count)]
-        self._scales = [np.ldexp(1.0, shift - self.bits) for shift in shifts]
+        with np.errstate(over="ignore"):  # infinite beside entries that are far longer: floats fail
+            self._scales = [np.ldexp(1.0, shift - self.bits) for shift in shifts]
 
     def weakest(self) -> tuple[int, int, int] | None:
         """Return a row, a column and what to add there, for which no pivot is as small.

@@ -87,6 +87,14 @@ def test_elimination_in_fractions_agrees(
                     assert gcd(*map(int, found[0]), int(found[1])) == 1
 
 
+@pytest.mark.parametrize("bits", [900, 1100, 1300])
+def test_rows_of_very_different_length(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linear, "FEW", 1)
+    entries = {(0, 0): 2**bits, (0, 1): 1, (1, 0): 1, (1, 1): 1}
+    found = exact_solve(matrix_of(2, entries), [1, -5])
+    assert fractions(found) == eliminated(2, entries, [1, -5])
+
+
 def ring(size: int, pivot: int, weight: int) -> Matrix:
     """pivot x(s) - weight x(s + 1) = b(s), all round."""
     place = np.arange(size)
