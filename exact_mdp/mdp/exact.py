@@ -28,10 +28,13 @@ differs from 1/10.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
+import flint
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +48,9 @@ from exact_mdp.mdp.table import (
     reduced,
     spans,
 )
+
+if TYPE_CHECKING:
+    from flint import fmpq
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -211,3 +217,17 @@ def fingerprint(model: MDP) -> str:
     for column in columns:
         digest.update(("\n" + " ".join(map(hex, column.tolist()))).encode())
     return digest.hexdigest()
+
+
+# ---- exact numbers in Python and in FLINT --------------------------------------------------------
+
+
+def rational(number: Fraction | int) -> fmpq:
+    """Return a number as FLINT's rational."""
+    found: fmpq = flint.fmpq(number.numerator, number.denominator)
+    return found
+
+
+def fraction(number: fmpq) -> Fraction:
+    """Return FLINT's rational as Python's."""
+    return Fraction(int(number.p), int(number.q))

@@ -7,7 +7,8 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields
 from fractions import Fraction
 from math import inf
-from typing import Any, TypeGuard
+from operator import index
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -613,3 +614,33 @@ def _pair_of(table: OutcomeTable, index: int, length: int) -> int:
     if length == table.pairs != len(table.next):
         return index
     return int(np.searchsorted(table.offsets, index, side="right")) - 1
+
+
+# ---- random numbers: always a seed or a generator that the caller gives -------------------------
+
+RNG: TypeAlias = int | np.random.Generator
+
+
+def seed_of(rng: RNG) -> int:
+    """Return the whole number that a run starts from: the given one, or a draw of the generator.
+
+    Anything else raises ModelError; a run never takes its seed from the clock. Runs, draws and
+    workers get streams of their own from this number by `SeedSequence.spawn`, so that results do
+    not depend on the number of workers.
+
+    >>> seed_of(7), seed_of(np.random.default_rng(0)) == seed_of(np.random.default_rng(0))
+    (7, True)
+    """
+    if isinstance(rng, np.random.Generator):
+        return int(rng.integers(2**63))
+    try:
+        seed = index(rng)
+    except TypeError:
+        seed = -1
+    if seed < 0 or isinstance(rng, bool | np.bool_):
+        raise ModelError(
+            f"{rng!r} is not a source of random numbers",
+            where="rng",
+            fix="give a whole number from 0, or numpy.random.default_rng(7)",
+        )
+    return seed

@@ -10,6 +10,7 @@ import numpy as np
 
 from exact_mdp.analysis.cli.options import advice, check_outputs, given, renamed, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, ratio
+from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.errors import ModelError
@@ -17,7 +18,6 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.load import read_model, save
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.records import cut_off, entered, never_taken
 
 NAMED = 1000  # pairs that nobody took, in JSON
 RARE, MOST_RARE = "5", 20  # observations; rows of the table

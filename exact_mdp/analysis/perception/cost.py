@@ -17,9 +17,9 @@ from exact_mdp.mdp.care.perception import LEVEL, Counted
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.solution import Bounded, Estimated
 
 if TYPE_CHECKING:

@@ -35,9 +35,9 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:

@@ -56,10 +56,9 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.parallel import Arrays, How, joined, seeded
 from exact_mdp.solvers.solution import Bounded, Estimated
 

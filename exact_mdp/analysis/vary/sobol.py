@@ -37,10 +37,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.learning.sampler import child
 from exact_mdp.solvers.parallel import How
 

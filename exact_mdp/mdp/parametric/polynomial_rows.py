@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import flint
 
+from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.row_change import (
     Change,
     Entries,
@@ -94,7 +94,7 @@ class PolynomialRows:
 def _polynomials(change: Change) -> list[tuple[int, fmpq_poly]]:
     """Return what is added to each entry that moves, by its key."""
     columns = zip(*change.coefficients, strict=True)
-    moved = [flint.fmpq_poly([rational(0), *map(rational, column)]) for column in columns]
+    moved = [flint.fmpq_poly([flint.fmpq(0), *map(rational, column)]) for column in columns]
     return list(zip(change.key.tolist(), moved, strict=True))
 
 

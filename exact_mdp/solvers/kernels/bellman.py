@@ -17,8 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
 from exact_mdp.mdp.table import Floats, Integers, Numbers
-from exact_mdp.solvers.kernels.compiling import Rows, at, compiled, inlined, span
+from exact_mdp.solvers.kernels.linear import Rows
 
 UNIT = 2.0**-53
 TINY = 2.0**-1000

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from exact_mdp.mdp.forms.compiling import compiled, inlined
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.kernels.compiling import compiled, inlined
 
 COMPLETE, FAIL, SKIP = 0, 1, 2
 

@@ -8,8 +8,8 @@ What is computed, and why the errors bound what they do, is said in
 
 from __future__ import annotations
 
+from exact_mdp.mdp.forms.compiling import at, compiled, span
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.kernels.compiling import at, compiled, span
 
 
 @compiled

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from exact_mdp.mdp.forms.compiling import at, compiled, inlined
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.kernels.compiling import at, compiled, inlined
 from exact_mdp.solvers.kernels.tables import Tables
 
 Q_LEARNING, SARSA, EXPECTED_SARSA, DOUBLE_Q = 0, 1, 2, 3

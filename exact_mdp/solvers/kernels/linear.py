@@ -13,12 +13,22 @@ for linear algebra.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from exact_mdp.mdp.forms.compiling import at, compiled, span
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.kernels.compiling import Rows, at, compiled, span
 
 LEAST = 1e-14  # a cosine that is nothing but rounding
+
+
+class Rows(NamedTuple):
+    """The rows of a sparse matrix: row r has the entries indptr[r] … indptr[r+1]-1."""
+
+    indptr: Numbers
+    indices: Numbers
+    data: Floats
 
 
 @compiled

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from exact_mdp.mdp.forms.compiling import compiled, inlined
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.bounds import sizes
 from exact_mdp.solvers.dynamic import pace
@@ -25,7 +26,6 @@ from exact_mdp.solvers.kernels.bellman import (
     improve,
     settle,
 )
-from exact_mdp.solvers.kernels.compiling import compiled, inlined
 
 TINY = 2.0**-1000
 advanced, goal_of, middle_of = inlined(pace.advanced), inlined(pace.goal), inlined(pace.middle)

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from exact_mdp.mdp.forms.compiling import compiled
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.kernels.compiling import compiled
 
 
 class Tables(NamedTuple):

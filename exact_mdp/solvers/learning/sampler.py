@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.validate import RNG, seed_of
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.kernels import Tables

@@ -36,8 +36,8 @@ import flint
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.numbers import fraction, rational
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, Numbers, exact

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import flint
 
-from exact_mdp.mdp.numbers import fraction, rational
+from exact_mdp.mdp.exact import fraction, rational
 
 if TYPE_CHECKING:
     from flint import fmpq

@@ -21,9 +21,9 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.randomness import RNG, seed_of
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY
 from exact_mdp.solvers.dynamic.stopping import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated

@@ -29,7 +29,7 @@ from exact_mdp.analysis.vary.curves import checker, gap_polynomials, signs
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
 from exact_mdp.analysis.vary.curves.real_roots import roots, sign, simple, variations
 from exact_mdp.analysis.vary.curves.signs import nonnegative, positive
-from exact_mdp.mdp.numbers import rational
+from exact_mdp.mdp.exact import rational
 
 F = Fraction
 SMALL = Scenario.load("tea").with_(tasks=[1], max_trial=2)

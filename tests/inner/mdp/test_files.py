@@ -30,13 +30,13 @@ from exact_mdp import (
     load_uncertainty,
     save,
 )
+from exact_mdp.analysis.gate.data.interval import entered
 from exact_mdp.mdp.care.perception import read as read_perception
 from exact_mdp.mdp.care.perception import read_counts
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.io.files import opened, read_bytes, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model
-from exact_mdp.mdp.records import entered
 from exact_mdp.solvers.parallel import read_piece
 
 MODEL = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2")

@@ -46,7 +46,7 @@ from exact_mdp.solvers.bounds.linear import (
     sweeping,
 )
 from exact_mdp.solvers.kernels import linear as krylov
-from exact_mdp.solvers.kernels.compiling import Rows as Packed
+from exact_mdp.solvers.kernels.linear import Rows as Packed
 
 
 def chains(seed: int, *, lower: int = 9, upper: int = 9, density: float = 0.5) -> sp.csr_array:

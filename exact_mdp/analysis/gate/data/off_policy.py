@@ -36,7 +36,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from exact_mdp.analysis.gate.data.bootstrap import Episodes
-from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, observations_of
+from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, cut_off, observations_of
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.mdp.errors import ModelError
@@ -44,10 +44,8 @@ from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import by_time
-from exact_mdp.mdp.randomness import RNG, seed_of
-from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

@@ -39,7 +39,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.gate.data.interval import RegretInterval, named, observations_of, of_process
+from exact_mdp.analysis.gate.data.interval import (
+    RegretInterval,
+    cut_off,
+    named,
+    observations_of,
+    of_process,
+)
 from exact_mdp.analysis.vary.base_case import digest
 from exact_mdp.analysis.vary.intervals import (
     quantiles,
@@ -52,10 +58,8 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
-from exact_mdp.mdp.randomness import RNG, seed_of
-from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers, exact
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.parallel import Arrays, joined, many, seeded
 from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.solver import solve

@@ -25,6 +25,7 @@ from exact_mdp.analysis.gate.data.bounds import RobustBounds
 from exact_mdp.analysis.gate.data.interval import (
     Ends,
     RegretInterval,
+    cut_off,
     named,
     observations_of,
     of_process,
@@ -34,7 +35,6 @@ from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
-from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.solution import Claim

@@ -45,10 +45,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import special
 
-from exact_mdp.analysis.gate.data.interval import Ends, observations_of, range_of
+from exact_mdp.analysis.gate.data.interval import Ends, cut_off, observations_of, range_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.records import cut_off
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT

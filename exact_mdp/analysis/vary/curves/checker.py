@@ -33,7 +33,7 @@ from exact_mdp.analysis.vary.curves.signs import (
     roots_on,
     vanishes,
 )
-from exact_mdp.mdp.numbers import fraction, rational
+from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, row_change

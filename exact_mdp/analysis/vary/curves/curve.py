@@ -30,8 +30,8 @@ from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, Sweep, below_one, pi
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike

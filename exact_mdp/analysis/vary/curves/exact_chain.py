@@ -18,8 +18,8 @@ import flint
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.polynomial_rows import ratios
 from exact_mdp.mdp.parametric.row_change import reward_entries, transition_entries
 from exact_mdp.mdp.policies.policy import PolicyLike

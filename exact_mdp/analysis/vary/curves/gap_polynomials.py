@@ -27,8 +27,8 @@ import numpy as np
 
 from exact_mdp.analysis.vary.curves.exact_chain import LARGEST
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import RowChange
 from exact_mdp.mdp.table import Integers

@@ -21,7 +21,7 @@ import flint
 
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece
 from exact_mdp.analysis.vary.curves.real_roots import roots, sign, simple
-from exact_mdp.mdp.numbers import rational
+from exact_mdp.mdp.exact import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly

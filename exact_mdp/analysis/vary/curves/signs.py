@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import flint
 
-from exact_mdp.mdp.numbers import rational
+from exact_mdp.mdp.exact import rational
 
 if TYPE_CHECKING:
     from flint import fmpq_poly

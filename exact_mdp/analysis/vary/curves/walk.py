@@ -30,8 +30,8 @@ from exact_mdp.analysis.vary.curves.real_roots import Root, roots, sign, simple,
 from exact_mdp.analysis.vary.ranges import Range
 from exact_mdp.mdp.chain import endless
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.numbers import rational
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
 from exact_mdp.mdp.parametric.row_change import Piece, RowChange, row_change, transition_entries
