@@ -305,7 +305,7 @@ def test_probabilities_say_nothing_of_the_end() -> None:
 def test_action_numbers_that_are_not_whole_are_refused() -> None:
     """0.9 is not action 0."""
     mdp = MDP.from_outcomes([(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])])
-    with pytest.raises(ModelError, match="not whole"):
+    with pytest.raises(ModelError, match="not all numbers of actions"):
         Policy.by(mdp, ("state",), [0.9, 0.0])
     assert Policy.by(mdp, ("state",), [1, 0]).weights(mdp).tolist() == [0.0, 1.0, 1.0]
 

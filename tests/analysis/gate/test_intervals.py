@@ -528,7 +528,7 @@ def test_a_policy_that_is_best_beyond_doubt_passes_without_a_limit() -> None:
         ({"confidence": 0.95, "by": Robust(rewards="all")}, "rewards are 'all'"),
         ({"confidence": 0.95, "by": Robust(rewards="known")}, "two rewards"),
         ({"confidence": 0.95, "by": Posterior(prior=0)}, "the prior"),
-        ({"confidence": 0.95, "by": Posterior(n=1)}, "draws"),
+        ({"confidence": 0.95, "by": Posterior(n=1)}, "the number of draws, n, is 1"),
     ],
 )
 def test_what_cannot_be_is_refused(asked: dict[str, Any], what: str) -> None:

@@ -120,7 +120,7 @@ class OffPolicy:
                 fix="make the model without start=, or audit by robust sets or the posterior",
             )
         doubt, seed = float(1 - confidence), seed_of(self.rng)
-        draws = counted(self.n, "n", 2)
+        draws = counted(self.n, "the number of draws, n,", 2)
         robust = Robust(rewards=self.rewards, returns=self.returns)
         sets = RowSets.of(mdp, doubt / 2, self.rewards)
         bounds = robust.bounds(mdp, sets, chain, horizon)

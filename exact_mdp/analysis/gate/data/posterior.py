@@ -169,7 +169,7 @@ class Posterior:
                 fix="ask for a robust interval, or record what follows",
             )
         prior, seed = _prior(self.prior), seed_of(self.rng)
-        count = counted(self.n, "n", 2)
+        count = counted(self.n, "the number of draws, n,", 2)
         require_draws(count, float(confidence))
         own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)
         model = _Model.of(mdp, own, prior)
