@@ -32,7 +32,6 @@ from exact_mdp.analysis.vary.distributions import Uncertain as Uncertain
 from exact_mdp.analysis.vary.distributions import Uncertainty as Uncertainty
 from exact_mdp.analysis.vary.distributions import load_uncertainty as load_uncertainty
 from exact_mdp.analysis.vary.distributions import uncertainty as uncertainty
-from exact_mdp.analysis.vary.economics import CostEffectiveness as CostEffectiveness
 from exact_mdp.analysis.vary.economics import cost_effectiveness as cost_effectiveness
 from exact_mdp.analysis.vary.one_way import one_way as one_way
 from exact_mdp.analysis.vary.one_way import tornado as tornado
@@ -43,7 +42,6 @@ from exact_mdp.analysis.vary.ranges import load_ranges as load_ranges
 from exact_mdp.analysis.vary.robust import robust as robust
 from exact_mdp.analysis.vary.robust import robust_curve as robust_curve
 from exact_mdp.analysis.vary.sobol import sobol as sobol
-from exact_mdp.analysis.vary.study import Study as Study
 from exact_mdp.analysis.vary.study import study as study
 from exact_mdp.mdp.care.perception import Counted as Counted
 from exact_mdp.mdp.care.perception import counted as counted
