@@ -82,11 +82,11 @@ def substitution(chain: sp.csr_array, discount: float, order: Integers) -> Solve
         if not kernel.falls(chain.indptr, chain.indices, order):
             raise ValueError(NO_FALL)
 
-        from exact_mdp.solvers.kernels import compiling
+        from exact_mdp.solvers.kernels.linear import Rows
 
         def substituted(constant: Floats) -> Floats:
             value = np.empty(len(constant))
-            rows = compiling.Rows(chain.indptr, chain.indices, chain.data)
+            rows = Rows(chain.indptr, chain.indices, chain.data)
             kernel.substitute(rows, float(discount), sequence, constant, value)
             return value
 

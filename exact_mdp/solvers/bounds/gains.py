@@ -223,9 +223,9 @@ def _differences(
         found[:2, first:last] = 0.0
         return
     if mdp.n_transitions >= COMPILED:
-        from exact_mdp.solvers.kernels import compiling
+        from exact_mdp.solvers.kernels.linear import Rows
 
-        rows = compiling.Rows(matrix.indptr, matrix.indices, matrix.data)
+        rows = Rows(matrix.indptr, matrix.indices, matrix.data)
         from exact_mdp.solvers.kernels import bellman
 
         bellman.gains(first, last, mdp.pair_state, rows, value, found[0], found[1])

@@ -425,9 +425,9 @@ def sweeping(
     """
     if chain.nnz >= COMPILED:
         value, room = np.empty((2, len(constant)))
-        from exact_mdp.solvers.kernels import compiling
+        from exact_mdp.solvers.kernels.linear import Rows
 
-        rows = compiling.Rows(chain.indptr, chain.indices, chain.data)
+        rows = Rows(chain.indptr, chain.indices, chain.data)
         limits = (enough, fine, SWEEPS, TRIED, CLOSE)
         from exact_mdp.solvers.kernels import linear as loops
 
@@ -503,9 +503,9 @@ def patiently(chain: sp.csr_array, discount: float, constant: Floats, rtol: floa
 def _rows(chain: sp.csr_array) -> Any:
     """Return the rows of a chain, their columns sorted, as compiled loops take them."""
     chain = chain if chain.has_sorted_indices else chain.sorted_indices()
-    from exact_mdp.solvers.kernels import compiling
+    from exact_mdp.solvers.kernels.linear import Rows
 
-    return compiling.Rows(chain.indptr, chain.indices, chain.data)
+    return Rows(chain.indptr, chain.indices, chain.data)
 
 
 def _bicgstab(

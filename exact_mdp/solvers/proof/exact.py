@@ -285,9 +285,9 @@ class _Solver:
             )
         except OverflowError:
             return None
-        from exact_mdp.solvers.kernels import compiling
+        from exact_mdp.solvers.kernels.linear import Rows
 
-        return compiling.Rows(rows.offsets, rows.next, weight), constant, pivot
+        return Rows(rows.offsets, rows.next, weight), constant, pivot
 
     def _losses(self, choice: _Choice, number: Any, times: int) -> tuple[list[Any], int]:
         """Return what each pair loses against V(s) = number / times, over a scale."""
