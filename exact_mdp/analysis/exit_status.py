@@ -200,8 +200,6 @@ def _outcome(
         asked = f"stopped by {signal.Signals(number).name}"
         return SIGNALS + number, "; ".join([asked, *getattr(error, "__notes__", ())])
     if isinstance(error, click.ClickException):
-        if isinstance(error, click.exceptions.NoArgsIsHelpError):
-            return REFUSED, error.format_message()
         path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
         what, place = error.format_message().removesuffix("."), path or program
         return REFUSED, _message(type(error).__name__, what, place, f"see {place} --help")

@@ -1,4 +1,4 @@
-"""`python -m paper_repro`: reproduce the paper; list its claims, work one out, draw one figure."""
+"""`python -m exact_mdp.paper_repro`: reproduce the paper, list its claims, work one out."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ RUNS = click.option(
 )
 
 
-@click.group(cls=Programs, invoke_without_command=True)
+@click.group(
+    cls=Programs,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.option("--quick", is_flag=True, help="Fewer training runs; ends within two minutes.")
 @click.option(
     "--out",
@@ -93,7 +97,7 @@ def claim(name: str, sets: tuple[str, ...], runs: int) -> None:
 @click.option("--out", type=OUT, default=Path("results/figures"), show_default=True)
 @RUNS
 def figure(name: str, out: Path, runs: int) -> None:
-    """Draw one figure as SVG and PNG, such as trials."""
+    """Draw one figure as SVG and PNG; `list` shows their names after the claims."""
     from exact_mdp.paper_repro import run
 
     for path in run.draw(name, out, runs):
@@ -101,4 +105,4 @@ def figure(name: str, out: Path, runs: int) -> None:
 
 
 if __name__ == "__main__":
-    main(prog_name="python -m paper_repro")
+    main(prog_name="python -m exact_mdp.paper_repro")

@@ -5,7 +5,7 @@ An *input* is what the model was built from; that it agrees shows a faithful tra
 A *finding* is what the paper concludes. The rules:
 
 entries    every number of a table is the same rational number in the model
-plotted    within 5 of a number that the authors read off a plot
+about      within 5 of a number that the text says approximately
 average    the chance that an average of so many experiments is as far from its exact mean, by the
            normal law with the exact standard error, is .0027 (three standard errors) or more
 share      in 95 % or more of the training runs; in fewer, the share is stated and no more
@@ -22,7 +22,7 @@ from fractions import Fraction
 from math import erfc, sqrt
 from typing import TYPE_CHECKING, Any, Literal
 
-from exact_mdp.paper_repro.paper import PLOT
+from exact_mdp.paper_repro.paper import ABOUT
 
 if TYPE_CHECKING:
     from exact_mdp.paper_repro.silent_points import Reading
@@ -178,17 +178,17 @@ def entries(
     return statement(not off, why, **count, details=details)
 
 
-def plotted(paper: float, why: str = "", **number: Any) -> Finding:
-    """Compare a number that was read off a plot.
+def about(paper: float, why: str = "", **number: Any) -> Finding:
+    """Compare a number that the text says approximately.
 
-    >>> plotted(140, **bounded(143.2, 0)).verdict.value
+    >>> about(140, **bounded(143.2, 0)).verdict.value
     'reproduced'
     """
-    near = abs(number["exact"] - paper) <= PLOT
-    told = f"{'within' if near else 'more than'} {PLOT:g} {'of' if near else 'from'} {paper:g}"
+    near = abs(number["exact"] - paper) <= ABOUT
+    told = f"{'within' if near else 'more than'} {ABOUT:g} {'of' if near else 'from'} {paper:g}"
     return statement(
         near,
-        "; ".join(filter(None, [f"{told}, a number read off a plot", why])),
+        "; ".join(filter(None, [f"{told}, which the text says approximately", why])),
         paper=paper,
         **number,
     )
@@ -293,7 +293,7 @@ def entry_of(each: Claim, found: Finding) -> dict[str, Any]:
         "verdict_under_best_supported_reading": None,
         "why": found.why,
         "under_other_readings": None,
-        "rerun": f"python -m paper_repro claim {each.id}",
+        "rerun": f"python -m exact_mdp.paper_repro claim {each.id}",
         "code": each.code,
         **found.details,
     }

@@ -31,7 +31,7 @@ OPEN = ("0001", "0101", "1001", "1101")  # nothing is said of these
 AVERAGES: dict[str, float] = REPORTED["averages"]  # by the action in status 0000
 FINAL = next(iter(AVERAGES))  # that of the paper's final policy
 EXPERIMENTS: int = REPORTED["experiments"]
-PLOT = 5.0  # how far a number that was read off a plot may be off
+ABOUT = 5.0  # how far from a number that the text calls approximate: a tolerance of ours
 ORDERS = {  # of "directive or non-directive, respectively" for 1000 and 0100
     "as written": {"1000": "directive", "0100": "non-directive"},
     "swapped": {"1000": "non-directive", "0100": "directive"},

@@ -127,8 +127,9 @@ def chosen(name: str) -> Claim:
 
 def _named(name: str, known: Mapping[str, Any], what: str) -> Any:
     if name not in known:
-        near = get_close_matches(name, known, n=1, cutoff=0.3) or list(known)
-        raise ModelError(f"unknown {what} {name!r}", where=what, fix=f"such as {near[0]}")
+        near = get_close_matches(name, known, n=1, cutoff=0.6)
+        fix = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(known)}"
+        raise ModelError(f"unknown {what} {name!r}", where=what, fix=fix)
     return known[name]
 
 
@@ -175,7 +176,7 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     found = claim.find(reading)
     lines = {
         "paper": "" if found.paper is None else f"{float(found.paper):g}",
-        "exact": "" if found.exact is None else f"{float(found.exact):.10g} ({found.kind})",
+        "here": "" if found.exact is None else f"{float(found.exact):.10g} ({found.kind})",
         "verdict": found.says,
         "why": found.why,
         "reading": reading.label,
@@ -193,10 +194,11 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
 
 
 def listed() -> str:
-    """Return all claims with their places, one below the other."""
-    return "\n".join(
+    """Return all claims with their places, one below the other, and the names of the figures."""
+    lines = [
         f"{claim.id:42} {', '.join(claim.places):32} {claim.says}" for claim in CLAIMS.values()
-    )
+    ]
+    return "\n".join([*lines, f"figures: {', '.join(FIGURES)}"])
 
 
 def table(results: Mapping[str, Any]) -> str:

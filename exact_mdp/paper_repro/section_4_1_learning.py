@@ -17,9 +17,9 @@ from exact_mdp.paper_repro import drawing
 from exact_mdp.paper_repro.claim import (
     NEARLY_ALL,
     Finding,
+    about,
     claim,
     estimated,
-    plotted,
     share,
     statement,
 )
@@ -51,7 +51,7 @@ def converged(reading: Reading, schedule: str) -> Finding:
         f"{len(tails)} runs; nine runs in ten lie between {low:.1f} and {high:.1f}, the optimum is "
         f"{reading.value('optimal').mean:.1f}"
     )
-    return plotted(REPORTED["converged"], why, **mean_of(tails))
+    return about(REPORTED["converged"], why, **mean_of(tails))
 
 
 def mean_of(values: np.ndarray) -> dict[str, Any]:

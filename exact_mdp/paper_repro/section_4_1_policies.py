@@ -22,13 +22,13 @@ from exact_mdp.paper_repro.claim import (
     CHANCE,
     NEARLY_ALL,
     Finding,
+    about,
     average,
     bounded,
     by_chance,
     certified,
     claim,
     estimated,
-    plotted,
     statement,
     undecided,
 )
@@ -59,7 +59,7 @@ def random_return(reading: Reading) -> Finding:
     """The random strategy reaches an average return of around 70."""
     exact = reading.value("random")
     number = bounded(exact.mean, exact.start.error)
-    return plotted(REPORTED["random"], details={"sd": exact.sd}, **number)
+    return about(REPORTED["random"], details={"sd": exact.sd}, **number)
 
 
 @claim("return.superior", "Section 4.1", open=True)

@@ -57,8 +57,8 @@ def behaviour_fits_status(reading: Reading) -> Finding:
     """Behaviour is realistic and fits the status (cooperative in 0000, withdrawn in 0001)."""
     return undecided(
         "needs the authors' model. The scripted agent fits by construction, which shows nothing "
-        "about a language model; `python -m paper_repro.agents measure` counts for any endpoint "
-        "how often a status can be read back out of the behaviour"
+        "about a language model; `python -m exact_mdp.paper_repro.agents measure` counts for any "
+        "endpoint how often a status can be read back out of the behaviour"
     )
 
 
@@ -66,8 +66,8 @@ def behaviour_fits_status(reading: Reading) -> Finding:
 def four_prompts_alike(reading: Reading) -> Finding:
     """The four prompts of action execution make no marked difference."""
     return undecided(
-        "needs the authors' model. `python -m paper_repro.agents run --variant` takes each of them "
-        "with any endpoint; in the decision model the wording changes nothing"
+        "needs the authors' model. `python -m exact_mdp.paper_repro.agents run --variant` takes "
+        "each of them with any endpoint; in the decision model the wording changes nothing"
     )
 
 

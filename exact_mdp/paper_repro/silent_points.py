@@ -9,7 +9,7 @@ How far the reported returns support a reading r with an order o is the likeliho
 
     L(r, o) = Π_i N(a_i; m_i, v_i / 1000) · N(70; m_random, 5²)
 
-of the three averages a_i and of the random strategy's return, read off a plot; m_i and v_i are the
+of the three averages a_i and of the random strategy's return, of about 70; m_i and v_i are the
 exact mean and variance. Weights are L divided by its sum. In the four statuses of which nothing is
 said the policies are supportive, which is optimal there under the default reading. Tasks and
 discount are varied one at a time only (`one_change`).
@@ -31,7 +31,7 @@ import numpy as np
 from exact_mdp import MDP, Certificate, Policy, Scenario, certify, evaluate, solve
 from exact_mdp.mdp import ScenarioWarning
 from exact_mdp.paper_repro.learner import Learned, learn
-from exact_mdp.paper_repro.paper import ANGRY, AVERAGES, EXPERIMENTS, OPEN, ORDERS, PLOT, REPORTED
+from exact_mdp.paper_repro.paper import ABOUT, ANGRY, AVERAGES, EXPERIMENTS, OPEN, ORDERS, REPORTED
 
 POINTS: dict[str, dict[str, str]] = {  # the default first
     "influence_orientation": {
@@ -182,7 +182,7 @@ def one_change(base: Reading) -> list[Reading]:
 def log_likelihood(reading: Reading, order: str) -> float:
     """Return the logarithm of the likelihood of the reported returns, up to a constant."""
     random = reading.value("random").mean
-    total = -0.5 * ((random - REPORTED["random"]) / PLOT) ** 2
+    total = -0.5 * ((random - REPORTED["random"]) / ABOUT) ** 2
     for start, average in AVERAGES.items():
         exact = reading.value(start, order)
         variance = exact.sd**2 / EXPERIMENTS

@@ -105,7 +105,9 @@ def test_figures_of_learning_are_drawn(tmp_path: Path) -> None:
 
 
 def test_claims_are_listed_with_their_places() -> None:
-    lines = cli("list").stdout.splitlines()
+    *lines, figures = cli("list").stdout.splitlines()
+    assert figures.startswith("figures: ")
+    assert "trials" in figures
     assert len(lines) == len(CLAIMS)
     for line, claim in zip(lines, CLAIMS.values(), strict=True):
         assert line.startswith(claim.id)

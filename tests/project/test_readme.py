@@ -22,7 +22,7 @@ PAGES = [
     *sorted((DOCS / "how-to").glob("*.md")),
     DOCS / "reference" / "commands.md",
 ]
-PROGRAMS = ("exact-mdp ", "python -m paper_repro.agents ")
+PROGRAMS = ("exact-mdp ", "python -m exact_mdp.paper_repro.agents ")
 # Records have a test of their own, test_interval_command; the others need Storm or a model.
 ELSEWHERE = ("records.csv", "model.prism", "--backend ")
 WORDS = 900

@@ -20,7 +20,7 @@ from click.shell_completion import shell_complete
 from exact_mdp.analysis import github
 from exact_mdp.analysis.cli import commands
 from exact_mdp.analysis.cli.commands import GROUPS, HELP
-from exact_mdp.analysis.exit_status import Told, leave, run
+from exact_mdp.analysis.exit_status import REFUSED, Told, leave, run, say
 
 PROGRAM = "exact-mdp"
 COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell's line that completes words
@@ -61,7 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if asked := os.environ.get(COMPLETE):
         return shell_complete(cli, {}, PROGRAM, COMPLETE, asked)
-    status = run(cli, PROGRAM, words, told=_reporting(words))
+    if words:
+        status = run(cli, PROGRAM, words, told=_reporting(words))
+    else:  # a job whose command came out empty has no verdict, so this is no success
+        say(cli.get_help(click.Context(cli, info_name=PROGRAM)))
+        status = REFUSED
     if arguments is None:
         leave(status)
     return status

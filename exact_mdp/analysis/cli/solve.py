@@ -87,7 +87,7 @@ def solve(
         "start_value": found.start_value,
         "error_bound": found.error_bound,
         "exact_start_value": proof.start_value if proof else None,
-        "unique": proof.unique if isinstance(proof, Certificate) else None,
+        "unique": proof.unique if isinstance(proof, Certificate) and not average else None,
         "stationary": None,
         "regret_bound": solution.regret_bound if solution and not proof else 0.0,
         "iterations": solution.iterations if solution else None,

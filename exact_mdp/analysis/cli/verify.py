@@ -57,8 +57,8 @@ def verify(*, certificate: str, **shared: Any) -> Report:
         result |= {"start_value": start.value, "error_bound": start.error}
         facts["start value"] = start if isinstance(proof, BoundedCertificate) else proof.start
         if isinstance(proof, Certificate):
-            result |= {"exact_start_value": proof.start_value, "unique": proof.unique}
-            result |= {"criterion": "average"} if kind == "average" else {}
+            result["exact_start_value"] = proof.start_value
+            result |= {"criterion": "average"} if kind == "average" else {"unique": proof.unique}
     table = Table(
         title="violations",
         rows=[{"what": violation} for violation in violations],

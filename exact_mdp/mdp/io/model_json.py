@@ -197,7 +197,7 @@ def _model(data: dict[str, Any]) -> MDP:
             for name, each in _dict(data.get("labels", {}), "labels").items()
         },
         goal=None if goal is None else _flags(goal, states, "goal"),
-        unreached={"inf": inf, "-inf": -inf}.get(data.get("unreached", "inf"), 0.0),
+        unreached=_unreached(data.get("unreached", "inf")),
     )
 
 
@@ -222,6 +222,11 @@ def _row(given: object, number: int) -> tuple[Any, ...]:
     if isinstance(reward, list):
         reward = [reward[i] for i in order]
     head = [_whole(pair[key], f"{where}, {key}") for key in ("state", "action", "denominator")]
+    for key, number in zip(
+        ("state", "action", "next"), [*head[:2], following[order[-1]]], strict=True
+    ):
+        if not 0 <= number < 2**62:
+            raise _wrong(number, f"{where}, {key}", "a number from 0 up, of at most 62 bits")
     return *head[:2], reward, head[2], [following[i] for i in order], [weight[i] for i in order]
 
 
@@ -259,6 +264,13 @@ def _whole(given: object, where: str) -> int:
     if number.denominator != 1:
         raise _wrong(given, where, "an integer")
     return number.numerator
+
+
+def _unreached(given: object) -> float:
+    known = {"inf": inf, "-inf": -inf, "0.0": 0.0}
+    if not isinstance(given, str) or given not in known:
+        raise _wrong(given, "unreached", '"inf" or "-inf"')
+    return known[given]
 
 
 def _of_type(kind: type, what: str) -> Callable[[object, str], Any]:

@@ -1,4 +1,4 @@
-"""`python -m paper_repro.agents`: its commands."""
+"""`python -m exact_mdp.paper_repro.agents`: its commands."""
 
 from __future__ import annotations
 
@@ -187,4 +187,4 @@ def measure(
 
 
 if __name__ == "__main__":
-    main(prog_name="python -m paper_repro.agents")
+    main(prog_name="python -m exact_mdp.paper_repro.agents")

@@ -66,7 +66,7 @@ def integers(given: Any, what: str, length: int | None = None) -> list[int]:
 
 def headed(given: Any, kind: str) -> None:
     """Raise Unreadable unless content is of a kind and of version 2."""
-    head = [given.get(key) for key in ("format", "version")] if type(given) is dict else given
+    head = [given.get(key) for key in ("format", "version")] if type(given) is dict else None
     wanted(head == [f"exact-mdp {kind}", 2], f"no {kind}: format and version are {str(head)[:80]}")
 
 
@@ -300,13 +300,12 @@ class Check:
 
     def at_start(self) -> Fraction | float:
         """Return the value of the start; of discounted values, their limit at discount 1."""
-        start, sign_of = self.model.start, self.infinite or [0] * self.model.states
-        if signs := {sign_of[s] for s, _ in start} - {0}:
-            return sum(inf * sign for sign in signs)
-        mean, value = (sum(p * x.number(s) for s, p in start) for x in (self.g, self.h))
-        if self.kind == "average" or not mean:
-            return Fraction(mean if self.kind == "average" else value)
-        return inf if mean > 0 else -inf
+        start, level = self.model.start, self.g if self.kind == "average" else self.h
+        gains = [0 if level is self.g else self.g.number(s) for s, _ in start]
+        signs = [self.infinite[s] for s, _ in start] if self.infinite else gains
+        if any(signs):  # of both signs: no value, which equals nothing that is claimed
+            return sum(inf if sign > 0 else -inf for sign in {*signs} - {0})
+        return Fraction(sum(p * level.number(s) for s, p in start))
 
     def one_optimum(self) -> bool:
         """Return whether states that optimal pairs reach from the start have one each, or end."""
@@ -337,7 +336,7 @@ def main(words: Sequence[str] | None = None, load: Callable[[str], Any] = read) 
     """Check a certificate file against a model file, and say what does not hold."""
     asked = sys.argv[1:] if words is None else words
     try:
-        wanted(len(asked) == 2, "give two files: MODEL CERTIFICATE")
+        wanted(len(asked) == 2, "give two files: model.json certificate.json")
         wrong = violations(load(asked[0]), read(asked[1]))
     except (ValueError, OSError, RecursionError) as error:
         print(f"not checked: {error}", file=sys.stderr)

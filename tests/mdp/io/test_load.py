@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,3 +158,28 @@ def test_convert_keeps_labels_and_refuses_other_endings(tmp_path: Path) -> None:
     assert found[2]["labels"] == {"half way": 2, "goal": 1}
     failed = run("convert", tmp_path / "a.npz", tmp_path / "m.drn")
     assert (failed.status, failed.out) == (2, "")
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ({"unreached": []}, "unreached"),
+        ({"unreached": "never"}, "unreached"),
+        ({"goal": 1}, "goal"),
+        ({"state": 10**400}, "state"),
+        ({"action": 10**400}, "action"),
+        ({"next": [10**400]}, "next"),
+    ],
+    ids=str,
+)
+def test_a_damaged_model_file_names_the_place(
+    change: dict[str, Any], place: str, tmp_path: Path
+) -> None:
+    MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2").save(tmp_path / "m.json")
+    content = json.loads((tmp_path / "m.json").read_text("utf-8"))
+    inner = content["pairs"][0] if place in content["pairs"][0] else content
+    inner.update(change)
+    (tmp_path / "m.json").write_text(json.dumps(content), "utf-8")
+    done = run("solve", tmp_path / "m.json")
+    assert (done.status, done.out) == (2, "")
+    assert place in done.err

@@ -1,6 +1,7 @@
 """Certificates saved and read: nothing is lost, and no file does worse than raise ModelError."""
 
 import json
+import subprocess
 import sys
 from fractions import Fraction as F
 from pathlib import Path
@@ -13,7 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from strategies import model_of
 
-from exact_mdp import BoundedCertificate, Certificate, ModelError, certify, fingerprint
+import exact_mdp
+from exact_mdp import MDP, BoundedCertificate, Certificate, ModelError, certify, fingerprint
 
 NAMES = ["acyclic", "cycle", "waiting"]
 
@@ -191,3 +193,40 @@ def test_mutated_files_are_read_or_refused(
     else:
         for low, exactly, high in zip(read.lower, value, read.upper, strict=True):
             assert F(float(low)) <= exactly <= F(float(high))
+
+
+CHECKER = Path(exact_mdp.__file__).parent / "solvers" / "exact" / "checker.py"
+
+
+def alone(model: Path, certificate: Path) -> tuple[int, str]:
+    """Run the checker without the package; return its status and what it says."""
+    words = [sys.executable, "-I", str(CHECKER), str(model), str(certificate)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_start_that_mixes_both_infinities_has_no_value(tmp_path: Path) -> None:
+    """The proof of one start is none of the other, whatever start value is written into it."""
+    rows = [(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, -1)])]
+    one = MDP.from_outcomes(rows)
+    both = one.with_(start={0: "1/2", 1: "1/2"})
+    with pytest.raises(ModelError, match="from one state of the start"):
+        certify(both)
+    one.save(tmp_path / "one.json")
+    both.save(tmp_path / "both.json")
+    certify(one).save(tmp_path / "proof.json")
+    assert alone(tmp_path / "one.json", tmp_path / "proof.json") == (0, "holds\n")
+    proof = json.loads((tmp_path / "proof.json").read_text("utf-8"))
+    for value in ("0x0/0x1", "inf", "-inf"):
+        forged = proof | {"model": fingerprint(both), "start_value": value}
+        (tmp_path / "forged.json").write_text(json.dumps(forged), "utf-8")
+        status, said = alone(tmp_path / "both.json", tmp_path / "forged.json")
+        assert (status, "start value" in said) == (1, True)
+
+
+def test_files_that_are_none_are_not_checked(tmp_path: Path) -> None:
+    MDP.from_outcomes([(0, 0, [(1, 0, 0)])]).save(tmp_path / "model.json")
+    for content in ('["exact-mdp certificate", 2]', "[]", "1", "{}", "no JSON"):
+        (tmp_path / "proof.json").write_text(content, "utf-8")
+        status, said = alone(tmp_path / "model.json", tmp_path / "proof.json")
+        assert (status, said.startswith("not checked: ")) == (2, True)
