@@ -27,7 +27,7 @@ help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 setup: $(VENV)/.installed ## make .venv with the locked packages and the project itself
 reproduce: ## reproduce the paper's results (OUT=results; ARGS=--quick: a first look)
-	$(PY) -m paper_repro --out $(OUT) $(if $(findstring --quick,$(ARGS)),,--readme paper_repro) $(ARGS)
+	$(PY) -m exact_mdp.paper_repro --out $(OUT) $(if $(findstring --quick,$(ARGS)),,--readme exact_mdp/paper_repro) $(ARGS)
 notebooks: ## open the notebooks in JupyterLab
 	env -u MPLBACKEND $(VENV)/bin/jupyter lab notebooks --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate
 outputs: ## run the notebooks and write their outputs into them

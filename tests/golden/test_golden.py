@@ -132,7 +132,7 @@ def test_pinned_claims_are_what_the_commands_answer(tmp_path: Path) -> None:
         found: dict[str, Any] = json.loads(run(line, tmp_path).out)
         return found
 
-    results = json.loads((ROOT / "paper_repro" / "results.json").read_text("utf-8"))
+    results = json.loads((ROOT / "exact_mdp" / "paper_repro" / "results.json").read_text("utf-8"))
     entries = {each["name"]: each.get("entries", {}) for each in results["claims"]}
     claimed = entries["table3"] | {f"reward.{k}": v for k, v in entries["table4"].items()}
     tables = asked("info yuan2025")["parameters"]
@@ -151,7 +151,9 @@ def test_pinned_claims_are_what_the_commands_answer(tmp_path: Path) -> None:
 @pytest.mark.timeout(1800)
 def test_the_quick_reproduction_gives_the_pinned_numbers(tmp_path: Path) -> None:
     subprocess.run(
-        [sys.executable, "-m", "paper_repro", "--quick", "--out", tmp_path], cwd=ROOT, check=True
+        [sys.executable, "-m", "exact_mdp.paper_repro", "--quick", "--out", tmp_path],
+        cwd=ROOT,
+        check=True,
     )
     found = json.loads((tmp_path / "numbers.json").read_text("utf-8"))
     pinned = json.loads((FOLDER / "numbers.json").read_text("utf-8"))
