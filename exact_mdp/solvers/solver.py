@@ -28,6 +28,7 @@ from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 from exact_mdp.solvers.endless.total import solve_total
 from exact_mdp.solvers.objectives import constrained
 from exact_mdp.solvers.solution import Solution, Status, warn_of_precision
+from exact_mdp.solvers.ties import settled
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
@@ -191,9 +192,9 @@ def solve(
         return solve_total(mdp, partial(solve, solver=solver, tol=tol))
     if solver == "auto":
         if numbered_in_order(mdp) or levels(mdp) is not None:
-            return _within(BackwardInduction().solve(mdp), tol)
-        return ModifiedPolicyIteration(tol=tol, start=start).solve(mdp)
-    return _with_settings(_named(solver), tol=tol, start=start).solve(mdp)
+            return settled(_within(BackwardInduction().solve(mdp), tol))
+        return settled(ModifiedPolicyIteration(tol=tol, start=start).solve(mdp))
+    return settled(_with_settings(_named(solver), tol=tol, start=start).solve(mdp))
 
 
 def _check_horizon(horizon: object, terminal_value: object, start: object) -> None:
