@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.chain import is_acyclic, reachable
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.graph import is_acyclic, reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.dynamic.stopping import Solver

@@ -12,8 +12,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import endless, numbered_in_order
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.graph import endless, numbered_in_order
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import AverageSolution, solve_average
 from exact_mdp.solvers.bounds.bounds import levels

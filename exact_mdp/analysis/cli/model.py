@@ -12,9 +12,9 @@ from exact_mdp.analysis.cli.options import advice, check_outputs, given, renamed
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken
 from exact_mdp.analysis.pages.page import ADVICE
-from exact_mdp.mdp.chain import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.load import read_model, save
 from exact_mdp.mdp.model import MDP

@@ -20,8 +20,8 @@ from exact_mdp.analysis.cli.options import (
 from exact_mdp.analysis.cli.render import Report, Table, ratio
 from exact_mdp.analysis.optimum import Contradiction, Optimum, optimum
 from exact_mdp.analysis.record import run_record, write_record
-from exact_mdp.mdp.chain import endless, ways_out
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import endless, ways_out
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.load import Loaded
 from exact_mdp.mdp.model import MDP

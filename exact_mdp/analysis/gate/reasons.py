@@ -28,7 +28,7 @@ import numpy as np
 from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
 from exact_mdp.analysis.gate.regret import Regret, regret
 from exact_mdp.analysis.gate.relaxation import Relaxations, Rows, one_hot
-from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import by_time, rows_read
 from exact_mdp.mdp.policies.policy import Policy

@@ -37,8 +37,8 @@ import numpy as np
 from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
 from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, ties
 from exact_mdp.analysis.gate.waiting import to_blame
-from exact_mdp.mdp.chain import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats

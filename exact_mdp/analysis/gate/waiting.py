@@ -23,8 +23,8 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import closure, endless, strong_components
 from exact_mdp.mdp.exact import bellman_rows
+from exact_mdp.mdp.graph import closure, endless, strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags

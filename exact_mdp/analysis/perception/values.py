@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from exact_mdp.mdp.care.perception import by_place, status_size
-from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers, spans

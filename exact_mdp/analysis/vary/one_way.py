@@ -25,8 +25,8 @@ from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.ranges import Range, range_of, ranges_of, unit_of
 from exact_mdp.analysis.vary.study import Study, solver_of, study
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.chain import termination
 from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_worth
-from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured, Result

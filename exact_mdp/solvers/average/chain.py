@@ -28,8 +28,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.chain import strong_components
 from exact_mdp.mdp.exact import BellmanRows
+from exact_mdp.mdp.graph import strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of

@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
-from exact_mdp.mdp.chain import require_termination, topological_levels
+from exact_mdp.mdp.graph import require_termination, topological_levels
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import (

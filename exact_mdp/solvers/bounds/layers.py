@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp import chain
+from exact_mdp.mdp import graph as graphs
 from exact_mdp.mdp.table import Integers, Numbers, spans
 
 FIRST = 16  # layers that may be narrow
@@ -24,7 +24,7 @@ def strong_components(source: Numbers, target: Numbers, count: int) -> Integers:
     [0, 1, 1]
     """
     graph = sp.csr_array((np.ones(len(source)), (source, target)), (count, count))
-    return chain.strong_components(graph)
+    return graphs.strong_components(graph)
 
 
 def layers(source: Numbers, target: Numbers, label: Integers, *, least: int = 0) -> Integers | None:

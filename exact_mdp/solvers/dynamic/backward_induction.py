@@ -30,8 +30,8 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.chain import numbered_in_order, runs_in_order
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import numbered_in_order, runs_in_order
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.bounds import bounds, ladder, levels

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exact_mdp.mdp.chain import termination
+from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import gains, greedy

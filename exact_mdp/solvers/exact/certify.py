@@ -18,9 +18,9 @@ from typing import Literal, overload
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import endless, termination, where_endless
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.graph import endless, termination, where_endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights

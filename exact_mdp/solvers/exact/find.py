@@ -27,9 +27,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from exact_mdp.mdp.chain import closure, reachable, ways_out
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
+from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, integers, spans
 from exact_mdp.solvers.average.chain import ExactAverages

@@ -25,9 +25,9 @@ import flint
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import components_in_order
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import row_sums
+from exact_mdp.mdp.graph import components_in_order
 from exact_mdp.mdp.table import Integers, Numbers, integers, spans
 from exact_mdp.solvers.exact.lifting import Lifting
 

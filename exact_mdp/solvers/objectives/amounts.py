@@ -15,7 +15,7 @@ The total of an objective under a policy π solves, with integers over the scale
     scale(s) · V(s) = amount(l) + Σ_i weight(i) · V(next(i)),   l the pair that π takes in s.
 
 An end stays put; there no reward, no component and no event is counted. A total at discount 1 is
-finite under every policy if every policy ends (`mdp.chain`), where a state ends that stays put and
+finite under every policy if every policy ends (`mdp.graph`), where a state ends that stays put and
 in which no objective earns. A run that ends beside the goal of a model has no finite total.
 """
 
@@ -30,9 +30,9 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import SHOWN, Mask, components, reachable, termination, ways_out
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
+from exact_mdp.mdp.graph import SHOWN, Mask, components, reachable, termination, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact, integers, multiply, ones, spans
 from exact_mdp.solvers.proof.stages import Kind, stages

@@ -20,8 +20,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
-from exact_mdp.mdp.chain import termination
 from exact_mdp.mdp.exact import rational
+from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.exact.linear import Matrix, exact_solve
 from exact_mdp.solvers.objectives.amounts import Objectives

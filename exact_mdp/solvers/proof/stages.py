@@ -18,8 +18,8 @@ from itertools import pairwise
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import components_in_order
 from exact_mdp.mdp.exact import BellmanRows
+from exact_mdp.mdp.graph import components_in_order
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.solvers.bounds.layers import layers
 

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal, overload
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import ways_out
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured

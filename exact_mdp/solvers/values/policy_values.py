@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.bounds.bounds import levels

@@ -15,9 +15,9 @@ from math import inf
 
 import numpy as np
 
-from exact_mdp.mdp.chain import closure, strong_components, ways_out
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import closure, strong_components, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.average.evaluate import evaluated

@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.chain import closure
+from exact_mdp.mdp.graph import closure
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import UNIT, gamma

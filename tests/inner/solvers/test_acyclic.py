@@ -15,7 +15,7 @@ from strategies import Rows, models
 from exact_mdp import MDP, READINGS, ModelError, Scenario, solve
 from exact_mdp.mdp.care import compile as blocks
 from exact_mdp.mdp.care.compile import check_explicit, size
-from exact_mdp.mdp.chain import numbered_in_order, runs_in_order, topological_levels
+from exact_mdp.mdp.graph import numbered_in_order, runs_in_order, topological_levels
 from exact_mdp.mdp.table import OutcomeTable
 from exact_mdp.mdp.validate import check_model
 from exact_mdp.solvers.dynamic import backward_induction as layered

@@ -24,7 +24,7 @@ from exact_mdp import (
     evaluate,
     solve,
 )
-from exact_mdp.mdp.chain import topological_levels
+from exact_mdp.mdp.graph import topological_levels
 from exact_mdp.solvers.bounds import elimination, linear
 from exact_mdp.solvers.bounds.elimination import (
     TooLarge,

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.vary.curves.exact_chain import ExactChain
-from exact_mdp.mdp.chain import reachable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fraction, rational
+from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.row_change import RowChange
 from exact_mdp.mdp.policies.policy import PolicyLike

@@ -24,7 +24,7 @@ from exact_mdp.analysis.vary.base_case import maximised, unending
 from exact_mdp.analysis.vary.curves.derivatives import BoundedPass, Checked, ExactPass
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import endless, is_acyclic
+from exact_mdp.mdp.graph import endless, is_acyclic
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric

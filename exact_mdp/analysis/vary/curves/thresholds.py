@@ -21,7 +21,7 @@ from exact_mdp.analysis.vary.curves.curve import ValueFunction, curve
 from exact_mdp.analysis.vary.curves.walk import Mask
 from exact_mdp.analysis.vary.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.chain import reachable
+from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric

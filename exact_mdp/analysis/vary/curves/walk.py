@@ -28,9 +28,9 @@ from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, Rational
 from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Rows, Values
 from exact_mdp.analysis.vary.curves.real_roots import Root, roots, sign, simple, variations
 from exact_mdp.analysis.vary.ranges import Range
-from exact_mdp.mdp.chain import endless
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
+from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric
 from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows

@@ -17,7 +17,7 @@ All work is linear in the number of transitions.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,12 +27,10 @@ from scipy.sparse import csgraph
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import COMPILED, Integers, Numbers, spans
+from exact_mdp.mdp.table import COMPILED, Integers, Numbers
 
 Mask = NDArray[np.bool_]
 SHOWN = 4
-# Rounds by arrays; then states go one by one, if fewer than that joined in each.
-FIRST, NARROW = 8, 64
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,94 +80,34 @@ def components(mdp: MDP) -> tuple[int, Integers]:
 def strong_components(graph: sp.csr_array) -> Integers:
     """Return the component (K,) of each node of a graph (K, K), numbered by their first nodes.
 
-    So numbers are the same whatever is loaded, and whatever release of SciPy.
+    So numbers are the same with every release of SciPy.
     """
-    found = components_in_order(graph)
-    node, first = np.arange(len(found)), np.empty(int(found.max(initial=-1)) + 1, dtype=np.int64)
-    first[found[::-1]] = node[::-1]
-    return (np.cumsum(first[found] == node) - 1)[first[found]]
+    label = components_in_order(graph)
+    node, first = np.arange(len(label)), np.empty(int(label.max(initial=-1)) + 1, dtype=np.int64)
+    first[label[::-1]] = node[::-1]
+    return (np.cumsum(first[label] == node) - 1)[first[label]]
 
 
 def components_in_order(graph: sp.csr_array) -> Integers:
-    """Return the component (K,) of each node of a graph (K, K); no edge leads to a higher one.
-
-    By Tarjan's depth-first search (SIAM J. Comput. 1, 1972). SciPy's graphs take 0.2 s to load:
-    those are for large ones. Where the first node reaches all others, and all others it, there is
-    nothing to search.
-    """
-    if _large(graph):
-        # From 1.18 on SciPy reads memory as it lies, and a model's columns may be a strided view.
-        columns, rows = map(np.ascontiguousarray, (graph.indices, graph.indptr))
-        packed = sp.csr_array((graph.data, columns, rows), graph.shape)
-        _, found = csgraph.connected_components(packed, directed=True, connection="strong")
-        if (np.repeat(found, np.diff(graph.indptr)) < found[graph.indices]).any():
-            raise RuntimeError("strongly connected components are not numbered from the last one")
-        return np.asarray(found, dtype=np.int64)
-    begin = np.arange(graph.shape[0]) == 0
-    if closure(graph, begin).all() and closure(graph.T.tocsr(), begin).all():
-        return np.zeros(graph.shape[0], dtype=np.int64)
-    first, left, after = graph.indptr.tolist(), graph.indptr[1:].tolist(), graph.indices.tolist()
-    nodes, entered, parts = graph.shape[0], 0, 0
-    order, low, part = [0] * nodes, [0] * nodes, [-1] * nodes
-    waiting, path = list[int](), list[int]()
-    for root in range(nodes):
-        node = root
-        while part[node] < 0:
-            if not order[node]:
-                entered += 1
-                order[node] = low[node] = entered
-                waiting.append(node)
-                path.append(node)
-            if left[node] > first[node]:
-                left[node] -= 1
-                other = after[left[node]]
-                if not order[other]:
-                    node = other
-                elif part[other] < 0:
-                    low[node] = min(low[node], order[other])
-                continue
-            path.pop()
-            if low[node] == order[node]:
-                while part[node] < 0:
-                    part[waiting.pop()] = parts
-                parts += 1
-            if path:
-                low[path[-1]] = min(low[path[-1]], low[node])
-                node = path[-1]
-    return np.array(part, dtype=np.int64)
+    """Return the component (K,) of each node of a graph (K, K); no edge leads to a higher one."""
+    # From 1.18 on SciPy reads memory as it lies, and a model's columns may be a strided view.
+    columns, rows = map(np.ascontiguousarray, (graph.indices, graph.indptr))
+    packed = sp.csr_array((graph.data, columns, rows), graph.shape)
+    _, label = csgraph.connected_components(packed, directed=True, connection="strong")
+    if (np.repeat(label, np.diff(graph.indptr)) < label[graph.indices]).any():
+        raise RuntimeError("strongly connected components are not numbered from the last one")
+    return np.asarray(label, dtype=np.int64)
 
 
 def closure(graph: sp.csr_array, first: Mask) -> Mask:
     """Return (K,) True for nodes that can be reached from `first` (K,) along a graph's rows."""
-    seen, found = first.copy(), np.flatnonzero(first)
-    if _large(graph):
-        # One more node leads to all the first ones, so that a single search serves.
-        indices, size = np.concatenate([graph.indices, found]), len(first) + 1
-        offsets = np.append(graph.indptr, len(indices))
-        more = sp.csr_array((np.ones(len(indices)), indices, offsets), (size, size))
-        seen[csgraph.breadth_first_order(more, size - 1, return_predecessors=False)[1:]] = True
-        return seen
-    # Most searches are over after some rounds of many nodes; where they are narrow, one by one.
-    for _ in range(FIRST):
-        fresh = np.zeros_like(seen)
-        fresh[graph.indices[spans(graph.indptr[found], graph.indptr[found + 1])]] = True
-        found = np.flatnonzero(fresh & ~seen)
-        seen[found] = True
-        if not len(found):
-            return seen
-    offsets, following, known = graph.indptr.tolist(), graph.indices.tolist(), seen.tolist()
-    waiting = found.tolist()
-    for node in waiting:
-        for other in following[offsets[node] : offsets[node + 1]]:
-            if not known[other]:
-                known[other] = True
-                waiting.append(other)
-    return np.array(known)
-
-
-def _large(graph: sp.csr_array) -> bool:
-    """Return whether SciPy's graphs pay: all that is slow to load of them is linear algebra."""
-    return bool(graph.nnz + graph.shape[0] >= COMPILED)
+    # One more node leads to all the first ones, so that a single search serves.
+    indices, size = np.concatenate([graph.indices, np.flatnonzero(first)]), len(first) + 1
+    offsets = np.append(graph.indptr, len(indices))
+    more = sp.csr_array((np.ones(len(indices)), indices, offsets), (size, size))
+    reached = np.zeros(size, dtype=bool)
+    reached[csgraph.breadth_first_order(more, size - 1, return_predecessors=False)] = True
+    return reached[:-1]
 
 
 def numbered_in_order(mdp: MDP) -> bool:
@@ -193,27 +131,19 @@ def topological_levels(mdp: MDP) -> Integers | None:
 
     Terminal states have level 0; every other transition leads to a strictly smaller level.
     """
-    if not mdp.terminal.any():
-        return None
-    if numbered_in_order(mdp):
-        return _levels_in_order(mdp)
     offsets, successors = _successors(mdp)
     # Without cycles, some state leads to terminal states alone; most other models show at once
-    # that they have none, before anything is turned round.
+    # that they have none.
     last = np.logical_and.reduceat(mdp.terminal[successors], offsets[:-1]) & ~mdp.terminal
     if not last.any() and not mdp.terminal.all():
         return None
-    waiting = np.diff(offsets)
-    waiting[mdp.terminal] = 0
-    before, predecessors = _reverse(offsets, successors, mdp.n_states)
-    level = np.where(mdp.terminal, 0, -1)
-    frontier, reached = np.flatnonzero(mdp.terminal), 0
-    while len(frontier):
-        into = predecessors[spans(before[frontier], before[frontier + 1])]
-        into, count = np.unique(into[level[into] < 0], return_counts=True)
-        waiting[into] -= count
-        frontier, reached = into[waiting[into] == 0], reached + 1
-        level[frontier] = reached
+    ones, shape = np.ones(len(successors), dtype=np.int8), (mdp.n_states, mdp.n_states)
+    edges = sp.csr_array((ones, successors, offsets), shape, copy=True)
+    edges.sum_duplicates()
+    steps, each = np.diff(edges.indptr), np.arange(len(edges.indices) + 1)
+    owner = np.repeat(np.arange(mdp.n_states), steps)
+    backward = Backward.of(each, edges.indices, owner, mdp.n_states)
+    level, _ = backward.rounds(mdp.terminal, ~mdp.terminal[owner], steps)
     return None if (level < 0).any() else level
 
 
@@ -267,50 +197,22 @@ class Backward:
         """Turn pairs round, from the offsets (L+1,) of what follows each."""
         return cls(*_reverse(offsets, following, states), owner)
 
-    @cached_property
-    def _listed(self) -> list[Any]:
-        return [self.before.tolist(), self.into.tolist(), self.owner.tolist()]
-
     def rounds(self, first: Mask, pairs: Mask, waiting: Integers) -> tuple[Integers, Mask]:
         """Return (S,) the round in which each joins the `first` ones, or -1; and (L,) pairs left.
 
         It joins once `waiting` (S,) of its `pairs` (L,) may lead to those before; these are no
-        longer left. Compiled loops do that where there are many pairs; otherwise arrays as long as
-        many states join in a round, then lists.
+        longer left.
         """
         rank, left, waiting = np.where(first, 0, -1), pairs.copy(), waiting.copy()
-        frontier, reached, joined = np.flatnonzero(first), 0, 0
-        place = np.empty(max(len(rank), len(left)), dtype=np.int64)
-        while 0 < len(frontier) < len(rank):
-            narrow = reached % FIRST == FIRST - 1 and joined < FIRST * NARROW
-            large = len(self.into) >= COMPILED
-            if narrow or large:
-                queue = np.empty_like(rank)
-                queue[: len(frontier)] = frontier
-                parts = (left, waiting, rank, queue)
-                if large:
-                    _compiled()(self.before, self.into, self.owner, *parts, len(frontier))
-                    return rank, left
-                lists = [*self._listed, *(part.tolist() for part in parts), len(frontier)]
-                join(*lists)
-                return np.array(lists[5]), np.array(lists[3])
-            joined *= reached % FIRST > 0
-            into = self.into[spans(self.before[frontier], self.before[frontier + 1])]
-            into = _once(into[left[into]], place)
-            left[into] = False
-            states, reached = self.owner[into], reached + 1
-            np.subtract.at(waiting, states, 1)
-            frontier = _once(states[(waiting[states] <= 0) & (rank[states] < 0)], place)
-            rank[frontier] = reached
-            joined += len(frontier)
-        return rank, left
-
-
-def _once(numbers: Numbers, place: Integers) -> Any:
-    """Return the numbers, each once; `place` has room for what was found of each number."""
-    order = np.arange(len(numbers))
-    place[numbers] = order
-    return numbers[place[numbers] == order]
+        queue, start = np.empty_like(rank), np.flatnonzero(first)
+        queue[: len(start)] = start
+        parts = (self.before, self.into, self.owner, left, waiting, rank, queue)
+        if len(self.into) >= COMPILED:
+            _compiled()(*parts, len(start))
+            return rank, left
+        lists: list[Any] = [*(part.tolist() for part in parts), len(start)]
+        join(*lists)
+        return np.array(lists[5]), np.array(lists[3], dtype=bool)
 
 
 def join(
@@ -318,8 +220,8 @@ def join(
 ) -> None:
     """Write into `rank` when each state joins those in the queue, one round after the other.
 
-    It joins once `waiting` of its pairs that are `left` may lead to those before. Lists do here,
-    where rounds are narrow; compiled, it does the same for arrays.
+    It joins once `waiting` of its pairs that are `left` may lead to those before. Lists are faster
+    where there are few pairs; for many this is compiled.
     """
     head = 0
     while head < filled:
@@ -441,16 +343,3 @@ def runs_in_order(mdp: MDP) -> Integers:
         if least[state - 1] < cuts[-1] or ends[state] or ends[state - 1]:
             cuts.append(state)
     return np.array([0, *cuts[::-1]])
-
-
-def _levels_in_order(mdp: MDP) -> Integers:
-    """Return the levels of states numbered in order, a run of unconnected states at a time."""
-    offsets, successors = _successors(mdp)
-    level = np.zeros(mdp.n_states, dtype=np.int64)
-    cuts = runs_in_order(mdp).tolist()
-    for first, last in zip(cuts[-2::-1], cuts[:0:-1], strict=True):
-        if not mdp.terminal[first]:
-            begin, end = offsets[first], offsets[last]
-            above = np.maximum.reduceat(level[successors[begin:end]], offsets[first:last] - begin)
-            level[first:last] = above + 1
-    return level

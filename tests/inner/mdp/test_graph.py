@@ -14,8 +14,8 @@ from oracle import every_policy_ends
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp import chain
-from exact_mdp.mdp.chain import (
+from exact_mdp.mdp import graph
+from exact_mdp.mdp.graph import (
     components,
     is_acyclic,
     reachable,
@@ -36,12 +36,12 @@ def check_rank(mdp: MDP, rank: np.ndarray) -> bool:
 
 
 def graph_of(mdp: MDP, pairs: list[int] | None = None) -> nx.DiGraph:
-    graph = nx.DiGraph()
-    graph.add_nodes_from(range(mdp.n_states))
+    edges = nx.DiGraph()
+    edges.add_nodes_from(range(mdp.n_states))
     for pair in range(mdp.n_pairs) if pairs is None else pairs:
         for _, state, _ in mdp.table.row(pair):
-            graph.add_edge(int(mdp.pair_state[pair]), state)
-    return graph
+            edges.add_edge(int(mdp.pair_state[pair]), state)
+    return edges
 
 
 @given(models(), st.data())
@@ -49,8 +49,8 @@ def test_reachable_states_are_those_of_networkx(rows: Rows, data: st.DataObject)
     mdp = rows.model()
     start = data.draw(st.sets(st.integers(0, mdp.n_states - 1), max_size=2))
     pairs = sorted(data.draw(st.sets(st.integers(0, mdp.n_pairs - 1))))
-    graph = graph_of(mdp, pairs)
-    expected = set(start).union(*(nx.descendants(graph, s) for s in start))
+    edges = graph_of(mdp, pairs)
+    expected = set(start).union(*(nx.descendants(edges, s) for s in start))
     assert set(np.flatnonzero(reachable(mdp, sorted(start), pairs))) == expected
     mask = np.isin(np.arange(mdp.n_pairs), pairs)
     assert set(np.flatnonzero(reachable(mdp, sorted(start), mask))) == expected
@@ -69,16 +69,16 @@ def test_components_are_those_of_networkx(rows: Rows) -> None:
 @given(models())
 def test_levels_are_the_longest_paths(rows: Rows) -> None:
     mdp = rows.model()
-    graph = graph_of(mdp)
-    graph.remove_edges_from([(s, s) for s in np.flatnonzero(mdp.terminal)])
+    edges = graph_of(mdp)
+    edges.remove_edges_from([(s, s) for s in np.flatnonzero(mdp.terminal)])
     levels = topological_levels(mdp)
-    assert is_acyclic(mdp) == (levels is not None) == nx.is_directed_acyclic_graph(graph)
+    assert is_acyclic(mdp) == (levels is not None) == nx.is_directed_acyclic_graph(edges)
     if levels is None:
         return
 
     @cache
     def longest(state: int) -> int:
-        return max((1 + longest(after) for after in graph.successors(state)), default=0)
+        return max((1 + longest(after) for after in edges.successors(state)), default=0)
 
     assert levels.tolist() == [longest(state) for state in range(mdp.n_states)]
 
@@ -160,57 +160,32 @@ def test_a_thousand_subtasks_fall_level_by_level() -> None:
     assert check_rank(mdp, termination(mdp).rank)
 
 
-@pytest.mark.parametrize("large", [False, True])
-def test_the_columns_of_a_graph_may_be_a_strided_view(
-    large: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(chain, "_large", lambda _: large)
+def test_the_columns_of_a_graph_may_be_a_strided_view() -> None:
     columns = np.repeat(np.array([1, 2, 1], dtype=np.int32), 2)[::2]
-    graph = sp.csr_array((np.ones(3), columns, np.arange(4, dtype=np.int32)), (3, 3))
-    assert not graph.indices.flags.c_contiguous
-    assert chain.strong_components(graph).tolist() == [0, 1, 1]
-
-
-@pytest.mark.parametrize("rounds", [0, 1, 8])
-def test_narrow_searches_go_on_one_by_one(monkeypatch: pytest.MonkeyPatch, rounds: int) -> None:
-    """A line of 40 states with a loop at its end: more rounds than are taken many at a time."""
-    monkeypatch.setattr(chain, "FIRST", rounds)
-    monkeypatch.setattr(chain, "_large", lambda _: False)
-    line = np.eye(40, k=1)
-    line[39, 20] = 1
-    begin = np.arange(40) == 5
-    assert np.array_equal(chain.closure(sp.csr_array(line), begin), np.arange(40) >= 5)
-    parts = chain.strong_components(sp.csr_array(line))
-    assert (parts[20:] == parts[39]).all()
-    assert len(set(parts.tolist())) == 21
-    line[39, 0] = 1  # the first node now comes back to itself by way of all the others
-    assert not chain.strong_components(sp.csr_array(line)).any()
+    edges = sp.csr_array((np.ones(3), columns, np.arange(4, dtype=np.int32)), (3, 3))
+    assert not edges.indices.flags.c_contiguous
+    assert graph.strong_components(edges).tolist() == [0, 1, 1]
 
 
 @given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
-def test_small_graphs_are_searched_as_scipy_searches_large_ones(
+def test_components_and_closures_are_those_of_networkx(
     size: int, ends: list[tuple[int, int]], data: st.DataObject
 ) -> None:
-    """The numbers of the components are the same, too: answers do not depend on what is loaded.
-
-    Releases of SciPy order them differently, and each as the edges go.
-    """
-    graph = np.zeros((size, size))
-    for source, target in ends:
-        graph[source % size, target % size] = 1
-    edges = np.nonzero(graph)
+    """Components are numbered by their first nodes, or so that no edge leads to a higher one."""
+    known = nx.DiGraph([(source % size, target % size) for source, target in ends])
+    known.add_nodes_from(range(size))
+    edges = sp.csr_array(nx.to_scipy_sparse_array(known, nodelist=range(size), dtype=float))
     first = np.array(data.draw(st.lists(st.booleans(), min_size=size, max_size=size)))
-    found = []
-    for large in (False, True):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(chain, "_large", lambda _, large=large: large)
-            parts = chain.strong_components(sp.csr_array(graph)).tolist()
-            order = chain.components_in_order(sp.csr_array(graph))
-            assert (order[edges[0]] >= order[edges[1]]).all()
-            assert len({*zip(parts, order.tolist(), strict=True)}) == len({*parts})
-            assert [*dict.fromkeys(parts)] == [*range(len({*parts}))]
-            found.append((parts, chain.closure(sp.csr_array(graph), first).tolist()))
-    assert found[0] == found[1]
+    parts, order = graph.strong_components(edges), graph.components_in_order(edges)
+    expected = {frozenset(part) for part in nx.strongly_connected_components(known)}
+    for label in (parts, order):
+        numbers = range(label.max() + 1)
+        assert {frozenset(np.flatnonzero(label == number)) for number in numbers} == expected
+    assert all(order[source] >= order[target] for source, target in known.edges)
+    assert [*dict.fromkeys(parts.tolist())] == [*range(len(expected))]
+    begins = np.flatnonzero(first).tolist()
+    reached = set(begins).union(*(nx.descendants(known, node) for node in begins))
+    assert set(np.flatnonzero(graph.closure(edges, first))) == reached
 
 
 @given(
@@ -218,7 +193,7 @@ def test_small_graphs_are_searched_as_scipy_searches_large_ones(
     st.lists(st.tuples(st.integers(0, 7), st.sets(st.integers(0, 7), min_size=1)), min_size=1),
     st.data(),
 )
-def test_rounds_are_the_same_by_arrays_in_lists_and_compiled(
+def test_rounds_are_the_same_in_lists_and_compiled(
     size: int, pairs: list[tuple[int, set[int]]], data: st.DataObject
 ) -> None:
     """And as their definition has them: what joins depends on the rounds before alone."""
@@ -238,13 +213,11 @@ def test_rounds_are_the_same_by_arrays_in_lists_and_compiled(
     offsets = np.cumsum([0, *(len(after) for _, after in pairs)])
     following = np.array([s for _, after in pairs for s in sorted(after)])
     owner = np.array([state for state, _ in pairs])
-    backward = chain.Backward.of(offsets, following, owner, size)
-    for narrow, compiled in ((0, False), (2, False), (64, False), (0, True)):
+    backward = graph.Backward.of(offsets, following, owner, size)
+    for compiled in (False, True):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(chain, "FIRST", 1 if narrow else 2)
-            patch.setattr(chain, "NARROW", narrow)
-            patch.setattr(chain, "COMPILED", 0 if compiled else 10**9)
+            patch.setattr(graph, "COMPILED", 0 if compiled else 10**9)
             found = backward.rounds(first, some, waiting)
         assert found[0].tolist() == rank.tolist()
-        if (rank < 0).any():  # otherwise a search may end early
+        if (rank < 0).any():
             assert found[1].tolist() == left.tolist()
