@@ -15,7 +15,7 @@ open       nothing here can decide it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -263,9 +263,15 @@ def judged(
                     "reproduced": len(holding),
                     "example": next(iter(holding), ""),
                 }
-                if holding and found.verdict in (Verdict.NOT_REPRODUCED, Verdict.DIFFERS):
+                if depends(found, tried.values()):
                     entry["verdict"] = entry["verdict_says"] = str(Verdict.DEPENDS)
         yield entry
+
+
+def depends(found: Finding, others: Iterable[Verdict]) -> bool:
+    """Return whether a claim fails under the default reading and holds under another."""
+    fails = found.verdict in (Verdict.NOT_REPRODUCED, Verdict.DIFFERS)
+    return fails and any(verdict in HOLDS for verdict in others)
 
 
 def entry_of(each: Claim, found: Finding) -> dict[str, Any]:
@@ -285,7 +291,7 @@ def entry_of(each: Claim, found: Finding) -> dict[str, Any]:
         "estimate_standard_error": found.error if found.kind == "estimated" else None,
         "standard_error": errors,
         "difference_in_standard_errors": apart / errors if apart is not None and errors else None,
-        "approximate": each.rule == "plotted",
+        "approximate": each.rule == "about",
         "rule": each.rule,
         "verdict": str(found.verdict),
         "verdict_says": found.says,

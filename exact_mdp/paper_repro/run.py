@@ -26,7 +26,7 @@ from typing import Any
 from exact_mdp import ModelError, Scenario
 from exact_mdp.analysis.record import run_record
 from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
-from exact_mdp.paper_repro.claim import CLAIMS, Claim, judged
+from exact_mdp.paper_repro.claim import CLAIMS, Claim, Verdict, depends, judged
 from exact_mdp.paper_repro.drawing import FIGURES, save
 from exact_mdp.paper_repro.learner import SEED, settings
 from exact_mdp.paper_repro.paper import AVERAGES, ORDERS, write
@@ -185,9 +185,11 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     if claim.learns:
         lines["runs"] = f"{runs} of each exploration schedule"
     if claim.open and not sets:
-        others = [(each.label, claim.find(each).says) for each in one_change(reading)]
-        differing = [f"{says}: {label}" for label, says in others if says != found.says]
+        others = [(each.label, claim.find(each)) for each in one_change(reading)]
+        differing = [f"{one.says}: {label}" for label, one in others if one.says != found.says]
         lines["other readings"] = "; ".join(differing) or f"the same in all {len(others)}"
+        if depends(found, [one.verdict for _, one in others]):
+            lines["verdict"] = f"{Verdict.DEPENDS}; {found.says} under the default one"
     width = max(map(len, lines)) + 2
     body = [f"  {key + ':':{width}}{text}" for key, text in lines.items() if text]
     return "\n".join([f"{claim.id} ({', '.join(claim.places)})", claim.says, *body])

@@ -40,7 +40,7 @@ NUMBER = {action: number for number, action in enumerate(ACTIONS)}
 
 
 @claim(
-    "learning.converged.{word}", "Section 4.1", "Figure 9", rule="plotted", each=SHOWN, learns=True
+    "learning.converged.{word}", "Section 4.1", "Figure 9", rule="about", each=SHOWN, learns=True
 )
 def converged(reading: Reading, schedule: str) -> Finding:
     """With {means} the average return after convergence is about 140."""

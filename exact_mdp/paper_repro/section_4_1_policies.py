@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 # ---- average returns -----------------------------------------------------------------------------
 
 
-@claim("return.random", "Section 4.1", "Figure 9", rule="plotted", open=True)
+@claim("return.random", "Section 4.1", "Figure 9", rule="about", open=True)
 def random_return(reading: Reading) -> Finding:
     """The random strategy reaches an average return of around 70."""
     exact = reading.value("random")

@@ -121,7 +121,8 @@ def test_one_claim_alone_and_under_another_reading() -> None:
     assert "not reproduced" in done.stdout
     assert "the same in all 17" in done.stdout
     change = "readings.task_bonus=no-subtask-skipped"
-    assert "not reproduced" in cli("claim", "return.random").stdout
+    verdict = r"verdict: +depends on the reading; not reproduced under the default one"
+    assert re.search(verdict, cli("claim", "return.random").stdout)
     assert re.search(r"verdict: +reproduced", cli("claim", "return.random", "--set", change).stdout)
     few = cli("claim", "learning.superior", "--runs", 2, "--set", "training.ties=random").stdout
     assert "seen in 100 % of 4 runs" in few
