@@ -40,7 +40,7 @@ RANGES = ("rewards", "returns")
 OF_KIND = {
     "robust": RANGES,
     "posterior": ("prior", *DRAWN),
-    "off-policy": (*RANGES, "records", "columns", "behaviour", *DRAWN),
+    "off-policy": (*RANGES, "records", "columns", "behaviour", "draws", "seed"),
 }
 OF_INTERVAL = (
     "confidence",
@@ -145,7 +145,7 @@ def _interval_of(confidence: str | None, by: str | None, **settings: Any) -> dic
         stated["n_jobs"] = whole_of(stated["n_jobs"], "--n-jobs", 1, 10**6)
     if kind == "off-policy":
         stated["columns"] = dict(map(renamed, stated.get("columns", ())))
-        evidence: object = off_policy.OffPolicy(progress=True, **stated)
+        evidence: object = off_policy.OffPolicy(**stated)
     else:
         evidence = posterior.Posterior(progress=True, **stated)
     return {"confidence": confidence, "by": evidence}

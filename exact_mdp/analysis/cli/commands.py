@@ -154,7 +154,7 @@ of_interval = together(
     click.option(
         "--n-jobs",
         metavar="N",
-        help="posterior, off-policy: processes (1). Results do not change.",
+        help="posterior: processes (1). Results do not change.",
     ),
     click.option(
         "--records", metavar="FILE", help="off-policy: the trajectories, .csv or .parquet."

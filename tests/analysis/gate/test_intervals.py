@@ -406,9 +406,8 @@ def test_the_same_seed_gives_the_same_bytes_wherever(how: dict[str, Any], tmp_pa
     mdp = estimated(frame)
 
     def draws(seed: int = 3, folder: Path | None = None, **how: Any) -> bytes:
-        one, other = (None if folder is None else folder / name for name in "ab")
-        models = interval_of(Posterior(n=600, rng=seed, folder=one, **how), mdp).draws
-        by = OffPolicy(records=frame, rewards=(0, 1), n=600, rng=seed, folder=other, **how)
+        models = interval_of(Posterior(n=600, rng=seed, folder=folder, **how), mdp).draws
+        by = OffPolicy(records=frame, rewards=(0, 1), n=600, rng=seed)
         again = interval_of(by, mdp).found["bootstrap"]
         return models.tobytes() + np.array(again).tobytes()
 

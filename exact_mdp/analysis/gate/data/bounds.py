@@ -1,291 +1,247 @@
 """Regret bounded for every model that the records allow, distribution-free.
 
 The sets of `analysis.gate.data.sets` hold all rows at once with the stated confidence, and so do
-bounds that hold for every model P within them. Values come from four robust solves (Iyengar,
-Mathematics of Operations Research 30, 2005; Nilim and El Ghaoui, Operations Research 53, 2005):
-
-    L^π ≤ V^π ≤ U^π,      L* ≤ V* ≤ U*,      hence  V* - V^π ≤ U* - L^π.
-
-That difference lets nature choose one model for the optimum and another for the policy. Under one
-and the same P, the regret D = V* - V^π is the optimum of a model whose rewards are the advantages
-of the policy's own values (the performance difference lemma: Kakade and Langford, ICML 2002):
+bounds for every model P within them (robust solves: Iyengar, Mathematics of Operations Research 30,
+2005): L^π ≤ V^π ≤ U^π and L* ≤ V* ≤ U*, hence V* - V^π ≤ U* - L^π. That lets nature choose two
+models. Under one P the regret D is the optimum of a model whose rewards are the advantages of the
+policy's own values (Kakade and Langford, ICML 2002):
 
     D(s) = max over pairs l of s of  A_P(l) + γ P_l D,      A_P(l) = Q^π(l) - V^π(s).
 
-An action that the policy takes for certain has advantage 0 in every model, so that what is unsure
-about both sides cancels. With c between U^π and L^π, h half their distance and π(l) the policy's
-probability of l,
+With c between L^π and U^π, h half their distance and π(l) the policy's probability of l,
 
     A_P(l) = (1 - π(l)) (r_l + γ P_l c) - Σ_{k ≠ l} π(k) (r_k + γ P_k c) + γ (P_l - P_π) (V^π - c),
 
-and the last term is at most γ Σ |P_l - P_π| h: h at the shares that were seen, and what a row may
-move by (Pinsker: Σ |q - p| ≤ √(2 KL)) times the largest h. With the first terms each at its worst,
-this bounds D by dynamic programming from above, and from below likewise; in every state the better
-of this bound and that by two separate models is taken.
+with a last term of at most γ Σ |P_l - P_π| h: h at the shares seen, and the largest h times what a
+row may move by, √(2 KL) (Pinsker). In every state the better bound counts.
 
-States in which episodes were cut off, and which no record leaves, may be worth whatever rewards
-allow, to the optimum and to the policy, so that they may cost the whole range.
-
-Every bound is that of a monotone operator T, a contraction where γ < 1: T v ≤ v + e gives
-v + e / (1 - γ) as an upper bound, whatever v is, and policy iteration finds a good v. At discount 1
-T is applied to a range that the user states, and keeps it valid however often. Ends are worth 0 at
-any discount, so that the range shrinks in every state by the chance to get there; it stays for ever
-only where episodes were cut off, and where the sets allow that an episode never ends.
+Every bound is that of a monotone operator T: T v ≤ v + e gives v + e / (1 - γ) as an upper bound,
+and policy iteration finds a good v. At discount 1 T is applied to a range that the user states, and
+keeps it valid however often. For episodes of N steps T is applied once at each time, to 0 at the
+end: nature may choose other rows at each, which can only widen the interval, and what rewards add
+up to in the steps that are left bounds states in which episodes were cut off.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+import tqdm
 
 from exact_mdp.analysis.gate.data.interval import Ends
-from exact_mdp.analysis.gate.data.sets import Rows, RowSets
+from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.exact.find import first_of
 
 IMPROVEMENTS = 50
 SWEEPS = 1000
 SMALL = 1e-10  # of the range: steps not worth another one; bounds hold wherever the search ends
+Sides = tuple[Floats, Floats]  # bounds (S,) from below and from above
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
+class Step(NamedTuple):
     """An operator at some values: a bound of what it gives (S,), and its linear piece there."""
 
     bound: Floats
     piece: Callable[[], tuple[sp.csr_array, Floats]]
 
 
+Operator = Callable[[Floats], Step]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobustBounds:
-    """Values and regret of a policy for every model within sets of rows.
+    """Values and regret of a policy, from below and above, for every model within sets of rows.
 
     Attributes
     ----------
-    sets : RowSets
-    own : (L,)
-        The policy's probabilities of pairs.
-    returns : (float, float), optional
-        Where total rewards lie.
+    range : (float, float)
+        Where the values of all states lie.
+    own, best, lost : pairs of (S,)
+        Bounds of V^π, V* and V* - V^π.
     """
 
     sets: RowSets
-    own: Floats
-    returns: Ends | None = None
+    range: Ends
+    own: Sides
+    best: Sides
+    lost: Sides
 
-    @property
-    def mdp(self) -> MDP:
-        """The model of rewards."""
-        return self.sets.mdp
-
-    @cached_property
-    def range(self) -> Ends:
-        """Where the values of all states lie."""
-        rate = self.mdp.discount_exact
-        if self.returns is not None:
-            return self.returns
-        if rate == 1:
-            raise ModelError(
-                "at discount 1 the records alone do not say how long an episode may go on",
-                where="returns",
-                fix="state where total rewards lie: returns=(low, high), --returns LOW,HIGH; or "
-                "choose a discount below 1",
-            )
-        certain = self.mdp.reward[self.sets.counted == 0]
-        least = min(0.0, self.sets.rewards[0], *certain) / float(1 - rate)
-        most = max(0.0, self.sets.rewards[1], *certain) / float(1 - rate)
-        return least * SLACK, most * SLACK
-
-    @cached_property
-    def over(self) -> Flags:
-        """(S,) ends, worth 0 in every model of the sets: no row counted, nobody cut off."""
-        counted = self.sets.counted > 0
-        left = np.logical_or.reduceat(counted, self.mdp.pair_offsets[:-1])
-        found: Flags = self.mdp.terminal & ~left & ~self.sets.unknown
-        return found
-
-    @cached_property
-    def own_low(self) -> Floats:
-        """(S,) lower bounds of V^π."""
-        return self._settled(self.under_policy(False), 0)
-
-    @cached_property
-    def own_high(self) -> Floats:
-        """(S,) upper bounds of V^π."""
-        return self._settled(self.under_policy(True), 1)
-
-    @cached_property
-    def best_low(self) -> Floats:
-        """(S,) lower bounds of V*."""
-        return self._settled(self.optimum(False), 0)
-
-    @cached_property
-    def best_high(self) -> Floats:
-        """(S,) upper bounds of V*."""
-        return self._settled(self.optimum(True), 1)
-
-    def at_start(self, mdp: MDP, whose: str) -> Ends:
+    def at_start(self, mdp: MDP, whose: Sides) -> Ends:
         """Return the bounds of a value at the start, in the sense of the model given."""
-        best = whose == "best"
-        low = self.sets.at_start(self.best_low if best else self.own_low, most=False)
-        high = self.sets.at_start(self.best_high if best else self.own_high, most=True)
+        low, high = (self.sets.at_start(whose[most], most=bool(most)) for most in (0, 1))
         return (low, high) if mdp.sense == "max" else (-high, -low)
 
     @property
     def regret(self) -> Ends:
         """Bounds of the regret at the start."""
-        low = max(self.sets.at_start(self.least_regret, most=False), 0.0)
-        return low, self.sets.at_start(self.most_regret, most=True)
+        low, high = self.at_start(self.sets.mdp, self.lost)
+        return max(low, 0.0), high
+
+
+def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> RobustBounds:
+    """Return the bounds for a policy (L,), with total rewards within `returns`; (N, L) by time."""
+    if own.ndim == 2:
+        return _by_stage(sets, own)
+    ends = _range(sets) if returns is None else returns
+    at = Operators(sets=sets, own=own, ends=ends)
+    mine = at.settled(at.policy(0), 0), at.settled(at.policy(1), 1)
+    best = at.settled(at.optimum(0), 0), at.settled(at.optimum(1), 1)
+    advantages = at.advantages(*mine)
+    lost = []
+    for most in (0, 1):
+        apart = np.maximum(best[most] - mine[1 - most], 0.0)
+        gaining = at.gaining(most, advantages[most], best[most], mine[1 - most])
+        lost.append(at.settled(gaining, most, apart))
+    return RobustBounds(sets=sets, range=ends, own=mine, best=best, lost=(lost[0], lost[1]))
+
+
+def _by_stage(sets: RowSets, own: Floats) -> RobustBounds:
+    zero = np.zeros(sets.mdp.n_states)
+    mine = best = lost = (zero, zero)
+    for time in tqdm.trange(len(own) - 1, -1, -1, desc="stages", disable=None, delay=2):
+        ends = _totals(sets, len(own) - time)
+        at = Operators(sets=sets, own=own[time], ends=ends)
+        advantages, later = at.advantages(*mine), best
+        rounding = [4 * UNIT * sets.mdp.n_actions * sign for sign in (-1, 1)]
+        value = [at.policy(most)(mine[most]).bound for most in (0, 1)]
+        value = [v + off * np.abs(v) for v, off in zip(value, rounding, strict=True)]
+        mine = value[0], value[1]
+        best = at.optimum(0)(best[0]).bound, at.optimum(1)(best[1]).bound
+        gain = []
+        for most, better in ((0, np.maximum), (1, np.minimum)):
+            step = at.gaining(most, advantages[most], later[most], mine[1 - most])
+            gain.append(better(step(lost[most]).bound, best[most] - mine[1 - most]))
+        lost = np.maximum(gain[0], 0.0), np.maximum(gain[1], 0.0)
+    return RobustBounds(sets=sets, range=_totals(sets, len(own)), own=mine, best=best, lost=lost)
+
+
+def _range(sets: RowSets) -> Ends:
+    lost = 1 - sets.mdp.discount_exact
+    if not lost:
+        raise ModelError(
+            "at discount 1 the records alone do not say how long an episode may go on",
+            where="returns",
+            fix="state where total rewards lie: returns=(low, high), --returns LOW,HIGH; or "
+            "choose a discount below 1",
+        )
+    low, high = sets.of_a_step
+    return low / float(lost) * SLACK, high / float(lost) * SLACK
+
+
+def _totals(sets: RowSets, steps: int) -> Ends:
+    """Return where the total of some steps lies, in every model of the sets."""
+    low, high = sets.of_a_step
+    weight = float(np.cumsum(sets.mdp.discount ** np.arange(steps))[-1]) * SLACK
+    return low * weight * SLACK, high * weight * SLACK
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Operators:
+    """The operators of V^π, V* and D, for a policy's probabilities of pairs `own` (L,).
+
+    `ends` are what a state may be worth of which nobody knows what follows.
+    """
+
+    sets: RowSets
+    own: Floats
+    ends: Ends
 
     @cached_property
-    def most_regret(self) -> Floats:
-        """(S,) upper bounds of V* - V^π."""
-        apart = np.maximum(self.best_high - self.own_low, 0.0)
-        return self._settled(self._joint(True), 1, apart)
+    def mixing(self) -> sp.csr_array:
+        """(S, L) the policy."""
+        offsets = self.sets.mdp.pair_offsets
+        return sp.csr_array((self.own, np.arange(len(self.own)), offsets))
 
-    @cached_property
-    def least_regret(self) -> Floats:
-        """(S,) lower bounds of V* - V^π."""
-        apart = np.maximum(self.best_low - self.own_high, 0.0)
-        return self._settled(self._joint(False), 0, apart)
-
-    # ---- operators -------------------------------------------------------------------------------
-
-    def _unknown(self, step: Callable[[Floats], Step], worth: float) -> Callable[[Floats], Step]:
-        """Return an operator that takes states of which nobody knows what follows for `worth`."""
-        unknown = self.sets.unknown
-        if not unknown.any():
-            return step
-
-        def told(value: Floats) -> Step:
-            found = step(value)
-
-            def piece() -> tuple[sp.csr_array, Floats]:
-                laws, constant = found.piece()
-                kept = laws.multiply((~unknown).astype(np.float64).reshape(-1, 1))
-                return sp.csr_array(kept), np.where(unknown, worth, constant)
-
-            return Step(bound=np.where(unknown, worth, found.bound), piece=piece)
-
-        return told
-
-    def under_policy(self, most: bool) -> Callable[[Floats], Step]:
-        """Return the operator of V^π."""
-        mixing = self._mixing
+    def policy(self, most: int) -> Operator:
+        """Return the operator of V^π, from below or above."""
 
         def step(value: Floats) -> Step:
-            rows = self.sets.worth(value, most=most)
+            rows = self.sets.worth(value, most=bool(most))
 
             def piece() -> tuple[sp.csr_array, Floats]:
                 laws, reward = rows.chosen
-                return sp.csr_array(mixing @ laws), np.asarray(mixing @ reward)
+                return sp.csr_array(self.mixing @ laws), np.asarray(self.mixing @ reward)
 
-            return Step(bound=mixing @ rows.bound, piece=piece)
+            return Step(self.mixing @ rows.bound, piece)
 
-        return self._unknown(step, self.range[most])
+        return partial(self._known, step, self.ends[most])
 
-    def optimum(self, most: bool) -> Callable[[Floats], Step]:
+    def optimum(self, most: int) -> Operator:
         """Return the operator of V*."""
 
         def step(value: Floats) -> Step:
-            rows = self.sets.worth(value, most=most)
+            rows = self.sets.worth(value, most=bool(most))
             taken = self._best(rows.bound)
 
             def piece() -> tuple[sp.csr_array, Floats]:
                 laws, reward = rows.chosen
                 return laws[taken], reward[taken]
 
-            return Step(bound=rows.bound[taken], piece=piece)
+            return Step(rows.bound[taken], piece)
 
-        return self._unknown(step, self.range[most])
+        return partial(self._known, step, self.ends[most])
 
-    def _joint(self, most: bool) -> Callable[[Floats], Step]:
-        if most:
-            return self.gaining(True, self.best_high, self.own_low)
-        return self.gaining(False, self.best_low, self.own_high)
-
-    def gaining(self, most: bool, best: Floats, own: Floats) -> Callable[[Floats], Step]:
+    def gaining(self, most: int, advantage: Floats, best: Floats, own: Floats) -> Operator:
         """Return the operator of D: no action gains more than with a model for each side.
 
         `best` (S,) bounds the V* that follows, and `own` (S,), from the other side, V^π here.
         """
-        apart = self.sets.worth(best, most=most).bound - own[self.mdp.pair_state]
-        advantage = self._advantages[most]
-        choose = np.minimum if most else np.maximum
+        side = bool(most)
+        apart = self.sets.worth(best, most=side).bound - own[self.sets.mdp.pair_state]
 
         def step(value: Floats) -> Step:
-            rows: Rows = self.sets.worth(value, most=most, rewards=False)
+            rows = self.sets.worth(value, most=side, rewards=False)
             joint = advantage + rows.bound
-            bound = choose(joint, apart)
+            bound = np.minimum(joint, apart) if most else np.maximum(joint, apart)
             taken = self._best(bound)
 
             def piece() -> tuple[sp.csr_array, Floats]:
-                laws, _ = rows.chosen
                 alone = (joint == bound)[taken].astype(np.float64)
                 constant = np.where(alone, advantage[taken], apart[taken])
-                return sp.csr_array(laws[taken].multiply(alone.reshape(-1, 1))), constant
+                return sp.csr_array(rows.chosen[0][taken].multiply(alone[:, None])), constant
 
-            return Step(bound=bound[taken], piece=piece)
+            return Step(bound[taken], piece)
 
-        return self._unknown(step, self.range[1] - self.range[0] if most else 0.0)
+        return partial(self._known, step, (self.ends[1] - self.ends[0]) * most)
 
-    @cached_property
-    def _advantages(self) -> tuple[Floats, Floats]:
-        """(L,) and (L,) bounds of A_P(l) in every model P of the sets."""
-        mdp, own, mixing, rate = self.mdp, self.own, self._mixing, self.mdp.discount
-        low, high = self.own_low, self.own_high
+    def advantages(self, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+        """Return bounds (L,) of A_P(l) in every model P, with V^π that follows within bounds."""
+        mdp, own, mixing = self.sets.mdp, self.own, self.mixing
         middle = (low + high) / 2
         half = np.maximum(high - middle, middle - low)
-        least = self.sets.worth(middle, most=False).bound
-        most = self.sets.worth(middle, most=True).bound
+        least, most = (self.sets.worth(middle, most=side).bound for side in (False, True))
         moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
         state = mdp.pair_state
         apart = abs(mdp.transition - (mixing @ mdp.transition)[state]) @ half
         others = (mixing @ moved)[state] - own * moved
-        coupled = rate * (apart + (1 - own) * moved + others) * SLACK
+        coupled = mdp.discount * (apart + (1 - own) * moved + others) * SLACK
         size = np.maximum(np.abs(least), np.abs(most))
-        doubt = 8 * UNIT * (mdp.n_actions + 4) * ((mixing @ size)[state] + size)
+        coupled += 8 * UNIT * (mdp.n_actions + 4) * ((mixing @ size)[state] + size)
         found = []
         for mine, theirs, sign in ((least, most, -1), (most, least, 1)):
             rest = (mixing @ theirs)[state] - own * theirs
-            free = (1 - own) * mine - rest + sign * (coupled + doubt)
-            found.append(np.where(own == 1, 0.0, free))
+            found.append(np.where(own == 1, 0.0, (1 - own) * mine - rest + sign * coupled))
         return found[0], found[1]
 
-    @cached_property
-    def _mixing(self) -> sp.csr_array:
-        """(S, L) the policy."""
-        mdp = self.mdp
-        return sp.csr_array((self.own, np.arange(mdp.n_pairs), mdp.pair_offsets))
-
-    def _best(self, worth: Floats) -> Integers:
-        """Return (S,) the best pair of each state."""
-        first, state = self.mdp.pair_offsets[:-1], self.mdp.pair_state
-        best = np.maximum.reduceat(worth, first)
-        number = np.where(worth == best[state], np.arange(len(worth)), len(worth))
-        return np.minimum.reduceat(number, first)
-
-    # ---- fixed points ----------------------------------------------------------------------------
-
-    def _settled(
-        self, step: Callable[[Floats], Step], side: int, first: Floats | None = None
-    ) -> Floats:
+    def settled(self, step: Operator, side: int, first: Floats | None = None) -> Floats:
         """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
 
         `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over.
         """
         sign, take = (1, np.minimum) if side else (-1, np.maximum)
-        known = np.where(self.over, 0.0, self.range[side]) if first is None else first
-        rate, left = self.mdp.discount, float(1 - self.mdp.discount_exact)
-        scale = SMALL * (self.range[1] - self.range[0])
+        known = np.where(self.sets.over, 0.0, self.ends[side]) if first is None else first
+        mdp = self.sets.mdp
+        left, scale = float(1 - mdp.discount_exact), SMALL * (self.ends[1] - self.ends[0])
         if not left:
             for _ in range(SWEEPS):
                 value = take(known, step(known).bound)
@@ -299,8 +255,25 @@ class RobustBounds:
             over = max(float((sign * (found.bound - value)).max()), 0.0) / left * SLACK
             known = take(known, value + sign * (over + 4 * UNIT * (np.abs(value) + over)))
             chain, constant = found.piece()
-            target = LinearSystem(chain, rate).approximate(constant)
+            target = LinearSystem(chain, mdp.discount).approximate(constant)
             if np.abs(target - value).max() <= scale:
                 break
             value = target
         return np.asarray(known)
+
+    def _known(self, operator: Operator, worth: float, value: Floats) -> Step:
+        """Return a step in which states of which nobody knows what follows are worth the most."""
+        unknown, found = self.sets.unknown, operator(value)
+
+        def piece() -> tuple[sp.csr_array, Floats]:
+            laws, constant = found.piece()
+            rows = sp.csr_array(laws.multiply((~unknown).astype(np.float64)[:, None]))
+            return rows, np.where(unknown, worth, constant)
+
+        return Step(np.where(unknown, worth, found.bound), piece if unknown.any() else found.piece)
+
+    def _best(self, worth: Floats) -> Integers:
+        """Return (S,) the best pair of each state."""
+        mdp = self.sets.mdp
+        best = np.maximum.reduceat(worth, mdp.pair_offsets[:-1])
+        return first_of(mdp, worth == best[mdp.pair_state])

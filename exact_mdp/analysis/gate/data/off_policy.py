@@ -1,25 +1,16 @@
 """What a policy is worth by the trajectories themselves, which another policy made.
 
-An episode of states, actions and rewards that the behaviour b produced has return G = Σ γ^t r_t,
-and counts for the policy π with the weight w = Π π(a_t | s_t) / b(a_t | s_t):
+An episode of the behaviour b with return G = Σ γ^t r_t counts for the policy π with the weight
+w = Π π(a_t | s_t) / b(a_t | s_t):
 
     E_b[w G] = V^π   (ordinary importance sampling),    V^π ≈ Σ w G / Σ w   (weighted),
 
-of effective sample size (Σ w)² / Σ w² (Precup, Sutton and Singh, ICML 2000; Kong, 1992), whose
-bootstrap interval (`analysis.gate.data.bootstrap`) is reported and decides nothing. A bound
-that holds at a stated confidence, for any weights, is that of Thomas, Theocharous and Ghavamzadeh
-(High-confidence off-policy evaluation, AAAI 2015, theorem 1, all thresholds equal): of n
-independent X ≥ 0, here X = w (G - least return), with Y = min(X, c) and its sample variance s²,
-
-    E X ≥ E Y ≥ mean Y - √(2 s² log(2/δ) / n) - 7 c log(2/δ) / (3 (n - 1)),
-
-an empirical Bernstein bound (Maurer and Pontil, COLT 2009). The first twentieth of the episodes
-chooses the threshold c for the bound that it foretells, and the others give the bound. The upper
-bound is the same of X = w (greatest return - G). An episode that was cut off may go on with any
-return in its range, in both bounds. One that stops in a state that no record leaves is taken to be
-over there, as the model has it: such episodes are counted, and the assumptions name the states.
-
-The regret needs the optimum, too. No trajectory shows it: V* is bounded by the sets of
+of effective sample size (Σ w)² / Σ w² (Precup, Sutton and Singh, ICML 2000). A bound that holds at
+a stated confidence, for any weights, is that of Thomas, Theocharous and Ghavamzadeh (AAAI 2015,
+theorem 1): of n independent X ≥ 0, here X = w (G - least return), with Y = min(X, c) and its sample
+variance s², the mean of X is at least mean Y - √(2 s² log(2/δ) / n) - 7 c log(2/δ) / (3 (n - 1)).
+The first twentieth of the episodes chooses c. From above likewise, by X = w (greatest return - G).
+An episode that was cut off may go on with any return in its range. V* is bounded by the sets of
 `analysis.gate.data.bounds` at half the doubt, and V^π by its trajectories at the other half.
 """
 
@@ -30,12 +21,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import log
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy import special
 
-from exact_mdp.analysis.gate.data.bootstrap import Episodes
 from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, cut_off, observations_of
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
@@ -46,7 +36,6 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, counted, seed_of
-from exact_mdp.solvers.solution import Estimated
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 DRAWS = 2000
@@ -74,8 +63,6 @@ class OffPolicy:
     n : int
         Draws of the bootstrap of the weighted estimate, which is in `found` and decides nothing.
     rng : int or Generator
-    n_jobs, folder, progress
-        Where these draws are made, as `solvers.parallel.many` takes it; results do not change.
 
     Examples
     --------
@@ -97,9 +84,6 @@ class OffPolicy:
     returns: Ends | None = None
     n: int = DRAWS
     rng: RNG = 0
-    n_jobs: int | None = 1
-    folder: str | Path | None = None
-    progress: bool = False
     by: ClassVar[str] = "off-policy"
 
     def interval(
@@ -145,17 +129,8 @@ class OffPolicy:
                 fix="state a range that holds them",
             )
         low, high = seen.bounds(bounds.range, mdp.discount, doubt / 4)
-        best = bounds.at_start(mdp.maximised, "best")
-        ordinary = Estimated(value=seen.ordinary, standard_error=seen.standard_error)
-        drawn = Episodes(weight=seen.weight, returns=seen.returns).interval(
-            float(confidence),
-            bounds.range,
-            draws,
-            seed,
-            n_jobs=self.n_jobs,
-            folder=self.folder,
-            progress=self.progress,
-        )
+        best = bounds.at_start(mdp.maximised, bounds.best)
+        drawn = bootstrap(seen.weight, seen.returns, float(confidence), bounds.range, draws, seed)
         return RegretInterval(
             low=max(best[0] - high, 0.0),
             high=max(best[1] - low, 0.0),
@@ -169,14 +144,14 @@ class OffPolicy:
                 else "the behaviour is as estimated from the counts: the confidence is approximate",
             ),
             found={
-                "optimal_value": bounds.at_start(mdp, "best"),
+                "optimal_value": bounds.at_start(mdp, bounds.best),
                 "learned_value": (low, high) if sign > 0 else (-high, -low),
                 "weighted": sign * seen.weighted,
                 "bootstrap": drawn if sign > 0 else (-drawn[1], -drawn[0]),
                 "draws": draws,
                 "seed": seed,
-                "ordinary": sign * ordinary.value,
-                "standard_error": ordinary.standard_error,
+                "ordinary": sign * seen.ordinary,
+                "standard_error": seen.standard_error,
                 "effective_sample_size": seen.effective_sample_size,
                 "episodes": len(seen.weight),
                 "cut_off": int(seen.cut.sum()),
@@ -267,6 +242,37 @@ def _bernstein(sample: Floats, most: float, doubt: float, n: int) -> float:
     """Return the bound that n numbers up to `most` give that vary as a sample does."""
     spread = 2 * float(sample.var(ddof=1)) * log(2 / doubt) / n
     return float(sample.mean() - spread**0.5 - 7 * most * log(2 / doubt) / (3 * (n - 1)))
+
+
+def bootstrap(
+    weight: Floats, returns: Floats, confidence: float, ends: Ends, n: int, seed: int
+) -> Ends:
+    """Return the BCa interval (Efron, JASA 82, 1987, section 4) of Σ w G / Σ w, by episodes.
+
+    It is right in the limit of many episodes, and too narrow where few carry most of the weight, so
+    that no check rests on it. `ends` stand for draws in which all episodes have the weight 0.
+    """
+    total, earned = float(weight.sum()), weight * returns
+    if not total > 0:
+        return ends
+    rng, drawn = np.random.default_rng(seed), np.empty((n, 2))
+    for draw in range(n):
+        chosen = rng.integers(len(weight), size=len(weight))
+        drawn[draw] = weight[chosen].sum(), earned[chosen].sum()
+    some = drawn[:, 0] > 0
+    value = np.divide(drawn[:, 1], drawn[:, 0], out=np.zeros(n), where=some)
+    low, high = (np.where(some, value, end) for end in ends)
+    mean, left = float(earned.sum()) / total, total - weight
+    alone = np.divide(earned.sum() - earned, left, out=np.full(len(left), mean), where=left > 0)
+    apart = alone.mean() - alone
+    size = 6 * float(np.square(apart).sum()) ** 1.5
+    a = float((apart**3).sum()) / size if size > 0 else 0.0
+    below = ((low < mean).mean() + (low <= mean).mean()) / 2
+    z, u = special.ndtri([np.clip(below, 0.5 / n, 1 - 0.5 / n), (1 + confidence) / 2])
+    shares = []
+    for v in (z - u, z + u):  # beyond the pole of the correction an end is the farthest draw
+        shares.append(special.ndtr(z + v / (1 - a * v)) if a * v < 1 else float(v > z))
+    return float(np.quantile(low, shares[0])), float(np.quantile(high, shares[1]))
 
 
 def _trajectories(

@@ -1,16 +1,4 @@
-"""An interval of the regret that holds for every model that the records allow, distribution-free.
-
-Of the sets of `analysis.gate.data.sets` the two ends are those of `analysis.gate.data.bounds`. For
-episodes that stop after N steps every such bound, with V_N = 0 and D_N = 0, is one backward step at
-each time t, with the policy of that time, which may depend on it:
-
-    L^π_t ≤ V^π_t ≤ U^π_t  from t + 1,        D_t(s) = max over l of  A_P,t(l) + γ P_l D_{t+1}.
-
-The process has the same rows at every time. The sets let nature choose other ones at each, which
-can only widen the interval; all rows are in their sets at once, whatever the time, so that no more
-doubt is spread over the times. What rewards can add up to in the steps that are left bounds states
-in which episodes were cut off, and no range of totals has to be stated at discount 1.
-"""
+"""An interval of the regret that holds for every model that the records allow: see `bounds`."""
 
 from __future__ import annotations
 
@@ -19,9 +7,8 @@ from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
-import tqdm
 
-from exact_mdp.analysis.gate.data.bounds import RobustBounds
+from exact_mdp.analysis.gate.data.bounds import RobustBounds, robust_bounds
 from exact_mdp.analysis.gate.data.interval import (
     Ends,
     RegretInterval,
@@ -35,8 +22,6 @@ from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
-from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -86,8 +71,8 @@ class Robust:
             by=self.by,
             assumptions=self.assumptions(mdp, sets),
             found={
-                "optimal_value": found.at_start(mdp, "best"),
-                "learned_value": found.at_start(mdp, "own"),
+                "optimal_value": found.at_start(mdp, found.best),
+                "learned_value": found.at_start(mdp, found.own),
             },
             claim=Claim.BOUNDED,
         )
@@ -96,24 +81,20 @@ class Robust:
         self, mdp: MDP, sets: RowSets, chain: PolicyChain, horizon: int | None
     ) -> RobustBounds:
         """Return the bounds within the sets."""
-        if horizon is None:
-            return RobustBounds(sets=sets, own=chain.weights, returns=self.range(mdp))
-        if self.returns is not None:
-            raise ModelError(
-                "with a horizon rewards bound what totals can be",
-                where="returns",
-                fix="leave it out (--returns, returns=)",
-            )
-        return staged(sets, by_time(mdp, chain.weights, horizon))
-
-    def range(self, mdp: MDP) -> Ends | None:
-        """Return where total rewards lie, of rewards even where the model is one of costs."""
-        ends = range_of(self.returns, "returns")
-        if ends is not None:
-            _require_seen(mdp, ends)
-        if ends is None or mdp.sense == "max":
-            return ends
-        return -ends[1], -ends[0]
+        returns = range_of(self.returns, "returns")
+        if horizon is not None:
+            if returns is not None:
+                raise ModelError(
+                    "with a horizon rewards bound what totals can be",
+                    where="returns",
+                    fix="leave it out (--returns, returns=)",
+                )
+            return robust_bounds(sets, by_time(mdp, chain.weights, horizon))
+        if returns is not None:
+            _require_seen(mdp, returns)
+            if mdp.sense == "min":
+                returns = -returns[1], -returns[0]
+        return robust_bounds(sets, chain.weights, returns)
 
     def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
         """Return what the sets rest on besides the records."""
@@ -155,43 +136,3 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
             where=mdp.where(int(pair[first])),
             fix="state a range that holds all totals (--returns LOW,HIGH, returns=(low, high))",
         )
-
-
-# ---- episodes of N steps -------------------------------------------------------------------------
-
-
-def totals(sets: RowSets, steps: int) -> Ends:
-    """Return where the total of some steps lies, in every model of the sets."""
-    mdp = sets.mdp
-    certain = mdp.reward[sets.counted == 0]
-    each = min(0.0, sets.rewards[0], *certain), max(0.0, sets.rewards[1], *certain)
-    weight = float(np.cumsum(mdp.discount ** np.arange(steps))[-1]) * SLACK
-    return each[0] * weight * SLACK, each[1] * weight * SLACK
-
-
-def staged(sets: RowSets, own: Floats) -> RobustBounds:
-    """Return the bounds at time 0; `own` (N, L) are the policy's probabilities at each time."""
-    names = ("own_low", "own_high", "best_low", "best_high", "least_regret", "most_regret")
-    ahead = {name: np.zeros(sets.mdp.n_states) for name in names}
-    steps = len(own)
-    for time in tqdm.trange(steps - 1, -1, -1, desc="stages", disable=None, delay=2):
-        now = RobustBounds(sets=sets, own=own[time], returns=totals(sets, steps - time))
-        vars(now).update(ahead)  # the values that follow
-        here = {}
-        for most, side, sign in ((False, "low", -1), (True, "high", 1)):
-            bound = now.under_policy(most)(ahead[f"own_{side}"]).bound
-            mixed = 4 * UNIT * sets.mdp.n_actions * np.abs(bound)
-            here[f"own_{side}"] = bound + sign * mixed
-            here[f"best_{side}"] = now.optimum(most)(ahead[f"best_{side}"]).bound
-        for most, name, best, other in (
-            (False, "least_regret", "best_low", "own_high"),
-            (True, "most_regret", "best_high", "own_low"),
-        ):
-            found = now.gaining(most, ahead[best], here[other])(ahead[name]).bound
-            apart = here[best] - here[other]
-            better = np.minimum(found, apart) if most else np.maximum(found, apart)
-            here[name] = np.maximum(better, 0.0)
-        ahead = here
-    bounds = RobustBounds(sets=sets, own=own[0], returns=totals(sets, steps))
-    vars(bounds).update(ahead)
-    return bounds

@@ -1,37 +1,18 @@
 """Which rows the records allow: a set around each counted row, all of them right at once.
 
-A pair seen n times, c_i times leading to state i of the m states, has a row q that is unknown. For
-any prior w over rows, chosen without the records, the likelihood ratio
+A pair seen n times, with shares p of m states that followed, has an unknown row q. For any prior w
+over rows the likelihood ratio M_n = ∫ Π_i (q'_i / q_i)^c_i w(dq') has mean 1 at every n, so that it
+ever exceeds 1/δ with probability at most δ (Ville, 1939). With w Dirichlet of parameters 1/m,
 
-    M_n = ∫ Π_i (q'_i / q_i)^c_i w(dq')        has mean 1 under q, whatever q is, at every n,
+    n KL(p ‖ q) ≤ log(1/δ) + Σ c_i log p_i - log [ Γ(1) / Γ(n + 1) Π Γ(c_i + 1/m) / Γ(1/m) ]
 
-so that by Ville's inequality (1939) it ever exceeds 1/δ with probability at most δ. With w the
-Dirichlet distribution of parameters 1/m, whose integral is known, M_n ≤ 1/δ says of the shares p =
-c/n
-
-    n KL(p ‖ q) ≤ log(1/δ) + Σ c_i log p_i - log [ Γ(1) / Γ(n + 1) Π Γ(c_i + 1/m) / Γ(1/m) ].
-
-(Jonsson, Kaufmann, Ménard, Darwiche Domingues, Leurent and Valko, NeurIPS 2020, proposition 1, is
-this with the uniform prior and its integral bounded.) It holds for all n at once, hence for the
-random n of recorded episodes, and however their actions were chosen. States that were never seen to
-follow are allowed for, by Dirichlet parameters that add up to 1 at small cost. What a policy was
-learned from does not matter, because the sets hold for all rows and not for one value function.
-
-Rewards: the mean μ of a pair's rewards, which lie in a stated range (here scaled to [0, 1]), obeys
-
-    n kl(mean seen, μ) ≤ log((n + 1) / δ),    kl that of two coins, for all n at once,
-
-by the same argument with the uniform prior: (q/μ)^X ((1 - q)/(1 - μ))^(1 - X) is convex in X in
-[0, 1] and so has a mean of at most 1, and ∫ exp(-n kl(x, q)) dq ≥ 1/(n + 1), because kl(x, q) is at
-most -log(1 - t) where q is t of the way from x to an end. Or rewards are *known*: a function of
-state, action and next state, of which the range bounds those that were never seen.
-
-Where an episode begins is a row, too, unless the user gave the start: E episodes were drawn from
-it.
-
-Each of the K = states × actions that could have been counted, and the start, gets δ = (1 -
-confidence) / (K + 1), a pair half of it for its rewards unless they are known. Rows that nobody
-counted are as certain as the model says.
+(with the uniform prior: Jonsson and others, NeurIPS 2020, proposition 1). It holds for all n at
+once, however actions were chosen, and allows for states that were never seen to follow. The mean μ
+of rewards in a stated range, scaled to [0, 1], obeys n kl(mean seen, μ) ≤ log((n + 1) / δ) by the
+same argument; or rewards are *known*, a function of state, action and next state. The start is a
+row, too, unless the user gave it. Each of the K = states × actions that could have been counted,
+and the start, gets δ = (1 - confidence) / (K + 1), a pair half of it for its rewards unless these
+are known. Rows that nobody counted are as certain as the model says.
 """
 
 from __future__ import annotations
@@ -132,6 +113,19 @@ class RowSets:
         """(S,) states of which nobody knows what follows: episodes were cut off there."""
         found: Flags = cut_off(self.mdp)
         return found
+
+    @cached_property
+    def over(self) -> Flags:
+        """(S,) ends, worth 0 in every model of the sets: no row counted, nobody cut off."""
+        left = np.logical_or.reduceat(self.counted > 0, self.mdp.pair_offsets[:-1])
+        found: Flags = self.mdp.terminal & ~left & ~self.unknown
+        return found
+
+    @property
+    def of_a_step(self) -> Ends:
+        """What one step may earn at least and at most, in every state, ends among them."""
+        certain = self.mdp.reward[self.counted == 0]
+        return min(0.0, self.rewards[0], *certain), max(0.0, self.rewards[1], *certain)
 
     @cached_property
     def pairs(self) -> Integers:
