@@ -161,7 +161,7 @@ def own_visits(chain: PolicyChain, *, exact: bool) -> tuple[Floats, bool]:
     except SolverError:
         if not exact:
             raise
-        return exact_visits(chain), False
+        return exact_visits(chain).value_float, False
     return np.where(chain.reached, found, 0.0), True
 
 

@@ -55,9 +55,12 @@ def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -
     """Return the exact values of a policy whose equations are known to have one solution.
 
     With `earned`, (S,) Fractions, that is what each state earns in place of the model's rewards.
+    States from which the policy need not end at discount 1 have no value, and 0 stands for it.
     """
     mdp = chain.mdp
     rows, times = mixed_rows(bellman_rows(mdp), chain), 1
+    if mdp.discount_exact == 1:
+        rows = replace(rows, terminal=rows.terminal | ~chain.ends)
     if earned is not None:
         times = lcm(*(number.denominator for number in earned))
         scaled = zip(earned, rows.scale.tolist(), strict=True)
@@ -67,8 +70,8 @@ def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -
     return ExactPolicy(mdp=mdp, h=replace(found, below=[below * times for below in found.below]))
 
 
-def exact_visits(chain: PolicyChain) -> Floats:
-    """Return (S,) expected discounted visits from the start, each rounded once from a rational.
+def exact_visits(chain: PolicyChain) -> ExactPolicy:
+    """Return the expected discounted visits of a policy from the start, as its values.
 
     They solve d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached; terminal states count
     arrivals.
@@ -76,7 +79,7 @@ def exact_visits(chain: PolicyChain) -> Floats:
     mdp = chain.mdp
     rows = mixed_rows(bellman_rows(mdp), chain)
     found = flow(mdp, rows, np.flatnonzero(chain.reached & ~mdp.terminal))
-    return ExactPolicy(mdp=mdp, h=_proven(*found, "visits")).value_float
+    return ExactPolicy(mdp=mdp, h=_proven(*found, "visits"))
 
 
 def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:

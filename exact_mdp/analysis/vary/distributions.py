@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -56,7 +56,7 @@ from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of
+from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of, parametric
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats, exact
@@ -64,27 +64,83 @@ from exact_mdp.mdp.table import Floats, exact
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-OWN = {
-    "beta": ("alpha", "beta"),
-    "dirichlet": ("alpha",),
-    "gamma": ("shape", "scale"),
-    "lognormal": ("meanlog", "sdlog"),
-    "normal": ("mean", "sd"),
-    "uniform": ("low", "high"),
-    "triangular": ("low", "mode", "high"),
-}
-"""The numbers that each distribution is usually given by."""
-SIZES = (1e-6, 1e15)  # effective sample sizes that floats can draw from
-SPREADS = (1e-9, 1e3)  # relative standard deviations
+Numbers = tuple[float, ...]
+Settings = Mapping[str, object]
+
 EFFECTIVE_SAMPLE_SIZE = 100.0
 SIZE, SPREAD, DEFAULT = "effective_sample_size", "relative_sd", "default"
 MOMENTS = ("mean", "sd", SPREAD, SIZE)
-NUMBERS = (*MOMENTS, *dict.fromkeys(name for names in OWN.values() for name in names))
-SETTINGS = tuple(dict.fromkeys((*NUMBERS, "distribution", "fixed")))
+WITHIN = {SIZE: (1e-6, 1e15), SPREAD: (1e-9, 1e3)}  # what floats can draw from
+WORDS = {SIZE: "effective sample size", SPREAD: "relative standard deviation"}
 FIXED = "stated to be fixed"
 MOST_ROWS = 2000
 
-Settings = Mapping[str, object]
+
+def _lognormal(mean: float, sd: float) -> Numbers:
+    square = math.log1p((sd / mean) ** 2)
+    return math.log(mean) - square / 2, math.sqrt(square)
+
+
+def _triangle(low: float, mode: float, high: float) -> Numbers:
+    squares = low * low + mode * mode + high * high - low * mode - low * high - mode * high
+    return (low + mode + high) / 3, math.sqrt(squares / 18)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A distribution: names of its own numbers, when they make one, both ways to mean and sd."""
+
+    own: tuple[str, ...]
+    sound: Callable[..., bool]
+    moments: Callable[..., Numbers]
+    of_moments: Callable[[float, float], Numbers]
+
+
+KINDS = {
+    "beta": Kind(
+        ("alpha", "beta"),
+        lambda a, b: a > 0 and b > 0,
+        lambda a, b: (a / (a + b), math.sqrt(a * b / (a + b + 1)) / (a + b)),
+        lambda mean, sd: _beta(mean, mean * (1 - mean) / sd**2 - 1),
+    ),
+    "gamma": Kind(
+        ("shape", "scale"),
+        lambda shape, scale: shape > 0 and scale != 0,
+        lambda shape, scale: (shape * scale, math.sqrt(shape) * abs(scale)),
+        lambda mean, sd: ((mean / sd) ** 2, sd**2 / mean),
+    ),
+    "lognormal": Kind(
+        ("meanlog", "sdlog"),
+        lambda mean, sd: sd > 0,
+        lambda m, s: (
+            math.exp(m + s * s / 2),
+            math.exp(m + s * s / 2) * math.sqrt(math.expm1(s * s)),
+        ),
+        _lognormal,
+    ),
+    "normal": Kind(
+        ("mean", "sd"), lambda mean, sd: sd > 0, lambda *numbers: numbers, lambda *numbers: numbers
+    ),
+    "uniform": Kind(
+        ("low", "high"),
+        lambda low, high: low < high,
+        lambda low, high: ((low + high) / 2, (high - low) / math.sqrt(12)),
+        lambda mean, sd: (mean - sd * math.sqrt(3), mean + sd * math.sqrt(3)),
+    ),
+    "triangular": Kind(
+        ("low", "mode", "high"),
+        lambda low, mode, high: low <= mode <= high and low < high,
+        _triangle,
+        lambda mean, sd: (mean - sd * math.sqrt(6), mean, mean + sd * math.sqrt(6)),
+    ),
+}
+EVERY = (*KINDS, "dirichlet")
+NUMBERS = {*MOMENTS, *(name for kind in KINDS.values() for name in kind.own)}
+SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
+
+
+def _beta(mean: float, size: float) -> Numbers:
+    return mean * size, (1 - mean) * size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +154,7 @@ class Uncertain:
     kind : str
         A distribution, or "sample".
     numbers : tuple of float
-        Those of the distribution, in the order of `OWN`; k + 1 concentrations of a Dirichlet.
+        Its own, in the order of `KINDS`; k + 1 concentrations of a Dirichlet.
     mean, sd : tuple of k float
     label : str
         What the part is called; its name unless given.
@@ -112,9 +168,9 @@ class Uncertain:
 
     names: tuple[str, ...]
     kind: str
-    numbers: tuple[float, ...]
-    mean: tuple[float, ...]
-    sd: tuple[float, ...]
+    numbers: Numbers
+    mean: Numbers
+    sd: Numbers
     label: str
 
     @classmethod
@@ -138,8 +194,17 @@ class Uncertain:
         (20,)
         """
         where = f"distribution of {name}"
-        numbers = _numbers(kind, said, where)
-        mean, sd = _moments(kind, numbers)
+        if kind not in KINDS:
+            raise ModelError(f"distribution {kind!r}", where=where, fix=suggest(kind, [*KINDS]))
+        own = KINDS[kind].own
+        if kind != "normal" and set(said) == set(own):
+            numbers = tuple(said[each] for each in own)
+            if not (all(map(math.isfinite, numbers)) and KINDS[kind].sound(*numbers)):
+                listed = ", ".join(f"{each} = {said[each]:g}" for each in own)
+                raise ModelError(f"a {kind} with {listed}", where=where, fix="see what it takes")
+        else:
+            numbers = _of_moments(kind, said, where)
+        mean, sd = KINDS[kind].moments(*numbers)
         mean = said.get("mean", mean)  # as they were said, not as they come back
         sd = said.get("sd", abs(mean) * said[SPREAD] if SPREAD in said else sd)
         return cls(names=(name,), kind=kind, numbers=numbers, mean=(mean,), sd=(sd,), label=name)
@@ -164,26 +229,24 @@ class Uncertain:
         >>> Uncertain.of_row("from ill", ["recover", "die"], [3, 1, 6]).mean
         (0.3, 0.1)
         """
-        where = f"distribution of {label}"
+        where, (least, most) = f"distribution of {label}", WITHIN[SIZE]
         if len(counts) != len(names) + 1:
             raise ModelError(
                 f"{len(counts)} concentrations for {len(names)} probabilities and what they leave",
                 where=where,
                 fix="give one for each, and one more for the rest of the row",
             )
-        if not all(count > 0 and SIZES[0] <= sum(counts) <= SIZES[1] for count in counts):
+        if not all(count > 0 and least <= sum(counts) <= most for count in counts):
             raise ModelError(
                 f"concentrations {', '.join(f'{count:g}' for count in counts)}",
                 where=where,
                 fix="name probabilities above 0 whose sum is below 1",
             )
-        size = math.fsum(counts)
+        size, every = math.fsum(counts), tuple(counts)
         mean = tuple(count / size for count in counts[:-1])
         sd = tuple(math.sqrt(m * (1 - m) / (size + 1)) for m in mean)
-        every = tuple(counts)
-        return cls(
-            names=tuple(names), kind="dirichlet", numbers=every, mean=mean, sd=sd, label=label
-        )
+        row = tuple(names)
+        return cls(names=row, kind="dirichlet", numbers=every, mean=mean, sd=sd, label=label)
 
     @property
     def size(self) -> float | None:
@@ -205,102 +268,44 @@ class Uncertain:
         return drawn
 
 
-def _numbers(kind: str, said: Mapping[str, float], where: str) -> tuple[float, ...]:
-    """Return the numbers of a distribution; raises ModelError where these do not make one."""
-    if kind not in OWN or kind == "dirichlet":
-        raise ModelError(
-            f"distribution {kind!r}", where=where, fix=suggest(kind, [*OWN, "beta", "gamma"])
-        )
-    own = OWN[kind]
-    if kind != "normal" and set(said) == set(own):
-        numbers = tuple(said[name] for name in own)
-        rising = kind not in ("uniform", "triangular") or (
-            [*numbers] == sorted(numbers) and numbers[0] < numbers[-1]
-        )
-        above = [x > 0 for x in (numbers[1:] if kind == "lognormal" else numbers)]
-        good = rising if kind in ("uniform", "triangular") else all(above)
-        if kind == "gamma":
-            good = numbers[0] > 0 and numbers[1] != 0
-        if not good or not all(map(math.isfinite, numbers)):
-            listed = ", ".join(f"{name} = {said[name]:g}" for name in own)
-            raise ModelError(f"a {kind} with {listed}", where=where, fix="see what it takes")
-        return numbers
+def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
+    """Return the own numbers of a distribution by its mean and spread, if there is one."""
     spreads = [name for name in ("sd", SPREAD, SIZE) if name in said]
     if "mean" not in said or len(spreads) != 1 or set(said) - {"mean", *spreads}:
-        more = f"; or {', '.join(own)} alone" if kind != "normal" else ""
-        fix = (
-            f"state a mean and one of sd, relative_sd{', ' + SIZE if kind == 'beta' else ''}{more}"
-        )
+        own = "" if kind == "normal" else f"; or {', '.join(KINDS[kind].own)} alone"
+        size = f", {SIZE}" if kind == "beta" else ""
+        fix = f"state a mean and one of sd, relative_sd{size}{own}"
         raise ModelError(f"a {kind} with {', '.join(said) or 'no spread'}", where=where, fix=fix)
-    mean, spread = said["mean"], said[spreads[0]]
+    mean, (spread,) = said["mean"], spreads
     if not math.isfinite(mean):
         raise ModelError(f"a spread around {mean:g}", where=where, fix="state a finite mean")
-    if SIZE in said:
-        return _beta(kind, mean, _within(spread, SIZES, "effective sample size", where), where)
     if SPREAD in said and not mean:
         raise ModelError("a relative spread around 0", where=where, fix="state an sd")
-    relative = spread if SPREAD in said else spread / abs(mean or 1.0)
-    relative = _within(relative, SPREADS, "relative standard deviation", where)
-    sd = relative * abs(mean or 1.0)
-    if kind == "beta":
-        return _beta(kind, mean, mean * (1 - mean) / sd**2 - 1, where)
-    if kind == "normal":
-        return mean, sd
-    if kind in ("uniform", "triangular"):
-        reach = sd * math.sqrt(3 if kind == "uniform" else 6)
-        return (
-            (mean - reach, mean + reach)
-            if kind == "uniform"
-            else (mean - reach, mean, mean + reach)
-        )
-    if not mean or (kind == "lognormal" and mean < 0):
-        raise ModelError(
-            f"a {kind} of mean {mean:g}", where=where, fix="state a mean above 0, or another one"
-        )
-    if kind == "gamma":
-        shape = 1 / relative**2
-        return shape, mean / shape
-    square = math.log1p(relative**2)
-    return math.log(mean) - square / 2, math.sqrt(square)
-
-
-def _beta(kind: str, mean: float, size: float, where: str) -> tuple[float, ...]:
-    if kind != "beta":
+    amount = said[spread] / abs(mean or 1.0) if spread == "sd" else said[spread]
+    amount = _within(amount, SPREAD if spread == "sd" else spread, where)
+    if spread == SIZE and kind != "beta":
         raise ModelError(
             f"an effective sample size of a {kind} distribution",
             where=where,
             fix="state an sd or a relative_sd; a sample size is of a probability",
         )
-    if not 0 < mean < 1 or size <= 0:
+    if (kind == "gamma" and not mean) or (kind == "lognormal" and mean <= 0):
+        fix = "state a mean above 0, or another one"
+        raise ModelError(f"a {kind} of mean {mean:g}", where=where, fix=fix)
+    sd = amount * abs(mean or 1.0)
+    numbers = _beta(mean, amount) if spread == SIZE else KINDS[kind].of_moments(mean, sd)
+    if kind == "beta" and min(numbers) <= 0:
         what = f"a beta of mean {mean:g}" + (" and so large a spread" if 0 < mean < 1 else "")
         raise ModelError(what, where=where, fix="choose a mean between 0 and 1, or a smaller sd")
-    return mean * size, (1 - mean) * size
+    return numbers
 
 
-def _within(value: float, ends: tuple[float, float], what: str, where: str) -> float:
-    if not ends[0] <= value <= ends[1]:
-        fix = f"choose a number above 0, from {ends[0]:g} to {ends[1]:g}"
-        raise ModelError(f"{what} {value!r}", where=where, fix=fix)
+def _within(value: float, what: str, where: str) -> float:
+    low, high = WITHIN[what]
+    if not low <= value <= high:
+        fix = f"choose a number above 0, from {low:g} to {high:g}"
+        raise ModelError(f"{WORDS[what]} {value!r}", where=where, fix=fix)
     return value
-
-
-def _moments(kind: str, numbers: tuple[float, ...]) -> tuple[float, float]:
-    """Return the mean and the standard deviation of a distribution."""
-    a, b = numbers[0], numbers[1]
-    if kind == "beta":
-        mean = a / (a + b)
-        return mean, math.sqrt(mean * (1 - mean) / (a + b + 1))
-    if kind == "gamma":
-        return a * b, math.sqrt(a) * abs(b)
-    if kind == "lognormal":
-        mean = math.exp(a + b * b / 2)
-        return mean, mean * math.sqrt(math.expm1(b * b))
-    if kind == "uniform":
-        return (a + b) / 2, (b - a) / math.sqrt(12)
-    if kind == "triangular":
-        c = numbers[2]
-        return (a + b + c) / 3, math.sqrt((a * a + b * b + c * c - a * b - a * c - b * c) / 18)
-    return a, b
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -331,16 +336,9 @@ class Uncertainty(Brief):
         """The Q parameters that are drawn, in the order of the draws' columns."""
         return tuple(name for part in self.parts for name in part.names)
 
-    @property
-    def mean(self) -> Floats:
-        """(Q,) means, which are today's values unless others were said."""
-        return np.array([mean for part in self.parts for mean in part.mean])
-
     def draw(self, sequence: SeedSequence, count: int) -> Floats:
         """Return (count, Q) draws."""
-        if not self.parts:
-            return np.empty((count, 0))
-        return np.hstack([part.draw(sequence, count) for part in self.parts])
+        return np.hstack([np.empty((count, 0)), *(p.draw(sequence, count) for p in self.parts)])
 
     def checked(self, model: Parametric) -> Uncertainty:
         """Return it; raises ModelError where a name is not the model's, or nothing is drawn."""
@@ -399,13 +397,12 @@ def uncertainty(
     if stated is not None and not isinstance(stated, Mapping):
         return _of_sample(model, stated)
     stated = {name: _checked(name, settings) for name, settings in (stated or {}).items()}
-    default = _within(_float(default, "default", DEFAULT), SIZES, "effective sample size", DEFAULT)
+    default = _within(_float(default, "default", DEFAULT), SIZE, DEFAULT)
     parameters = {parameter.name: parameter for parameter in model.parameters}
     rows = {label: tuple(row) for label, row in getattr(model, "rows", {}).items()}
     for name in stated:
         if name not in rows and not any(_begins(known, name) for known in parameters):
             parameter_of(model, name)
-    chosen = set(parameters) if names is None else _chosen(model, names, rows)
     label_of: dict[str, str] = {}
     for label, row in rows.items():
         for name in row:
@@ -413,33 +410,33 @@ def uncertainty(
                 raise ModelError(
                     f"{name} is in two rows", where=f"row {label}", fix="name it in one of them"
                 )
-    fixed: dict[str, str] = {}
-    parts: dict[str, Uncertain] = {}
-    for name, parameter in parameters.items():
-        label = label_of.get(name, name)
-        members = rows.get(label, (name,)) if name in label_of else (name,)
-        if name not in chosen:
-            fixed[name] = "not among the names asked for"
-        elif name not in fixed and label not in parts:
-            if name in label_of:
-                part = _row([parameters[m] for m in members], label, stated, default)
-            else:
-                part = _alone(parameter, _settings(stated, name), default)
-            if isinstance(part, str):
-                fixed |= dict.fromkeys(members, part)
-            else:
-                parts[label] = part
-    return Uncertainty(parts=tuple(parts.values()), fixed=fixed)
+    chosen = set(parameters) if names is None else _chosen(model, names, rows)
+    parts, fixed = list[Uncertain](), dict[str, str]()
+    for label in dict.fromkeys(label_of.get(name, name) for name in parameters):
+        members = rows.get(label, (label,))
+        part: Uncertain | str = "not among the names asked for"
+        if members[0] in chosen:
+            whole = [parameters[name] for name in members]
+            part = (
+                _row(whole, label, stated, default)
+                if label in rows
+                else _alone(whole[0], _settings(stated, label), default)
+            )
+        if isinstance(part, str):
+            fixed |= dict.fromkeys(members, part)
+        else:
+            parts.append(part)
+    return Uncertainty(parts=tuple(parts), fixed=fixed)
 
 
 def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
     """Return one's own sample, a table."""
     names = [parameter_of(model, str(name)).name for name in frame.columns]
-    where, sample = "sample", np.asarray(frame, dtype=float)
+    sample = np.asarray(frame, dtype=float)
     if not sample.size or not np.isfinite(sample).all():
         raise ModelError(
             "a sample without rows, or with numbers that are not finite",
-            where=where,
+            where="sample",
             fix="give a column for each parameter and a row for each draw",
         )
     spread = sample.std(axis=0, ddof=1) if len(sample) > 1 else np.zeros(len(names))
@@ -453,38 +450,33 @@ def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
 
 def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertain | str:
     """Return the distribution of one parameter, or why it is not drawn."""
-    name, today = parameter.name, float(parameter.value)
-    share = parameter.low == 0 and parameter.high == 1
-    usual = "beta" if share else "normal" if parameter.low is None or parameter.low < 0 else "gamma"
+    name, today, low, high = parameter.name, float(parameter.value), parameter.low, parameter.high
+    share = low == 0 and high == 1
     if settings.get("fixed"):
         return FIXED
     if not settings and (name == DISCOUNT or not share):
         weights = "reward weights" if unit_of(parameter) == "reward" else f"{unit_of(parameter)}s"
         held = "the discount is" if name == DISCOUNT else f"{weights} are"
         return f"{held} held unless stated otherwise"
+    usual = "beta" if share else "normal" if low is None or low < 0 else "gamma"
     kind = str(settings.get("distribution", usual))
     said = {key: _float(settings[key], key, name) for key in settings if key in NUMBERS}
     said = said or ({SIZE: default} if kind == "beta" else {})
-    if not set(said) - set(MOMENTS) and kind in OWN:
-        if (
-            "mean" not in said
-            and (today == 0 or (kind == "beta" and today == 1))
-            and "sd" not in said
-        ):
+    if not set(said) - set(MOMENTS) and "mean" not in said:
+        if "sd" not in said and today in ((0, 1) if kind == "beta" else (0,)):
             Uncertain.of(name, kind, mean=0.5, **said)  # what is stated is checked all the same
             return f"{today:g} today"
         said = {"mean": today} | said
     part = Uncertain.of(name, kind, **said)
-    low, high = parameter.low, parameter.high
-    if kind in ("uniform", "triangular"):
-        for end in (part.numbers[0], part.numbers[-1]):
-            if (low is not None and end < low) or (high is not None and end > high):
-                raise ModelError(
-                    f"a {kind} from {part.numbers[0]:g} to {part.numbers[-1]:g}, outside of "
-                    "what the parameter may be",
-                    where=f"distribution of {name}",
-                    fix="choose one within it",
-                )
+    ends = part.numbers[:: len(part.numbers) - 1]
+    if kind in ("uniform", "triangular") and (
+        (low is not None and ends[0] < low) or (high is not None and ends[1] > high)
+    ):
+        raise ModelError(
+            f"a {kind} from {ends[0]:g} to {ends[1]:g}, outside of what the parameter may be",
+            where=f"distribution of {name}",
+            fix="choose one within it",
+        )
     return part
 
 
@@ -492,11 +484,9 @@ def _row(
     row: Sequence[Parameter], label: str, stated: Mapping[str, Settings], default: float
 ) -> Uncertain | str:
     """Return the joint distribution of a row's entries, or why they are not drawn."""
-    names, where = [parameter.name for parameter in row], f"row {label}"
-    said = [dict(_settings(stated, name)) for name in names]
-    if label in stated:
-        said = [each or dict(stated[label]) for each in said] + [dict(stated[label])]
-    if any(each != said[0] for each in said):
+    names, where, of_row = [p.name for p in row], f"row {label}", stated.get(label, {})
+    said = [dict(_settings(stated, name) or of_row) for name in names]
+    if any(each != said[0] for each in [*said, *([of_row] if of_row else [])]):
         raise ModelError(
             "the entries of a row have different settings",
             where=where,
@@ -504,19 +494,13 @@ def _row(
         )
     for parameter in row:
         if unit_of(parameter) != "probability":
-            raise ModelError(
-                f"{parameter.name} is not a probability of a row",
-                where=where,
-                fix="name probabilities",
-            )
+            what = f"{parameter.name} is not a probability of a row"
+            raise ModelError(what, where=where, fix="name probabilities")
     settings = said[0]
     if settings.get("fixed"):
         return FIXED
-    if settings.get("distribution", "dirichlet") != "dirichlet" or set(settings) - {
-        "distribution",
-        "alpha",
-        SIZE,
-    }:
+    known = {"distribution", "alpha", SIZE}
+    if settings.get("distribution", "dirichlet") != "dirichlet" or set(settings) - known:
         raise ModelError(
             "probabilities of a row are Dirichlet",
             where=where,
@@ -527,8 +511,7 @@ def _row(
         if not isinstance(alpha, list | tuple):
             raise ModelError(f"alpha is {alpha!r:.60}", where=where, fix="give a list of numbers")
         return Uncertain.of_row(label, names, [_float(x, "alpha", label) for x in alpha])
-    size = _float(settings.get(SIZE, default), SIZE, label)
-    size = _within(size, SIZES, "effective sample size", where)
+    size = _within(_float(settings.get(SIZE, default), SIZE, label), SIZE, where)
     means = [float(parameter.value) for parameter in row]
     return Uncertain.of_row(label, names, [size * m for m in (*means, 1.0 - math.fsum(means))])
 
@@ -561,19 +544,16 @@ def _begins(name: str, start: str) -> bool:
 
 def _settings(stated: Mapping[str, Settings], name: str) -> Settings:
     """Return what is stated of the longest beginning of a name."""
-    found = [start for start in stated if _begins(name, start)]
-    return stated[max(found, key=len)] if found else {}
+    starts = [start for start in stated if _begins(name, start)]
+    return stated[max(starts, key=len)] if starts else {}
 
 
 def _checked(name: str, settings: object) -> Settings:
     """Return settings that are known."""
     where = f"parameter {name}"
     if not isinstance(settings, Mapping):
-        raise ModelError(
-            f"{settings!r:.60} is stated",
-            where=where,
-            fix=f"state settings of a distribution: {{{SIZE} = 50}}",
-        )
+        fix = f"state settings of a distribution: {{{SIZE} = 50}}"
+        raise ModelError(f"{settings!r:.60} is stated", where=where, fix=fix)
     for key in settings:
         if key not in SETTINGS:
             fix = suggest(str(key), SETTINGS)
@@ -584,8 +564,8 @@ def _checked(name: str, settings: object) -> Settings:
         raise ModelError(f"fixed is {held!r}", where=where, fix=fix)
     if held and len(settings) > 1:
         raise ModelError("fixed, and a distribution", where=where, fix="state one of the two")
-    if kind not in OWN:
-        fix = suggest(str(kind), [*OWN])
+    if kind not in EVERY:
+        fix = suggest(str(kind), EVERY)
         raise ModelError(f"unknown distribution {kind!r}", where=where, fix=fix)
     return settings
 
@@ -629,40 +609,39 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     ...     load_uncertainty(file)
     ({'base.anger': {'effective_sample_size': 50}}, None)
     """
-    found: dict[str, dict[str, object]] = {}
-    _visit("", toml_of(read_text(path, most=SMALL), str(path), number=float), found, str(path))
-    if not found:
-        raise ModelError(
-            "nothing is stated in the file",
-            where=str(path),
-            fix=f'write "NAME" = {{{SIZE} = 50}}',
-        )
-    general = found.pop(DEFAULT, {})
-    if set(general) - {SIZE}:
-        raise ModelError(
-            "[default] states more than effective_sample_size",
-            where=f"{path}, {DEFAULT}",
-            fix="state the rest for each parameter",
-        )
-    return found, _float(general[SIZE], SIZE, DEFAULT) if general else None
-
-
-def _visit(
-    prefix: str, table: dict[str, Any], found: dict[str, dict[str, object]], path: str
-) -> None:
-    where = f"{path}, {prefix or 'top level'}"
-    for key, value in table.items():
+    stated: dict[str, dict[str, object]] = {}
+    read = toml_of(read_text(path, most=SMALL), str(path), number=float)
+    for prefix, key, value in _entries("", read):
         name = f"{prefix}.{key}" if prefix else key
-        if isinstance(value, dict):
-            _visit(name, value, found, path)
-        elif prefix and key in SETTINGS:
-            found.setdefault(prefix, {})[key] = value
+        where = f"{path}, {prefix or 'top level'}"
+        if prefix and key in SETTINGS:
+            stated.setdefault(prefix, {})[key] = value
         elif isinstance(value, list):
             fix = f'psa takes distributions: write "{name}" = {{{SIZE} = 50}}'
             raise ModelError(f"{name} has a range", where=where, fix=fix)
         else:
             fix = suggest(key, SETTINGS) if prefix else f"write {key} = {{{SIZE} = 50}}"
             raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
+    if not stated:
+        fix = f'write "NAME" = {{{SIZE} = 50}}'
+        raise ModelError("nothing is stated in the file", where=str(path), fix=fix)
+    general = stated.pop(DEFAULT, {})
+    if set(general) - {SIZE}:
+        raise ModelError(
+            "[default] states more than effective_sample_size",
+            where=f"{path}, {DEFAULT}",
+            fix="state the rest for each parameter",
+        )
+    return stated, _float(general[SIZE], SIZE, DEFAULT) if general else None
+
+
+def _entries(prefix: str, table: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Yield the entries of nested tables: the dotted name of the table, the key, the value."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _entries(f"{prefix}.{key}" if prefix else key, value)
+        else:
+            yield prefix, key, value
 
 
 def row_family(mdp: MDP) -> Family:
@@ -670,7 +649,8 @@ def row_family(mdp: MDP) -> Family:
 
     Of each row with more than one outcome these are all probabilities but the largest, which is
     what the others leave. Drawn together they are Dirichlet: the family's `rows` name those of each
-    row. Raises ModelError where no row is random, or more than 2,000 are.
+    row. Its rewards and its discount are parameters, too. Raises ModelError where more than 2,000
+    rows are random.
     """
     entries: dict[str, list[tuple[int, str]]] = {}
     rows: dict[str, tuple[str, ...]] = {}
@@ -687,11 +667,12 @@ def row_family(mdp: MDP) -> Family:
         names = {s: f"{label}: to {labels[s]}" for s in sorted(chance) if s != largest}
         entries |= {name: [(pair, labels[s])] for s, name in names.items()}
         rows[label] = tuple(names.values())
-    if not 0 < len(rows) <= MOST_ROWS:
+    if len(rows) > MOST_ROWS:
         raise ModelError(
             f"{len(rows):,} rows of the model are random",
             where="rows as parameters",
-            fix=f"name the parameters that matter (mdp.parametric.moving), or take a model with 1 "
-            f"to {MOST_ROWS:,} of them",
+            fix="name the parameters that matter (mdp.parametric.moving), or take a model with at "
+            f"most {MOST_ROWS:,} of them",
         )
-    return replace(moving(mdp, entries), rows=rows)
+    rewards = {p.name: p.value for p in parametric(mdp).parameters if p.name != DISCOUNT}
+    return replace(moving(mdp, entries, rewards), rows=rows)

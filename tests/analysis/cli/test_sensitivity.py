@@ -285,6 +285,20 @@ def test_psa_takes_any_model(tmp_path: Path) -> None:
     assert len(held["drawn"]) == 1
 
 
+def test_psa_draws_rewards_and_the_discount_of_any_model_where_they_are_stated(
+    tmp_path: Path,
+) -> None:
+    file, stated = tmp_path / "model.npz", tmp_path / "stated.toml"
+    save(MDP.from_arrays([[[0, 1], [0, 1]]], [2, 0], "1/2"), file)
+    stated.write_text('["reward.2"]\nsd = 0.5\n[discount]\neffective_sample_size = 9\n')
+    found = run("psa", file, "--ranges", stated, "--samples", 64, "--n-jobs", 1, "--json").result
+    assert {name: each["distribution"] for name, each in found["drawn"].items()} == {
+        "reward.2": "normal",
+        "discount": "beta",
+    }
+    assert found["value"]["mean"] == pytest.approx(2, abs=0.3)
+
+
 def test_psa_keeps_its_work(tmp_path: Path) -> None:
     words = ("psa", "yuan2025", "--samples", 60, "--out", tmp_path, "--json")
     found = run(*words).result

@@ -305,7 +305,7 @@ def test_a_row_is_drawn_whole_or_not_at_all() -> None:
     for names in ([ROW], [ONE, TWO]):
         found = uncertainty(FAMILY, names=names)
         assert found.names == (ONE, TWO)
-        assert set(found.fixed) == {"(state 1, 0): to state 1", "discount"}
+        assert set(found.fixed) == {"(state 1, 0): to state 1", "reward.1", "discount"}
     for name in (ONE, TWO):
         with pytest.raises(ModelError, match="without the others"):
             uncertainty(FAMILY, names=[name])
@@ -335,8 +335,8 @@ def test_rows_of_any_model_are_dirichlet_and_stay_distributions() -> None:
 
 
 def test_a_model_without_chance_has_nothing_to_draw() -> None:
-    with pytest.raises(ModelError, match="0 rows"):
-        row_family(MDP.from_arrays([[[1]]], [1], "1/2"))
+    with pytest.raises(ModelError, match="no parameter is uncertain"):
+        psa(row_family(MDP.from_arrays([[[1]]], [1], "1/2")), 2)
 
 
 def test_rows_of_floats_that_sum_to_one_but_for_rounding_can_be_drawn() -> None:

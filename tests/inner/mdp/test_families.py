@@ -16,7 +16,7 @@ from exact_mdp import (
     parametric,
     thresholds,
 )
-from exact_mdp.analysis.vary.curves.derivatives import Checked
+from exact_mdp.analysis.vary.curves.gradient import Checked
 from exact_mdp.mdp.parametric import room_of
 from exact_mdp.mdp.parametric.row_change import pieces, row_change
 

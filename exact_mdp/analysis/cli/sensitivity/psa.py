@@ -166,7 +166,7 @@ def _tables(
     result: Mapping[str, Any], found: PSA, partial: Mapping[str, PartialInformation]
 ) -> list[Table]:
     share, low, high = found.probability_optimal()
-    reach = float(np.maximum(high - share, share - low).max())
+    reach = float(np.maximum(high - share, share - low).max(initial=0.0))
     where = "at subtask 0, trial 0; " if found.compiled else ""
     return [
         Table(

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any
 import flint
 import numpy as np
 
-from exact_mdp.analysis.vary.curves.exact_chain import LARGEST
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from flint import fmpq, fmpq_poly
 
 
+LARGEST = 300  # states of a model with cycles
 CYCLIC_DEGREE = 200
 
 Mix = Sequence[Sequence[tuple[int, "fmpq"]]]

@@ -1,40 +1,55 @@
 """The derivative of the start value by every parameter, in one backward and one forward pass.
 
-    dV/dθ = Σ_l d(l) [∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s')]
+    dV/dθ = Σ_l d(l) c(l),    c(l) = ∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s')
 
 d is the policy's discounted occupancy and V its value. With the policy re-optimised, the same holds
 of the optimum by the envelope theorem (Milgrom and Segal, Econometrica 70, 2002) where one policy
 is optimal. Where several are, V* has a derivative on each side, the greatest or least among their
-own: the optimum of the model that is left with optimal actions and earns the bracket above. Where
-a parameter sits on a breakpoint of the rows, each side has its own ∂P. The elasticity is
-(θ / V) dV/dθ, the change of the value in per cent for one per cent of the parameter.
+own: the optimum of the model that is left with optimal actions and earns c. Where a parameter sits
+on a breakpoint of the rows, each side has its own ∂P. The elasticity is (θ / V) dV/dθ, the change
+of the value in per cent for one per cent of the parameter.
+
+In floating point, with V and d each within e_V and e_d of the exact ones,
+
+    |error| ≤ Σ_l [e_d |c| + (d + e_d) (γ Σ |∂P| e_V + |∂γ| Σ P e_V)] + rounding;
+
+gaps within the error bound count as ties, and are refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from exact_mdp.analysis.gate.exact_policy import exact_policy, exact_visits
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.vary.base_case import maximised, unending
-from exact_mdp.analysis.vary.curves.derivatives import BoundedPass, Checked, ExactPass
+from exact_mdp.analysis.vary.base_case import unending
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.graph import endless, is_acyclic
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import fraction, rational
+from exact_mdp.mdp.graph import endless, is_acyclic, reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.row_change import pieces, row_change
+from exact_mdp.mdp.parametric.row_change import RowChange, pieces, row_change
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
 from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.evaluate import evaluate
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.visits import visits
 
 if TYPE_CHECKING:
+    from flint import fmpq
     from pandas import DataFrame
 
 
@@ -43,6 +58,37 @@ EXACT_CYCLIC_STATES = 64
 EXACT_SPARSE_STATES, EXACT_SPARSE_TRANSITIONS = 200, 10_000  # of small integers over one number
 
 Number = Certified | Bounded
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """An exact number that relies on an unproven degree of a polynomial.
+
+    Attributes
+    ----------
+    value : Fraction
+    points : int
+        At this many values of the parameter the model is what the polynomial says.
+
+    Examples
+    --------
+    >>> print(Checked(value=Fraction(4), points=6))
+    4 (checked: the degree holds at 6 points, and is not proven)
+    """
+
+    value: Fraction
+    points: int
+
+    @property
+    def claim(self) -> Claim:
+        """Checked."""
+        return Claim.CHECKED
+
+    def __str__(self) -> str:
+        text = str(Certified(value=self.value)).partition(" (")[0]
+        return f"{text} ({self.claim}: the degree holds at {self.points} points, and is not proven)"
+
+
 Slope = Certified | Bounded | Checked
 
 
@@ -64,11 +110,6 @@ class Derivative:
     left: Slope | None
     right: Slope | None
     elasticity: float | None
-
-    def negated(self) -> Derivative:
-        """Return the derivative of the value times -1, which has the same elasticity."""
-        left, right = (None if side is None else -side for side in (self.left, self.right))
-        return replace(self, left=left, right=right)
 
     @property
     def value(self) -> Slope | None:
@@ -127,18 +168,6 @@ class Gradient(Pictured):
     def error(self) -> float:
         """Bound on the error of the start value; 0 where it is exact."""
         return self.start.error if isinstance(self.start, Bounded) else 0.0
-
-    def negated(self) -> Gradient:
-        """Return the gradient of costs from that of rewards which are the costs times -1."""
-        return replace(
-            self,
-            start=-self.start,
-            derivatives={name: each.negated() for name, each in self.derivatives.items()},
-            steps={
-                name: (None if below is None else -below, -above)
-                for name, (below, above) in self.steps.items()
-            },
-        )
 
     def frame(self) -> DataFrame:
         """Return one row for each parameter, the largest elasticity first."""
@@ -213,14 +242,11 @@ def gradient(
     names = [parameter.name for parameter in family.parameters] if names is None else names
     parameters = [parameter_of(family, name) for name in names]
     mdp = family.at({})
-    if mdp.sense == "min":
-        rewards, policy = maximised(family, policy)
-        return gradient(rewards, policy=policy, names=names, exact=exact).negated()
     reoptimised = isinstance(policy, str) and policy == "optimal"
     if reoptimised and endless(mdp):
         raise unending("today's parameters")
     exact = _cheap(mdp) if exact is None else exact
-    passed = ExactPass(mdp, policy) if exact else BoundedPass(mdp, policy)
+    passed = _ExactPass(mdp, policy) if exact else _BoundedPass(mdp, policy)
     return Gradient(
         start=passed.start,
         derivatives={each.name: _derivative(family, mdp, passed, each) for each in parameters},
@@ -239,25 +265,26 @@ def _cheap(mdp: MDP) -> bool:
 
 
 def _derivative(
-    family: Parametric,
-    mdp: MDP,
-    passed: ExactPass | BoundedPass,
-    parameter: Parameter,
+    family: Parametric, mdp: MDP, passed: _ExactPass | _BoundedPass, parameter: Parameter
 ) -> Derivative:
     name = parameter.name
+    sides: list[Slope | None] = []
     below, above = pieces(family, name, parameter.value)
-    left = right = None
-    if below is not None:
-        change = row_change(family, name, below, base=mdp)
-        left = passed.side(change, -1)
-    if above is not None:
-        if above is not below:
-            change = row_change(family, name, above, base=mdp)
-        right = passed.side(change, 1)
-    each = Derivative(parameter=parameter, left=left, right=right, elasticity=None)
-    slope, start = each.value, Fraction(passed.start.value)
-    if slope is None or not start:
+    for piece, sign in ((below, -1), (above, 1)):
+        if piece is None:
+            sides.append(None)
+            continue
+        if not sides or piece is not below:
+            change = row_change(family, name, piece, base=mdp)
+        slope: Slope = passed.slope(change, sign)
+        if change.checked is not None:
+            slope = Checked(value=Fraction(slope.value), points=change.checked)
+        sides.append(slope)
+    each = Derivative(parameter=parameter, left=sides[0], right=sides[1], elasticity=None)
+    start = Fraction(passed.start.value)
+    if each.value is None or not start:
         return each
+    slope = each.value
     return replace(each, elasticity=in_float(Fraction(slope.value) * parameter.value / start))
 
 
@@ -283,3 +310,168 @@ def _less(left: Number, right: Number) -> Number:
     (low, high), (least, most) = left.interval, right.interval
     value = float(left.value) - float(right.value)
     return Bounded(value=value, error=max(high - least - value, value - (low - most)) * 1.0000001)
+
+
+# ---- rationals -----------------------------------------------------------------------------------
+
+
+class _ExactPass:
+    """Value and occupancy of a policy in rationals, and the derivatives that they give."""
+
+    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
+        self.mdp, self.certificate = mdp, None
+        if isinstance(policy, str) and policy == "optimal":
+            self.certificate = proven(mdp)
+            policy = self.certificate.policy
+        chain = PolicyChain.of(mdp, policy)
+        if mdp.discount_exact == 1:
+            chain.require_end()
+        self.rate = rational(mdp.discount_exact)
+        values = exact_policy(chain)
+        self.value: list[fmpq] = [*map(rational, values.value)]
+        self.start = Certified(value=values.start_value)
+        stay = rational(0) if self.rate == 1 else 1 / (1 - self.rate)
+        self.uses: dict[int, fmpq] = {}
+        for state, seen in enumerate(exact_visits(chain).value):
+            if seen:
+                amount = rational(seen) * (stay if mdp.terminal[state] else 1)
+                for pair, weight in chain.exact_weights(state).items():
+                    self.uses[pair] = amount * rational(weight)
+
+    def slope(self, change: RowChange, sign: int) -> Certified:
+        """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
+        if self.certificate is None or self.certificate.unique:
+            earned = self._earnings(change, [pair for pair, uses in self.uses.items() if uses])
+            total = sum(
+                (self.uses.get(pair, 0) * gain for pair, gain in earned.items()), rational(0)
+            )
+            return Certified(value=fraction(total))
+        earned = self._earnings(change, range(self.mdp.n_pairs))
+        tied = np.flatnonzero(self.certificate.optimal_pairs)
+        gained = [sign * fraction(earned.get(pair, rational(0))) for pair in tied.tolist()]
+        return Certified(
+            value=sign * Fraction(proven(_earning(self.mdp, tied, gained)).start_value)
+        )
+
+    def _earnings(self, change: RowChange, pairs: Iterable[int]) -> dict[int, fmpq]:
+        """Return c(l) = ∂r + γ ∂P V + ∂γ P V of some pairs, where it is not zero by rule."""
+        mdp, zero, wanted = self.mdp, rational(0), dict.fromkeys(pairs)
+        earned: dict[int, fmpq] = {}
+        moved = zip(change.transition.key.tolist(), change.transition.slope, strict=True)
+        for key, slope in moved:
+            pair, following = divmod(key, mdp.n_states)
+            if pair in wanted:
+                ahead = self.rate * rational(slope) * self.value[following]
+                earned[pair] = earned.get(pair, zero) + ahead
+        for pair, slope in zip(change.reward.key.tolist(), change.reward.slope, strict=True):
+            if pair in wanted or mdp.terminal[mdp.pair_state[pair]]:
+                earned[pair] = earned.get(pair, zero) + rational(slope)
+        for pair in wanted if change.discount else ():
+            row = mdp.table.row(pair)
+            ahead = sum((rational(p) * self.value[following] for p, following, _ in row), zero)
+            earned[pair] = earned.get(pair, zero) + rational(change.discount) * ahead
+        if self.rate == 1:
+            _refuse_endless(mdp, [pair for pair, gain in earned.items() if gain], change.name)
+        return earned
+
+
+def _earning(mdp: MDP, pairs: Integers, gained: Sequence[Fraction]) -> MDP:
+    """Return the model that offers some of the pairs (K,) only, which earn other rewards (K,)."""
+    top, bottom = common(gained)
+    return mdp.with_(
+        table=replace(
+            mdp.table.of_pairs(pairs),
+            gain=integers(top),
+            gain_denominator=integers([bottom] * len(pairs)),
+            event=None,
+        ),
+        pair_state=mdp.pair_state[pairs],
+        pair_action=mdp.pair_action[pairs],
+        events=(),
+    )
+
+
+def _refuse_endless(mdp: MDP, pairs: Sequence[int], name: str) -> None:
+    """Raise ModelError where a parameter makes a terminal state earn, without end at discount 1."""
+    for pair in pairs:
+        if mdp.terminal[mdp.pair_state[pair]]:
+            raise ModelError(
+                "a terminal state would earn for ever",
+                where=f"parameter {name}, {mdp.where(pair)}",
+                fix="choose a discount below 1",
+            )
+
+
+# ---- floats --------------------------------------------------------------------------------------
+
+
+class _BoundedPass:
+    """Value and occupancy of a policy in floats, and the derivatives that they give."""
+
+    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
+        self.mdp = mdp
+        if isinstance(policy, str) and policy == "optimal":
+            solution = solve(mdp)
+            gain = gains(mdp, solution.value)
+            sign = -1 if mdp.sense == "min" else 1
+            tied = sign * gain.value >= -2 * (solution.error_bound + gain.noise)
+            _refuse_ties(mdp, tied)
+            policy = solution
+        self.found = evaluate(mdp, policy)
+        chain = self.found.chain
+        live = ~np.isnan(self.found.value)
+        self.value = np.where(live, self.found.value, 0.0)
+        self.value_error = np.where(live, self.found.error, 0.0)
+        seen = visits(mdp, chain.discounted)
+        stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
+        factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights
+        self.uses = seen.value[mdp.pair_state] * factor
+        rounding = float(gamma(8 + chain.roundings)) / max(1 - mdp.discount, UNIT)
+        rounding = rounding if stay else float(gamma(4 + chain.roundings))
+        self.doubt = seen.error[mdp.pair_state] * factor * SLACK + rounding * self.uses
+
+    @property
+    def start(self) -> Bounded:
+        """The policy's value at the start."""
+        return self.found.numbers["mean"]
+
+    def slope(self, change: RowChange, _: int) -> Bounded:
+        """Return the derivative; both sides are alike where one policy is optimal."""
+        mdp, rate = self.mdp, self.mdp.discount
+        earned, size, off = np.zeros((3, mdp.n_pairs))
+        pair, state = np.divmod(change.transition.key, mdp.n_states)
+        slope = rate * _floats(change.transition.slope)
+        np.add.at(earned, pair, slope * self.value[state])
+        np.add.at(size, pair, np.abs(slope * self.value[state]))
+        np.add.at(off, pair, np.abs(slope) * self.value_error[state])
+        gain = _floats(change.reward.slope)
+        np.add.at(earned, change.reward.key, gain)
+        np.add.at(size, change.reward.key, np.abs(gain))
+        if change.discount:
+            growth = float(change.discount)
+            earned += growth * (mdp.transition @ self.value)
+            size += abs(growth) * (mdp.transition @ np.abs(self.value))
+            off += abs(growth) * (mdp.transition @ self.value_error)
+        if mdp.discount_exact == 1:
+            _refuse_endless(mdp, np.flatnonzero(size).tolist(), change.name)
+        terms = int(np.diff(mdp.transition.indptr).max()) * 2 + mdp.n_pairs + 8
+        used = self.uses + self.doubt
+        error = self.doubt @ size + used @ off + float(gamma(terms)) * (used @ size)
+        return Bounded(value=float(self.uses @ earned), error=float(error * SLACK + TINY * terms))
+
+
+def _floats(numbers: Numbers) -> Floats:
+    return np.array([float(number) for number in numbers], dtype=np.float64)
+
+
+def _refuse_ties(mdp: MDP, tied: NDArray[np.bool_]) -> None:
+    """Raise ModelError unless every state that optimal pairs reach has one of them."""
+    several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
+    seen = reachable(mdp, pairs=tied) & ~mdp.terminal
+    if (several & seen).any():
+        state = int(np.flatnonzero(several & seen)[0])
+        raise ModelError(
+            "several actions are optimal, or floats cannot tell them apart",
+            where=f"state ({mdp.space.label(state)})",
+            fix="ask for exact=True, which gives one-sided derivatives at a tie",
+        )
