@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Any, Protocol, overload
 import pytest
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.gate.check import Audit
+    from exact_mdp.analysis.gate.audit import Audit
     from exact_mdp.analysis.learning.trainers import TrainerAudit
     from exact_mdp.mdp.model import MDP
 

@@ -181,6 +181,40 @@ class Bounded:
         return Bounded(value=0.0 - self.value, error=self.error)
 
 
+def difference(one: Certified | Bounded, other: Certified | Bounded) -> Certified | Bounded:
+    """Return one number less another, exactly where both are exact.
+
+    Examples
+    --------
+    >>> print(difference(Bounded(value=1.5, error=0.25), Certified(value=Fraction(1, 2))))
+    1 ± 0.2 (bounded)
+    """
+    if isinstance(one, Certified) and isinstance(other, Certified):
+        return Certified(value=one.value - other.value)
+    value = float(one) - float(other)
+    low = np.nextafter(one.interval[0] - other.interval[1], -inf)
+    high = np.nextafter(one.interval[1] - other.interval[0], inf)
+    return Bounded(value=value, error=float(np.nextafter(max(value - low, high - value), inf)))
+
+
+def regret(
+    best: Certified | Bounded, own: Certified | Bounded, sense: str = "max"
+) -> Certified | Bounded:
+    """Return the optimum less what a policy is worth; of costs, the other way. Never below 0.
+
+    Examples
+    --------
+    >>> print(regret(Bounded(value=1.0, error=0.25), Bounded(value=1.125, error=0.25)))
+    0 ± 0.4 (bounded)
+    """
+    lost = difference(best, own) if sense == "max" else difference(own, best)
+    if isinstance(lost, Certified):
+        return lost
+    low, high = (max(0.0, end) for end in lost.interval)
+    value = max(0.0, lost.value)
+    return Bounded(value=value, error=max(value - low, high - value))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Estimated:
     """A sample mean, its standard error, and what no sample shows.

@@ -22,7 +22,7 @@ from exact_mdp.analysis.cli.options import (
 )
 from exact_mdp.analysis.cli.render import Report, Table, cell, fact, markdown
 from exact_mdp.analysis.gate import check as gate
-from exact_mdp.analysis.gate.check import UNEXPLAINED, Audit, share_of
+from exact_mdp.analysis.gate.audit import UNEXPLAINED, Audit, share_of
 from exact_mdp.analysis.gate.data import off_policy, posterior, robust
 from exact_mdp.analysis.gate.disagreements import Disagreement, either
 from exact_mdp.analysis.gate.junit import Case, write_junit
@@ -52,7 +52,7 @@ ON_PAGE = 2000  # and on a page
 LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
 COLUMNS = (
     "yours: what the policy does; optimal: what it should do; value lost: expected visits times "
-    "what each loses; share: of all that is lost; if corrected: gained by changing this state alone"
+    "what each loses; share: of all that is lost"
 )
 
 
@@ -263,7 +263,9 @@ def _result(audit: Audit) -> dict[str, Any]:
         **_of_interval(audit),
         "max_regret": audit.max_regret,
         "max_relative_regret": audit.max_relative_regret,
-        "checks": audit.verdicts,
+        "checks": [
+            {"name": each.name, "passed": each.passed, "text": each.text} for each in audit.verdicts
+        ],
         "agreement": audit.agreement,
         "agreement_by_visits": audit.agreement_by_visits,
         "unclear": audit.unclear,
@@ -308,8 +310,6 @@ def _disagreement(mdp: MDP, each: Disagreement, lost: float) -> dict[str, Any]:
         "expected_visits": each.expected_visits,
         "cost": each.cost,
         "share": share_of(each.cost, lost),
-        "gain_if_corrected": each.gain_if_corrected,
-        "loss_if_alone": each.loss_if_alone,
     }
 
 
@@ -426,7 +426,7 @@ def _tables(result: dict[str, Any], audit: Audit) -> list[Table]:
         Table(
             title="where it is not optimal, the costliest first",
             note=COLUMNS,
-            rows=result["disagreements"],
+            rows=[row for row in result["disagreements"] if row["expected_visits"] != 0],
             columns={
                 "state": "state",
                 "yours": "learned",
@@ -434,7 +434,6 @@ def _tables(result: dict[str, Any], audit: Audit) -> list[Table]:
                 "value lost": "cost:.6g",
                 "visits": "expected_visits:.6g",
                 "share": "share:.1%",
-                "if corrected": "gain_if_corrected:.6g",
             },
             first=SHOWN,
         ),

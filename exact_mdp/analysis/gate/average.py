@@ -23,12 +23,13 @@ from functools import partial
 
 import numpy as np
 
-from exact_mdp.analysis.gate.disagreements import Disagreement, action_of
+from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, Loss, listed
 from exact_mdp.analysis.gate.exact_policy import mixed_rows
 from exact_mdp.analysis.gate.forgiveness import per_use
-from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, proven
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.average.chain import ExactAverages
@@ -36,41 +37,41 @@ from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.certify import certify
 from exact_mdp.solvers.exact.levels import Level, surplus
-from exact_mdp.solvers.solution import Bounded, Certified, SolverError
+from exact_mdp.solvers.solution import Bounded, Certified, SolverError, regret
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
-def average_regret(
-    mdp: MDP, chain: PolicyChain, *, exact: bool
-) -> tuple[Regret, Floats, tuple[Disagreement, ...]]:
-    """Return what a policy loses per step, its visits (S,) as above, and where it loses.
-
-    Rewards are maximised; `chain` is of this model.
-    """
-    step = mdp.undiscounted
-    held = PolicyChain(mdp=step, chosen=chain.chosen, policy=chain.policy)
+def average_loss(mdp: MDP, policy: Policy, exact: bool | None) -> Loss:
+    """Return what a policy loses per step, and where; exact unless that takes long."""
+    rewards, step = mdp.maximised, mdp.maximised.undiscounted
+    chain = PolicyChain.of(step, policy)
+    exact = cheap(mdp, LAST_CYCLE) if exact is None else exact
     own: AverageEvaluation | None = None
     try:
-        own = evaluated(step, held.weights, held.roundings, chain.policy)
+        own = evaluated(step, chain.weights, chain.roundings, policy)
         visits = own.visits
     except SolverError:
         if not exact:
             raise
         visits = np.full(mdp.n_states, np.nan)  # the verdict stands without them
-    if not exact:
+    if exact:
+        lost = _certified(rewards, step, chain)
+        gap = np.add.reduceat(chain.weights * lost.gap, mdp.pair_offsets[:-1])
+        found = listed(chain, lost, np.stack([gap, visits, visits * gap]), gap > 0)
+    else:
         assert own is not None
-        return _bounded(mdp, own), visits, ()
-    found = _certified(mdp, step, held)
-    return found, visits, _disagreements(mdp, held, found, visits)
+        lost, found = _bounded(rewards, own), ()
+    return lost.negated() if mdp.sense == "min" else lost, partial(_both, visits, found)
+
+
+def _both(visits: Floats, found: tuple[Disagreement, ...]) -> Findings:
+    return visits, found
 
 
 def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
-    best = certify(mdp, criterion="average")
-    if faults := best.violations():
-        raise RuntimeError(f"a certificate does not hold: {faults[0]}")
+    best = proven(mdp, "average")
     rows = bellman_rows(step)
     alone = mixed_rows(rows, held)
     own = ExactAverages(alone)
@@ -146,16 +147,14 @@ def _rounded(values: Numbers) -> FixedPoint:
 
 def _bounded(mdp: MDP, own: AverageEvaluation) -> Regret:
     found = solve(mdp, criterion="average")
-    best, mine = found.start, own.start
-    low = max(0.0, best.interval[0] - mine.interval[1])
-    high = max(low, best.interval[1] - mine.interval[0])
-    middle = min(max(best.value - mine.value, low), high)
+    best = Bounded(value=found.start.value, error=found.start.error)
+    mine = Bounded(value=own.start.value, error=own.start.error)
     taken = np.zeros(mdp.n_pairs, dtype=bool)
     taken[found.pairs] = True
     return Regret(
-        optimal=Bounded(value=best.value, error=best.error),
-        learned=Bounded(value=mine.value, error=mine.error),
-        at_start=Bounded(value=middle, error=max(middle - low, high - middle) * SLACK),
+        optimal=best,
+        learned=mine,
+        at_start=regret(best, mine),
         optimal_value=found.value,
         learned_value=own.value,
         by_state=np.maximum(found.value - own.value, 0.0),
@@ -163,30 +162,4 @@ def _bounded(mdp: MDP, own: AverageEvaluation) -> Regret:
         unclear=~taken,
         gap=np.zeros(mdp.n_pairs),
         optimum=None,
-    )
-
-
-def _disagreements(
-    mdp: MDP, held: PolicyChain, found: Regret, visits: Floats
-) -> tuple[Disagreement, ...]:
-    """Return every state in which the policy does what loses, the costliest first."""
-    gap = np.add.reduceat(held.weights * found.gap, mdp.pair_offsets[:-1])
-    states = np.flatnonzero(gap > 0)
-    cost = visits * gap
-    order = np.lexsort((states, -gap[states], -cost[states]))
-    return tuple(
-        Disagreement(
-            state=state,
-            label=mdp.space.label(state),
-            learned=action_of(held, state),
-            optimal=tuple(
-                mdp.actions[mdp.pair_action[pair]]
-                for pair in mdp.pairs_of(state)
-                if found.optimal_pairs[pair]
-            ),
-            gap=float(gap[state]),
-            expected_visits=float(visits[state]),
-            cost=float(cost[state]),
-        )
-        for state in states[order].tolist()
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from exact_mdp.analysis.gate.check import Audit
+from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.disagreements import either
 from exact_mdp.analysis.layout import Layout, joined, taken
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from exact_mdp.analysis.gate.regret import Regret, regret
+from exact_mdp.analysis.gate.regret import Regret, policy_regret
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -99,6 +99,6 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     optimum = None
     for name, policy in policies.items():
         chain = PolicyChain.of(mdp, policy_of(mdp, policy))
-        regrets[name] = found = regret(mdp, chain, optimum=optimum)
+        regrets[name] = found = policy_regret(mdp, chain, optimum=optimum)
         optimum = found.optimum
     return PolicyComparison(regrets=regrets)

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.analysis.gate.disagreements import Loss, total_loss
 from exact_mdp.analysis.gate.exact_policy import exact_policy
-from exact_mdp.analysis.gate.regret import Regret
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import LARGEST, common, exact, integers, shown
@@ -95,20 +95,22 @@ class UnderLimits:
             Fraction(0),
         )
 
-    def regret(self, priced: Regret) -> Regret:
-        """Return the regret against the optimum under limits, from that in the priced model.
+    def loss(self, mdp: MDP, policy: Policy, exact: bool | None) -> Loss:
+        """Return the regret against the optimum under limits, and where it arises.
 
         Where no policy keeps the limits, there is no optimum: it is NaN, and so is the regret.
         """
+        priced, found = total_loss(self.priced, policy, True)
         best, none = self.best.start or Certified(value=nan), np.full_like(priced.by_state, nan)
-        lost = self.best.objectives.sign * (best.value - self.earned)
-        found = replace(
+        lost = replace(
             priced,
             optimal=best,
             learned=Certified(value=self.earned),
-            at_start=Certified(value=lost),
+            at_start=Certified(value=self.best.objectives.sign * (best.value - self.earned)),
         )
-        return found if self.best.feasible else replace(found, by_state=none, optimal_value=none)
+        if not self.best.feasible:
+            lost = replace(lost, by_state=none, optimal_value=none)
+        return lost, found
 
 
 def totals_under(of: Objectives, policy: Policy) -> Point:
@@ -126,14 +128,11 @@ def totals_under(of: Objectives, policy: Policy) -> Point:
 
 def limit_of(name: str, limit: object) -> Fraction:
     """Return a limit of the regret, checked."""
-    try:
+    with located(name, instead=True):
         found = exact(limit)
-    except ModelError as error:
-        raise ModelError(error.what, where=name, fix=error.fix) from error
-    if found < 0:
-        raise ModelError(f"{name} is {shown(found)}", where=name, fix="choose 0 or more")
-    if found > LARGEST:
-        raise ModelError(
-            f"{name} is {shown(found)}, beyond the floats", where=name, fix="choose less"
+    if not 0 <= found <= LARGEST:
+        beyond, fix = (
+            (", beyond the floats", "choose less") if found > 0 else ("", "choose 0 or more")
         )
+        raise ModelError(f"{name} is {shown(found)}{beyond}", where=name, fix=fix)
     return found

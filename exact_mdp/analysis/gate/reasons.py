@@ -26,15 +26,14 @@ from functools import cached_property
 import numpy as np
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
-from exact_mdp.analysis.gate.regret import Regret, regret
+from exact_mdp.analysis.gate.regret import Regret, policy_regret
 from exact_mdp.analysis.gate.relaxation import Relaxations, Rows, one_hot
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import by_time, rows_read
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.solution import Bounded, Certified, in_float
+from exact_mdp.solvers.solution import Bounded, Certified, difference, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -106,23 +105,14 @@ def representation(mdp: MDP, policy: Policy, lost: Regret) -> Representation:
     best = best_policy(mdp, columns_read(mdp, policy), start=policy)
     optimum = lost.optimum
     rewards = mdp.maximised
-    loss = regret(rewards, PolicyChain.of(rewards, best.policy), optimum=optimum).at_start
+    loss = policy_regret(rewards, PolicyChain.of(rewards, best.policy), optimum=optimum).at_start
     return Representation(
         mdp=mdp,
         policy=policy,
         best=best,
         loss=loss,
-        learning_error=_difference(lost.at_start, loss),
+        learning_error=difference(lost.at_start, loss),
     )
-
-
-def _difference(all_of_it: Certified | Bounded, part: Certified | Bounded) -> Certified | Bounded:
-    if isinstance(all_of_it, Certified) and isinstance(part, Certified):
-        return Certified(value=all_of_it.value - part.value)
-    low = all_of_it.interval[0] - part.interval[1]
-    high = all_of_it.interval[1] - part.interval[0]
-    value = float(all_of_it.value) - float(part.value)
-    return Bounded(value=value, error=max(high - value, value - low) * SLACK)
 
 
 def row_changes(mdp: MDP, policy: Policy) -> tuple[RowChange, ...]:

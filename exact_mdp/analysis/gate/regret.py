@@ -57,9 +57,9 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import ended, model_of, recurrent
 
 
-def proven(mdp: MDP) -> Certificate:
+def proven(mdp: MDP, criterion: str = "total") -> Certificate:
     """Return a certificate that its checker has accepted."""
-    found = certify(mdp)
+    found = certify(mdp, criterion=criterion)
     if faults := found.violations():
         raise RuntimeError(f"a certificate does not hold: {faults[0]}")
     return found
@@ -153,7 +153,7 @@ class Regret(Brief):
         return self.decided(Fraction(0)) or self.decided(self.forgiven)
 
 
-def regret(
+def policy_regret(
     mdp: MDP,
     chain: PolicyChain,
     *,
@@ -171,7 +171,7 @@ def regret(
     """
     if mdp.sense == "min":
         chain = PolicyChain(mdp=chain.mdp.maximised, chosen=chain.chosen, policy=chain.policy)
-        return regret(mdp.maximised, chain, exact=exact, optimum=optimum).negated()
+        return policy_regret(mdp.maximised, chain, exact=exact, optimum=optimum).negated()
     if endless(mdp):
         exact = True  # bounds are of models in which every policy ends
     if exact is None:

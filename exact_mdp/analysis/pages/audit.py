@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.cells import cells
-from exact_mdp.analysis.gate.check import Audit
 from exact_mdp.analysis.layout import arrange
 from exact_mdp.analysis.pages.page import render
 

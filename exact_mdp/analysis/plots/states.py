@@ -41,7 +41,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.gate.check import Audit
+    from exact_mdp.analysis.gate.audit import Audit
     from exact_mdp.analysis.gate.comparison import PolicyComparison
     from exact_mdp.solvers.solution import Solution
     from exact_mdp.solvers.values.evaluate import Evaluation

@@ -85,7 +85,8 @@ def test_the_rule_of_auto(mdp: MDP) -> None:
     """No distributions: a Q-table. Ones and noughts: the same policy either way."""
     q = check(mdp, whole([[3, 1], [1, 2]]))
     assert (q.read_as, q.passed) == ("q", True)
-    assert q.message().splitlines()[0] == "the array was read as a Q-table: its greedy policy"
+    asked = "read as a Q-table: its greedy policy, discount 1, start state first"
+    assert q.message().splitlines()[0] == asked
     certain = check(mdp, whole([[1, 0], [0, 1]], [7, np.nan]))
     assert (certain.read_as, certain.passed) == ("policy", True)
     assert certain.q_error is None
@@ -382,5 +383,5 @@ def test_a_row_beyond_the_rounding_of_its_type_is_a_row_of_action_values(mdp: MD
 def test_the_first_line_says_what_was_read(mdp: MDP) -> None:
     """With the discount and the horizon: all that a number rests on."""
     first = str(check(mdp, whole(BOTH), kind="policy", horizon=3)).splitlines()[0]
-    assert first.endswith("read as action probabilities, discount 1, horizon 3)")
+    assert first == "read as action probabilities, discount 1, horizon 3, start time 0, state first"
     assert "read as a Q-table" in str(check(mdp, whole(BOTH), kind="q")).splitlines()[0]

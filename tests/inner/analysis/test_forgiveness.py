@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from exact_mdp import MDP, ModelError, check, solve
-from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 def model(seed: int, rate: str) -> MDP:
@@ -22,27 +21,6 @@ def model(seed: int, rate: str) -> MDP:
         rows[:, :-1] = 0.8 * rows[:, :-1] + 0.2 * np.eye(size)[-1]
         rows[:, -1], reward[-1] = np.eye(size)[-1], 0.0
     return MDP.from_arrays(rows / rows.sum(axis=2, keepdims=True), reward, discount=rate)
-
-
-def test_prices_are_worked_out_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    mdp = model(3, "99/100")
-    asked = list[int]()
-    inner = vars(PolicyChain)["discounted"].func
-    audit = check(mdp, [2] * 6, exact_values=False)
-    audit.visits.sum()
-    with monkeypatch.context() as patch:
-        patch.setattr(PolicyChain, "discounted", property(lambda c: asked.append(1) or inner(c)))
-        frame = audit.frame()
-        assert not asked
-        full = audit.frame(full=True)
-        assert asked
-    assert list(full.columns) == [
-        *frame.columns,
-        "expected_visits",
-        "gain_if_corrected",
-        "loss_if_alone",
-    ]
-    assert full["gain_if_corrected"].notna().all()
 
 
 def model_of_fractions(rng: Random) -> MDP:

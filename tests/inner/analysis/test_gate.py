@@ -13,21 +13,11 @@ from strategies import tables
 from exact_mdp import MDP, Claim, Policy, SolverError, assert_policy_optimal, check, evaluate
 from exact_mdp.analysis.gate import disagreements
 from exact_mdp.analysis.gate import regret as regret_module
-from exact_mdp.analysis.gate.check import UNDECIDED, Verdict
 from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
 from exact_mdp.analysis.gate.relaxation import Rows as TableRows
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 from exact_mdp.solvers.values.visits import visits
-
-
-def test_what_fails_is_told_as_what_was_found() -> None:
-    """Not as the name of the check, which says the contrary; an open one is not told as false."""
-    zero = Verdict(name="the regret is zero", passed=False, text="it is 2 (certified)")
-    assert zero.told == "the regret is not zero: it is 2 (certified)"
-    assert replace(zero, passed=True).told == "the regret is zero: it is 2 (certified)"
-    undecided = replace(zero, text=f"it is 0 ± 1, {UNDECIDED}")
-    assert undecided.told.startswith("the regret is not known to be zero: it is 0 ± 1, which the")
 
 
 def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
