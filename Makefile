@@ -32,8 +32,8 @@ notebooks: ## open the notebooks in JupyterLab
 	env -u MPLBACKEND $(VENV)/bin/jupyter lab notebooks --LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate
 outputs: ## run the notebooks and write their outputs into them
 	$(PY) tests/support/notebook_outputs.py
-docs: ## build the documentation into build/docs/html
-	$(PY) -m sphinx -q -W --keep-going -b html -d build/docs/doctrees docs build/docs/html
+docs: ## write into the pages what is made from the code
+	$(PY) docs/write.py
 test: lint types ## lint, types, doctests, the wheel, every test but those marked slow or bench
 	$(call TESTS,$(VENV)) -m "not slow and not bench"
 test-slow: ## the tests that take long, and every property on examples never seen before

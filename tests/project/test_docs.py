@@ -1,4 +1,4 @@
-"""The documentation: its code runs, its lists are whole. `make docs` checks links and builds it."""
+"""README and the pages: code runs, links lead somewhere, what is made from the code is new."""
 
 from __future__ import annotations
 
@@ -6,195 +6,187 @@ import ast
 import importlib.util
 import json
 import re
-import time
-import tomllib
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
-from browser import CHROMIUM, Browser
-from cli_runner import run
+from cli_runner import main
 
-from exact_mdp import MDP
+from exact_mdp.paper_repro.agents.__main__ import main as agents
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-SCRIPTS = sorted((DOCS / "gallery").glob("*/*.py"))
-# These pages have tests of their own: test_coming_from, test_interval_command.
-ELSEWHERE = {"coming_from.md", "data.md"}
-SLOW = {"average.md", "scale.md", "tradeoffs.md"}
+TOP = [ROOT / f"{name}.md" for name in ("README", "ARCHITECTURE", "CONTRIBUTING", "SECURITY")]
+PAGES = {page.relative_to(ROOT).as_posix(): page for page in [*TOP, *sorted(DOCS.rglob("*.md"))]}
+SLOW = {"docs/tradeoffs.md", "docs/sensitivity.md"}
+# Not run: what needs Storm, a key, or a file of the reader's.
+NEEDS = ("model.prism", "model.umb", "--backend", "MyEnv")
+CODE = re.compile(r"^```.*?^```$", re.M | re.S)
+PROGRAMS = ("exact-mdp ", "python -m exact_mdp.paper_repro.agents ")
+SHOWN = {
+    "README.md": ["Fraction(6561, 250)"],
+    "docs/coming_from.md": [
+        "-8.571428", "-20. ", "Policy([0 0]", "[74.6496 78.1056 82.1056] Policy([0 0 0]", "-4 ",
+        "('LEFT', 'DOWN', 'RIGHT', 'UP') row 1, column 2",
+    ],
+    "docs/models.md": ["204.437844292 ±", "26.244", "\n1\n1/3\n"],
+    "docs/records.md": ["True (0.0, 0.0)"],
+    "docs/theory.md": ["[  5. -inf   0.]", "3.24 ±", "81/25 38/5"],
+}  # fmt: skip
+spec = importlib.util.spec_from_file_location("write", DOCS / "write.py")
+assert spec
+assert spec.loader
+write = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(write)
 
 
-def module(name: str) -> ModuleType:
-    """Return a module of the documentation's extensions; those that need Sphinx are not loaded."""
-    found = importlib.util.spec_from_file_location(name, DOCS / "extensions" / f"{name}.py")
-    assert found
-    assert found.loader
-    made = importlib.util.module_from_spec(found)
-    found.loader.exec_module(made)
-    return made
+def text(name: str) -> str:
+    return PAGES[name].read_text("utf-8")
 
 
-# ---- pages -------------------------------------------------------------------------------------
+def blocks(name: str) -> list[tuple[str, str]]:
+    """Return the language and the text of each block of code."""
+    return re.findall(r"^```(\w*)\n(.*?)^```$", text(name), re.M | re.S)
 
 
-def blocks(page: Path, kind: str) -> list[str]:
-    """Return the blocks of one language on a page."""
-    return re.findall(rf"^```{kind}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+def lines(block: str) -> list[str]:
+    """Return the command lines of a block that can be run."""
+    listed = [line for line in block.splitlines() if line.startswith(PROGRAMS)]
+    return [line for line in listed if not any(word in line for word in NEEDS)]
 
 
-def pages() -> Iterator[object]:
-    for page in sorted(DOCS.rglob("*.md")):
-        if blocks(page, "python") and page.name not in ELSEWHERE:
-            marks = [pytest.mark.slow] if page.name in SLOW else []
-            yield pytest.param(page, id=page.stem, marks=marks)
+def pages_with_code() -> Iterator[object]:
+    for name in sorted(set(PAGES) - {"docs/gallery.md"}):  # which has a test of its own
+        if any(kind == "python" or (not kind and lines(body)) for kind, body in blocks(name)):
+            yield pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW))
 
 
-@pytest.fixture
-def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty folder to work in, and figures that nobody sees."""
+@pytest.mark.parametrize("name", list(pages_with_code()))
+def test_the_code_of_a_page_runs(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All blocks in their order; a gate whose Q-table is made up here finds what it loses."""
     monkeypatch.chdir(tmp_path)
-    with mpl.rc_context({"backend": "Agg"}):
-        yield tmp_path
-    plt.close("all")
-
-
-def test_pages_import_public_names() -> None:
-    """All but the one that says how to add to the toolkit."""
-    for page in {*DOCS.rglob("*.md"), DOCS.parent / "README.md"} - {DOCS / "how-to" / "adding.md"}:
-        assert not re.search(r"^(from|import) exact_mdp\.\w", page.read_text("utf-8"), re.M), page
-
-
-@pytest.mark.parametrize("page", list(pages()))
-def test_python_of_a_page_runs(page: Path, empty: Path) -> None:
-    """The blocks of a page run in their order, as a reader types them."""
+    np.save("q_table.npy", np.eye(4)[[1] * 16])
     names: dict[str, object] = {}
-    for block in blocks(page, "python"):
-        exec(compile(block, str(page), "exec", dont_inherit=True), names)
+    printed = ""
+    with mpl.rc_context({"backend": "Agg"}):
+        for kind, body in blocks(name):
+            if kind == "python":
+                exec(compile(body, name, "exec", dont_inherit=True), names)
+            for line in lines(body) if not kind else []:
+                words = shlex.split(line)
+                if words[0] == "python":
+                    with pytest.raises(SystemExit, match=r"^0$"):
+                        agents(words[3:])
+                else:
+                    assert main(words[1:]) == int("q_table.npy" in words), line
+            printed += capsys.readouterr().out
+    plt.close("all")
+    shown = SHOWN.get(name, []) + [body for kind, body in blocks(name) if kind == "text"]
+    assert [each for each in shown if each not in printed] == []
 
 
-def test_the_certificate_shown_is_the_one_made(empty: Path) -> None:
+def test_there_is_something_to_run() -> None:
+    assert len(list(pages_with_code())) >= 12
+    assert sum(len(lines(body)) for name in PAGES for kind, body in blocks(name) if not kind) >= 30
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_imports_public_names_and_needs_no_build(name: str) -> None:
+    assert not re.search(r"^(from|import) exact_mdp\.\w", text(name), re.M)
+    assert not re.search(r"^(```|:::)\{|\{(doc|ref|py:\w+)\}`|^\.\. \w+::", text(name), re.M)
+
+
+@pytest.mark.parametrize("name", [name for name in PAGES if name.startswith("docs/")])
+def test_what_is_made_from_the_code_is_new(name: str) -> None:
+    """Where it is not: `make docs` writes it again."""
+    assert text(name) == write.written(text(name))
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the names by which a code host links the headings of a page."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text("utf-8"), re.M)
+    return {re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in headings}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_links_lead_somewhere(name: str) -> None:
+    """Files and headings; no page shows what a command rewrites and `make clean` removes."""
+    page = PAGES[name]
+    links = re.findall(r"\]\(([^)\s]+)\)", CODE.sub("", text(name)))
+    for link in (link for link in links if "://" not in link):
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), link
+        assert target.relative_to(ROOT).parts[0] != "results", link
+        assert not anchor or anchor in anchors(target), link
+
+
+def test_every_page_is_in_the_index() -> None:
+    links = re.findall(r"\]\(([\w/]+\.md)", text("docs/README.md"))
+    listed = {(DOCS / link).resolve() for link in links}
+    assert set(DOCS.rglob("*.md")) - listed == {DOCS / "README.md"}
+
+
+def test_the_front_is_short() -> None:
+    assert len(text("README.md").split()) <= 800
+    assert len(text("CONTRIBUTING.md").split()) <= 500
+    prose = "".join(text(name) for name in PAGES if name == "README.md" or name.startswith("docs/"))
+    by_hand = re.sub(r"<!-- made by.*?<!-- end -->", "", CODE.sub("", prose), flags=re.S)
+    assert sum(bool(re.search(r"[A-Za-z0-9]", word)) for word in by_hand.split()) <= 10_000
+
+
+def test_every_key_has_a_meaning_and_every_meaning_a_key() -> None:
+    """The keys are those of the pinned answers."""
+    keys = {(command, key) for key, names in write.pinned_keys().items() for command in names}
+    own = {f"{command}: {key}" for command, key in keys} & set(write.MEANINGS)
+    plain = {key for command, key in keys if f"{command}: {key}" not in own}
+    assert own | plain == set(write.MEANINGS)
+
+
+def test_the_certificate_shown_is_the_one_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What the page checks by hand: the file, to the letter, and that its claims hold."""
-    page, names = DOCS / "reference" / "certificates.md", {}
-    (block,), (shown,) = blocks(page, "python"), blocks(page, "json")
-    exec(compile(block, str(page), "exec", dont_inherit=True), names)
-    model = names["model"]
-    assert isinstance(model, MDP)
-    assert (empty / "proof.json").read_text("utf-8") == shown
+    monkeypatch.chdir(tmp_path)
+    listed = blocks("docs/reference/certificates.md")
+    (block,), (shown,) = ([body for kind, body in listed if kind == k] for k in ("python", "json"))
+    exec(compile(block, "certificates.md", "exec", dont_inherit=True), {})
+    assert Path("proof.json").read_text("utf-8") == shown
     h = json.loads(shown)["h"]
-    value = [
-        int(top, 16) / int(h["below"][g], 16) for top, g in zip(h["top"], h["group"], strict=True)
-    ]
+    below = [h["below"][group] for group in h["group"]]
+    value = [int(top, 16) / int(each, 16) for top, each in zip(h["top"], below, strict=True)]
     wait, stop = 1 + (value[0] / 2 + value[1] / 2) / 2, 1 + value[1] / 2
     assert (value[0], value[1]) == (pytest.approx(wait), 0)
     assert stop < value[0]
 
 
-def test_every_page_is_in_an_index() -> None:
-    listed = {
-        (index.parent / f"{name}.md").resolve()
-        for index in DOCS.rglob("*.md")
-        for tree in re.findall(r"```\{toctree\}\n(.*?)```", index.read_text("utf-8"), re.S)
-        for name in re.findall(r"^([\w./-]+)$", tree, re.M)
-    }
-    assert set(DOCS.rglob("*.md")) - listed == {DOCS / "index.md"}
-
-
-def test_the_tutorials_are_the_notebooks() -> None:
-    link = DOCS / "tutorials" / "notebooks"
-    # In a checkout without links it is a file with the path in it.
-    led = link if link.is_symlink() else link.parent / link.read_text("utf-8").strip()
-    assert led.resolve() == ROOT / "notebooks"
-
-
-# ---- JSON keys ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("part", ["quick", pytest.param("long", marks=pytest.mark.slow)])
-def test_every_key_has_a_meaning_and_every_meaning_a_key(part: str) -> None:
-    """`long` runs every line, and so knows that no meaning is left over."""
-    of = module("answers")
-    lines, meanings = of.declared()
-    long = {"psa", "sobol", "train", "perception", "check --confidence"}
-    taken = {
-        command: line for command, line in lines.items() if part == "long" or command not in long
-    }
-    unknown, used = set(), set()
-    for command, answer in of.answers(taken):
-        for key in answer:
-            own = f"{command}: {key}"
-            unknown |= {own} if of.meaning(command, key, meanings) is None else set()
-            used.add(own if own in meanings else key)
-    assert unknown == set()
-    if part == "long":
-        assert set(meanings) - used == set()
-
-
-def test_every_command_has_a_line() -> None:
-    listed = run("--help").out.partition("Check:")[2]
-    names = set(re.findall(r"^  ([a-z][\w-]*)  ", listed, re.M))
-    lines = tomllib.loads((DOCS / "reference" / "json.toml").read_text("utf-8"))["lines"].values()
-    assert names
-    assert names - {line.split()[0] for line in lines} == set()
-
-
-# ---- the gallery -------------------------------------------------------------------------------
-
-
 def test_every_figure_is_in_the_gallery() -> None:
-    """A script is called as the function that draws its figure."""
+    """A picture is called as the function that draws it; `docs/write.py figures` makes them."""
     functions = {
         node.name.removeprefix("plot_").removeprefix("draw_")
         for path in (ROOT / "exact_mdp" / "analysis" / "plots").glob("*.py")
         for node in ast.parse(path.read_text("utf-8")).body
         if isinstance(node, ast.FunctionDef) and node.name.startswith(("plot_", "draw_"))
     }
+    pictures = set(re.findall(r"\(figures/(\w+)\.png\)", text("docs/gallery.md")))
     assert len(functions) > 30
-    assert functions - {script.stem for script in SCRIPTS} == set()
-
-
-def test_a_script_is_short_and_its_group_is_shown() -> None:
-    shown = re.findall(r"```\{gallery\} (\w+)", (DOCS / "gallery" / "index.md").read_text("utf-8"))
-    assert {script.parent.name for script in SCRIPTS} == set(shown)
-    for script in SCRIPTS:
-        text = script.read_text("utf-8")
-        lines = [line for line in text.partition('"""\n\n')[2].splitlines() if line.strip()]
-        assert 2 <= len(lines) <= 14, script
+    assert functions <= pictures == {path.stem for path in (DOCS / "figures").glob("*")}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_a_script_draws_one_figure(script: Path, empty: Path) -> None:
-    exec(compile(script.read_text("utf-8"), str(script), "exec"), {})
-    (number,) = plt.get_fignums()
-    axes = plt.figure(number).axes
-    assert any(ax.has_data() or ax.texts for ax in axes)
-
-
-# ---- the built pages -----------------------------------------------------------------------------
-
-BUILT = ROOT / "build" / "docs" / "html"
-LOOKED_AT = ("index", "gallery/index", "reference/json", "reference/commands", "explanation/claims")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not (BUILT / "index.html").exists(), reason="`make docs` builds the pages")
-@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
-def test_pages_fit_a_screen_and_a_phone_and_are_searched_without_a_server(tmp_path: Path) -> None:
-    with Browser(tmp_path) as browser:
-        for wide in (1200, 390):
-            for name in LOOKED_AT:
-                browser.open(BUILT / f"{name}.html", wide=wide)
-                assert browser.js("document.documentElement.scrollWidth") <= wide, (name, wide)
-                assert [
-                    url for url in browser.asked if not url.startswith(("file:", "data:"))
-                ] == []
-        browser.open(BUILT / "search.html", wide=1200)
-        browser.js("Search.performSearch('certificate')")
-        found = "document.querySelectorAll('#search-results li a').length"
-        while browser.js(found) <= 5:
-            time.sleep(0.2)
-        assert browser.errors == []
+def test_a_block_of_the_gallery_draws_one_figure_for_each_picture() -> None:
+    drawn = write.FIGURES.findall(text("docs/gallery.md"))
+    assert len(drawn) == text("docs/gallery.md").count("```python")
+    for block, shown in drawn:
+        plt.close("all")
+        exec(compile(block, "gallery.md", "exec"), {})
+        figures = [plt.figure(number) for number in plt.get_fignums()]
+        assert len(figures) == shown.count("![")
+        assert all(any(ax.has_data() or ax.texts for ax in each.axes) for each in figures)
+    plt.close("all")

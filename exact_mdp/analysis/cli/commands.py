@@ -244,7 +244,7 @@ def data() -> None:
 @click.argument("source", metavar="IN")
 @click.argument("target", metavar="OUT")
 @click.option(
-    "--constants", metavar="A=1,B=2", help="What a .prism or .jani file leaves open (extra storm)."
+    "--constants", metavar="A=1,B=2", help="What a .prism or .jani file leaves open (extra models)."
 )
 @of_model
 def convert() -> None:

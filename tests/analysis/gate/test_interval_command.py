@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import re
-import shlex
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
-from cli_runner import main, run
+from cli_runner import run
 
 from exact_mdp import MDP
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs/data.md").read_text("utf-8")
 NAMES = ["episode", "state", "action", "reward", "next_state"]
 
 
@@ -130,21 +127,6 @@ def test_trajectories_that_tell_nothing_are_refused(folder: Path) -> None:
     assert (done.status, done.out) == (2, "")
     assert "never does what the policy does" in done.err
     assert "state ill" in done.err
-
-
-def test_the_page_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-    known: dict[str, object] = {}
-    for kind, block in blocks:
-        if kind == "python":
-            exec(compile(block, "docs/data.md", "exec"), known)
-            continue
-        for line in block.splitlines():
-            assert main(shlex.split(line)[1:]) == 0, line
-    assert "True (0.0, 0.0)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("by", ["robust", "posterior", "off-policy"])

@@ -19,7 +19,7 @@ from exact_mdp import (
     tradeoff,
 )
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "health-economics.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "health_economics.md"
 
 
 def build(at):

@@ -1,0 +1,196 @@
+"""Write into the pages what is made from the code: `make docs`; a test compares the two.
+
+A page marks the place, and what stands between the marks is written again:
+
+    <!-- made by `make docs`: text exact_mdp.mdp.io.npz -->
+    <!-- end -->
+
+`python docs/write.py figures` also runs the blocks of the gallery and saves their figures.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+import shlex
+import sys
+import tomllib
+from collections.abc import Iterable, Set
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import click
+
+import exact_mdp
+
+DOCS = Path(__file__).resolve().parent
+GOLDEN = DOCS.parent / "tests" / "golden"
+MEANINGS = tomllib.loads((DOCS / "reference" / "json.toml").read_text("utf-8"))
+MARKED = re.compile(r"(<!-- made by `make docs`: (\w+)([^\n]*) -->\n).*?(<!-- end -->)", re.S)
+FIGURES = re.compile(r"^```python\n(.*?)^```\n\n((?:!\[[^\n]*\n)+)", re.M | re.S)
+
+
+def written(page: str) -> str:
+    """Return a page with what is made from the code."""
+    return MARKED.sub(
+        lambda mark: f"{mark[1]}\n{MADE[mark[2]](mark[3].strip())}\n\n{mark[4]}", page
+    )
+
+
+def named(place: str) -> Any:
+    """Return what "module:name" names."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
+
+
+def table(head: str, rows: Iterable[tuple[str, ...]]) -> str:
+    """Return a table; `head` separates the names of its columns by commas."""
+    names = head.split(", ")
+    lines = [names, ["---"] * len(names), *([c.replace("|", "\\|") for c in row] for row in rows)]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def who(names: Set[str], everyone: Set[str]) -> str:
+    """Return the commands concerned; of most of them, the others."""
+    others = ", ".join(sorted(everyone - names))
+    if 2 * len(names) <= len(everyone):
+        return ", ".join(sorted(names))
+    return f"all but {others}" if others else "all"
+
+
+# ---- commands ------------------------------------------------------------------------------------
+
+
+def commands_of(group: str) -> dict[str, tuple[click.Command, click.Context]]:
+    """Return the commands of a group, "module:name", by name."""
+    made = {name: named(group).get_command(None, name) for name in sorted(named(group).commands)}
+    return {
+        name: (each, click.Context(each, **each.context_settings)) for name, each in made.items()
+    }
+
+
+def commands(words: str) -> str:
+    """Return what each command of a group does; its words are "module:name program"."""
+    group, _, program = words.partition(" ")
+    rows = []
+    for name, (command, context) in commands_of(group).items():
+        usage = [piece for piece in command.collect_usage_pieces(context) if piece != "[OPTIONS]"]
+        rows.append((f"`{' '.join([program, name, *usage])}`", command.get_short_help_str(500)))
+    return table("command, what it does", rows)
+
+
+def options(group: str) -> str:
+    """Return every option of a group, with the commands that take it."""
+    takers: dict[tuple[str, str], set[str]] = {}
+    everyone = commands_of(group)
+    for name, (command, context) in everyone.items():
+        for option in command.get_params(context):
+            record = option.get_help_record(context)
+            if isinstance(option, click.Option) and record and "--help" not in option.opts:
+                takers.setdefault(record, set()).add(name)
+    rows = (
+        (f"`{option}`", " ".join(help.split()), who(names, everyone.keys()))
+        for (option, help), names in sorted(takers.items())
+    )
+    return table("option, what it does, commands", rows)
+
+
+def pinned_keys() -> dict[str, set[str]]:
+    """Return the keys of the pinned answers, each with the commands that have it."""
+    keys: dict[str, set[str]] = {}
+    for part in tomllib.loads((GOLDEN / "cases.toml").read_text("utf-8")).values():
+        for name, case in part.items():
+            path = GOLDEN / "answers" / f"{name}.json"
+            if path.exists():
+                command = shlex.split(case if isinstance(case, str) else case[-1])[0]
+                for key in json.loads(path.read_text("utf-8"))["answer"]:
+                    keys.setdefault(key, set()).add(command)
+    return keys
+
+
+def answers(_: str) -> str:
+    """Return what each key of `--json` means."""
+    takers = pinned_keys()
+    everyone = set().union(*takers.values())
+    rows = []
+    for entry, meaning in MEANINGS.items():
+        command, _, key = entry.rpartition(": ")
+        others = {each.partition(": ")[0] for each in MEANINGS if each.endswith(f": {key}")}
+        names = {command} if command else takers[key] - others
+        rows.append((f"`{key}`", meaning, who(names, everyone)))
+    return table("key, meaning, commands", rows)
+
+
+# ---- Python --------------------------------------------------------------------------------------
+
+
+def described(things: dict[str, Any]) -> str:
+    """Return functions with the names of their parameters, and classes; each in one line."""
+    rows = []
+    for name, thing in things.items():
+        given = [] if inspect.isclass(thing) else list(inspect.signature(thing).parameters)
+        call = f"({', '.join(each for each in given if each != 'self')})"
+        text = (inspect.getdoc(thing) or "").partition("\n")[0]
+        rows.append((f"`{name}{'' if inspect.isclass(thing) else call}`", text))
+    return table("name, what it is", rows)
+
+
+def names(_: str) -> str:
+    """Return the functions and classes that `exact_mdp` exports."""
+    public = {name: getattr(exact_mdp, name) for name in sorted(exact_mdp.__all__, key=str.lower)}
+    return described(
+        {n: each for n, each in public.items() if inspect.isroutine(each) or inspect.isclass(each)}
+    )
+
+
+def methods(name: str) -> str:
+    """Return the public methods of a class."""
+    public = inspect.getmembers(getattr(exact_mdp, name), callable)
+    return described({each: method for each, method in public if not each.startswith("_")})
+
+
+def keys(place: str) -> str:
+    """Return a mapping {key: meaning}, such as that of scenario files."""
+    return table("key, meaning", ((f"`{key}`", text) for key, text in named(place).items()))
+
+
+def readings(_: str) -> str:
+    """Return the options of each reading, the default first."""
+    rows = exact_mdp.READINGS.items()
+    return table("key, options", ((f"`readings.{key}`", ", ".join(each)) for key, each in rows))
+
+
+def text(module: str) -> str:
+    """Return what a module says of itself, which is Markdown: indented lines are code."""
+    return inspect.getdoc(import_module(module)) or ""
+
+
+MADE = {
+    each.__name__: each
+    for each in (commands, options, answers, names, methods, keys, readings, text)
+}
+
+
+def draw() -> None:
+    """Run the blocks of the gallery and save their figures, in order."""
+    import matplotlib.pyplot as plt
+
+    for block, shown in FIGURES.findall((DOCS / "gallery.md").read_text("utf-8")):
+        plt.close("all")
+        exec(compile(block, "docs/gallery.md", "exec"), {})
+        for number, target in zip(
+            plt.get_fignums(), re.findall(r"\(([^)]+)\)", shown), strict=True
+        ):
+            file = DOCS / target
+            file.parent.mkdir(exist_ok=True)
+            metadata = {"Software": None}
+            plt.figure(number).savefig(file, dpi=70, bbox_inches="tight", metadata=metadata)
+
+
+if __name__ == "__main__":
+    for path in DOCS.rglob("*.md"):
+        path.write_text(written(path.read_text("utf-8")), "utf-8")
+    if sys.argv[1:] == ["figures"]:
+        draw()
