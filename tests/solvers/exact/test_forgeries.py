@@ -1,0 +1,158 @@
+"""False certificates, each of which a single clause of the checker stops."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from exact_mdp import MDP, certify, check_certificate, save
+
+END = (1, 0, [(1, 1, 0)])
+WAIT_OR_PAY = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, -1)]), END]
+CHOICE = [(0, 0, [(1, 1, -1)]), (0, 1, [(1, 1, -1)]), END]
+TO_GOAL = {"labels": {"goal": [False, True]}}
+
+
+def level(*values: int) -> dict[str, Any]:
+    return {"top": list(map(hex, values)), "below": ["0x1"], "group": [0] * len(values)}
+
+
+def until_goal(rows: Any, states: int = 2, **more: Any) -> MDP:
+    labels = {"goal": [state == 1 for state in range(states)]}
+    return MDP.from_outcomes(rows, labels=labels, **more).until("goal")
+
+
+FORGED: dict[str, tuple[MDP, dict[str, Any], str]] = {
+    "waiting for ever, at discount 1, for 5 that never come": (
+        MDP.from_outcomes(WAIT_OR_PAY),
+        {"g": None, "h": level(5, 0), "w": None, "rank": [1, 0], "start_value": "0x5/0x1"},
+        "the rank does not show that every policy ends",
+    ),
+    "an end that is worth 5": (
+        MDP.from_outcomes([(0, 0, [(1, 1, -1)]), END]),
+        {"h": level(4, 5), "start_value": "0x4/0x1"},
+        "an end is not worth 0",
+    ),
+    "a goal that is worth 5": (
+        until_goal(WAIT_OR_PAY, sense="min"),
+        {"h": level(6, 5), "start_value": "-0x6/0x1"},
+        "a state of the goal is not worth 0",
+    ),
+    "costs that never arrive, called 0": (
+        until_goal(WAIT_OR_PAY, sense="min"),
+        {"policy": [0, 0], "h": level(0, 0), "start_value": "0x0/0x1"},
+        "it is worth more than is claimed",
+    ),
+    "waiting beside the goal, called 0": (
+        until_goal([(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 1)]), END], sense="min"),
+        {"policy": [0, 0], "h": level(0, 0), "start_value": "0x0/0x1"},
+        "the rank does not show that the goal is reached",
+    ),
+    "a goal within reach, called out of reach": (
+        until_goal([(0, 0, [(1, 1, 1)]), (0, 1, [(1, 0, 0)]), END], sense="min"),
+        {"policy": [1, 0], "infinite": [-1, 0], "start_value": "inf"},
+        "the order does not show that the goal is missed",
+    ),
+    "the goal is always reached, called missed for +inf": (
+        until_goal([(0, 0, [(1, 1, 1)]), END, (2, 0, [(1, 2, 0)])], 3),
+        {"infinite": [1, 0, 1], "order": [1, 0, 0], "start_value": "inf"},
+        "the order does not show that the policy is worth +∞",
+    ),
+    "costs that fall for ever, and a goal out of reach": (
+        until_goal([(0, 0, [(1, 0, -1)]), END], sense="min"),
+        {"infinite": [1, 0], "start_value": "-inf"},
+        "the goal may be out of reach",
+    ),
+    "costs that fall for ever, and a goal that may be missed": (
+        until_goal(
+            [
+                (0, 0, [(1, 0, -1)]),
+                (0, 1, [("1/2", 1, 0), ("1/2", 2, 0)]),
+                END,
+                (2, 0, [(1, 2, 0)]),
+            ],
+            3,
+            sense="min",
+        ),
+        {"infinite": [1, 0, -1], "start_value": "-inf"},
+        "the goal may be out of reach",
+    ),
+    "costs that fall for ever on the way to a goal, called 0": (
+        until_goal([(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, 0)]), END], sense="min", start=[0, 1]),
+        {"infinite": [0, 0]},
+        "it is worth more than is claimed",
+    ),
+    "of the way to the goal and one that may miss it, called both": (
+        until_goal(
+            [(0, 0, [(1, 1, 1)]), (0, 1, [("1/2", 1, 0), ("1/2", 2, 0)]), END, (2, 0, [(1, 2, 0)])],
+            3,
+            sense="min",
+        ),
+        {"unique": False},
+        "it says wrongly that the optimum is not unique",
+    ),
+    "two ways to the end, called the only one": (
+        MDP.from_outcomes(CHOICE),
+        {"unique": True},
+        "it says wrongly that the optimum is unique",
+    ),
+    "the only way to the end, called one of two": (
+        MDP.from_outcomes([(0, 0, [(1, 1, -1)]), (0, 1, [(1, 1, -2)]), END]),
+        {"unique": False},
+        "it says wrongly that the optimum is not unique",
+    ),
+    "of two that earn 1 in each step for ever, one called the only one": (
+        MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 1)])]),
+        {"unique": True},
+        "it says wrongly that the optimum is unique",
+    ),
+    "of one that earns 1 in each step for ever and one that stops, called both": (
+        MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 9)]), END]),
+        {"unique": False},
+        "it says wrongly that the optimum is not unique",
+    ),
+    "of a state that misses the goal for +inf, the way there called another": (
+        until_goal(WAIT_OR_PAY),
+        {"unique": False},
+        "it says wrongly that the optimum is not unique",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_forged_certificate_is_refused(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mdp, changes, sentence = FORGED[what]
+    model, honest, forged = (str(tmp_path / name) for name in ("model.json", "a.json", "b.json"))
+    save(mdp, model)
+    certify(mdp).save(honest)
+    content = json.loads(Path(honest).read_text("utf-8"))
+    Path(forged).write_text(json.dumps(content | changes), "utf-8")
+    assert check_certificate.main([model, honest]) == 0
+    assert check_certificate.main([model, forged]) == 1
+    assert sentence in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"unreached": "5"},
+        {"goal": None, "unreached": "5"},
+        {"goal": [0]},
+        {"discount": "1/2"},
+    ],
+    ids=str,
+)
+def test_a_goal_that_is_none_is_not_read(change: dict[str, Any], tmp_path: Path) -> None:
+    mdp = until_goal(WAIT_OR_PAY, sense="min")
+    model, proof = str(tmp_path / "model.json"), str(tmp_path / "proof.json")
+    save(mdp, model)
+    certify(mdp).save(proof)
+    content = json.loads(Path(model).read_text("utf-8"))
+    assert content["goal"] == [1]
+    Path(model).write_text(json.dumps(content | change), "utf-8")
+    assert check_certificate.main([model, proof]) == 2
