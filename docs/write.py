@@ -176,6 +176,7 @@ MADE = {
 def draw() -> None:
     """Run the blocks of the gallery and save their figures, in order."""
     import matplotlib.pyplot as plt
+    from PIL import Image  # matplotlib brings it
 
     for block, shown in FIGURES.findall((DOCS / "gallery.md").read_text("utf-8")):
         plt.close("all")
@@ -185,8 +186,8 @@ def draw() -> None:
         ):
             file = DOCS / target
             file.parent.mkdir(exist_ok=True)
-            metadata = {"Software": None}
-            plt.figure(number).savefig(file, dpi=70, bbox_inches="tight", metadata=metadata)
+            plt.figure(number).savefig(file, dpi=100, bbox_inches="tight")
+            Image.open(file).convert("RGB").quantize(64).save(file, optimize=True)
 
 
 if __name__ == "__main__":

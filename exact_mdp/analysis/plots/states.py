@@ -227,7 +227,7 @@ def plot_evaluation(
 def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what the policy does; wrong states have a cross, a frame and the optimal action below.
 
-    The fuller the colour, the more is lost there. States that are only listed have their number or
+    Darker cells cost more. States that are only listed have their number or
     name in a corner.
     """
     layout = _placed(audit.mdp, place)
@@ -246,7 +246,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
             corner: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
             name = each.name if len(each.name) <= 9 else f"{each.name[:8]}…"
             ax.text(where[0] + 0.06, where[1] + 0.08, name, color=ink, **corner)
-    words = ["✗ not optimal; below it the optimal action; fuller: more is lost"]
+    words = ["✗ not optimal; below it the optimal action; darker cells cost more"]
     if any(each.kind == "idle" for each in drawn):
         words.append("grey: no choice, or not wrong and never visited")
     if audit.mdp.over[layout.shown].any():
