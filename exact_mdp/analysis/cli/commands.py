@@ -121,7 +121,7 @@ question = together(
     click.option("--until", metavar="LABEL", help="Ask for the expected reward until a label."),
     click.option("--reward", metavar="NAME", help="The reward component that counts until then."),
     click.option("--allowed", metavar="LABEL", help="Reach it through states of this label only."),
-    click.option("--minimize", is_flag=True, help="Look for the least: rewards are costs."),
+    click.option("--minimize", is_flag=True, help="Minimise: rewards are costs."),
     click.option("--start", metavar="STATE", help="Start in this state, a number or a name."),
 )
 of_interval = together(
@@ -187,7 +187,7 @@ def new() -> None:
     """Write FILE, a .toml scenario with every key explained, which solves as it is."""
 
 
-@command("scenario:lint", "Everything that is wrong with a scenario file.")
+@command("scenario:lint", "List all problems of a scenario file.")
 @click.argument("file")
 @as_json
 def lint() -> None:
@@ -362,7 +362,7 @@ def simulate() -> None:
 
 @command(
     "trainer:check",
-    "Audit a learned policy or Q-table; exit status 1 where it loses too much.",
+    "Audit a learned policy or Q-table; exit status 1 if it loses too much.",
     epilog=POLICY_HELP,
 )
 @model
@@ -379,7 +379,7 @@ def simulate() -> None:
     "--share", metavar="X", help="Of several: the least share of all runs within the limits (9/10)."
 )
 @click.option(
-    "--alpha", metavar="X", help="Of several: the most likely that a failure is by chance (1/100)."
+    "--alpha", metavar="X", help="Of several: greatest chance of a wrong failure (1/100)."
 )
 @click.option("--prove", is_flag=True, help="Of several: fail a share that is still open.")
 @click.option("--certify", is_flag=True, help="Use rational arithmetic, however long it takes.")
@@ -394,9 +394,9 @@ def simulate() -> None:
 def check() -> None:
     """Compare LEARNED, a policy or Q-table, with the exact optimum of MODEL.
 
-    The check passes where the regret at the start is within the limits; what bounds leave open does
-    not pass. Without a limit it passes where the regret is zero: exactly, or up to what half a
-    unit in the last place of the model's floats can cause. --max-regret 0 forgives nothing.
+    The check passes if the regret at the start is within the limits; if bounds leave that open, it
+    fails. Without a limit it passes if the regret is zero: exactly, or up to what half a unit in
+    the last place of the model's floats can cause. --max-regret 0 forgives nothing.
     LEARNED is a POLICY; a Q-table stands for its greedy policy. With --subject-to it has to keep
     the limits too, the regret is against the best policy that keeps them, and nothing is forgiven.
 
@@ -520,7 +520,7 @@ drawn = together(
 )
 
 
-@command("sensitivity.one_way:gradient_report", "Derivatives by each number.", epilog=POLICY_HELP)
+@command("sensitivity.one_way:gradient_report", "Derivatives by parameter.", epilog=POLICY_HELP)
 @model
 @parameters
 @held
@@ -563,7 +563,7 @@ def threshold() -> None:
     """
 
 
-@command("sensitivity.curve:curve_report", "The optimum along one number.", epilog=POLICY_HELP)
+@command("sensitivity.curve:curve_report", "The value as an exact curve.", epilog=POLICY_HELP)
 @model
 @parameters
 @spans
@@ -586,7 +586,7 @@ def curve() -> None:
 points = click.option("--points", metavar="N", help="Values along each range, ends included.")
 
 
-@command("sensitivity.grids:one_way_report", "Values along one number.", epilog=POLICY_HELP)
+@command("sensitivity.grids:one_way_report", "Values along one parameter.", epilog=POLICY_HELP)
 @model
 @parameters
 @spans
@@ -602,7 +602,7 @@ def one_way() -> None:
     """
 
 
-@command("sensitivity.grids:two_way_report", "Values over two numbers.", epilog=POLICY_HELP)
+@command("sensitivity.grids:two_way_report", "Values over two parameters.", epilog=POLICY_HELP)
 @model
 @parameters
 @spans
@@ -662,7 +662,7 @@ def sobol() -> None:
     """
 
 
-@command("sensitivity.robust:robust_report", "The worst case around today.", epilog=POLICY_HELP)
+@command("sensitivity.robust:robust_report", "Worst case of wrong tables.", epilog=POLICY_HELP)
 @model
 @click.option(
     "--set-kind",
@@ -801,11 +801,11 @@ def rationalize() -> None:
 
     The least relative change of the weights, exactly, with its proof; and for each component the
     interval of its weight that does it alone, the others unchanged. Multipliers are of today's
-    weights. A change of 1 drops all weights: then nothing less makes the policy optimal.
+    weights. A change of 1 can make all weights zero: no smaller change makes the policy optimal.
     """
 
 
-@command("tradeoff:risk", "The best policy for a risk of the return.", epilog=POLICY_HELP)
+@command("tradeoff:risk", "The best policy for bad episodes.", epilog=POLICY_HELP)
 @model
 @click.option(
     "--cvar",
@@ -829,7 +829,7 @@ def rationalize() -> None:
 @horizon
 @of_model
 def risk() -> None:
-    """Find the policy of MODEL with the least risk of the return, exactly.
+    """Find the best policy of MODEL for the worst share of the episodes, exactly.
 
     MODEL has discount 1 and no cycles, or a horizon. The answer is the policy with the greatest
     mean of the worst episodes, which remembers the reward so far, and those with the most of a

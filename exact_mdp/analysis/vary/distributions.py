@@ -1,6 +1,6 @@
-"""Distributions of uncertain parameters: by mean and spread, by their own numbers, or a sample.
+"""Distributions of uncertain parameters: by mean and spread, by their usual numbers, or a sample.
 
-Of each parameter, or of the beginning of some names, is said what it is drawn from:
+A parameter, or all parameters whose names begin alike, has one of these distributions:
 
     beta          mean with effective_sample_size n, or sd, or relative_sd; or alpha, beta
     dirichlet     the probabilities of one row: effective_sample_size n; or alpha, a list
@@ -10,13 +10,12 @@ Of each parameter, or of the beginning of some names, is said what it is drawn f
     uniform       mean with sd or relative_sd; or low, high
     triangular    mean with sd or relative_sd, symmetric; or low, mode, high
 
-The mean is today's value unless another is said. Where no distribution is named, what a parameter
-may be decides: a probability (from 0 to 1) is beta, a number that may not be negative is gamma, any
-other normal. A probability with mean m that rests on n observations is Beta(m n, (1 - m) n), of
-variance m (1 - m) / (n + 1); probabilities of one row are Dirichlet with the same n (Briggs,
-Weinstein, Fenwick et al., Medical Decision Making 32, 2012). Probabilities of which nothing is said
-rest on 100 observations; other parameters of which nothing is said are held, and so is the
-discount. It may be said in a TOML file:
+The mean is today's value unless it is given. Without a named distribution, a probability (from 0
+to 1) is beta, a number that may not be negative is gamma, and any other number is normal. A
+probability with mean m that rests on n observations is Beta(m n, (1 - m) n), of variance
+m (1 - m) / (n + 1); probabilities of one row are Dirichlet with the same n (Briggs, Weinstein,
+Fenwick et al., Medical Decision Making 32, 2012). Probabilities without a statement rest on 100
+observations; other parameters without a statement, and the discount, do not vary. A TOML file:
 
     [default]
     effective_sample_size = 100
@@ -32,8 +31,8 @@ discount. It may be said in a TOML file:
     [influence]
     fixed = true
 
-Every part draws from its own stream, which its name decides, so that adding one leaves the others'
-draws as they are. Correlated parameters come as a sample of one's own, a table with a column each.
+Every part draws from a stream of its own, which its name decides, so adding one does not change the
+draws of the others. Correlated parameters are given as a table of draws with a column for each.
 """
 
 from __future__ import annotations

@@ -1,21 +1,20 @@
-"""Acting on a perceived status: the confusion of statuses, stated or counted, and what it makes.
+"""Acting on a perceived status: a confusion matrix, stated or counted, and the policy it makes.
 
-Whoever acts sees the status z with probability C(s, z) where it is s, draws seen anew at every
-timestep. A policy π that acts on what it sees is, in the true state, the mixed policy
+If the true status is s, the status z is perceived with probability C(s, z), independently at every
+timestep. A policy π that acts on what it perceives is, in the true state, the mixed policy
 
     π_C(a | s) = Σ_z C(s, z) π(a | z),
 
-which everything that evaluates policies takes as it is. The other columns are seen as they are.
-Files may state rationals; what is used is each number rounded to the nearest float, and so are the
-probabilities π_C. What is exact elsewhere is exact for these: 0.9 is then the dyadic number
-nearest to it.
+which can be evaluated like any other. The other columns are perceived correctly. Files may state
+rationals; each number, and each probability π_C, is rounded to the nearest float, and exact results
+are exact for these: 0.9 is then the binary fraction nearest to it.
 
-From pairs of a true and a perceived status, N(s, z) of each, the confusion of a row is
+From N(s, z) examples of the true status s and the perceived status z, a row is estimated as
 
     C(s, z) = (N(s, z) + α) / (N(s) + α Z)
 
 with a pseudo-count α for each of the Z cells: the frequencies at α = 0, and the posterior mean
-under a Dirichlet prior otherwise. α = 1/Z, the prior of Perks (1947), weighs as much as one
+under a Dirichlet prior otherwise. α = 1/Z, the prior of Perks (1947), has the weight of one
 example for each row. Rows are drawn from Dirichlet(N(s, ·) + α). The interval of one status's
 sensitivity or specificity is that of Clopper and Pearson (Biometrika 26, 1934).
 """

@@ -1,22 +1,21 @@
 """A model estimated from recorded transitions, with the numbers of observations kept.
 
-Of n(s, a) times that action a was taken in state s, k ended in s' with reward r:
+If action a was taken n(s, a) times in state s, and k of these led to s' with reward r, then
 
     P(s', r | s, a) = k / n(s, a)          the maximum likelihood estimate, a rational number
 
-Episodes begin as they were seen to begin; the model keeps their number. A state that is only ever
-entered is taken for an end, where nothing happens any more: `entered` names these. A sixth column,
-`truncated`, tells the rows after which an episode was cut off, as by a time limit: a state that is
-only ever entered so is no end, and nobody knows what it is worth (`cut_off`). Rows that were cut
-off without a next state lead to a state of their own, of which nothing else is known; to leave them
-out would be wrong, as whether a row was cut off depends on what followed.
+The start is estimated from where episodes begin; the model keeps their number. A state that no
+record leaves is taken for an end (`entered` lists these). A sixth column, `truncated`, marks the
+rows after which an episode was cut off, by a time limit for instance: a state that is entered only
+so is no end, and its value is unknown (`cut_off`). Truncated rows without a next state lead to a
+special state. They must not be dropped, since truncation depends on what would have followed.
 
-An action that was never taken in a state is not available there; or it is as bad as the caller
-says, so that an optimum does not rely on what nobody tried (the pessimism of Jin, Yang and Wang,
+An action that was never taken in a state is unavailable there; or it is as bad as the caller says,
+so that an optimum does not rely on what nobody tried (the pessimism of Jin, Yang and Wang,
 ICML 2021).
 
-Rows come in chunks, are counted and forgotten, so that memory holds one chunk and one number for
-each different outcome (s, a, s', r). Rewards that hardly ever repeat should be rounded first.
+Rows are read in chunks and counted, so memory holds one chunk and one number for each different
+outcome (s, a, s', r). Round rewards that hardly ever repeat first.
 """
 
 from __future__ import annotations

@@ -1,25 +1,24 @@
 """Exchange with model checkers: models as UMB, the unified Markov binary format (package umbi).
 
-A pair is a choice and an outcome a branch; probabilities are rationals where the model's are. What
-the format has no place for is written as annotations of a group of its own, `exact-mdp`, which
-other tools pass over:
+A pair is a choice and an outcome a branch; probabilities are rationals if the model's are. What the
+format has no place for is written as annotations of a separate group, `exact-mdp`, which other
+tools skip:
 
     start        the initial distribution (the format itself has a set of initial states)
-    gain         the reward of each branch, where it is not the choice's alone
+    gain         the reward of each branch, where it differs within a choice
     event        the events of each branch, as the bits of a number
     observations how often each choice was observed, in a model from data
 
-The description of `start` is the header of `mdp.io.npz` as JSON: discount, columns and names
-of the states, components, events, parameters. So nothing of a model is lost. A file of another
-program has no such header; its discount is what the caller says, or 1 with a warning, since the
-format has none. To other tools
+The description of `start` is the header of `mdp.io.npz` as JSON: discount, columns and names of the
+states, components, events, parameters. So nothing of a model is lost. A file of another program has
+no such header; the caller gives its discount, or it is 1 with a warning. For other tools
 
     rewards/reward   is Σ_i p_i r_i for each choice, from which expected totals are the same,
 
-and every reward component is a reward model of its own, likewise by choice, called by
-its name with underscores for other signs than letters and digits (`subtask_complete`). States
-where the process has ended carry the label `terminal`; the columns of the state space are the
-states' valuations (-1 for the states beside the product). Storm, for one, then answers
+and every reward component is a reward model, called by its name with underscores for other signs
+than letters and digits (`subtask_complete`). States where the process has ended have the label
+`terminal`; the columns of the state space are the states' valuations (-1 for states outside the
+product). Storm, for example, then answers
 
     R{"reward"}max=? [F "terminal"].
 

@@ -1,21 +1,20 @@
-"""What an array says of a policy: action values (a Q-table), or probabilities of actions.
+"""How an array states a policy: action values (a Q-table), or probabilities of actions.
 
-The rule, the same for arrays and for files. A row counts where a state with a choice reads it; rows
-of states in which all is over and of states with one action may hold anything, and so may those of
-states whose actions are the same in all but name, in probabilities. Unless `kind` says which it is,
+The rule is the same for arrays and files. A row counts if a state with a choice reads it. Rows of
+states in which all is over, of states with one action and, as probabilities, of states whose
+actions differ in name only may hold anything. Without `kind`,
 
-    a row that counts is not a distribution     the array is a Q-table
-    every such row gives 1 to a single action   both readings are the same policy: it is one; of
-                                                costs they differ: refused, `kind` has to say
-    otherwise                                   both fit and differ: refused, `kind` has to say
+    some row that counts is not a distribution  the array is a Q-table
+    every such row gives 1 to a single action   the array is a policy; of costs, where the two
+                                                readings differ, it is refused
+    otherwise                                   the array is ambiguous and refused
 
 A distribution has entries of at least 0 that sum to 1, up to 1e-9 or the rounding of a short type:
-numbers that are all float32, float16 or bfloat16, whatever holds them now, or are all printed as
-float32 are. Such rows are divided by their exact sums. Of a Q-table the greedy policy counts:
-the greatest value among the actions offered, of costs the least, compared in the array's own
-numbers, the lowest action number on a tie. -inf is an action never to be taken. NaN and +inf,
-and -inf on every action offered, do not say what to do and are refused; of costs the infinities
-change places.
+numbers that are all float32, float16 or bfloat16 values, whatever type holds them, or that are
+printed with the digits of float32. Such rows are divided by their exact sums. A Q-table means its
+greedy policy: the greatest value (of costs, the least) among the actions offered, compared in the
+array's own numbers; the lowest action number wins a tie. -inf marks an action that is never taken.
+NaN, +inf, and -inf for every action offered are refused. For costs the infinities change places.
 """
 
 from __future__ import annotations
