@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from typing import TypeVar
 
 CONTROL = "\\x00-\\x1f\\x7f-\\x9f"
 SEPARATORS = "\\u2028\\u2029"
@@ -22,6 +23,8 @@ DIRECTIONS = "\\u061c\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u206f"
 INVISIBLE = "\\u200b\\u2060-\\u2064\\ufeff"
 NEVER_CHARACTERS = "\\ufffe\\uffff"
 UNSAFE = re.compile(f"[{CONTROL}{SEPARATORS}{SURROGATES}{DIRECTIONS}{INVISIBLE}{NEVER_CHARACTERS}]")
+
+T = TypeVar("T")
 
 LONGEST = 1000  # characters of a name, and of what a message quotes
 LONGEST_TEXT = 20_000  # of a text of several lines, such as a source
@@ -103,6 +106,19 @@ def no_such(what: str, number: object, size: int, *, where: str = "") -> ModelEr
     """
     said = f"there is no {what} {number}: numbers go from 0 to {size - 1}"
     return ModelError(said, where=where, fix="choose one of these")
+
+
+def listed(given: Iterable[T], what: str) -> list[T]:
+    """Return what is listed; raises ModelError for a text or what is no list.
+
+    Examples
+    --------
+    >>> listed(("a", "b"), "names")
+    ['a', 'b']
+    """
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise ModelError(f"{given!r} is no list of {what}", where=what, fix="give a list")
+    return list(given)
 
 
 @contextmanager

@@ -198,13 +198,23 @@ def as_labels(labels: object, size: int) -> dict[str, Flags]:
 
 
 def as_flags(values: object, size: int, where: str) -> Flags:
-    """Return one truth value for each state (S,), read-only."""
+    """Return one truth value for each state (S,), read-only; a list may number the states.
+
+    Examples
+    --------
+    >>> as_flags([2], 3, "label goal")
+    array([False, False,  True])
+    """
     array = np.asarray(values)
+    numbers = array.dtype.kind in "iu" and array.ndim == 1 and np.isin(array, range(size)).all()
+    # As many noughts and ones as there are states may be truth values.
+    if numbers and not (array.shape == (size,) and array.max() <= 1):
+        array = np.isin(np.arange(size), array)
     if array.shape != (size,) or array.dtype != bool:
         raise ModelError(
             f"an array of type {array.dtype} and shape {array.shape} for {size} states",
             where=where,
-            fix="give one truth value (bool) for each state",
+            fix="give one truth value (bool) for each state, or the numbers of some states",
         )
     if array.flags.writeable:
         array = array.copy()

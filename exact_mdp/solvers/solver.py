@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from exact_mdp.mdp.care.scenario import Scenario
@@ -47,7 +48,9 @@ Criterion = Literal["total", "average"]
 
 
 def mdp_of(model: object) -> MDP:
-    """Return a model as an MDP: itself, or the compiled scenario.
+    """Return a model as an MDP: itself, the compiled scenario, or what `MDP.load` reads.
+
+    An environment of Gymnasium that has its table P is taken as `MDP.from_gymnasium` takes it.
 
     Raises
     ------
@@ -58,6 +61,10 @@ def mdp_of(model: object) -> MDP:
         return model.compile()
     if isinstance(model, MDP):
         return model
+    if isinstance(model, str | Path):
+        return MDP.load(model)
+    if hasattr(getattr(model, "unwrapped", None), "P"):
+        return MDP.from_gymnasium(model)
     raise ModelError(
         f"{type(model).__name__} is not a model",
         where="model",

@@ -10,6 +10,7 @@ from typing import Any
 
 from exact_mdp.analysis.cli.options import given
 from exact_mdp.analysis.cli.render import Report, Table
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
@@ -21,8 +22,14 @@ HOLDS, FAILS = 0, 1
 
 def verify(*, certificate: str, **shared: Any) -> Report:
     """Check a certificate."""
+    try:
+        kind, proof = codec.load(KINDS, certificate)
+    except ModelError as error:
+        if not str(shared["model"]).endswith(".json"):
+            raise
+        fix = "name the certificate first: exact-mdp verify CERTIFICATE MODEL"
+        raise ModelError(error.what, where=error.where, fix=fix) from error
     asked = given(**shared)
-    kind, proof = codec.load(KINDS, certificate)
     proof = (
         proof if isinstance(proof, ObjectivesProof) else replace(proof, mdp=asked.mdp, **_of(kind))
     )

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.relaxation import Expansion, Flags, Relaxations, Rows, one_hot
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
@@ -139,7 +140,7 @@ def best_policy(
     if node_limit is None:
         node_limit = max(100, min(5000, WORK // mdp.n_transitions))
     node_limit = counted(node_limit, "node_limit")
-    rows = Rows.of(mdp.maximised, columns)
+    rows = Rows.of(mdp.maximised, listed(columns, "columns"))
     search = _Search(rows, Relaxations(rows), start)
     search.run(node_limit)
     value = Bounded(value=search.value, error=search.error)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers, Numbers
@@ -261,8 +261,9 @@ def mean_interval(values: Floats) -> Interval | None:
 
 def common_rows(model: MDP, runs: Sequence[TrainingRun]) -> Rows:
     """Return the rows that the runs read; raises ModelError for runs on another model."""
-    if not runs:
-        raise ModelError("no runs", where="learning", fix="train one")
+    if not listed(runs, "runs") or not all(isinstance(run, TrainingRun) for run in runs):
+        fix = "give what train(model, QLearning(), …) returns"
+        raise ModelError("no run of training", where="learning", fix=fix)
     rows = rows_of(model, runs[0].space.names)
     if any(run.space != rows.space or run.q.shape != rows.offered.shape for run in runs):
         raise ModelError(

@@ -15,11 +15,11 @@ import numpy as np
 
 from exact_mdp.analysis.perception.values import Passes
 from exact_mdp.mdp.care.perception import status_names
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, listed, located, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, exact
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -98,10 +98,14 @@ def accuracy_curves(
     >>> found.values["all"].round(4).tolist()
     [140.7766, 146.2359]
     """
-    grid = np.linspace(0.5, 1.0, 51) if levels is None else np.array(list(levels), dtype=float)
+    grid = np.linspace(0.5, 1.0, 51)
+    if levels is not None:
+        with located("levels"):
+            grid = np.array([float(exact(level)) for level in listed(levels, "levels")])
     passes = Passes(model)
     table, found = passes.table(policy), {}
-    for name in (*status_names(model), ALL) if statuses is None else statuses:
+    names = (*status_names(model), ALL)
+    for name in names if statuses is None else listed(statuses, "statuses"):
         matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])
         found[name] = passes.worth(table, matrices)
     return AccuracyCurves(levels=grid, values=found, error=passes.rounding)

@@ -235,9 +235,10 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     >>> len(front.vertices) == len(front.edges) + 1, front.violations()
     (True, [])
     """
-    if isinstance(names, str) or len(names) not in (2, 3):
+    if isinstance(names, str) or not isinstance(names, Sequence) or len(names) not in (2, 3):
+        many = len(names) if isinstance(names, Sequence) and not isinstance(names, str) else names
         raise ModelError(
-            f"a front of {names if isinstance(names, str) else len(names)} totals",
+            f"a front of {many!r} totals",
             where="tradeoff",
             fix="name two or three",
         )

@@ -201,6 +201,12 @@ def _layout(model: MDP, shape: tuple[int, ...], asked: Flags | bool = True) -> _
         actions = tuple(model.actions[number] for number in numbers)
         space = StateSpace(columns=(column,)) if shape == (column.size, len(actions)) else None
         expected.append(f"({column.size}, {len(actions)}) over the statuses")
+    if space is None and shape[::-1] == (model.n_states, model.n_actions):
+        raise ModelError(
+            f"an array of shape {shape} has a row for each action: it is the wrong way round",
+            where="policy",
+            fix=f"give its transpose, of shape {shape[::-1]}: a row for each state",
+        )
     if space is None:
         raise ModelError(
             f"an array of shape {shape} is no policy of this model",

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
@@ -33,7 +34,7 @@ def train(
     settings: QLearning,
     n: int,
     *,
-    rng: Seed,
+    rng: Seed | None = None,
     n_jobs: int | None = 1,
     out: str | Path | None = None,
     progress: bool = False,
@@ -75,6 +76,12 @@ def train(
     (3, (16, 4))
     """
     n = counted(n, "n")
+    learner: object = settings
+    if not isinstance(learner, QLearning):
+        fix = "give QLearning(), with settings of its own where need be"
+        raise ModelError(f"{learner!r} is no learner", where="train", fix=fix)
+    if rng is None:
+        raise ModelError("training needs a seed", where="rng", fix="give rng=0, or another number")
     trainer, root = Trainer(settings, model), as_sequence(rng)
     found = many(
         partial(_run, trainer, root),

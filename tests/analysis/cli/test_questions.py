@@ -244,3 +244,12 @@ def test_totals_that_nobody_has_are_refused_by_name(
         done = run(*command, *words)
         assert (done.status, done.out) == (2, ""), command
         assert told in done.err, command
+
+
+def test_a_model_in_the_place_of_a_certificate_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    run("solve", "yuan2025", "--certify", "--certificate", path)
+    assert run("verify", path, "yuan2025").status == 0
+    turned = run("verify", "yuan2025", path)
+    assert (turned.status, turned.out) == (2, "")
+    assert "verify CERTIFICATE MODEL" in turned.err

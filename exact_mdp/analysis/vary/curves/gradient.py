@@ -31,7 +31,7 @@ from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.vary.base_case import unending
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.graph import endless, is_acyclic, reachable
 from exact_mdp.mdp.model import MDP
@@ -239,11 +239,12 @@ def gradient(
     4 (certified) 1.0
     """
     family = parametric(model)
-    names = [parameter.name for parameter in family.parameters] if names is None else names
+    known = [parameter.name for parameter in family.parameters]
+    names = known if names is None else listed(names, "names")
     parameters = [parameter_of(family, name) for name in names]
     mdp = family.at({})
     reoptimised = isinstance(policy, str) and policy == "optimal"
-    if reoptimised and endless(mdp):
+    if endless(mdp) and (reoptimised or not PolicyChain.of(mdp, policy).ends_from_start):
         raise unending("today's parameters")
     exact = _cheap(mdp) if exact is None else exact
     passed = _ExactPass(mdp, policy) if exact else _BoundedPass(mdp, policy)
