@@ -44,7 +44,7 @@ class Claim(StrEnum):
 
 
 class Status(StrEnum):
-    """How a solver ended: a message, with the likely remedy where something is amiss."""
+    """How a solver ended: a message, with a suggested fix on failure."""
 
     CONVERGED = "the error bound meets the tolerance"
     DIRECT = "solved directly; the error bound is what rounding may have left"
@@ -217,7 +217,7 @@ def regret(
 
 @dataclass(frozen=True, kw_only=True)
 class Estimated:
-    """A sample mean, its standard error, and what no sample shows.
+    """A sample mean, its standard error, and what the sample cannot show.
 
     Attributes
     ----------

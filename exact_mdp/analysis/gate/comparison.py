@@ -68,7 +68,7 @@ class PolicyComparison(Pictured):
 
 
 def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> PolicyComparison:
-    """Return what each of several policies is worth at the start, and what it loses.
+    """Return the start value and the loss of each of several policies.
 
     Parameters
     ----------

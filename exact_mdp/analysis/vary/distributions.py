@@ -584,7 +584,7 @@ def _float(value: object, key: str, name: str) -> float:
 
 
 def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], float | None]:
-    """Return what a TOML file states of uncertainty, and the default sample size.
+    """Return the distributions that a TOML file states, and the default sample size.
 
     Parameters
     ----------

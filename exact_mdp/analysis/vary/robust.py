@@ -187,7 +187,7 @@ def robust(
     *,
     policy: PolicyLike = "optimal",
 ) -> Robust:
-    """Return what nature can do to a policy, and to the best policy against it.
+    """Return the worst and the best case of a policy, and the best policy against the worst.
 
     Parameters
     ----------

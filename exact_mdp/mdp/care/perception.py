@@ -87,7 +87,7 @@ def by_place(model: MDP, amounts: Floats) -> Floats:
 
 
 def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> Floats:
-    """Return the (2^n, 2^n) confusion of n statuses that are told apart independently.
+    """Return the (2^n, 2^n) confusion matrix of n statuses perceived independently.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def interval(right: int, total: int, level: float = LEVEL) -> tuple[float, float
 def counted(
     source: NDArray[Any] | Iterable[Sequence[object]], *, size: int, prior: float = 0.0
 ) -> Counted:
-    """Return the counts of a perception.
+    """Return the counts of true and perceived statuses.
 
     Parameters
     ----------

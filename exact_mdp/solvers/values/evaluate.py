@@ -49,7 +49,7 @@ UNKNOWN = Bounded(value=nan, error=inf)
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Evaluation(Pictured):
-    """A policy's values; everything else about its return is worked out when first asked for.
+    """A policy's values; everything else about its return is computed on first use.
 
     Attributes
     ----------
@@ -421,7 +421,7 @@ def evaluate(
     horizon: int | None = None,
     criterion: str = "total",
 ) -> Evaluation | AverageEvaluation:
-    """Return the mean and all else that there is to know about a policy's return.
+    """Return a policy's expected return, its spread, its components and its visits.
 
     Parameters
     ----------
