@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.components import each_component, named_components, of_length
-from exact_mdp.mdp.errors import DistributionError, ModelError, ShapeError
+from exact_mdp.mdp.errors import DistributionError, ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.numbers import (
     Grouped,
@@ -77,14 +77,15 @@ def from_arrays(
 ) -> Parts:
     """Return the parts of the model that `MDP.from_arrays` makes."""
     check_options(names)
-    if layout not in (None, *LAYOUTS):
+    if layout is not None and layout not in tuple(LAYOUTS):
         raise ModelError(f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"')
     shape: tuple[int, ...] = ()
     if isinstance(P, Mapping) and P and all(map(is_table, P.values())):
-        P, words = listed.of_tables(P, list(names.get("states", ())))
+        P, words = listed.of_tables(P, words_of(names.get("states"), "states"))
         if words:
             names, layout = names | {"states": words}, layout or "ass"
-    if listed.is_listed(P):
+    by_entry = listed.is_listed(P)
+    if by_entry:
         fitting = listed.layouts_of(P)
     else:
         P, shape = _array_or_matrices(P, "P")
@@ -92,7 +93,7 @@ def from_arrays(
     if layout is None and len(fitting) == 2:
         return _of_only_reading(P, R, discount, start, names)
     offered, keys = None, None
-    if not shape:
+    if by_entry:
         if layout not in (None, *fitting):
             raise ModelError(
                 f"these dictionaries or lists are not {layout!r}",
@@ -112,7 +113,7 @@ def from_arrays(
     state, action = pair // actions, pair % actions
 
     def of_pairs(values: Any, where: str) -> Any:
-        words = names.get("states", ())
+        words = words_of(names.get("states"), "states")
         if keys is not None and is_table(values) and len(words) and {*values.index} == {*words}:
             values = values.T.to_dict()
         if keys is not None and isinstance(values, Mapping):
@@ -512,8 +513,8 @@ def _assemble(
     start: object,
     names: dict[str, Any],
 ) -> Parts:
-    words = names.pop("states", ())
-    actions = tuple(str(name) for name in names.pop("actions", ()))
+    words = words_of(names.pop("states", ()), "states")
+    actions = words_of(names.pop("actions", ()), "actions")
     if not actions:
         last = int(action.max(initial=-1))
         if last >= MOST_UNNAMED_ACTIONS:

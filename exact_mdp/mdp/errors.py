@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import TypeVar
+from typing import Any, TypeVar
 
 CONTROL = "\\x00-\\x1f\\x7f-\\x9f"
 SEPARATORS = "\\u2028\\u2029"
@@ -119,6 +119,26 @@ def listed(given: Iterable[T], what: str) -> list[T]:
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise ModelError(f"{given!r} is no list of {what}", where=what, fix="give a list")
     return list(given)
+
+
+def of_type(value: Any, kind: Any, where: str, fix: str) -> Any:
+    """Return a value of a type, or of one of several; raises ModelError for another value."""
+    if not isinstance(value, kind):
+        raise ModelError(
+            f"{short(repr(value), 80)} is of type {type(value).__name__}", where=where, fix=fix
+        )
+    return value
+
+
+def words_of(names: Iterable[object] | None, where: str) -> tuple[str, ...]:
+    """Return names as texts; raises ModelError for a text alone, and for what is no list.
+
+    Examples
+    --------
+    >>> words_of(["low", 1], "states"), words_of(None, "states")
+    (('low', '1'), ())
+    """
+    return () if names is None else tuple(map(str, listed(names, where)))
 
 
 @contextmanager

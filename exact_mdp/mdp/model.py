@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp import build, questions
 from exact_mdp.mdp.components import named_components, wrong_rows
-from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, suggest, words_of
 from exact_mdp.mdp.forms import explore
 from exact_mdp.mdp.forms.names import Names, Told, object_key, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
@@ -120,7 +120,8 @@ class MDP(ByFields, Parts):
 
     def __post_init__(self) -> None:
         fill = object.__setattr__
-        fill(self, "table", self.table.settled())
+        if isinstance(self.table, OutcomeTable):
+            fill(self, "table", self.table.settled())
         check_model(self)
         for name, numbers in (("probabilities", self.table.weight), ("rewards", self.table.gain)):
             if numbers.dtype == np.float64:
@@ -357,6 +358,12 @@ class MDP(ByFields, Parts):
         ([[5.0, 0.5], [nan, 0.0]], [[5.0, 0.5], [-inf, 0.0]])
         """
         array = np.asarray(values)
+        if array.shape != (self.n_pairs,):
+            raise ShapeError(
+                f"an array of shape {array.shape}, not ({self.n_pairs},)",
+                where="by_action",
+                fix="give one number for each pair",
+            )
         kind = array.dtype if array.dtype.kind in "bO" else np.result_type(array, np.float64)
         fill = False if array.dtype.kind == "b" else missing
         table = np.full((self.n_states, self.n_actions), fill, dtype=kind)
@@ -505,6 +512,8 @@ class MDP(ByFields, Parts):
         check_options(parts)
         if "states" in parts:
             parts["space"] = StateSpace.plain(self.n_states, parts.pop("states"))
+        if "actions" in parts:
+            parts["actions"] = words_of(parts["actions"], "actions")
         if discount is not None:
             parts["discount_exact"] = as_discount(discount)
         if "actions" in parts:
@@ -869,7 +878,13 @@ class MDP(ByFields, Parts):
 
     @classmethod
     def load(
-        cls, path: str | Path, *, discount: object | None = None, start: object | None = None
+        cls,
+        path: str | Path,
+        *,
+        discount: object | None = None,
+        start: object | None = None,
+        constants: Mapping[str, object] | None = None,
+        **others: Any,
     ) -> MDP:
         """Read a model from a file that `save` wrote, or another program.
 
@@ -881,6 +896,10 @@ class MDP(ByFields, Parts):
             Instead of the file's own.
         start : state, {state: probability} or (S,) probabilities, optional
             Likewise.
+        constants : {name: number}, optional
+            Values of what a `.prism` or `.jani` file leaves open.
+        **others
+            There are none: a misspelt option is refused.
 
         Returns
         -------
@@ -901,7 +920,8 @@ class MDP(ByFields, Parts):
         """
         import exact_mdp
 
-        return exact_mdp.load(path, discount=discount, start=start)
+        check_options(others, known=("discount", "start", "constants"))
+        return exact_mdp.load(path, discount=discount, start=start, constants=constants)
 
     def save(self, path: str | Path) -> None:
         """Write all of the model as `.npz`, or as `.umb` for model checkers; whole or not at all.
@@ -1075,7 +1095,7 @@ def once(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
     @wraps(find)
     def found(mdp: MDP) -> Found:
         if mdp not in known:
-            known[mdp] = find(mdp)
+            known[mdp] = find(of_type(mdp, MDP, "model", "give an MDP"))
         return known[mdp]
 
     return found

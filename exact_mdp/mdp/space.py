@@ -16,7 +16,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, no_such, suggest
+from exact_mdp.mdp.errors import ModelError, check_names, no_such, suggest, words_of
 from exact_mdp.mdp.forms.names import (
     Names,
     ObjectKey,
@@ -331,7 +331,7 @@ class StateSpace:
         return dict(reversed(parts.items()))
 
     @classmethod
-    def plain(cls, size: int, labels: Iterable[str] = ()) -> StateSpace:
+    def plain(cls, size: int, labels: object = ()) -> StateSpace:
         """Return a space of one column `state`, numbered or with a word for each state.
 
         Parameters
@@ -355,7 +355,7 @@ class StateSpace:
         >>> StateSpace.plain(2, ["low", "high"]).label(1)
         'state high'
         """
-        words = tuple(str(label) for label in labels)
+        words = words_of(labels, "states")
         if words and len(words) != size:
             raise ModelError(
                 f"{len(words)} state labels for {size} states",

@@ -22,6 +22,7 @@ from exact_mdp.mdp.errors import (
     check_names,
     located,
     no_such,
+    of_type,
     suggest,
 )
 from exact_mdp.mdp.forms.names import ByNumber, Told, labels_of
@@ -102,8 +103,12 @@ OPTIONS = ("discount", "start", "states", "actions", "components", "labels", "se
 KNOWN = {*OPTIONS, *(part.name for part in fields(Parts))}
 
 
-def check_options(names: Iterable[str], *, told: Iterable[str] = ()) -> None:
+def check_options(
+    names: Iterable[str], *, told: Iterable[str] = (), known: Iterable[str] = ()
+) -> None:
     """Raise ModelError for a name that is none of a model's parts, or that records tell.
+
+    Where options are `known`, these are all that there are.
 
     Examples
     --------
@@ -114,14 +119,36 @@ def check_options(names: Iterable[str], *, told: Iterable[str] = ()) -> None:
       fix:   say discount=
     """
     for name in names:
-        if name not in KNOWN or name in told:
-            fix = "say discount=" if name in ("gamma", "γ") else suggest(name, OPTIONS)
+        if name not in (known or KNOWN) or name in told:
+            options = list(known or OPTIONS)
+            fix = "say discount=" if name in ("gamma", "γ") else suggest(name, options)
             fix = "leave it out: the records say it" if name in told else fix
             raise ModelError(f"there is no option {name}=", where="MDP", fix=fix)
 
 
+KINDS: dict[str, Any] = {
+    "table": OutcomeTable,
+    "pair_state": np.ndarray,
+    "pair_action": np.ndarray,
+    "space": StateSpace,
+    "discount_exact": Fraction,
+    **dict.fromkeys(("actions", "component_names", "events", "parameters", "start"), tuple),
+    "action_objects": tuple,
+    "component_table": ComponentTable | None,
+    "observations": np.ndarray | None,
+    "float_probabilities": bool,
+    "float_rewards": bool,
+}
+"""Types of the parts that `MDP` itself takes; the others are converted, or checked by value."""
+
+
 def check_model(model: Parts) -> None:
     """Raise ModelError, naming the place and the remedy, unless `model` is a finite MDP."""
+    for name, kind in KINDS.items():
+        wanted = str(getattr(kind, "__name__", kind)).rpartition(".")[2]
+        of_type(getattr(model, name), kind, name, f"give a {wanted}")
+    for parameter in model.parameters:
+        of_type(parameter, Parameter, "parameters", "give a tuple of Parameter")
     _check_names(model)
     _check_sense(model)
     _check_pairs(model)

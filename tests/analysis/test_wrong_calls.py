@@ -30,9 +30,11 @@ from exact_mdp import (
     best_policy,
     check,
     compare,
+    fingerprint,
     gradient,
     learning_curve,
     load,
+    moving,
     outcomes,
     rationalize,
     save,
@@ -310,6 +312,81 @@ def test_refused(name: str) -> None:
     assert what in caught.value.what
     assert where in caught.value.where
     assert fix in caught.value.fix
+
+
+BUILT: dict[str, Any] = {"parameters": {"p": 1}, "build": lambda at: MODEL}
+WRONG_TYPES: dict[str, tuple[Callable[[], object], str]] = {
+    "states of a copy": (lambda: MODEL.with_(states=3), "states"),
+    "actions of a copy": (lambda: MODEL.with_(actions=3), "actions"),
+    "a text of states": (lambda: MODEL.with_(states="ab"), "states"),
+    "a text of actions": (lambda: MODEL.with_(actions="ab"), "actions"),
+    **{
+        f"{part} of a copy": (lambda part=part: MODEL.with_(**{part: 3}), part)
+        for part in (
+            *("table", "pair_state", "space", "events", "parameters", "observations"),
+            *("component_names", "component_table", "action_objects", "float_rewards"),
+        )
+    },
+    "a number for an exact discount": (
+        lambda: MODEL.with_(discount_exact=0.5),
+        "discount_exact",
+    ),
+    "P": (lambda: MDP.from_arrays(3, [1]), "P"),
+    "layout": (lambda: MDP.from_arrays([[[1]]], [1], layout=ANY and []), "layout"),
+    "states": (lambda: MDP.from_arrays([[[1]]], [1], states=3), "states"),
+    "actions": (lambda: MDP.from_arrays([[[1]]], [1], actions=3), "actions"),
+    "states of dictionaries": (lambda: MDP.from_arrays({0: {0: {0: 1}}}, [1], states=3), "states"),
+    "labels of a function": (
+        lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], labels=ANY and 3),
+        "labels",
+    ),
+    "gamma of a file": (lambda: MDP.load("no.npz", gamma=0.9), "MDP"),
+    "sets of a file": (lambda: load("yuan2025", sets=ANY and 3), "sets"),
+    "a set of a file": (lambda: load("yuan2025", sets=[ANY and 3]), "sets"),
+    "columns of records": (lambda: MDP.from_transitions("no.csv", columns=ANY and 3), "columns"),
+    "states of an environment": (
+        lambda: MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, states=3),
+        "states",
+    ),
+    "numbers of pairs": (lambda: MODEL.by_action([1]), "by_action"),
+    "columns of a policy": (lambda: Policy.by(MODEL, ANY and 3, [0, 0]), "columns"),
+    "a text of columns": (lambda: Policy.by(MODEL, "state", [0, 0]), "columns"),
+    "the kind of a policy": (lambda: Policy.of(MODEL, [0, 0], kind=ANY and []), "kind"),
+    "the path of a policy": (lambda: Policy.of(MODEL, [0, 0]).write(ANY and 3), "path"),
+    "a policy of no model": (lambda: Policy.of(ANY and 3, [0, 0]), "model"),
+    "columns of no model": (lambda: Policy.by(ANY and 3, ["state"], [0, 0]), "model"),
+    "an action of no model": (lambda: Policy.always(ANY and 3, "slow"), "model"),
+    "any action of no model": (lambda: Policy.uniform(ANY and 3), "model"),
+    "numbers of no model": (lambda: Policy.from_choices(ANY and 3, [0, 0]), "model"),
+    "weights in no model": (lambda: Policy.of(MODEL, [0, 0]).weights(ANY and 3), "model"),
+    "the hash of no model": (lambda: fingerprint(ANY and 3), "model"),
+    "entries": (lambda: moving(MODEL, ANY and 3), "entries"),
+    "entries of no model": (lambda: moving(ANY and 3, {}), "model"),
+    "places": (lambda: moving(MODEL, {"p": ANY and 3}), "parameter p"),
+    "rewards": (lambda: moving(MODEL, {}, ANY and 3), "rewards"),
+    "build": (lambda: Family(parameters=ANY and {"p": 1}, build=ANY and 3), "build"),
+    **{
+        f"{part} of a family": (lambda part=part: Family(**BUILT, **{part: 3}), part)
+        for part in ("degrees", "breaks", "rows", "room", "settings")
+    },
+    "values of a family": (lambda: Family(**BUILT).at(ANY and 3), "values"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_TYPES)
+def test_wrong_types_are_refused_by_their_place(name: str) -> None:
+    call, where = WRONG_TYPES[name]
+    with pytest.raises(ModelError) as caught:
+        call()
+    assert caught.value.where == where
+    assert caught.value.fix
+
+
+def test_the_optimal_policy_is_said_to_be_that_of_solve() -> None:
+    with pytest.raises(ModelError) as caught:
+        Policy.of(MODEL, "optimal")
+    assert "give optimal" not in caught.value.fix
+    assert "solve(mdp).policy" in caught.value.fix
 
 
 VALUES = {("a", "slow"): 1, ("a", "fast"): 2, ("b", "slow"): 0, ("b", "fast"): 1}

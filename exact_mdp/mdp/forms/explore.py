@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, located, of_type
 from exact_mdp.mdp.forms.names import ByNumber, Told
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
@@ -48,6 +48,7 @@ def explored(
                 f"{name} is {function!r}, not a function", where=name, fix=f"give {HOW[name]}"
             )
     max_states = counted(max_states, "max_states")
+    of_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
     states, rows = Numbering(), list[Row]()
     if isinstance(start, Told):
         raise ModelError(

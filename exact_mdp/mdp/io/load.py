@@ -8,16 +8,17 @@ A model is a shipped scenario (`yuan2025`), a scenario file (`.toml`), a saved m
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, located, of_type, suggest
 from exact_mdp.mdp.io import model_json, npz, storm, umb
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import exact
 
 GYMNASIUM = "gymnasium:"
 SOURCES = (".prism", ".nm", ".pm", ".jani")
@@ -39,7 +40,7 @@ def read_model(
     sets: Sequence[str] = (),
     discount: object | None = None,
     start: object | None = None,
-    constants: str | None = None,
+    constants: str | Mapping[str, object] | None = None,
 ) -> Loaded:
     """Return the model that `spec` names.
 
@@ -55,7 +56,7 @@ def read_model(
         states none: 1 is taken, with a warning.
     start : state, {state: probability} or (S,) vector, optional
         Instead of the model's own; a `.umb` file may have several initial states.
-    constants : "N=4,p=1/3", optional
+    constants : {name: number} or "N=4,p=1/3", optional
         Values of what a `.prism` or `.jani` file leaves open.
 
     Raises
@@ -98,7 +99,7 @@ def read_model(
         file, reward = _parts(text)
         mdp = umb.load(file, discount=discount, reward=reward, start=start)
     elif suffix in SOURCES:
-        mdp = storm.load(text, constants=constants or "", discount=discount, start=start)
+        mdp = storm.load(text, constants=_assigned(constants), discount=discount, start=start)
     else:
         raise _unknown(text)
     mdp = mdp if start is None else mdp.with_(start=start)
@@ -111,6 +112,7 @@ def load(
     sets: Sequence[str] = (),
     discount: object | None = None,
     start: object | None = None,
+    constants: str | Mapping[str, object] | None = None,
 ) -> MDP:
     """Return the model that `spec` names.
 
@@ -124,6 +126,8 @@ def load(
         Instead of the model's own.
     start : state, {state: probability} or (S,) vector, optional
         Instead of the model's own.
+    constants : {name: number} or "N=4,p=1/3", optional
+        Values of what a `.prism` or `.jani` file leaves open.
 
     Returns
     -------
@@ -140,7 +144,7 @@ def load(
     >>> load("yuan2025", sets=["tasks=[1]"]).n_states
     81
     """
-    return read_model(spec, sets=sets, discount=discount, start=start).mdp
+    return read_model(spec, sets=sets, discount=discount, start=start, constants=constants).mdp
 
 
 def load_scenario(
@@ -155,8 +159,8 @@ def load_scenario(
             )
         raise _unknown(text)
     scenario = Scenario.load(text)
-    for assignment in sets:
-        scenario = scenario.set(assignment)
+    for assignment in of_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
+        scenario = scenario.set(of_type(assignment, str, "sets", 'give "KEY=VALUE"'))
     return scenario if discount is None else scenario.with_(discount=discount)
 
 
@@ -200,6 +204,16 @@ def save(model: MDP, path: str | Path) -> None:
             where=str(path),
             fix="name it .npz, .umb or .json",
         )
+
+
+def _assigned(constants: str | Mapping[str, object] | None) -> str:
+    """Return the values of constants as text: "N=4,p=1/3"."""
+    if isinstance(constants, str | None):
+        return constants or ""
+    given = of_type(constants, Mapping, "constants", "give {name: number}").items()
+    with located("constants"):
+        values = [str(v).lower() if isinstance(v, bool) else str(exact(v)) for _, v in given]
+    return ",".join(f"{name}={value}" for (name, _), value in zip(given, values, strict=True))
 
 
 def _suffix(text: str) -> str:

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tqdm
 
-from exact_mdp.mdp.errors import ModelError, extra, suggest
+from exact_mdp.mdp.errors import ModelError, extra, of_type, suggest
 from exact_mdp.mdp.forms.numbers import grouped
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.space import StateSpace
@@ -127,7 +127,7 @@ def read(
 
 def _named(columns: Mapping[str, str] | None) -> dict[str, str]:
     """Return the file's column of each of the five, and of a sixth where it is named."""
-    given = dict(columns or {})
+    given = dict(of_type(columns or {}, Mapping, "columns", "give {name: name in the table}"))
     for name in given:
         if name not in (*COLUMNS, TRUNCATED):
             near = suggest(str(name), [*COLUMNS, TRUNCATED])

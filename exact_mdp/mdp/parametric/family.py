@@ -17,7 +17,7 @@ number (`reward.-1`), as long as there are few of them; `moving` names others, a
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, partial
@@ -25,7 +25,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, check_names, located, suggest
+from exact_mdp.mdp.errors import ModelError, check_names, located, of_type, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.table import Numbers, OutcomeTable, beside, exact, shown
@@ -119,6 +119,9 @@ class Family:
 
     def __post_init__(self) -> None:
         check_names((self.name,), "model")
+        of_type(self.build, Callable, "build", "give a function from {name: value} to the model")
+        for what in ("degrees", "breaks", "rows", "room", "settings"):
+            of_type(getattr(self, what), Mapping, what, "give a dictionary by the names")
         check_names(self.rows, "row", where="rows")
         fill = partial(object.__setattr__, self)
         fill("parameters", _parameters(self.parameters))
@@ -312,6 +315,10 @@ def moving(
     >>> [(str(p), str(r)) for p, _, r in family.at({"loop": "1/5", "gain": 3}).table.row(0)]
     [('1/5', '3'), ('2/5', '3'), ('2/5', '3')]
     """
+    of_type(model, MDP, "model", "give an MDP")
+    of_type(entries, Mapping, "entries", "give {name: [((state, action), next state), …]}")
+    rewards = {} if rewards is None else rewards
+    of_type(rewards, Mapping, "rewards", "give {name: reward}")
     named: dict[int, dict[int, str]] = {}
     found = []
     for name, listed in entries.items():
@@ -333,7 +340,7 @@ def moving(
             named[pair][state] = name
         found.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
     rest = {pair: _rest(model, pair, states) for pair, states in named.items()}
-    earned = _earned(model, rewards or {})
+    earned = _earned(model, rewards)
     gains = [Parameter(name=name, value=reward) for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
     return Family(
@@ -418,7 +425,7 @@ def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
     """Return the numbers of entries that are given as pairs and next states."""
     places = []
     with located(where):
-        for place in listed:
+        for place in of_type(listed, Iterable, "", "give a list of (pair, next state)"):
             if not isinstance(place, Sequence) or isinstance(place, str) or len(place) != 2:
                 raise ModelError(f"an entry is {place!r}", fix="give (pair, next state)")
             pair, following = place
@@ -512,6 +519,7 @@ def placed(model: Parametric, values: Mapping[str, object]) -> dict[str, Fractio
 
 def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:
     """Return the values that differ from today's; raises ModelError as `placed` does."""
+    of_type(values, Mapping, "values", "give {name: value}")
     today = {parameter.name: parameter.value for parameter in model.parameters}
     everything = placed(model, values)
     return {name: everything[name] for name in values if everything[name] != today[name]}

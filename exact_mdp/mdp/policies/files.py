@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, suggest
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, suggest
 from exact_mdp.mdp.forms.names import Reading, amount_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.files import read_text, write_atomically
@@ -69,7 +69,8 @@ def read(path: str | Path, model: MDP, kind: str = "auto") -> list[Form]:
         return _from_csv(read_text(path), model)
     raise ModelError(
         f"unknown kind of policy {where!r}",
-        fix="give optimal, random, always:ACTION, or a .json, .csv, .npy or .npz file",
+        fix="give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal policy "
+        "is solve(mdp).policy, on the command line optimal",
     )
 
 
@@ -448,7 +449,7 @@ def write(
     mixed: bool,
 ) -> None:
     """Write the probabilities of the actions of each row as `.csv` or `.json`, by the ending."""
-    suffix = Path(path).suffix.lower()
+    suffix = Path(of_type(path, str | Path, "path", "give a text")).suffix.lower()
     if suffix not in (".csv", ".json"):
         raise ModelError(
             f"cannot write a policy as {suffix or 'a file without ending'}",

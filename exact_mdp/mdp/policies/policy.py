@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, located, no_such
+from exact_mdp.mdp.errors import ModelError, check_names, located, no_such, of_type, words_of
 from exact_mdp.mdp.forms.numbers import is_table
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 ReadAs = Literal["q", "policy"]
+MODEL = "give an MDP first, then the policy; a scenario is compiled: scenario.compile()"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -319,7 +320,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             Where the policy gives no action for a state with a choice, or takes an action that the
             state does not offer.
         """
-        weights, wanted = self._by_pair(model, self.rule)
+        weights, wanted = self._by_pair(of_type(model, MDP, "model", MODEL), self.rule)
         if self.deterministic and self.space.extra == model.space.extra:
             taken = np.flatnonzero(weights == 1)
             if np.array_equal(model.pair_state[taken], np.arange(model.n_states)):
@@ -465,7 +466,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         >>> Policy.of(mdp, [[1.5, 2.5], [0, 0]]).read_as, Policy.of(mdp, "random").read_as
         ('q', 'policy')
         """
-        if kind not in KINDS:
+        of_type(model, MDP, "model", MODEL)
+        if not isinstance(kind, str) or kind not in KINDS:
             raise ModelError(
                 f"{kind!r} is not a kind of array", where="kind", fix=f"choose {', '.join(KINDS)}"
             )
@@ -564,6 +566,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         >>> Policy.uniform(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]))
         Policy(mixed (2, 2), over state)
         """
+        of_type(model, MDP, "model", MODEL)
         table = np.zeros((model.n_states, model.n_actions))
         counts = np.diff(model.pair_offsets)[model.pair_state]
         table[model.pair_state, model.pair_action] = 1 / counts
@@ -594,7 +597,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         >>> Policy.always(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]), "1").tolist()
         [1]
         """
-        number = np.array([model.action(action)])
+        number = np.array([of_type(model, MDP, "model", MODEL).action(action)])
         return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
 
     @classmethod
@@ -623,6 +626,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         >>> Policy.from_choices(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]), [1, 0])[0]
         np.int64(1)
         """
+        of_type(model, MDP, "model", MODEL)
         return cls(**action_numbers(model, numbers_of(choices)))
 
     @classmethod
@@ -651,7 +655,9 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         >>> Policy.by(mdp, ["state"], [[0.5, 0.5], [1, 0]]).weights(mdp).tolist()
         [0.5, 0.5, 1.0, 0.0]
         """
-        space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
+        space = of_type(model, MDP, "model", MODEL).space
+        names = words_of(columns, "columns")
+        space = StateSpace(columns=tuple(space.column(name) for name in names))
         array: Numbers = np.asarray(table)
         inside = array.dtype.kind in "iu" and ((array >= 0) & (array < model.n_actions)).all()
         if array.ndim == 1 and not inside:

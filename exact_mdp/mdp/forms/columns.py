@@ -1,0 +1,118 @@
+"""The one way from columns to a table: outcomes grouped by pair, sorted, joined and checked.
+
+However a model is given, it comes down to next state, probability and reward of each outcome, pair
+after pair. What rows of floats mean is read here (`mdp.rows`); large tables of floats are copied,
+sorted and looked at in one compiled pass.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from exact_mdp.mdp.forms.numbers import chances, grouped, has_floats, joined
+from exact_mdp.mdp.forms.threads import block_ends, run_blocks
+from exact_mdp.mdp.table import (
+    COMPILED,
+    Floats,
+    Integers,
+    Numbers,
+    OutcomeTable,
+    integers,
+    settle_rows,
+)
+
+
+def table_of(
+    offsets: Integers,
+    following: Numbers,
+    chance: Any,
+    gain: Any,
+    size: int,
+    names: dict[str, Any],
+    *,
+    by_pair: bool,
+    own: bool,
+    below: Integers | None = None,
+) -> OutcomeTable:
+    """Return the table of outcomes (N,), those of pair l from offsets[l] on; note what was floats.
+
+    Outcomes of probability 0 are left out, those of a pair are sorted by next state and reward, and
+    equal ones joined. Rewards may be those of pairs (L,), and probabilities whole numbers over
+    those `below` (L,). Next states and probabilities are copied unless they are the table's `own`.
+    """
+    taken = _taken(offsets, following, chance, size, own=own) if by_pair else None
+    if taken is not None:
+        following, chance = taken
+    else:
+        positive = np.asarray(chance != 0, dtype=bool)
+        if not (own and positive.all()):
+            following, chance = following[positive], chance[positive]
+            gain = gain if by_pair else gain[positive]
+            offsets = np.concatenate([[0], np.cumsum(positive)])[offsets]
+    floats = has_floats(chance), has_floats(gain)
+    for name, of_floats in zip(("float_probabilities", "float_rewards"), floats, strict=True):
+        names[name] = names.get(name, False) or of_floats
+    rising = taken is not None or _rises(offsets, following)
+    if not rising:
+        keys = None if by_pair else gain
+        offsets, following, chance, first = joined(offsets, following, chance, keys, chances=True)
+        gain = gain if by_pair else gain[first]
+    if not by_pair and len(gain) and np.diff(offsets).all():
+        of_pair = gain[offsets[:-1]]
+        if np.asarray(gain == np.repeat(of_pair, np.diff(offsets)), dtype=bool).all():
+            gain, by_pair = of_pair, True
+    if below is None:
+        weight, below = chances(chance, offsets)
+    else:
+        weight = integers(map(int, chance))
+    earned = grouped(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
+    if weight.dtype == np.float64:
+        settle_rows(weight, offsets)
+    table = OutcomeTable(
+        offsets=offsets,
+        next=following if size < 2**31 else following.astype(np.int64),
+        weight=weight,
+        denominator=below,
+        gain=earned[0],
+        gain_denominator=earned[1],
+    )
+    vars(table).update(is_settled=True, sound=taken is not None)
+    if by_pair and rising:
+        vars(table)["rising"] = True  # it was made so, and need not be asked again
+    return table
+
+
+def _rises(offsets: Integers, following: Numbers) -> bool:
+    """Return whether the next states of every pair rise strictly."""
+    ahead, begins = following[1:] > following[:-1], offsets[1:-1]
+    ahead[begins[(begins > 0) & (begins < len(following))] - 1] = True
+    return bool(ahead.all())
+
+
+def _taken(
+    offsets: Integers, following: Numbers, chance: Numbers, size: int, *, own: bool
+) -> tuple[Numbers, Floats] | None:
+    """Return next states in rising order and probabilities (N,), copied in one pass.
+
+    Where they are the table's `own`, next states rise already, and nothing is copied.
+
+    None where there are too few for compiled loops, and where rows are not sound as they are.
+    """
+    if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
+        return None
+    from exact_mdp.mdp.forms import rows as loops
+
+    columns, weights = following, chance
+    if not own:
+        columns, weights = np.empty_like(following), np.empty_like(chance)
+    ends = block_ends(offsets)
+    sound = [False] * (len(ends) - 1)
+
+    def work(number: int, first: int, last: int) -> None:
+        given = (first, last, size, offsets, following, chance)
+        sound[number] = loops.taken(*given, columns, weights)
+
+    run_blocks(ends, work)
+    return (columns, weights) if all(sound) else None
