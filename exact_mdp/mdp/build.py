@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from fractions import Fraction
-from operator import index, itemgetter
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -22,21 +21,20 @@ from exact_mdp.mdp.components import each_component, named_components, of_length
 from exact_mdp.mdp.errors import DistributionError, ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.numbers import (
-    Grouped,
-    added,
     array_of,
-    as_given,
-    chance_sum,
     chances,
     check_places,
     dense,
     grouped,
+    has_floats,
     is_table,
+    joined,
+    one_kind,
     picked,
     whole_numbers,
 )
-from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
-from exact_mdp.mdp.rows import counted, meant
+from exact_mdp.mdp.forms.threads import block_ends, run_blocks
+from exact_mdp.mdp.rows import counted
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     COMPILED,
@@ -46,7 +44,6 @@ from exact_mdp.mdp.table import (
     OutcomeTable,
     integers,
     multiply,
-    ones,
     settle_rows,
 )
 from exact_mdp.mdp.validate import Parts as ModelParts
@@ -58,9 +55,6 @@ LAYOUTS = {"ass": 1, "sas": 0}
 the indices is that of the states."""
 
 TABLE_FIELDS = fields(OutcomeTable)
-
-Outcomes = dict[tuple[int, Fraction | float], Fraction | float]
-"""Probabilities by next state and reward."""
 
 Parts = dict[str, Any]
 """What `MDP` takes, by name."""
@@ -300,54 +294,27 @@ def from_outcomes(
     """Return the parts of the model that `MDP.from_outcomes` makes."""
     check_options(names)
     try:
-        listed = [(index(row[0]), index(row[1]), *_merged(row[2])) for row in rows]
-        order = sorted(range(len(listed)), key=lambda number: listed[number][:2])
-        listed = [listed[number] for number in order]
-        state = np.array([row[0] for row in listed], dtype=np.int64)
-        action = np.array([row[1] for row in listed], dtype=np.int64)
-        merged = [row[2] for row in listed]
-        following = np.array([key[0] for row in merged for key in row], dtype=np.int64)
+        pairs = [(index(row[0]), index(row[1]), list(row[2])) for row in rows]
+        order = sorted(range(len(pairs)), key=lambda number: pairs[number][:2])
+        pairs = [pairs[number] for number in order]
+        state = np.array([row[0] for row in pairs], dtype=np.int64)
+        action = np.array([row[1] for row in pairs], dtype=np.int64)
+        every = [(p, index(then), reward) for row in pairs for p, then, reward in row[2]]
+        following = np.array([then for _, then, _ in every], dtype=np.int64)
     except (TypeError, ValueError, LookupError, OverflowError) as error:
-        if isinstance(error, ModelError):
-            raise
         raise ModelError(
             f"a row or an outcome is not of the right form: {error}",
             where="rows",
             fix="give (state, action, [(probability, next state, reward), …]) with whole numbers "
             "for states and actions",
         ) from error
-    offsets = np.concatenate([[0], np.cumsum([len(row) for row in merged])]).astype(np.int64)
-    weight = chances([value for row in merged for value in row.values()], offsets)
-    rewards = [[reward for _, reward in row] for row in merged]
-    if all(len(set(row)) == 1 for row in rewards):  # whatever follows
-        gain = grouped([row[0] for row in rewards], np.arange(len(rewards) + 1))
-    else:
-        gain = grouped([reward for row in rewards for reward in row], offsets)
-    table = _table(offsets, following, weight, gain)
-    for place, name in ((3, "float_probabilities"), (4, "float_rewards")):
-        names[name] = names.get(name, False) or any(row[place] for row in listed)
-    each_component(names, lambda values, where: of_length(values, where, len(listed))[order])
-    _observed(names, np.array(order, dtype=np.int64), len(order))
     size = int(max([*state, *following], default=-1)) + 1
+    chance, gain = (one_kind([each[place] for each in every]) for place in (0, 2))
+    offsets = np.cumsum([0, *(len(row[2]) for row in pairs)])
+    table = _table(offsets, following, chance, gain, size, names, by_pair=False, own=True)
+    each_component(names, lambda values, where: of_length(values, where, len(pairs))[order])
+    _observed(names, np.array(order, dtype=np.int64), len(order))
     return _assemble(state, action, table, size, discount, start, names)
-
-
-def _merged(outcomes: Iterable[tuple[Any, int, Any]]) -> tuple[Outcomes, bool, bool]:
-    """Return a pair's positive probabilities, sorted; whether these, and rewards, are floats."""
-    every = [(as_given(p), index(then), as_given(reward)) for p, then, reward in outcomes]
-    keys = [(then, reward) for _, then, reward in every]
-    row: Outcomes = dict(zip(keys, (chance for chance, _, _ in every), strict=True))
-    if len(row) < len(keys):
-        row = {}
-        for key, chance in zip(keys, meant([chance for chance, _, _ in every]), strict=True):
-            row[key] = chance_sum(row[key], chance) if key in row else chance
-    kept = {key: chance for key, chance in sorted(row.items(), key=itemgetter(0)) if chance}
-    chances, _, rewards = zip(*every, strict=True) if every else ((), (), ())
-    return kept, _any_float(chances), _any_float(rewards)
-
-
-def _any_float(numbers: Iterable[object]) -> bool:
-    return any(isinstance(number, float) for number in numbers)
 
 
 def _observed(names: dict[str, Any], order: Integers, total: int) -> None:
@@ -401,107 +368,115 @@ def _from_rows(
     below: Integers | None = None,
 ) -> Parts:
     """Build from sorted pairs, their (L, S) rows, over `below` (L,), and rewards (L,) or (L, S)."""
-    size = rows.shape[1]
-    rising = False
-    sound = _taken(rows) if sp.issparse(rows) else None
-    if sound is None and sp.issparse(rows):
+    size, by_pair = rows.shape[1], reward.ndim == 1
+    if sp.issparse(rows):
+        offsets, following, chance = rows.indptr, rows.indices, rows.data
         check_places(rows, "transition")
-    if sound is not None:
-        (offsets, following, data), rising = sound, True
-        weight = Grouped(data, ones(len(state)), True)
-    elif sp.issparse(rows) and rows.dtype == np.float64 and _canonical(rows):
-        rows, lowest = _copied(rows)
-        if lowest <= 0:
-            rows.eliminate_zeros()
-        rising = True
-        offsets, following = rows.indptr.astype(np.int64), rows.indices
-        weight = Grouped(rows.data, ones(len(state)), True)
-    elif sp.issparse(rows):
-        offsets, following, values = added(rows, chances=True)
-        weight = chances(values, offsets)._replace(floats=rows.dtype.kind == "f")
-        if below is not None:
-            weight = Grouped(integers(map(int, values)), below, False)
     else:
-        kept = rows.astype(bool)
-        pair, following = np.nonzero(kept)
-        offsets = np.concatenate([[0], np.cumsum(kept.sum(axis=1))]).astype(np.int64)
-        weight = chances(rows[pair, following], offsets)
-    if reward.ndim == 1:
-        # A copy: the model freezes its arrays, and the caller's stay the caller's.
-        gain = grouped(np.array(reward), np.arange(len(state) + 1))
-    else:
-        pair = np.repeat(np.arange(len(state)), np.diff(offsets))
-        gain = grouped(picked(reward, pair, following), offsets)
-    following = following if size < 2**31 else following.astype(np.int64)
-    table = _table(offsets, following, weight, gain)
-    names |= {"float_probabilities": weight.floats, "float_rewards": gain.floats}
-    if rising:
-        vars(table)["rising"] = True  # it was made so, and need not be asked again
-        if sound is not None:
-            vars(table)["sound"] = True
+        positive = rows != 0
+        offsets = np.concatenate([[0], np.cumsum(np.count_nonzero(positive, axis=1))])
+        column = np.arange(size, dtype=np.int32)
+        following, chance = np.broadcast_to(column, rows.shape)[positive], rows[positive]
+    if not by_pair:
+        reward = picked(reward, np.repeat(np.arange(len(state)), np.diff(offsets)), following)
+    columns = offsets.astype(np.int64), following, chance, reward
+    own = not sp.issparse(rows)
+    table = _table(*columns, size, names, by_pair=by_pair, own=own, below=below)
     return _assemble(state, action, table, size, discount, start, names)
 
 
-def _table(offsets: Integers, following: Numbers, weight: Grouped, gain: Grouped) -> OutcomeTable:
-    if weight.top.dtype == np.float64:
-        settle_rows(weight.top, offsets)
+def _table(
+    offsets: Integers,
+    following: Numbers,
+    chance: Any,
+    gain: Any,
+    size: int,
+    names: dict[str, Any],
+    *,
+    by_pair: bool,
+    own: bool,
+    below: Integers | None = None,
+) -> OutcomeTable:
+    """Return the table of outcomes (N,), those of pair l from offsets[l] on; note what was floats.
+
+    Outcomes of probability 0 are left out, those of a pair are sorted by next state and reward, and
+    equal ones joined. Rewards may be those of pairs (L,), and probabilities whole numbers over
+    those `below` (L,). Next states and probabilities are copied unless they are the table's `own`.
+    """
+    taken = _taken(offsets, following, chance, size, own=own) if by_pair else None
+    if taken is not None:
+        following, chance = taken
+    else:
+        positive = np.asarray(chance != 0, dtype=bool)
+        if not (own and positive.all()):
+            following, chance = following[positive], chance[positive]
+            gain = gain if by_pair else gain[positive]
+            offsets = np.concatenate([[0], np.cumsum(positive)])[offsets]
+    floats = has_floats(chance), has_floats(gain)
+    for name, of_floats in zip(("float_probabilities", "float_rewards"), floats, strict=True):
+        names[name] = names.get(name, False) or of_floats
+    rising = taken is not None or _rises(offsets, following)
+    if not rising:
+        keys = None if by_pair else gain
+        offsets, following, chance, first = joined(offsets, following, chance, keys, chances=True)
+        gain = gain if by_pair else gain[first]
+    if not by_pair and len(gain) and np.diff(offsets).all():
+        of_pair = gain[offsets[:-1]]
+        if np.asarray(gain == np.repeat(of_pair, np.diff(offsets)), dtype=bool).all():
+            gain, by_pair = of_pair, True
+    if below is None:
+        weight, below = chances(chance, offsets)
+    else:
+        weight = integers(map(int, chance))
+    earned = grouped(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
+    if weight.dtype == np.float64:
+        settle_rows(weight, offsets)
     table = OutcomeTable(
         offsets=offsets,
-        next=following,
-        weight=weight.top,
-        denominator=weight.bottom,
-        gain=gain.top,
-        gain_denominator=gain.bottom,
+        next=following if size < 2**31 else following.astype(np.int64),
+        weight=weight,
+        denominator=below,
+        gain=earned[0],
+        gain_denominator=earned[1],
     )
-    vars(table)["is_settled"] = True
+    vars(table).update(is_settled=True, sound=taken is not None)
+    if by_pair and rising:
+        vars(table)["rising"] = True  # it was made so, and need not be asked again
     return table
 
 
-def _taken(rows: Any) -> tuple[Integers, Numbers, Floats] | None:
-    """Return offsets (L+1,), columns and numbers (N,) of a sparse matrix, copied in one pass.
+def _rises(offsets: Integers, following: Numbers) -> bool:
+    """Return whether the next states of every pair rise strictly."""
+    ahead, begins = following[1:] > following[:-1], offsets[1:-1]
+    ahead[begins[(begins > 0) & (begins < len(following))] - 1] = True
+    return bool(ahead.all())
 
-    None where there are too few entries for compiled loops, and where rows are not sound as they
-    are.
+
+def _taken(
+    offsets: Integers, following: Numbers, chance: Numbers, size: int, *, own: bool
+) -> tuple[Numbers, Floats] | None:
+    """Return next states in rising order and probabilities (N,), copied in one pass.
+
+    Where they are the table's `own`, next states rise already, and nothing is copied.
+
+    None where there are too few for compiled loops, and where rows are not sound as they are.
     """
-    wide, small = rows.shape[1] >= 2**31, rows.nnz < COMPILED
-    if small or rows.dtype != np.float64 or wide or not rows.shape[0]:
+    if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
         return None
-    offsets = rows.indptr.astype(np.int64)
-    columns, data = np.empty(offsets[-1], dtype=rows.indices.dtype), np.empty(offsets[-1])
-    ends, given = block_ends(offsets), (rows.shape[1], offsets, rows.indices, rows.data)
-    longest = int((offsets[1:] - offsets[:-1]).max())
     from exact_mdp.mdp.forms import rows as loops
 
-    good, size = [False] * (len(ends) - 1), max(longest, loops.DIGITS)
+    columns, weights = following, chance
+    if not own:
+        columns, weights = np.empty_like(following), np.empty_like(chance)
+    ends = block_ends(offsets)
+    sound = [False] * (len(ends) - 1)
 
     def work(number: int, first: int, last: int) -> None:
-        room = np.empty((3, size), dtype=np.int64)
-        good[number] = loops.taken(first, last, *given, columns, data, room)
+        given = (first, last, size, offsets, following, chance)
+        sound[number] = loops.taken(*given, columns, weights)
 
     run_blocks(ends, work)
-    return (offsets, columns, data) if all(good) else None
-
-
-def _canonical(rows: sp.csr_array) -> bool:
-    """Return whether columns rise strictly in each row, whatever the matrix remembers of that."""
-    parts = (rows.data, rows.indices, rows.indptr)
-    return bool(sp.csr_array(parts, shape=rows.shape, copy=False).has_canonical_format)
-
-
-def _copied(rows: sp.csr_array) -> tuple[sp.csr_array, float]:
-    """Return a copy in floats, as the model's arrays are its own, and the least entry."""
-    indptr = rows.indptr.copy()
-    data, indices = np.empty(indptr[-1]), np.empty(indptr[-1], dtype=rows.indices.dtype)
-    ends = block_ends(indptr, most=IN_CACHE)
-    lowest = np.full(len(ends) - 1, np.inf)
-
-    def work(number: int, first: int, last: int) -> None:
-        here = slice(indptr[first], indptr[last])
-        data[here], indices[here] = rows.data[here], rows.indices[here]
-        lowest[number] = data[here].min(initial=np.inf)
-
-    run_blocks(ends, work)
-    return sp.csr_array((data, indices, indptr), shape=rows.shape, copy=False), lowest.min()
+    return (columns, weights) if all(sound) else None
 
 
 def _assemble(

@@ -205,11 +205,10 @@ def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, An
     columns = {}
     for name, values in parts.pop("components").items():
         if values.ndim == 1:
-            found = grouped(np.array(values), np.arange(table.pairs + 1))
-            top, bottom = found.top, found.bottom
+            top, bottom = grouped(np.array(values), np.arange(table.pairs + 1))
         else:
-            found = grouped(picked(values, table.pair, table.next), table.offsets)
-            earning = replace(table, gain=found.top, gain_denominator=found.bottom)
+            gain, under = grouped(picked(values, table.pair, table.next), table.offsets)
+            earning = replace(table, gain=gain, gain_denominator=under)
             top, bottom = earning.expected_gain_exact()
         _check_finite(top, name)
         columns[name] = top, bottom

@@ -9,11 +9,12 @@ floats with 1 below: `grouped` makes these of numbers of any kind.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import reduce
 from itertools import pairwise
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,7 +22,17 @@ from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.rows import meant
-from exact_mdp.mdp.table import Integers, Numbers, as_float, exact, ones, over_groups
+from exact_mdp.mdp.table import (
+    EXACT_IN_INT64,
+    Integers,
+    Numbers,
+    as_float,
+    exact,
+    integers,
+    magnitude,
+    ones,
+    over_groups,
+)
 
 
 def array_of(values: object, where: str, *, columns: bool = True) -> Any:
@@ -202,44 +213,47 @@ def chance_sum(left: Fraction | float, right: Fraction | float) -> Fraction | fl
     return least if least < 0 else exact_sum(left, right)
 
 
-def added(matrix: sp.csr_array, *, chances: bool = False) -> tuple[Integers, Numbers, Any]:
-    """Return where rows begin, columns in rising order, and values, equal places joined to one.
+def joined(
+    offsets: Integers,
+    columns: Numbers,
+    values: Numbers,
+    keys: Any = None,
+    *,
+    chances: bool = False,
+) -> tuple[Integers, Numbers, Numbers, Integers]:
+    """Return rows with rising columns, equal places joined to one, and the first place of each.
 
-    Rows of `chances` mean what they do before that (`mdp.rows`).
+    Where there are `keys` (N,), places are equal that have one column and one key. Rows of
+    `chances` mean what they do before that (`mdp.rows`).
     """
-    matrix = matrix.copy()
-    matrix.sort_indices()
-    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    row = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    rank = 0 * row if keys is None else np.unique(keys, return_inverse=True)[1]
+    order = np.lexsort((rank, columns, row))
+    row, columns, rank, values = row[order], columns[order], rank[order], values[order]
     fresh = np.ones(len(row), dtype=bool)
-    fresh[1:] = (np.diff(row) != 0) | (np.diff(matrix.indices) != 0)
-    values: Any = matrix.data
-    if not fresh.all():
-        first = np.flatnonzero(fresh)
-        parts = [as_given(value) for value in matrix.data]
-        if chances:
-            bounds = pairwise(matrix.indptr.tolist())
-            parts = [value for begin, end in bounds for value in meant(parts[begin:end])]
-        joined = chance_sum if chances else exact_sum
+    fresh[1:] = (row[1:] != row[:-1]) | (columns[1:] != columns[:-1]) | (rank[1:] != rank[:-1])
+    first = np.flatnonzero(fresh)
+    if len(first) < len(row):
+        parts = [as_given(value) for value in values]
+        twice = np.unique(row[~fresh]).tolist()
+        for begin, end in ((offsets[k], offsets[k + 1]) for k in twice if chances):
+            parts[begin:end] = meant(parts[begin:end])
+        add, ends = chance_sum if chances else exact_sum, [*first[1:].tolist(), len(parts)]
         values = np.empty(len(first), dtype=object)
-        ends = [*first[1:].tolist(), len(parts)]
         values[:] = [
-            reduce(joined, parts[begin:end])
-            for begin, end in zip(first.tolist(), ends, strict=True)
+            reduce(add, parts[begin:end]) for begin, end in zip(first.tolist(), ends, strict=True)
         ]
-        row = row[first]
-    kept = np.asarray(values != 0, dtype=bool)
-    counts = np.bincount(row[kept], minlength=matrix.shape[0])
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return offsets, matrix.indices[fresh][kept], values[kept]
+        offsets = np.searchsorted(first, offsets)
+    return offsets, columns[first], values, order[first]
 
 
 def picked(rewards: Any, row: Integers, column: Numbers) -> Any:
     """Return the entries of a dense or sparse (L, S) array of rewards at some places."""
     if not sp.issparse(rewards):
         return np.asarray(rewards[row, column])
-    offsets, following, values = added(rewards)
-    places = np.arange(1, len(following) + 1)
-    lookup = sp.csr_array((places, following, offsets), shape=rewards.shape)
+    offsets, columns, values, _ = joined(rewards.indptr, rewards.indices, rewards.data)
+    places = np.arange(1, len(columns) + 1)
+    lookup = sp.csr_array((places, columns, offsets), shape=rewards.shape)
     return np.append(values, values.dtype.type(0) if values.dtype != object else 0)[
         np.asarray(lookup[row, column]) - 1
     ]
@@ -249,56 +263,63 @@ def dense(values: Any) -> Any:
     """Return a sparse array as a dense one; others as they are."""
     if not sp.issparse(values):
         return values
-    offsets, following, found = added(values)
-    array = np.zeros(values.shape, dtype=found.dtype)
-    array[np.repeat(np.arange(values.shape[0]), np.diff(offsets)), following] = found
+    offsets, columns, entries, _ = joined(values.indptr, values.indices, values.data)
+    array = np.zeros(values.shape, dtype=entries.dtype)
+    array[np.repeat(np.arange(values.shape[0]), np.diff(offsets)), columns] = entries
     return array
 
 
-class Grouped(NamedTuple):
-    """Numbers as the arrays of a table: top over one bottom for each group.
+def one_kind(values: Sequence[Any]) -> Numbers:
+    """Return numbers as an array of floats or of 64-bit integers where all are such, or objects."""
+    kinds = set(map(type, values))
+    if kinds == {float} or (kinds == {int} and magnitude(integers(values)) < EXACT_IN_INT64):
+        return np.array(values)
+    numbers = np.empty(len(values), dtype=object)
+    numbers[:] = [as_given(value) for value in values]
+    return numbers
 
-    `floats` says whether any of them was given as a float.
-    """
 
-    top: Numbers
-    bottom: Numbers
-    floats: bool
+def has_floats(values: Numbers) -> bool:
+    """Return whether some numbers were given as floats."""
+    if values.dtype != object:
+        return values.dtype.kind == "f"
+    return any(isinstance(value, float) for value in values)
 
 
-def grouped(values: Any, offsets: Integers) -> Grouped:
-    """Return numbers as an array with one denominator for each group of them."""
-    groups = len(offsets) - 1
+def grouped(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
+    """Return numbers as the arrays of a table: tops over one bottom for each group of them."""
+    below = ones(len(offsets) - 1)
     if isinstance(values, np.ndarray) and values.dtype in (np.float64, np.int64):
-        return Grouped(np.ascontiguousarray(values), ones(groups), values.dtype == np.float64)
+        return np.ascontiguousarray(values), below
     flat = [as_given(value) for value in values]
-    floats = any(isinstance(value, float) for value in flat)
-    if any(isinstance(value, float) and not isfinite(value) for value in flat):
+    floats = [value for value in flat if isinstance(value, float)]
+    if not all(map(isfinite, floats)):
         # The model is refused, by the place of the number.
-        return Grouped(np.array([as_float(value) for value in flat]), ones(groups), True)
+        return np.array([as_float(value) for value in flat]), below
     if floats and all(isinstance(value, float) or _is_double(value) for value in flat):
-        return Grouped(np.array([float(value) for value in flat]), ones(groups), True)
-    return Grouped(*over_groups([exact(value) for value in flat], offsets), floats)
+        return np.array([float(value) for value in flat]), below
+    return over_groups([exact(value) for value in flat], offsets)
 
 
-def chances(values: Any, offsets: Integers) -> Grouped:
+def chances(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return probabilities likewise: what the rows mean, which `offsets` delimits.
 
     They are floats where all rows are made of floats, or mean the same as if they were.
     """
-    if isinstance(values, np.ndarray) and values.dtype != object:
-        short = values.dtype.kind == "f" and values.dtype != np.float64
-        return grouped(values.astype(np.float64) if short else values, offsets)
+    if values.dtype.kind == "f":
+        values = values.astype(np.float64, copy=False)
+    if values.dtype != object:
+        return grouped(values, offsets)
     flat = [as_given(value) for value in values]
     rows = [flat[first:last] for first, last in pairwise(offsets.tolist())]
-    if not any(isinstance(value, float) for value in flat):
+    if not has_floats(values):
         return grouped(flat, offsets)
     if all(_in_floats(row) for row in rows):
-        return grouped(np.array([float(value) for value in flat]), offsets)
+        return np.array([float(value) for value in flat]), ones(len(rows))
     exactly = [value for row in rows for value in meant(row)]
     if any(isinstance(value, float) and not isfinite(value) for value in exactly):
         return grouped(exactly, offsets)
-    return Grouped(*over_groups(list(map(exact, exactly)), offsets), True)
+    return over_groups(list(map(exact, exactly)), offsets)
 
 
 def _in_floats(row: list[Fraction | float]) -> bool:

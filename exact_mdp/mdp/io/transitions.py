@@ -34,7 +34,7 @@ import numpy as np
 import tqdm
 
 from exact_mdp.mdp.errors import ModelError, extra, of_type, suggest
-from exact_mdp.mdp.forms.numbers import grouped
+from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, exact
@@ -620,18 +620,19 @@ def _table(outcomes: Integers, count: Integers, values: Sequence[Any]) -> dict[s
     first = np.flatnonzero(np.append(True, (pair[1:] != pair[:-1]).any(axis=1)))
     offsets = np.append(first, len(pair)).astype(np.int64)
     observations = np.add.reduceat(count, first)
-    gain = grouped([values[number] for number in outcomes[:, 3].tolist()], offsets)
+    earned = one_kind([values[number] for number in outcomes[:, 3].tolist()])
+    gain, under = grouped(earned, offsets)
     table = OutcomeTable(
         offsets=offsets,
         next=outcomes[:, 2].astype(np.int32),
         weight=np.where(np.repeat(observations == 0, np.diff(offsets)), 1, count),
         denominator=np.maximum(observations, 1),
-        gain=gain.top,
-        gain_denominator=gain.bottom,
+        gain=gain,
+        gain_denominator=under,
     )
     return {
         "table": table,
-        "float_rewards": gain.floats,
+        "float_rewards": has_floats(earned),
         "pair_state": pair[first, 0].copy(),
         "pair_action": pair[first, 1].copy(),
         "observations": observations,

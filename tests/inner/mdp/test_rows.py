@@ -144,8 +144,8 @@ def test_integer_rows_are_the_model(rows: Rows) -> None:
 @pytest.mark.parametrize(
     ("states", "entries", "wrong"),
     [
-        *[(40, 7, None), (300, 32, None), (300, 33, None), (200, 200, None), (70_000, 90, None)],
-        *[(300, 20, "twice"), (300, 50, "twice"), (200, 200, "twice"), (70_000, 90, "nothing")],
+        *[(40, 7, None), (300, 128, None), (300, 129, None), (70_000, 90, None)],
+        *[(300, 20, "twice"), (200, 200, "twice"), (70_000, 90, "nothing")],
     ],
 )
 def test_columns_may_stand_in_any_order(
@@ -165,8 +165,6 @@ def test_columns_may_stand_in_any_order(
         given = (chances.ravel(), columns.ravel(), offsets)
         monkeypatch.setattr(build, "COMPILED", least)
         matrix = sp.csr_array(given, shape=(pairs, states))
-        taken = build._taken(matrix)
-        assert (taken is not None) == (not least and wrong is None)
         table = build.from_pairs(range(pairs), [0] * pairs, matrix, np.ones(pairs), "1/2")["table"]
         found.append([part.tobytes() for part in (table.offsets, table.next, table.weight)])
     assert found[0] == found[1]
