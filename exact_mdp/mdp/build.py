@@ -47,7 +47,7 @@ from exact_mdp.mdp.table import (
     settle_rows,
 )
 from exact_mdp.mdp.validate import Parts as ModelParts
-from exact_mdp.mdp.validate import as_discount, as_start, check_model, check_options, last_action
+from exact_mdp.mdp.validate import as_discount, as_start, check_model, check_options
 
 MOST_UNNAMED_ACTIONS = 100_000
 LAYOUTS = {"ass": 1, "sas": 0}
@@ -253,7 +253,7 @@ def from_pairs(
     rewards = _rewards_of_rows(reward, "reward", rows)
     each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
     order = _offered(rewards, names)
-    if last_action(state, action) < 0 and not _in_order(state, action):
+    if not _in_order(state, action):
         sorted_ = np.lexsort((action, state))
         order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
     if order is not None:

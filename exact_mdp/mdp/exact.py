@@ -32,7 +32,6 @@ from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import flint
 import numpy as np
@@ -112,15 +111,16 @@ def bellman_rows(model: MDP, pairs: Integers | None = None) -> BellmanRows:
     pairs, over the scale that these need. Those of all pairs are made once for each model.
     """
     if pairs is None or len(pairs) == model.n_pairs:
-        if model not in _ROWS:
-            _ROWS[model] = _bellman_rows(model, None)
-            for array in vars(_ROWS[model]).values():
-                array.setflags(write=False)  # all callers have the same
-        return _ROWS[model]
+        return _all_rows(model)
     return _bellman_rows(model, pairs)
 
 
-_ROWS: WeakKeyDictionary[MDP, BellmanRows] = WeakKeyDictionary()
+@once
+def _all_rows(model: MDP) -> BellmanRows:
+    rows = _bellman_rows(model, None)
+    for array in vars(rows).values():
+        array.setflags(write=False)  # all callers have the same
+    return rows
 
 
 def _bellman_rows(model: MDP, pairs: Integers | None) -> BellmanRows:

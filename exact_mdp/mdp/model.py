@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
@@ -48,6 +47,13 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Found = TypeVar("Found")
+SHOWN = (
+    *("from_arrays", "from_pairs", "from_outcomes", "from_function", "from_gymnasium"),
+    *("from_transitions", "load", "save", "with_", "within", "reaching", "until", "frame"),
+    *("n_states", "n_actions", "n_pairs", "space", "actions", "discount", "start", "sense"),
+    *("labels", "name", "table", "transition", "reward", "components", "counts", "P", "R"),
+)
+"""What is listed of a model, and completed: what is asked of it from outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +110,10 @@ class MDP(ByFields, Parts):
     ModelError
         For any row that is not a distribution, used or not; duplicate pairs; numbers that are
         NaN, infinite or out of range; a state without action; a discount outside [0, 1].
+
+    Notes
+    -----
+    Models are equal whose content is, by `fingerprint`: names and labels do not count.
 
     Examples
     --------
@@ -167,6 +177,19 @@ class MDP(ByFields, Parts):
         super().__setstate__(state)
         for array in self._arrays():
             array.setflags(write=False)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, MDP):
+            return NotImplemented
+        import exact_mdp
+
+        return self is other or exact_mdp.fingerprint(self) == exact_mdp.fingerprint(other)
+
+    def __hash__(self) -> int:
+        return hash((self.n_states, self.n_pairs, self.n_transitions))
+
+    def __dir__(self) -> tuple[str, ...]:
+        return SHOWN
 
     def __repr__(self) -> str:
         return (
@@ -1090,12 +1113,13 @@ def _check_components(mdp: MDP) -> None:
 
 def once(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
     """Return a function that finds something once for each model, and keeps it as long as that."""
-    known: WeakKeyDictionary[MDP, Found] = WeakKeyDictionary()
+    key = f"once {find.__module__}.{find.__name__}"
 
     @wraps(find)
-    def found(mdp: MDP) -> Found:
-        if mdp not in known:
-            known[mdp] = find(of_type(mdp, MDP, "model", "give an MDP"))
-        return known[mdp]
+    def known(mdp: MDP) -> Found:
+        kept: dict[str, Found] = vars(of_type(mdp, MDP, "model", "give an MDP"))
+        if key not in kept:
+            kept[key] = find(mdp)
+        return kept[key]
 
-    return found
+    return known

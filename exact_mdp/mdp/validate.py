@@ -27,12 +27,10 @@ from exact_mdp.mdp.errors import (
 )
 from exact_mdp.mdp.forms.names import ByNumber, Told, labels_of
 from exact_mdp.mdp.forms.numbers import as_given, refuse_masked
-from exact_mdp.mdp.forms.threads import IN_CACHE, block_ends, run_blocks
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.rows import meant
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
-    COMPILED,
     EXACT_IN_INT64,
     FLOAT_ROW_TOLERANCE,
     Integers,
@@ -153,9 +151,8 @@ def check_model(model: Parts) -> None:
     _check_sense(model)
     _check_pairs(model)
     _check_shapes(model.table, model.n_pairs)
-    sound = _sound(model.table, model.n_states)
-    _check_numbers(model, sound=sound)
-    if not sound:
+    _check_numbers(model)
+    if not vars(model.table).get("sound", False):  # `mdp.forms.rows` has looked at each row
         _check_rows(model)
     _check_order(model.table)
     _check_observations(model)
@@ -373,16 +370,6 @@ def _is_state(given: object, space: StateSpace) -> bool:
     return many or any(column.objects for column in space.columns) or space.named(given)
 
 
-def last_action(state: Integers, action: Integers) -> int:
-    """Return what `mdp.forms.rows` says of pairs; -1, too, where there are few of them."""
-    plain = all(part.dtype == np.int64 and part.flags.c_contiguous for part in (state, action))
-    if not plain or len(state) < COMPILED:
-        return -1
-    from exact_mdp.mdp.forms import rows as loops
-
-    return int(loops.last_action(state, action))
-
-
 def _check_pairs(model: Parts) -> None:
     state, action = model.pair_state, model.pair_action
     if state.shape != action.shape or state.ndim != 1:
@@ -393,17 +380,12 @@ def _check_pairs(model: Parts) -> None:
         )
     if not len(state):
         raise ModelError("a model without state-action pairs", where="pairs", fix="add a state")
-    last = last_action(state, action)
-    whole = 0 <= last < model.n_actions and state[-1] == model.n_states - 1
-    if not whole:
-        _in_range(state, model.n_states, "state", "pairs")
-        _in_range(action, model.n_actions, "action", "pairs")
-    if whole:
-        return
+    _in_range(state, model.n_states, "state", "pairs")
+    _in_range(action, model.n_actions, "action", "pairs")
     ahead, step = np.diff(state), np.diff(action)
-    level = ahead == 0
-    if not ((ahead > 0) | (level & (step > 0))).all():
-        same = np.flatnonzero(level & (step == 0))
+    wrong = (ahead < 0) | ((ahead == 0) & (step <= 0))
+    if wrong.any():
+        same = np.flatnonzero((ahead == 0) & (step == 0))
         if len(same):
             raise ModelError(
                 "a state-action pair appears twice",
@@ -429,28 +411,25 @@ def _check_pairs(model: Parts) -> None:
 
 
 def _check_shapes(table: OutcomeTable, pairs: int) -> None:
-    if vars(table).get("sound", False) and len(table.gain) == table.pairs == pairs:
-        return  # `mdp.build` made it of rows that it took one by one
     outcomes = len(table.next)
-    by_pair, by_outcome = {pairs}, {outcomes}
-    wanted = {
+    lengths = {
         "offsets": {pairs + 1},
-        "weight": by_outcome,
-        "denominator": by_pair,
-        "gain": by_outcome | by_pair,
-        "gain_denominator": by_pair,
-        "event": by_outcome,
+        "weight": {outcomes},
+        "denominator": {pairs},
+        "gain_denominator": {pairs},
+        "gain": {outcomes, pairs},
+        "event": {outcomes},
     }
-    for name, lengths in wanted.items():
+    for name, allowed in lengths.items():
         array = getattr(table, name)
-        if array is not None and (array.ndim != 1 or len(array) not in lengths):
+        if array is not None and (array.ndim != 1 or len(array) not in allowed):
             raise ShapeError(
-                f"{name} has shape {array.shape}, not ({min(lengths)},)",
+                f"{name} has shape {array.shape}, not ({min(allowed)},)",
                 where="outcome table",
                 fix="give one entry for each row or outcome",
             )
     offsets = table.offsets
-    if offsets[0] != 0 or offsets[-1] != outcomes or not (offsets[1:] >= offsets[:-1]).all():
+    if offsets[0] != 0 or offsets[-1] != outcomes or (offsets[1:] < offsets[:-1]).any():
         raise ModelError(
             "offsets do not run from 0 to the number of outcomes",
             where="outcome table",
@@ -458,64 +437,26 @@ def _check_shapes(table: OutcomeTable, pairs: int) -> None:
         )
 
 
-def _sound(table: OutcomeTable, states: int) -> bool:
-    """Return whether all rows are distributions over states, from one look at each; floats alone.
-
-    A row of positive numbers that sum to 1 holds no infinity and no NaN.
-    """
-    if vars(table).get("sound", False):
-        return True  # `mdp.forms.rows` has looked
-    whole = table.weight.dtype == np.float64 and table.denominator.dtype == np.int64
-    if not (whole and table.denominator.min() == table.denominator.max() == 1):
-        return False
-    offsets = table.offsets
-    if np.diff(offsets).min() == 0:
-        return False
-    ends = block_ends(offsets, most=IN_CACHE)
-    good = np.zeros(len(ends) - 1, dtype=bool)
-
-    def work(number: int, first: int, last: int) -> None:
-        begin, end = offsets[first], offsets[last]
-        weight, following = table.weight[begin:end], table.next[begin:end]
-        sums = np.add.reduceat(weight, offsets[first:last] - begin)
-        near = sums.min() >= 1 - LEFT and sums.max() <= 1 + LEFT
-        inside = following.min() >= 0 and following.max() < states
-        good[number] = near and inside and weight.min() > 0
-
-    with np.errstate(over="ignore", invalid="ignore"):
-        run_blocks(ends, work)
-    return bool(good.all())
-
-
-def _check_numbers(model: Parts, *, sound: bool) -> None:
+def _check_numbers(model: Parts) -> None:
     table = model.table
-    if not sound:
-        _in_range(table.next, model.n_states, "next state", "transitions")
+    _in_range(table.next, model.n_states, "next state", "transitions")
     for name in ("weight", "gain", "denominator", "gain_denominator"):
-        if sound and name == "weight":
-            continue
         array = getattr(table, name)
+        kinds = {type(x).__name__ for x in array.tolist()} if array.dtype == object else {"int"}
         if array.dtype == np.float64:
             # NaN is its own least and greatest number.
             if len(array) and not (np.isfinite(array.min()) and np.isfinite(array.max())):
-                index = int(np.flatnonzero(~np.isfinite(array))[0])
+                place = int(np.flatnonzero(~np.isfinite(array))[0])
                 what = "probability" if name == "weight" else "reward"
                 raise (DistributionError if name == "weight" else ModelError)(
-                    f"a {what} is {array[index]}",
-                    where=model.where(_pair_of(table, index, len(array))),
+                    f"a {what} is {array[place]}",
+                    where=model.where(_pair_of(table, place, len(array))),
                     fix="give a finite number",
                 )
-        elif array.dtype == object:
-            other = next((type(x).__name__ for x in array.tolist() if type(x) is not int), None)
-            if other is not None:  # others may overflow
-                raise ModelError(
-                    f"{name} holds a number of type {other}",
-                    where="outcome table",
-                    fix="use Python integers",
-                )
-        elif array.dtype != np.int64:
+        elif array.dtype not in (np.int64, object) or kinds > {"int"} or "int" not in kinds:
+            kind = min(kinds - {"int"}, default=array.dtype)
             raise ModelError(
-                f"{name} has type {array.dtype}",
+                f"{name} holds numbers of type {kind}",
                 where="outcome table",
                 fix="use 64-bit or Python integers, or floats",
             )
@@ -642,7 +583,7 @@ def _check_episodes(model: Parts) -> None:
 
 
 def _in_range(values: Integers, size: int, what: str, where: str) -> None:
-    if len(values) and not (values.min() >= 0 and values.max() < size):
+    if len(values) and not 0 <= values.min() <= values.max() < size:
         bad = (values < 0) | (values >= size)
         raise no_such(what, values[np.flatnonzero(bad)[0]], size, where=where)
 

@@ -45,6 +45,17 @@ def test_floats_and_rationals_agree() -> None:
     assert len({fingerprint(mdp) for mdp in (floats, rational, sparse, joint)}) == 1
 
 
+def test_models_are_equal_whose_content_is() -> None:
+    floats = MDP.from_arrays(DYADIC, REWARD, 0.5)
+    other = MDP.from_arrays(written(DYADIC), written(REWARD), "1/2", name="other")
+    assert floats == other
+    assert len({floats, other}) == 1
+    assert floats != other.with_(discount="2/3")
+    assert floats != 3
+    assert len(dir(floats)) <= 30
+    assert all(hasattr(floats, name) for name in dir(floats))
+
+
 def test_costs_and_goals_are_other_models_and_labels_are_not() -> None:
     walk, end = [[["1/2", "1/2"], [0, 1]]], [False, True]
     plain = MDP.from_arrays(walk, [1, 0])

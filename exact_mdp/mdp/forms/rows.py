@@ -1,4 +1,4 @@
-"""Compiled loops over rows: pairs checked, rows of a sparse matrix taken over, floats settled.
+"""Compiled loops over rows: those of a sparse matrix taken over, floats settled.
 
 A row of a model is a distribution over states, each named once. While a row is in the cache its
 numbers are looked at and added up, and it is copied; where its columns are in no order, each entry
@@ -65,23 +65,6 @@ def settle(first: int, last: int, offsets: Integers, weight: Floats, fine: float
             for i in span(begin, end):
                 if weight[i] == most:
                     weight[i] = given
-
-
-@compiled
-def last_action(state: Numbers, action: Numbers) -> int:
-    """Return the greatest action of pairs (L,) of the states 0, 1, …, none of them left out.
-
-    It is -1 where pairs are not sorted by state, then action, or one of them comes twice.
-    """
-    own, done, most = -1, -1, -1
-    for pair in range(len(state)):
-        here, taken = state[pair], action[pair]
-        if here == own + 1:
-            own, done = here, -1
-        if here != own or here < 0 or taken <= done:
-            return -1
-        done, most = taken, max(most, taken)
-    return most
 
 
 @compiled

@@ -12,7 +12,7 @@ from strategies import Rows, models
 from exact_mdp import MDP, ModelError
 from exact_mdp.mdp import build, rows, table
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.forms.rows import COMPARED, last_action
+from exact_mdp.mdp.forms.rows import COMPARED
 
 FAULTS = {
     "none": lambda parts: None,
@@ -77,19 +77,6 @@ def test_rows_are_taken_as_without_compiled_loops(
     assert not np.shares_memory(one.table.weight, parts["data"])
     assert np.abs(one.transition.toarray() - two.transition.toarray()).max() == 0
     assert one.table.rising == two.table.rising
-
-
-@given(st.lists(st.tuples(st.integers(-1, 3), st.integers(-1, 3)), max_size=6), st.booleans())
-def test_pairs_are_seen_to_be_in_order(pairs: list[tuple[int, int]], ordered: bool) -> None:
-    if ordered:
-        pairs = sorted(set(pairs))
-    state, action = (np.array([pair[part] for pair in pairs], dtype=np.int64) for part in (0, 1))
-    whole = (
-        pairs == sorted(set(pairs))
-        and [*dict.fromkeys(state.tolist())] == [*range(len(set(state.tolist())))]
-        and all(number >= 0 for number in action.tolist())
-    )
-    assert last_action(state, action) == (max(action.tolist(), default=-1) if whole else -1)
 
 
 CHANCES = st.lists(st.floats(1e-12, 1), min_size=1, max_size=8)
