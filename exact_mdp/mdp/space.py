@@ -331,7 +331,7 @@ class StateSpace:
         return dict(reversed(parts.items()))
 
     @classmethod
-    def plain(cls, size: int, labels: object = ()) -> StateSpace:
+    def plain(cls, size: int, labels: Iterable[object] | None = ()) -> StateSpace:
         """Return a space of one column `state`, numbered or with a word for each state.
 
         Parameters
