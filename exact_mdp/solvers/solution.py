@@ -18,7 +18,7 @@ from enum import StrEnum
 from fractions import Fraction
 from functools import cached_property
 from math import inf, nan
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 
@@ -181,6 +181,10 @@ class Bounded:
         return Bounded(value=0.0 - self.value, error=self.error)
 
 
+@overload
+def difference(one: Bounded, other: Bounded) -> Bounded: ...
+@overload
+def difference(one: Certified | Bounded, other: Certified | Bounded) -> Certified | Bounded: ...
 def difference(one: Certified | Bounded, other: Certified | Bounded) -> Certified | Bounded:
     """Return one number less another, exactly where both are exact.
 
@@ -197,6 +201,12 @@ def difference(one: Certified | Bounded, other: Certified | Bounded) -> Certifie
     return Bounded(value=value, error=float(np.nextafter(max(value - low, high - value), inf)))
 
 
+@overload
+def regret(best: Bounded, own: Bounded, sense: str = ...) -> Bounded: ...
+@overload
+def regret(
+    best: Certified | Bounded, own: Certified | Bounded, sense: str = ...
+) -> Certified | Bounded: ...
 def regret(
     best: Certified | Bounded, own: Certified | Bounded, sense: str = "max"
 ) -> Certified | Bounded:
@@ -213,6 +223,18 @@ def regret(
     low, high = (max(0.0, end) for end in lost.interval)
     value = max(0.0, lost.value)
     return Bounded(value=value, error=max(value - low, high - value))
+
+
+def regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
+    """Return optima less what policies are worth; 0 where errors up to `error` leave that open.
+
+    Examples
+    --------
+    >>> regrets(np.array([1.0, 1.0]), np.array([0.5, 1.5]), np.array([0.1, 0.6])).tolist()
+    [0.5, 0.0]
+    """
+    lost = sign * (best - own)
+    return np.where(np.abs(lost) > error, lost, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ from typing import Any
 from exact_mdp.analysis.cli.options import given, number_of, whole_of
 from exact_mdp.analysis.cli.render import Report, Table, at_most, between
 from exact_mdp.analysis.perception.accuracy import confusion_at
-from exact_mdp.analysis.perception.cost import UncertainValue, value_under_counts
 from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
+from exact_mdp.analysis.perception.values import UncertainValue, value_under_counts
 from exact_mdp.mdp.care.perception import (
     Counted,
     holds_examples,

@@ -20,7 +20,6 @@ from exact_mdp.analysis.learning.outcomes import (
     Interval,
     Outcomes,
     outcomes,
-    share_interval,
 )
 from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.errors import ModelError
@@ -142,7 +141,7 @@ def _summary(runs: Sequence[TrainingRun], found: Outcomes) -> dict[str, Any]:
             )
         ],
         "distinct_in_last": {
-            str(many): {"count": count, "interval": share_interval(count, found.runs)}
+            str(many): {"count": count, "interval": found.interval_of(count / found.runs)}
             for many, count in counts.items()
         },
         "changed_in_last": {
@@ -157,7 +156,7 @@ def _summary(runs: Sequence[TrainingRun], found: Outcomes) -> dict[str, Any]:
 
 
 def _share(count: int, found: Outcomes) -> dict[str, Any]:
-    return {"fraction": count / found.runs, "interval": share_interval(count, found.runs)}
+    return {"fraction": count / found.runs, "interval": found.interval_of(count / found.runs)}
 
 
 def _spread(values: Floats) -> dict[str, Any]:

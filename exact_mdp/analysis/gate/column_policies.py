@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
-PROVEN = 1e-9  # of |value|; see `is_proven`
+PROVEN = 1e-9  # of |value|
 ROWS_TRIED = 64  # rows that one step of the ascent tries to change
 
 
@@ -63,8 +63,7 @@ class BestPolicy(Result):
     mixed_upper_bound : float
         No policy at all has a higher value: the optimal value, which bounds mixed ones, too.
     proven : bool
-        Whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding; see
-        `is_proven`.
+        Whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding.
     nodes : int
         Relaxations solved.
     """
@@ -145,33 +144,19 @@ def best_policy(
     search.run(node_limit)
     value = Bounded(value=search.value, error=search.error)
     upper = max(search.upper, value.interval[0])
+    # Small rewards are rewards: beside a value of 0 alone the error counts.
+    left, size = upper - (value.value - value.error), abs(value.value)
+    proven = left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error)
     found = BestPolicy(
         columns=rows.space.names,
         policy=rows.policy(search.choice),
         value=value,
         upper_bound=upper,
         mixed_upper_bound=search.root_upper,
-        proven=is_proven(value, upper),
+        proven=proven,
         nodes=search.nodes,
     )
     return found if mdp.sense == "max" else -found
-
-
-def is_proven(value: Bounded, upper: float) -> bool:
-    """Return whether nothing exceeds a value, up to 1e-9 of it, or to its own error.
-
-    Small rewards are rewards: the error has to be small by itself, and may count beside a value of
-    0 alone.
-
-    Examples
-    --------
-    >>> is_proven(Bounded(value=1.0, error=1e-15), 1 + 5e-10)
-    True
-    >>> is_proven(Bounded(value=1e-14, error=1e-29), 2e-14)
-    False
-    """
-    left, size = upper - (value.value - value.error), abs(value.value)
-    return left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error)
 
 
 class _Search:

@@ -50,7 +50,7 @@ from exact_mdp.solvers.dynamic.policy_iteration import improved
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, regret
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -352,13 +352,11 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     if near.all_best(chain):
         lost = Certified(value=Fraction(0))
     else:
-        low = max(0.0, best.interval[0] - mine.interval[1])
-        high = best.interval[1] - mine.interval[0]
-        if single:
-            high = min(high, near.narrow(optimum, chain))
-        difference = min(max(best.value - mine.value, low), max(high, low))
-        error = max(difference - low, high - difference) * SLACK
-        lost = Bounded(value=difference, error=error)
+        lost = regret(best, mine)
+        if single and (high := near.narrow(optimum, chain)) < lost.interval[1]:
+            low = max(0.0, lost.interval[0])
+            middle = min(max(float(lost.value), low), max(high, low))
+            lost = Bounded(value=middle, error=max(middle - low, high - middle) * SLACK)
     return Regret(
         optimal=best,
         learned=mine,

@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
+from exact_mdp.analysis.vary.intervals import wilson
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Rows, rows_of
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solution import Bounded, regrets
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_values import policy_values
 
@@ -118,8 +119,8 @@ class Outcomes(Pictured):
 
     def _below(self, reference: Bounded) -> Floats:
         sign = -1.0 if self.mdp.sense == "min" else 1.0
-        regret = sign * (reference.value - self.value)
-        return np.where(np.abs(regret) <= self.error + reference.error, 0.0, regret)
+        best = np.full_like(self.value, reference.value)
+        return regrets(best, self.value, self.error + reference.error, sign)
 
     @cached_property
     def regret_interval(self) -> Interval | None:
@@ -149,7 +150,8 @@ class Outcomes(Pictured):
 
     def interval_of(self, share: float) -> Interval:
         """Return Wilson's 95 % interval of a share of the runs."""
-        return share_interval(round(share * self.runs), self.runs)
+        low, high = wilson(round(share * self.runs), self.runs)
+        return float(low), float(high)
 
     def frame(self) -> DataFrame:
         """Return one row for each final policy, the most frequent first."""
@@ -236,14 +238,6 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
 
 
 # ---- intervals -----------------------------------------------------------------------------------
-
-
-def share_interval(count: int, total: int) -> Interval:
-    """Return Wilson's 95 % interval of a share."""
-    from scipy import stats
-
-    found = stats.binomtest(int(count), int(total)).proportion_ci(method="wilson")
-    return float(found.low), float(found.high)
 
 
 def mean_interval(values: Floats) -> Interval | None:

@@ -29,7 +29,7 @@ from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.check import check
 from exact_mdp.analysis.learning.anytime import excluded, fewest, share_intervals
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
@@ -141,15 +141,10 @@ class TrainerAudit(Pictured):
         """Return in words what was found, and of the run that lost most why."""
         low, high = self.interval
         what, least = "the share of runs within the limits", shown(self.share, 10)
-        told = {
-            True: f"{what} is at least {least}",
-            False: f"{what} is not at least {least}",
-            None: f"{what} is not proven to be below {least}"
-            if self.passed
-            else f"{what} is not proven to be at least {least}",
-        }[self.proven]
+        open_ = "is not proven to be " + ("below" if self.passed else "at least")
+        told = {True: "is at least", False: "is not at least", None: open_}[self.proven]
         lines = [
-            f"{'passed' if self.passed else 'failed'}: {told}",
+            f"{'passed' if self.passed else 'failed'}: {what} {told} {least}",
             f"{self.within} of {len(self.audits)} runs are, of {self.runs} at most; the share of "
             f"all is from {float(low):.4f} to {float(high):.4f}, wrong with probability "
             f"{shown(self.alpha, 10)} at most, whenever one stops",
@@ -178,8 +173,8 @@ def check_trainer(
     ----------
     model : MDP or Scenario
     train : function of a seed, or an iterable of PolicyLike
-        `train(seed)` returns a policy or Q-table, and draws from that seed alone, an integer below
-        2^32; or the policies themselves, of independent runs.
+        `train(seed)` draws from that seed alone, an integer below 2^32; or policies of independent
+        runs.
     runs : int
         How many at most. The gate stops before where the share is decided.
     share : number or "p/q"
@@ -189,11 +184,9 @@ def check_trainer(
     rng : int, numpy.random.Generator or SeedSequence
         What the seeds are drawn from; not needed for policies.
     prove : bool
-        Fail a share that is still open after all runs. A failure by chance is then as likely as
-        the runs are too few.
+        Fail a share that is still open after all runs.
     **limits
-        Of each run, as `check` takes them: `max_regret`, `max_relative_regret`, `kind`, `horizon`
-        and the others.
+        Of each run, as `check` takes them.
 
     Returns
     -------
@@ -217,9 +210,7 @@ def check_trainer(
     """
     wanted, risk = _between("share", share), _between("alpha", alpha)
     if risk == 1:
-        raise ModelError(
-            "a risk of error of 1 proves nothing", where="alpha", fix="choose less: 1/100"
-        )
+        raise ModelError("a risk of 1 proves nothing", where="alpha", fix="choose less: 1/100")
     runs = counted(runs, "runs")
     if not prove:
         _require_runs(runs, wanted, risk)
@@ -316,10 +307,8 @@ def _is_one(given: object) -> bool:
 
 def _between(name: str, number: object) -> Fraction:
     """Return a number above 0 and at most 1."""
-    try:
+    with located(name, instead=True):
         found = exact(number)
-    except ModelError as error:
-        raise ModelError(error.what, where=name, fix=error.fix) from error
     if not 0 < found <= 1:
         raise ModelError(f"{name} is {shown(found)}", where=name, fix="choose from 0 to 1, not 0")
     return found

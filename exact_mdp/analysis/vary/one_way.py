@@ -34,7 +34,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solution import Bounded, regret, regrets
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -51,9 +51,7 @@ class Values:
     @property
     def regret(self) -> Bounded:
         """What holding the policy costs; not below 0, whatever rounding says."""
-        lost = self.optimal.value - self.fixed.value
-        value = max(0.0, lost if self.sense == "max" else -lost)
-        return Bounded(value=value, error=(self.optimal.error + self.fixed.error) * (1 + 1e-9))
+        return regret(self.optimal, self.fixed, self.sense)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,12 +91,10 @@ class Tornado(Pictured):
 
     Attributes
     ----------
-    model : str
     today : Values
     bars : tuple of Bar
     """
 
-    model: str
     today: Values
     bars: tuple[Bar, ...]
 
@@ -147,7 +143,6 @@ class Tornado(Pictured):
 class Curve(Pictured):
     """Values along one parameter's range."""
 
-    model: str
     parameter: Parameter
     points: tuple[Point, ...]
 
@@ -215,7 +210,7 @@ def one_way(
     found = study(family, {name: values}, [policy])
     sense = family.at({}).sense
     every = tuple(_point(found, n, value, sense) for n, value in enumerate(values))
-    return Curve(model=family.name, parameter=parameter_of(family, name), points=every)
+    return Curve(parameter=parameter_of(family, name), points=every)
 
 
 def tornado(
@@ -282,7 +277,7 @@ def tornado(
     bars.sort(key=lambda bar: -bar.swing)
     fixed = finite_worth(mdp, held, "today's parameters")
     now = Values(optimal=solver.base.solution.start, fixed=fixed, sense=mdp.sense)
-    return Tornado(model=family.name, today=now, bars=tuple(bars))
+    return Tornado(today=now, bars=tuple(bars))
 
 
 def _point(found: Study, row: int, at: Fraction, sense: str) -> Point:
@@ -334,8 +329,8 @@ class TwoWay(Pictured):
         import pandas
 
         across, along = np.meshgrid(self.x_values, self.y_values)
-        lost = self.value - self.fixed_value
-        lost = lost if self.mdp.sense == "max" else -lost
+        sign = 1 if self.mdp.sense == "max" else -1
+        lost = regrets(self.value, self.fixed_value, self.error, sign)
         return pandas.DataFrame(
             {
                 self.x.name: across.reshape(-1),
@@ -343,7 +338,7 @@ class TwoWay(Pictured):
                 "policy (number)": self.policy.reshape(-1),
                 "value, re-optimised (reward)": self.value.reshape(-1),
                 "value, policy fixed (reward)": self.fixed_value.reshape(-1),
-                "regret (reward)": np.maximum(lost, 0.0).reshape(-1),
+                "regret (reward)": lost.reshape(-1),
                 "error bound (reward)": self.error.reshape(-1),
                 "claim": "bounded",
             }

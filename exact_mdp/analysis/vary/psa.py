@@ -60,7 +60,7 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.parallel import Arrays, How, joined, seeded
-from exact_mdp.solvers.solution import Bounded, Estimated
+from exact_mdp.solvers.solution import Bounded, Estimated, regrets
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -181,8 +181,8 @@ class PSA(Pictured):
 
     def regret(self, candidate: int = 0) -> Floats:
         """Return (D,) what a candidate loses of V*; 0 where rounding may be all there is."""
-        gap = self.sign * (self.optimal - self.values[:, candidate])
-        return np.where(gap > self.error + self.value_error[:, candidate], gap, 0.0)
+        error = self.error + self.value_error[:, candidate]
+        return regrets(self.optimal, self.values[:, candidate], error, self.sign)
 
     @property
     def clipped(self) -> Estimated | None:

@@ -33,7 +33,7 @@ from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball, radius_of
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.solution import Bounded, difference
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
@@ -118,12 +118,6 @@ def _weights(found: RobustSolution) -> Floats:
     taken = np.zeros(found.mdp.n_pairs)
     taken[found.pairs] = 1.0
     return taken
-
-
-def difference(one: Bounded, other: Bounded) -> Bounded:
-    """Return one number less the other, with both errors."""
-    value = one.value - other.value
-    return Bounded(value=value, error=one.error + other.error + 2.0**-52 * abs(value))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -84,7 +84,6 @@ class Sobol(Pictured):
 
     Attributes
     ----------
-    model : str
     parameters : tuple of P Parameter
     ranges : {name: Range}
     optimal, fixed, regret : Indices
@@ -97,7 +96,6 @@ class Sobol(Pictured):
     seed : int
     """
 
-    model: str
     parameters: tuple[Parameter, ...]
     ranges: Mapping[str, Range]
     optimal: Indices
@@ -238,7 +236,6 @@ def sobol(
         for name, output in zip(OUTPUTS, every, strict=True)
     }
     return Sobol(
-        model=family.name,
         parameters=tuple(spans),
         ranges={parameter.name: span for parameter, span in spans.items()},
         n=n,

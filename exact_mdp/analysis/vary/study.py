@@ -39,7 +39,7 @@ from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
 from exact_mdp.solvers.parallel import Arrays, How, joined, many
-from exact_mdp.solvers.solution import Bounded, Solution
+from exact_mdp.solvers.solution import Bounded, Solution, regrets
 from exact_mdp.solvers.values.evaluate import evaluate
 
 if TYPE_CHECKING:
@@ -85,8 +85,8 @@ class Study(Result):
     @property
     def regret(self) -> Floats:
         """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
-        lost = self.sign * (self.optimal[:, None] - self.fixed)
-        return np.where(lost > self.error[:, :1] + self.error[:, 1:], lost, 0.0)
+        error = self.error[:, :1] + self.error[:, 1:]
+        return regrets(self.optimal[:, None], self.fixed, error, self.sign)
 
     @property
     def noise(self) -> float:

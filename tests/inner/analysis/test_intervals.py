@@ -39,7 +39,7 @@ from exact_mdp import (
 )
 from exact_mdp.analysis.gate.data.bounds import robust_bounds
 from exact_mdp.analysis.gate.data.off_policy import bootstrap, mean_at_least
-from exact_mdp.analysis.gate.data.posterior import drawn, regrets
+from exact_mdp.analysis.gate.data.posterior import drawn, drawn_regrets
 from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.analysis.vary.intervals import upper_quantile
 from exact_mdp.mdp.questions import by_time
@@ -352,7 +352,7 @@ def test_a_draw_is_a_model_that_is_solved(horizon: int | None) -> None:
     if horizon:
         own = by_time(mdp, Policy.of(mdp.within(3), staged_policy(mdp)).weights(mdp.within(3)), 3)
     batch = drawn(mdp, mdp.observations > 0, 1.0, np.random.default_rng(0), 20)
-    lost, table = regrets(batch, own), np.zeros((3, 4, 2))
+    lost, table = drawn_regrets(batch, own), np.zeros((3, 4, 2))
     for time, actions in enumerate(STAGES):
         table[time, np.arange(4), actions] = 1
     for draw in range(20):

@@ -70,7 +70,7 @@ from exact_mdp import (
     uncertainty,
     worst_point,
 )
-from exact_mdp.analysis.perception.cost import value_under_counts
+from exact_mdp.analysis.perception.values import value_under_counts
 from exact_mdp.mdp.result import Pictured, Result
 
 mpl.use("Agg")

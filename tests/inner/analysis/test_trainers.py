@@ -25,7 +25,7 @@ from exact_mdp import (
 )
 from exact_mdp.analysis.learning.anytime import GRID, excluded, fewest, share_intervals
 from exact_mdp.analysis.learning.curves import exact_curves, random_curve
-from exact_mdp.analysis.learning.outcomes import mean_interval, share_interval
+from exact_mdp.analysis.learning.outcomes import mean_interval
 from exact_mdp.analysis.learning.trainers import _decided
 from exact_mdp.solvers.learning.sampler import rows_of
 
@@ -194,14 +194,6 @@ def test_exact_curves_of_many_runs(care: MDP, runs: list[TrainingRun]) -> None:
 
 
 # ---- intervals -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("count", "total"), [(0, 20), (7, 20), (20, 20), (500, 1000)])
-def test_wilson_by_its_formula(count: int, total: int) -> None:
-    z, share = 1.959963984540054, count / total
-    middle = (share + z * z / (2 * total)) / (1 + z * z / total)
-    half = z / (1 + z * z / total) * sqrt(share * (1 - share) / total + (z / (2 * total)) ** 2)
-    assert share_interval(count, total) == pytest.approx((middle - half, middle + half), abs=1e-12)
 
 
 def test_the_bootstrap_is_near_the_normal_interval() -> None:

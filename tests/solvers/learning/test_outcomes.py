@@ -106,7 +106,7 @@ def test_runs_of_another_model_are_refused(care: MDP, runs: list[TrainingRun]) -
     other = Scenario.load("tea").compile()
     with pytest.raises(ModelError, match="other states"):
         outcomes(other, runs)
-    with pytest.raises(ModelError, match="no runs"):
+    with pytest.raises(ModelError, match="no run of training"):
         outcomes(care, [])
 
 

@@ -43,7 +43,7 @@ from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.parallel import Arrays, joined, many, seeded
-from exact_mdp.solvers.solution import Estimated
+from exact_mdp.solvers.solution import Estimated, regrets
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 DRAWS = 2000
@@ -256,7 +256,7 @@ def drawn(mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, c
     )
 
 
-def regrets(models: Batch, own: Floats) -> Floats:
+def drawn_regrets(models: Batch, own: Floats) -> Floats:
     """Return (D,) what a policy (L,) loses at the start of each model; 0 where rounding may.
 
     A policy (N, L) by time is that of episodes of N steps, solved by backward induction.
@@ -271,18 +271,18 @@ def regrets(models: Batch, own: Floats) -> Floats:
             )
         best, error = models.at_start(*optimum[:2])
         value, off = models.held(own)
-        return np.where(best - value > error + off, best - value, 0.0)
+        return regrets(best, value, error + off)
     value = np.zeros((len(models.rows), len(models.first), 2))
     for taken in own[::-1]:
         ahead = models.rate[0] * np.einsum("dls,dsv->dlv", models.rows, value)
         q = models.reward[:, :, None] + ahead
         best = np.maximum.reduceat(q[:, :, 0], models.first, axis=1)
         value = np.stack([best, np.add.reduceat(q[:, :, 1] * taken, models.first, axis=1)], axis=2)
-    lost = np.einsum("ds,ds->d", value[:, :, 0] - value[:, :, 1], models.start)
+    best, mine = np.einsum("dsv,ds->vd", value, models.start)
     # Each value is a sum over N steps, of at most L + S + 4 roundings each.
     size = len(own) * np.abs(models.reward).max(axis=1)
     noise = 2 * gamma(len(own) * (sum(models.rows.shape[1:]) + 4)) * size * SLACK
-    return np.where(lost > noise, lost, 0.0)
+    return regrets(best, mine, noise)
 
 
 def _block(
@@ -294,5 +294,5 @@ def _block(
         max(1, ROOM // mdp.transition.shape[0] // mdp.n_states),
     )
     parts = [min(size, count - done) for done in range(0, count, size)]
-    found = [regrets(drawn(mdp, known, prior, rng, part), own) for part in parts]
+    found = [drawn_regrets(drawn(mdp, known, prior, rng, part), own) for part in parts]
     return {"regret": np.concatenate(found)}

@@ -42,7 +42,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, in_float
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, difference, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -132,7 +132,6 @@ class Gradient(Pictured):
 
     Attributes
     ----------
-    model : str
     start : Certified or Bounded
         The start value; `value` is the same, and `start_value` is its number alone.
     derivatives : {parameter name: Derivative}
@@ -143,7 +142,6 @@ class Gradient(Pictured):
         Whether the policy follows the parameter, or is held fixed.
     """
 
-    model: str
     start: Number
     derivatives: dict[str, Derivative]
     steps: dict[str, tuple[Number | None, Number]]
@@ -251,7 +249,6 @@ def gradient(
     exact = _cheap(mdp) if exact is None else exact
     passed = _ExactPass(mdp, policy) if exact else _BoundedPass(mdp, policy)
     return Gradient(
-        model=family.name,
         start=passed.start,
         derivatives={each.name: _derivative(family, mdp, passed, each) for each in parameters},
         steps=_steps(family, passed.start) if reoptimised else {},
@@ -301,19 +298,11 @@ def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, 
 
     return {
         name: (
-            None if below is None else _less(start, optimum(below)),
-            _less(optimum(above), start),
+            None if below is None else difference(start, optimum(below)),
+            difference(optimum(above), start),
         )
         for name, (below, above) in family.neighbours().items()
     }
-
-
-def _less(left: Number, right: Number) -> Number:
-    if isinstance(left, Certified) and isinstance(right, Certified):
-        return Certified(value=left.value - right.value)
-    (low, high), (least, most) = left.interval, right.interval
-    value = float(left.value) - float(right.value)
-    return Bounded(value=value, error=max(high - least - value, value - (low - most)) * 1.0000001)
 
 
 # ---- rationals -----------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""Proofs: certificates, who makes them, who checks them, and their files."""
