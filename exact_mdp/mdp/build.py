@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from operator import index
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,31 +20,23 @@ from numpy.typing import ArrayLike
 from exact_mdp.mdp.components import each_component, named_components, of_length
 from exact_mdp.mdp.errors import DistributionError, ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
+from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.numbers import (
     array_of,
-    chances,
     check_places,
     dense,
-    grouped,
-    has_floats,
     is_table,
-    joined,
     one_kind,
     picked,
     whole_numbers,
 )
-from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.rows import counted
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
-    COMPILED,
-    Floats,
     Integers,
-    Numbers,
     OutcomeTable,
     integers,
     multiply,
-    settle_rows,
 )
 from exact_mdp.mdp.validate import Parts as ModelParts
 from exact_mdp.mdp.validate import as_discount, as_start, check_model, check_options
@@ -60,16 +52,187 @@ Parts = dict[str, Any]
 """What `MDP` takes, by name."""
 
 
-def from_arrays(
+class FromArrays(ModelParts):
+    """Models from arrays, from rows of pairs, and from lists of outcomes."""
+
+    @classmethod
+    def from_arrays(
+        cls,
+        P: object,
+        R: object,
+        discount: object = 1,
+        *,
+        layout: str | None = None,
+        start: object = None,
+        **names: Any,
+    ) -> Self:
+        """Build from transition and reward arrays, or from dictionaries, lists and quadruples.
+
+        Parameters
+        ----------
+        P : (A, S, S) or (S, A, S) array, A sparse (S, S) matrices, or {action: (S, S) matrix}
+            Transition probabilities: Fractions, ints, "p/q" and floats in any mixture; each number
+            keeps its exact value, a float that of the binary fraction that it is. Or P[s][a][t] in
+            dictionaries and lists, or quadruples (s, a, t, p): see `mdp.forms.listed`.
+        R : (S,), (S, A) or (A, S, S) array, a sparse (S, A) matrix, or A sparse (S, S) ones
+            Rewards of states, of pairs, or of transitions; beside quadruples for P also triples
+            (s, a, r) or quadruples (s, a, t, r). An action with the reward -inf (inf
+            where rewards are costs) is not available, whatever P says of it; all others are.
+        discount : number or "p/q"
+        layout : "ass" or "sas", optional
+            Order of the indices action and state, of P and of rewards of transitions. The shape
+            says it, but not where A = S: there it is needed if the two readings of P differ.
+        start : state, {state: probability}, (S,) probabilities, or another model's `start`
+            The first state unless given; `mdp.forms.names` says how a state is named.
+        **names
+            `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
+            are costs; `labels` {name: (S,) truth values}; `components` {name: amounts as `R` or
+            `reward` has them, or one for each pair}: what they leave of the reward is a component
+            "rest".
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            For shapes that do not fit, or fit two readings that differ; and as the constructor
+            does.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> mdp = MDP.from_arrays([[["1/3", "2/3"], [0, 1]]], [1, 0], discount="9/10")
+        >>> mdp.table.row(0)
+        [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
+        """
+        return cls(**_of_arrays(P, R, discount, layout, start, names))
+
+    @classmethod
+    def from_pairs(
+        cls,
+        pair_state: ArrayLike,
+        pair_action: ArrayLike,
+        transition: Any,
+        reward: object,
+        discount: object = 1,
+        *,
+        start: object = None,
+        **names: Any,
+    ) -> Self:
+        """Build from one row per available state-action pair, in any order.
+
+        Parameters
+        ----------
+        pair_state, pair_action : (L,) ints
+        transition : (L, S) array or sparse matrix
+            Or a sparse matrix of integers with the denominators (L,) of its rows.
+        reward : (L,) array
+        discount, start, **names
+            As in `from_arrays`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            For shapes that do not fit, and as the constructor does.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> MDP.from_pairs([1, 0], [0, 0], [[0, 1], ["1/2", "1/2"]], [0, 5]).reward.tolist()
+        [5.0, 0.0]
+        >>> counts = sp.csr_array([[1, 2], [0, 1]])
+        >>> MDP.from_pairs([0, 1], [0, 0], (counts, [3, 1]), [0, 5]).table.row(0)[0][0]
+        Fraction(1, 3)
+        """
+        check_options(names)
+        state, action = (
+            whole_numbers(pair_state, "pair_state"),
+            whole_numbers(pair_action, "pair_action"),
+        )
+        below = None
+        if isinstance(transition, tuple) and len(transition) == 2 and sp.issparse(transition[0]):
+            transition, below = transition[0], whole_numbers(transition[1], "denominators")
+        rows = array_of(transition, "transition", columns=False)
+        if below is not None and (
+            rows.dtype != np.int64 or below.shape != rows.shape[:1] or (below < 1).any()
+        ):
+            raise ModelError(
+                f"{len(below)} denominators for a matrix of {rows.dtype} of shape {rows.shape}",
+                where="transition",
+                fix="give a sparse matrix of integers (L, S) and positive integers (L,)",
+            )
+        if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
+            raise ShapeError(
+                f"{len(state)} states and {len(action)} actions for transitions of shape "
+                f"{rows.shape}",
+                where="pairs",
+                fix="give one state, one action and one row of (L, S) for each pair",
+            )
+        rewards = _rewards_of_rows(reward, "reward", rows)
+        each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
+        order = _offered(rewards, names)
+        if not _in_order(state, action):
+            sorted_ = np.lexsort((action, state))
+            order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
+        if order is not None:
+            _observed(names, order, len(state))
+            state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
+            each_component(names, lambda values, _: values[order])
+            below = None if below is None else below[order]
+        return cls(**_from_rows(state, action, rows, rewards, discount, start, names, below))
+
+    @classmethod
+    def from_outcomes(
+        cls,
+        rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
+        discount: object = 1,
+        *,
+        start: object = None,
+        **names: Any,
+    ) -> Self:
+        """Build from (state, action, [(probability, next state, reward), …]) rows, kept exact.
+
+        Parameters
+        ----------
+        rows : iterable
+            One for each pair, in any order.
+        discount, start, **names
+            As in `from_arrays`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            For rows of another form, and as the constructor does.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])])
+        >>> mdp.reward.tolist()
+        [0.5, 0.0]
+        """
+        check_options(names)
+        return cls(**_of_outcomes(rows, discount, start, names))
+
+
+def _of_arrays(
     P: Any,
     R: Any,
     discount: object,
-    *,
-    layout: str | None = None,
-    start: object = None,
-    **names: Any,
+    layout: str | None,
+    start: object,
+    names: dict[str, Any],
 ) -> Parts:
-    """Return the parts of the model that `MDP.from_arrays` makes."""
     check_options(names)
     if layout is not None and layout not in tuple(LAYOUTS):
         raise ModelError(f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"')
@@ -98,7 +261,7 @@ def from_arrays(
             )
         if (layout or fitting[0]) == "sas":
             rows, found = listed.rows_of(P, R, costs=names.get("sense") == "min")
-            return from_outcomes(rows, discount, start=start, **(found | names))
+            return _of_outcomes(rows, discount, start, found | names)
         P, offered, keys, found = listed.by_action(P)
         P, shape = _array_or_matrices(P, "P")
         names, layout = found | names, "ass"
@@ -141,7 +304,7 @@ def _of_only_reading(
     errors: dict[str, ModelError] = {}
     for layout in LAYOUTS:
         try:
-            parts = from_arrays(P, R, discount, layout=layout, start=start, **names)
+            parts = _of_arrays(P, R, discount, layout, start, dict(names))
             check_model(ModelParts(**parts))
             read.append(parts)
         except ModelError as error:
@@ -216,54 +379,6 @@ def _rewards_of_arrays(
     return reward
 
 
-def from_pairs(
-    pair_state: ArrayLike,
-    pair_action: ArrayLike,
-    transition: Any,
-    reward: object,
-    discount: object,
-    *,
-    start: object = None,
-    **names: Any,
-) -> Parts:
-    """Return the parts of the model that `MDP.from_pairs` makes."""
-    check_options(names)
-    state, action = (
-        whole_numbers(pair_state, "pair_state"),
-        whole_numbers(pair_action, "pair_action"),
-    )
-    below = None
-    if isinstance(transition, tuple) and len(transition) == 2 and sp.issparse(transition[0]):
-        transition, below = transition[0], whole_numbers(transition[1], "denominators")
-    rows = array_of(transition, "transition", columns=False)
-    if below is not None and (
-        rows.dtype != np.int64 or below.shape != rows.shape[:1] or (below < 1).any()
-    ):
-        raise ModelError(
-            f"{len(below)} denominators for a matrix of {rows.dtype} of shape {rows.shape}",
-            where="transition",
-            fix="give a sparse matrix of integers (L, S) and positive integers (L,)",
-        )
-    if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
-        raise ShapeError(
-            f"{len(state)} states and {len(action)} actions for transitions of shape {rows.shape}",
-            where="pairs",
-            fix="give one state, one action and one row of (L, S) for each pair",
-        )
-    rewards = _rewards_of_rows(reward, "reward", rows)
-    each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
-    order = _offered(rewards, names)
-    if not _in_order(state, action):
-        sorted_ = np.lexsort((action, state))
-        order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
-    if order is not None:
-        _observed(names, order, len(state))
-        state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
-        each_component(names, lambda values, _: values[order])
-        below = None if below is None else below[order]
-    return _from_rows(state, action, rows, rewards, discount, start, names, below)
-
-
 def _in_order(state: Integers, action: Integers) -> bool:
     """Return whether pairs are sorted by state, then action."""
     ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
@@ -284,15 +399,9 @@ def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
     return rewards
 
 
-def from_outcomes(
-    rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
-    discount: object,
-    *,
-    start: object = None,
-    **names: Any,
+def _of_outcomes(
+    rows: Iterable[Any], discount: object, start: object, names: dict[str, Any]
 ) -> Parts:
-    """Return the parts of the model that `MDP.from_outcomes` makes."""
-    check_options(names)
     try:
         pairs = [(index(row[0]), index(row[1]), list(row[2])) for row in rows]
         order = sorted(range(len(pairs)), key=lambda number: pairs[number][:2])
@@ -311,7 +420,7 @@ def from_outcomes(
     size = int(max([*state, *following], default=-1)) + 1
     chance, gain = (one_kind([each[place] for each in every]) for place in (0, 2))
     offsets = np.cumsum([0, *(len(row[2]) for row in pairs)])
-    table = _table(offsets, following, chance, gain, size, names, by_pair=False, own=True)
+    table = table_of(offsets, following, chance, gain, size, names, by_pair=False, own=True)
     each_component(names, lambda values, where: of_length(values, where, len(pairs))[order])
     _observed(names, np.array(order, dtype=np.int64), len(order))
     return _assemble(state, action, table, size, discount, start, names)
@@ -373,110 +482,18 @@ def _from_rows(
         offsets, following, chance = rows.indptr, rows.indices, rows.data
         check_places(rows, "transition")
     else:
-        positive = rows != 0
+        positive, column = rows != 0, np.arange(size, dtype=np.int32)
         offsets = np.concatenate([[0], np.cumsum(np.count_nonzero(positive, axis=1))])
-        column = np.arange(size, dtype=np.int32)
-        following, chance = np.broadcast_to(column, rows.shape)[positive], rows[positive]
+        if offsets[-1] == rows.size:  # as masks take their time
+            following, chance = np.tile(column, len(rows)), rows.flatten()
+        else:
+            following, chance = np.broadcast_to(column, rows.shape)[positive], rows[positive]
     if not by_pair:
         reward = picked(reward, np.repeat(np.arange(len(state)), np.diff(offsets)), following)
     columns = offsets.astype(np.int64), following, chance, reward
     own = not sp.issparse(rows)
-    table = _table(*columns, size, names, by_pair=by_pair, own=own, below=below)
+    table = table_of(*columns, size, names, by_pair=by_pair, own=own, below=below)
     return _assemble(state, action, table, size, discount, start, names)
-
-
-def _table(
-    offsets: Integers,
-    following: Numbers,
-    chance: Any,
-    gain: Any,
-    size: int,
-    names: dict[str, Any],
-    *,
-    by_pair: bool,
-    own: bool,
-    below: Integers | None = None,
-) -> OutcomeTable:
-    """Return the table of outcomes (N,), those of pair l from offsets[l] on; note what was floats.
-
-    Outcomes of probability 0 are left out, those of a pair are sorted by next state and reward, and
-    equal ones joined. Rewards may be those of pairs (L,), and probabilities whole numbers over
-    those `below` (L,). Next states and probabilities are copied unless they are the table's `own`.
-    """
-    taken = _taken(offsets, following, chance, size, own=own) if by_pair else None
-    if taken is not None:
-        following, chance = taken
-    else:
-        positive = np.asarray(chance != 0, dtype=bool)
-        if not (own and positive.all()):
-            following, chance = following[positive], chance[positive]
-            gain = gain if by_pair else gain[positive]
-            offsets = np.concatenate([[0], np.cumsum(positive)])[offsets]
-    floats = has_floats(chance), has_floats(gain)
-    for name, of_floats in zip(("float_probabilities", "float_rewards"), floats, strict=True):
-        names[name] = names.get(name, False) or of_floats
-    rising = taken is not None or _rises(offsets, following)
-    if not rising:
-        keys = None if by_pair else gain
-        offsets, following, chance, first = joined(offsets, following, chance, keys, chances=True)
-        gain = gain if by_pair else gain[first]
-    if not by_pair and len(gain) and np.diff(offsets).all():
-        of_pair = gain[offsets[:-1]]
-        if np.asarray(gain == np.repeat(of_pair, np.diff(offsets)), dtype=bool).all():
-            gain, by_pair = of_pair, True
-    if below is None:
-        weight, below = chances(chance, offsets)
-    else:
-        weight = integers(map(int, chance))
-    earned = grouped(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
-    if weight.dtype == np.float64:
-        settle_rows(weight, offsets)
-    table = OutcomeTable(
-        offsets=offsets,
-        next=following if size < 2**31 else following.astype(np.int64),
-        weight=weight,
-        denominator=below,
-        gain=earned[0],
-        gain_denominator=earned[1],
-    )
-    vars(table).update(is_settled=True, sound=taken is not None)
-    if by_pair and rising:
-        vars(table)["rising"] = True  # it was made so, and need not be asked again
-    return table
-
-
-def _rises(offsets: Integers, following: Numbers) -> bool:
-    """Return whether the next states of every pair rise strictly."""
-    ahead, begins = following[1:] > following[:-1], offsets[1:-1]
-    ahead[begins[(begins > 0) & (begins < len(following))] - 1] = True
-    return bool(ahead.all())
-
-
-def _taken(
-    offsets: Integers, following: Numbers, chance: Numbers, size: int, *, own: bool
-) -> tuple[Numbers, Floats] | None:
-    """Return next states in rising order and probabilities (N,), copied in one pass.
-
-    Where they are the table's `own`, next states rise already, and nothing is copied.
-
-    None where there are too few for compiled loops, and where rows are not sound as they are.
-    """
-    if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
-        return None
-    from exact_mdp.mdp.forms import rows as loops
-
-    columns, weights = following, chance
-    if not own:
-        columns, weights = np.empty_like(following), np.empty_like(chance)
-    ends = block_ends(offsets)
-    sound = [False] * (len(ends) - 1)
-
-    def work(number: int, first: int, last: int) -> None:
-        given = (first, last, size, offsets, following, chance)
-        sound[number] = loops.taken(*given, columns, weights)
-
-    run_blocks(ends, work)
-    return (columns, weights) if all(sound) else None
 
 
 def _assemble(

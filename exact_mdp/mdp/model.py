@@ -12,7 +12,7 @@ The layout follows the state-action-pair formulation of Puterman, Markov Decisio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from pathlib import Path
@@ -22,18 +22,19 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp import build, questions
+from exact_mdp.mdp import questions
 from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, suggest, words_of
-from exact_mdp.mdp.forms import explore
+from exact_mdp.mdp.forms.explore import FromFunction
 from exact_mdp.mdp.forms.names import Names, Told, object_key, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
-from exact_mdp.mdp.io import gymnasium, transitions
+from exact_mdp.mdp.io.gymnasium import FromGymnasium
+from exact_mdp.mdp.io.transitions import FromTransitions
+from exact_mdp.mdp.questions import Questions
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, spans
 from exact_mdp.mdp.validate import (
-    Parts,
     as_discount,
     as_flags,
     as_labels,
@@ -57,7 +58,7 @@ SHOWN = (
 
 
 @dataclass(frozen=True, eq=False)
-class MDP(ByFields, Parts):
+class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     """A frozen, validated finite MDP with S states, A actions and L state-action pairs.
 
     Build one with `MDP.from_arrays`, `from_pairs`, `from_outcomes`, `from_function`,
@@ -600,305 +601,6 @@ class MDP(ByFields, Parts):
     def _negated(self) -> MDP:
         return self.negated()
 
-    def reaching(self, label: str, allowed: str | None = None) -> MDP:
-        """Return the model whose value is the probability of reaching a labelled state.
-
-        One more state, `reached`, takes the place of those of the label, which keep the value 1.
-        The optimum is the greatest probability; the least one where the sense is "min". There is no
-        discount. With `within(N)`, before or after, it is the probability within N steps.
-
-        Parameters
-        ----------
-        label : str
-            One of `labels`.
-        allowed : str, optional
-            The label of the states that may be passed through; all unless given.
-
-        Returns
-        -------
-        MDP
-
-        Raises
-        ------
-        ModelError
-            Where a label is unknown, or a start is not allowed.
-
-        Examples
-        --------
-        >>> from exact_mdp import certify
-        >>> walk = [["1/2", "1/6", "1/3"], [0, 1, 0], [0, 0, 1]]
-        >>> mdp = MDP.from_arrays([walk], [0, 0, 0], labels={"home": [False, True, False]})
-        >>> certify(mdp.reaching("home")).start_value
-        Fraction(1, 3)
-        """
-        return replace(self, **questions.reaching(self, label, allowed))
-
-    def until(self, label: str, reward: str | None = None) -> MDP:
-        """Return the model whose value is the expected reward until a labelled state is reached.
-
-        At discount 1 a run that never gets there is worth +∞. The optimum is infinite where such a
-        run has a chance under some policy; where costs are minimised, under all. With `within(N)`,
-        before or after, these are the runs that do not get there within N steps.
-
-        Parameters
-        ----------
-        label : str
-            One of `labels`.
-        reward : str, optional
-            The reward component that counts; their sum unless given.
-
-        Returns
-        -------
-        MDP
-
-        Raises
-        ------
-        ModelError
-            Where the label or the component is unknown.
-
-        Examples
-        --------
-        >>> from exact_mdp import certify
-        >>> walk = [["1/3", "2/3"], [0, 1]]
-        >>> mdp = MDP.from_arrays([walk], [1, 1], labels={"home": [False, True]})
-        >>> certify(mdp.until("home")).value.tolist()
-        [Fraction(3, 2), Fraction(0, 1)]
-        """
-        return replace(self, **questions.until(self, label, reward))
-
-    def within(self, steps: int, *, terminal_value: object = None) -> MDP:
-        """Return the model of episodes that stop after N steps.
-
-        A column `time` comes before the model's own: states are those of time 0, of time 1, and so
-        on to time N, where all is over; extra states, such as an end, keep no time. Everything
-        that takes a model takes this one. Policies over the model's own states or columns are
-        policies of this one, too, the same at every time.
-
-        Parameters
-        ----------
-        steps : int
-            N, 1 or more.
-        terminal_value : (S,) numbers or {state: number}, optional
-            What each state is worth at time N, where no reward follows unless it is given; a state
-            that is not named is worth 0. The last step earns it, discounted once, so that values at
-            time N itself are 0. With components, it is one more: "terminal value".
-
-        Returns
-        -------
-        MDP
-
-        Raises
-        ------
-        ModelError
-            Where `steps` is not a positive whole number, the model would not fit in memory, or it
-            has a column `time` already; for a terminal value that is not finite.
-
-        Examples
-        --------
-        >>> wait, go = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
-        >>> mdp = MDP.from_arrays([wait, go], [[1, "3/2"], [0, 0]]).within(3)
-        >>> mdp.space.names, mdp.n_states, mdp.space.label(2)
-        (('time', 'state'), 8, 'time 1, state 0')
-        >>> mdp.table.row(mdp.pair(2, 0))
-        [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
-        """
-        parts = questions.unrolled(
-            self, steps, offsets=self.pair_offsets, over=self.over, terminal_value=terminal_value
-        )
-        return replace(self, **parts)
-
-    # ---- construction ------------------------------------------------------------------------
-
-    @classmethod
-    def from_arrays(
-        cls,
-        P: object,
-        R: object,
-        discount: object = 1,
-        *,
-        layout: str | None = None,
-        start: object = None,
-        **names: Any,
-    ) -> MDP:
-        """Build from transition and reward arrays, or from dictionaries, lists and quadruples.
-
-        Parameters
-        ----------
-        P : (A, S, S) or (S, A, S) array, A sparse (S, S) matrices, or {action: (S, S) matrix}
-            Transition probabilities: Fractions, ints, "p/q" and floats in any mixture; each number
-            keeps its exact value, a float that of the binary fraction that it is. Or P[s][a][t] in
-            dictionaries and lists, or quadruples (s, a, t, p): see `mdp.forms.listed`.
-        R : (S,), (S, A) or (A, S, S) array, a sparse (S, A) matrix, or A sparse (S, S) ones
-            Rewards of states, of pairs, or of transitions; beside quadruples for P also triples
-            (s, a, r) or quadruples (s, a, t, r). An action with the reward -inf (inf
-            where rewards are costs) is not available, whatever P says of it; all others are.
-        discount : number or "p/q"
-        layout : "ass" or "sas", optional
-            Order of the indices action and state, of P and of rewards of transitions. The shape
-            says it, but not where A = S: there it is needed if the two readings of P differ.
-        start : state, {state: probability}, (S,) probabilities, or another model's `start`
-            The first state unless given; `mdp.forms.names` says how a state is named.
-        **names
-            `actions` (A words), `states` (S words), `name`; `sense`, "max" or "min" where rewards
-            are costs; `labels` {name: (S,) truth values}; `components` {name: amounts as `R` or
-            `reward` has them, or one for each pair}: what they leave of the reward is a component
-            "rest".
-
-        Returns
-        -------
-        MDP
-
-        Raises
-        ------
-        ModelError
-            For shapes that do not fit, or fit two readings that differ; and as the constructor
-            does.
-
-        Examples
-        --------
-        >>> mdp = MDP.from_arrays([[["1/3", "2/3"], [0, 1]]], [1, 0], discount="9/10")
-        >>> mdp.table.row(0)
-        [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
-        """
-        return cls(**build.from_arrays(P, R, discount, layout=layout, start=start, **names))
-
-    @classmethod
-    def from_pairs(
-        cls,
-        pair_state: ArrayLike,
-        pair_action: ArrayLike,
-        transition: object,
-        reward: object,
-        discount: object = 1,
-        *,
-        start: object = None,
-        **names: Any,
-    ) -> MDP:
-        """Build from one row per available state-action pair, in any order.
-
-        Parameters
-        ----------
-        pair_state, pair_action : (L,) ints
-        transition : (L, S) array or sparse matrix
-            Or a sparse matrix of integers with the denominators (L,) of its rows.
-        reward : (L,) array
-        discount, start, **names
-            As in `from_arrays`.
-
-        Returns
-        -------
-        MDP
-
-        Raises
-        ------
-        ModelError
-            For shapes that do not fit, and as the constructor does.
-
-        Examples
-        --------
-        >>> MDP.from_pairs([1, 0], [0, 0], [[0, 1], ["1/2", "1/2"]], [0, 5]).reward.tolist()
-        [5.0, 0.0]
-        >>> counts = sp.csr_array([[1, 2], [0, 1]])
-        >>> MDP.from_pairs([0, 1], [0, 0], (counts, [3, 1]), [0, 5]).table.row(0)[0][0]
-        Fraction(1, 3)
-        """
-        parts = build.from_pairs(
-            pair_state, pair_action, transition, reward, discount, start=start, **names
-        )
-        return cls(**parts)
-
-    @classmethod
-    def from_outcomes(
-        cls,
-        rows: Iterable[tuple[int, int, Sequence[tuple[Any, int, Any]]]],
-        discount: object = 1,
-        *,
-        start: object = None,
-        **names: Any,
-    ) -> MDP:
-        """Build from (state, action, [(probability, next state, reward), …]) rows, kept exact.
-
-        Parameters
-        ----------
-        rows : iterable
-            One for each pair, in any order.
-        discount, start, **names
-            As in `from_arrays`.
-
-        Returns
-        -------
-        MDP
-
-        Raises
-        ------
-        ModelError
-            For rows of another form, and as the constructor does.
-
-        Examples
-        --------
-        >>> mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])])
-        >>> mdp.reward.tolist()
-        [0.5, 0.0]
-        """
-        return cls(**build.from_outcomes(rows, discount, start=start, **names))
-
-    @classmethod
-    def from_function(
-        cls,
-        start: Any,
-        actions: Callable[[Any], Iterable[Hashable]],
-        outcomes: Callable[[Any, Any], Iterable[tuple[Any, Hashable, Any]]],
-        discount: object = 1,
-        *,
-        max_states: int = explore.MOST_STATES,
-        labels: Mapping[str, Any] | None = None,
-        **names: Any,
-    ) -> MDP:
-        """Build by exploring: from the start to all that can follow.
-
-        Parameters
-        ----------
-        start : state, or {state: probability}
-            States are any hashable objects; `mdp.space.number(state)` is the number of one. Those
-            that are tuples of one length are drawn as a map of their parts, which a
-            `namedtuple("Place", "row column")` names.
-        actions : function of a state
-            Its actions, any hashable objects. A state without any is an end.
-        outcomes : function of a state and an action
-            A list of (probability, next state, reward), each number exact or a float. In place of a
-            reward there may be {component: amount}: the reward is their sum.
-        discount : number or "p/q"
-        max_states : int
-            Give up when more states than this have been found.
-        labels : {name: function of a state}, optional
-            Which states a name is of; (S,) truth values are taken as well.
-        **names
-            As in `from_arrays`.
-
-        Returns
-        -------
-        MDP
-
-        Raises
-        ------
-        ModelError
-            Where there are too many states; for states that cannot be keys, or outcomes of another
-            form; and as the constructor does.
-
-        Examples
-        --------
-        >>> def bet(money, stake):
-        ...     return [("2/5", money + stake, 0), ("3/5", money - stake, 0)]
-        >>> def stakes(money):
-        ...     return range(1, min(money, 4 - money) + 1)
-        >>> mdp = MDP.from_function(2, stakes, bet)
-        >>> mdp, mdp.actions
-        (MDP(unnamed: 5 states, 2 actions, 6 pairs, 10 transitions, discount 1), ('1', '2'))
-        """
-        check_options(names)
-        rows, parts = explore.explored(start, actions, outcomes, max_states, labels)
-        return cls.from_outcomes(rows, discount, **(parts | names))
-
     @classmethod
     def load(
         cls,
@@ -954,110 +656,6 @@ class MDP(ByFields, Parts):
         import exact_mdp
 
         exact_mdp.save(self, path)
-
-    @classmethod
-    def from_transitions(
-        cls,
-        frame: DataFrame | str | Path | Iterable[DataFrame],
-        discount: object = 1,
-        *,
-        columns: Mapping[str, str] | None = None,
-        unseen: object = "unavailable",
-        progress: bool = False,
-        **names: Any,
-    ) -> MDP:
-        """Estimate a model from recorded transitions; the numbers of observations are kept.
-
-        Parameters
-        ----------
-        frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
-            One row for each transition: episode, state, action, reward and next state, in the order
-            of time, one episode after the other. Without a next state the episode is over there.
-            A whole number is the same name as 1 and as 1.0. A sixth column, truncated (true or
-            false), marks the rows after which an episode was cut off, as by a time limit. States
-            in which that happened, and that nobody left, have the label "cut off"; rows cut off
-            without a next state lead to one of that name.
-        discount : number or "p/q"
-        columns : mapping, optional
-            The names that the table has for "episode", "state", "action", "reward", "next_state"
-            and, where it has it, "truncated".
-        unseen : "unavailable", "pessimistic", or a number
-            What is done about an action that nobody took in a state: it is left out there; or it
-            ends the episode and is worth as little as a policy can be worth, or this number.
-        progress : bool
-            Show a bar on standard error where that is a terminal.
-        **names
-            `name`, `sense`; `start`, which is then known, instead of the shares of the states that
-            episodes begin in, which are estimates.
-
-        Returns
-        -------
-        MDP
-            With `observations` (L,), `counts` (L, S) and `episodes`.
-
-        Raises
-        ------
-        ModelError
-            For a missing column or value, and a gap in an episode, by row; and as the constructor
-            does.
-
-        Examples
-        --------
-        >>> import pandas as pd
-        >>> names = ["episode", "state", "action", "reward", "next_state"]
-        >>> rows = [
-        ...     (1, "low", "wait", 0, "low"),
-        ...     (1, "low", "wait", 1, "high"),
-        ...     (2, "low", "wait", 1, "high"),
-        ... ]
-        >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="9/10")
-        >>> mdp.observations.tolist(), mdp.table.row(mdp.pair(1, "wait"))[0][0]
-        ([0, 3], Fraction(2, 3))
-        """
-        start = names.pop("start", None)
-        parts = transitions.from_transitions(
-            frame, discount, columns=columns, unseen=unseen, progress=progress, **names
-        )
-        found = cls(**parts)
-        return found if start is None else found.with_(start=start)
-
-    @classmethod
-    def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> MDP:
-        """Build from a Gymnasium environment that exposes its model as `P` (toy-text).
-
-        Parameters
-        ----------
-        env : gymnasium.Env, str or table
-            An environment, wrapped or not; anything with an attribute `P`, or `dynamics` with
-            matrices; such a table; or a registered id, "module:ID" where a module registers it.
-        discount : number or "p/q"
-        **names
-            `start` instead of the environment's `initial_state_distrib`, or of state 0 where it
-            has none; `actions`, `states`,
-            `name`, `sense`, `labels`; `time_limit` instead of the environment's own. Beside an id,
-            others are the environment's: `is_slippery=False`.
-
-        Returns
-        -------
-        MDP
-
-        Raises
-        ------
-        ModelError
-            Where the environment is unknown or exposes no `P`, or `P` is not a table of
-            distributions over its own states.
-
-        Examples
-        --------
-        >>> class Coin:
-        ...     P = {0: {0: [(0.5, 0, 1, False), (0.5, 1, 1, True)]}, 1: {0: [(1, 0, 7, False)]}}
-        ...     initial_state_distrib = (1, 0)
-        >>> MDP.from_gymnasium(Coin()).table.row(0)[1]
-        (Fraction(1, 2), 1, Fraction(1, 1))
-        """
-        make, given, parts = gymnasium.described(env, **names)
-        found: MDP = getattr(cls, make)(*given, discount, **parts)
-        return found
 
 
 def _transition(table: OutcomeTable, states: int) -> sp.csr_array:

@@ -36,7 +36,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -65,61 +65,247 @@ ONE_COMPONENT = {"component_names": ("reward",), "component_table": None}
 NO_DATA: dict[str, Any] = {"observations": None, "episodes": None}
 
 
-def reaching(model: Parts, label: str, allowed: str | None) -> dict[str, Any]:
-    """Return what changes where the probability of reaching a label is asked for."""
-    target, size, space = labelled(model, label), model.n_states, model.space
-    outside = np.zeros(size, dtype=bool) if allowed is None else ~labelled(model, allowed)
-    for state, chance in model.start:
-        if chance > 0 and outside[state] and not target[state]:
-            raise ModelError(
-                f"the start, state ({space.label(state)}), is not among the allowed states",
-                where=f"allowed {allowed!r}",
-                fix="allow it, or start elsewhere",
+class Questions(Parts):
+    """What can be asked of a model: other models."""
+
+    def reaching(self, label: str, allowed: str | None = None) -> Self:
+        """Return the model whose value is the probability of reaching a labelled state.
+
+        One more state, `reached`, takes the place of those of the label, which keep the value 1.
+        The optimum is the greatest probability; the least one where the sense is "min". There is no
+        discount. With `within(N)`, before or after, it is the probability within N steps.
+
+        Parameters
+        ----------
+        label : str
+            One of `labels`.
+        allowed : str, optional
+            The label of the states that may be passed through; all unless given.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where a label is unknown, or a start is not allowed.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> from exact_mdp import certify
+        >>> walk = [["1/2", "1/6", "1/3"], [0, 1, 0], [0, 0, 1]]
+        >>> mdp = MDP.from_arrays([walk], [0, 0, 0], labels={"home": [False, True, False]})
+        >>> certify(mdp.reaching("home")).start_value
+        Fraction(1, 3)
+        """
+        target, size, space = labelled(self, label), self.n_states, self.space
+        outside = np.zeros(size, dtype=bool) if allowed is None else ~labelled(self, allowed)
+        for state, chance in self.start:
+            if chance > 0 and outside[state] and not target[state]:
+                raise ModelError(
+                    f"the start, state ({space.label(state)}), is not among the allowed states",
+                    where=f"allowed {allowed!r}",
+                    fix="allow it, or start elsewhere",
+                )
+        states, pairs = np.append(self.pair_state, size), self.n_pairs
+        unearned = replace(self.table, gain=np.zeros(pairs, np.int64))
+        table = _ended(
+            replace(unearned, gain_denominator=ones(pairs)),
+            np.append((target | outside)[self.pair_state], True),
+            np.where(np.append(target, False)[states], size, states),
+        )
+        arrives = np.append(target, True)[table.next]
+        order = np.argsort(
+            2 * table.pair + arrives, kind="stable"
+        )  # the new state has the last number
+        arrives = arrives[order]
+        table = replace(
+            table.mapped(lambda _, values: values, lambda _, values: values[order]),
+            next=np.where(arrives, table.next.dtype.type(size), table.next[order]),
+        )
+        parts = {
+            "table": replace(table, gain=(arrives & (table.pair < pairs)).astype(np.int64)),
+            "pair_state": states,
+            "pair_action": np.append(self.pair_action, self.pair_action[-1]),
+            "space": StateSpace(columns=space.columns, extra=(*space.extra, REACHED)),
+            "discount_exact": Fraction(1),
+            **ONE_COMPONENT,
+            **NO_DATA,
+            "labels": {name: np.append(flags, False) for name, flags in self.labels.items()},
+            "goal": None,
+        }
+        return replace(self, **parts)
+
+    def until(self, label: str, reward: str | None = None) -> Self:
+        """Return the model whose value is the expected reward until a labelled state is reached.
+
+        At discount 1 a run that never gets there is worth +∞. The optimum is infinite where such a
+        run has a chance under some policy; where costs are minimised, under all. With `within(N)`,
+        before or after, these are the runs that do not get there within N steps.
+
+        Parameters
+        ----------
+        label : str
+            One of `labels`.
+        reward : str, optional
+            The reward component that counts; their sum unless given.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where the label or the component is unknown.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> from exact_mdp import certify
+        >>> walk = [["1/3", "2/3"], [0, 1]]
+        >>> mdp = MDP.from_arrays([walk], [1, 1], labels={"home": [False, True]})
+        >>> certify(mdp.until("home")).value.tolist()
+        [Fraction(3, 2), Fraction(0, 1)]
+        """
+        target, table, changes = labelled(self, label), self.table, dict[str, Any]()
+        if reward is not None and (reward,) != self.component_names:
+            gain, below = _component(self, reward)
+            table = replace(table, gain=gain, gain_denominator=below)
+            changes |= ONE_COMPONENT | {"component_names": (reward,)}
+        ends = target[self.pair_state]
+        known = self.component_table
+        if "component_table" not in changes and known is not None:
+            changes["component_table"] = replace(
+                known, amount=np.where(ends[:, None], 0, known.amount)
             )
-    states, pairs = np.append(model.pair_state, size), model.n_pairs
-    unearned = replace(model.table, gain=np.zeros(pairs, np.int64))
-    table = _ended(
-        replace(unearned, gain_denominator=ones(pairs)),
-        np.append((target | outside)[model.pair_state], True),
-        np.where(np.append(target, False)[states], size, states),
-    )
-    arrives = np.append(target, True)[table.next]
-    order = np.argsort(2 * table.pair + arrives, kind="stable")  # the new state has the last number
-    arrives = arrives[order]
-    table = replace(
-        table.mapped(lambda _, values: values, lambda _, values: values[order]),
-        next=np.where(arrives, table.next.dtype.type(size), table.next[order]),
-    )
-    return {
-        "table": replace(table, gain=(arrives & (table.pair < pairs)).astype(np.int64)),
-        "pair_state": states,
-        "pair_action": np.append(model.pair_action, model.pair_action[-1]),
-        "space": StateSpace(columns=space.columns, extra=(*space.extra, REACHED)),
-        "discount_exact": Fraction(1),
-        **ONE_COMPONENT,
-        **NO_DATA,
-        "labels": {name: np.append(flags, False) for name, flags in model.labels.items()},
-        "goal": None,
-    }
+        parts = {
+            **changes,
+            **NO_DATA,
+            "table": _ended(table, ends, self.pair_state),
+            "goal": target if self.discount_exact == 1 else None,
+        }
+        return replace(self, **parts)
 
+    def within(self, steps: int, *, terminal_value: object = None) -> Self:
+        """Return the model of episodes that stop after N steps.
 
-def until(model: Parts, label: str, reward: str | None) -> dict[str, Any]:
-    """Return what changes where the expected reward until a label is asked for."""
-    target, table, changes = labelled(model, label), model.table, dict[str, Any]()
-    if reward is not None and (reward,) != model.component_names:
-        gain, below = _component(model, reward)
-        table = replace(table, gain=gain, gain_denominator=below)
-        changes |= ONE_COMPONENT | {"component_names": (reward,)}
-    ends = target[model.pair_state]
-    known = model.component_table
-    if "component_table" not in changes and known is not None:
-        changes["component_table"] = replace(known, amount=np.where(ends[:, None], 0, known.amount))
-    return {
-        **changes,
-        **NO_DATA,
-        "table": _ended(table, ends, model.pair_state),
-        "goal": target if model.discount_exact == 1 else None,
-    }
+        A column `time` comes before the model's own: states are those of time 0, of time 1, and so
+        on to time N, where all is over; extra states, such as an end, keep no time. Everything
+        that takes a model takes this one. Policies over the model's own states or columns are
+        policies of this one, too, the same at every time.
+
+        Parameters
+        ----------
+        steps : int
+            N, 1 or more.
+        terminal_value : (S,) numbers or {state: number}, optional
+            What each state is worth at time N, where no reward follows unless it is given; a state
+            that is not named is worth 0. The last step earns it, discounted once, so that values at
+            time N itself are 0. With components, it is one more: "terminal value".
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where `steps` is not a positive whole number, the model would not fit in memory, or it
+            has a column `time` already; for a terminal value that is not finite.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> wait, go = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+        >>> mdp = MDP.from_arrays([wait, go], [[1, "3/2"], [0, 0]]).within(3)
+        >>> mdp.space.names, mdp.n_states, mdp.space.label(2)
+        (('time', 'state'), 8, 'time 1, state 0')
+        >>> mdp.table.row(mdp.pair(2, 0))
+        [(Fraction(1, 2), 4, Fraction(1, 1)), (Fraction(1, 2), 5, Fraction(1, 1))]
+        """
+        mdp: Any = self  # which is whole
+        offsets, over = mdp.pair_offsets, mdp.over
+        values = [] if terminal_value is None else _values(terminal_value, self.space)
+        if any(values):
+            over = over & np.array([value == 0 for value in values])
+        count, space = counted(steps, "horizon"), _in_columns(self, over)
+        own, states = space.regular, self.n_states
+        if TIME in space.names:
+            raise ModelError(
+                f"the model has a column {TIME!r} of its own",
+                where="state space",
+                fix="unroll the model that it was made from, or name that column differently",
+            )
+        table, first, known = self.table, offsets, self.component_table
+        rows = _kept(self, offsets, over)
+        lengths = np.diff(table.offsets)[rows]
+        _check_size(self, own, count, int(lengths.sum()))
+        chosen = spans(table.offsets[rows], table.offsets[rows + 1])
+
+        def layers(values: Numbers, last: Numbers) -> Numbers:
+            """Return what each of the times 0 … N-1 has, and what the last one has."""
+            return np.concatenate([np.tile(values, count), last])
+
+        def ending(name: str, values: Numbers) -> Numbers:
+            return layers(values, _certain(name, values, states))
+
+        by_pair = len(table.gain) == table.pairs
+        layered = replace(
+            table.mapped(
+                lambda name, values: ending(name, values[rows]),
+                lambda name, values: ending(name, values[chosen]),
+            ),
+            offsets=np.concatenate([[0], np.cumsum(layers(lengths, np.ones(states, np.int64)))]),
+            next=_following(self, own, over, rows, chosen, count),
+        )
+        time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
+
+        def timed(flags: Flags) -> Flags:
+            return np.append(np.tile(flags[:own], count + 1), flags[own:])
+
+        components: dict[str, Any] = {
+            "component_table": None
+            if known is None
+            else ComponentTable(
+                amount=np.concatenate(
+                    [
+                        np.tile(known.amount[rows], (count, 1)),
+                        np.zeros((states, known.amount.shape[1]), dtype=known.amount.dtype),
+                    ]
+                ),
+                denominator=layers(known.denominator[rows], np.ones(states, np.int64)),
+            )
+        }
+        if any(values):
+            rate = self.discount_exact
+            later = [rate * value for value in values]
+            paid = _paid(
+                layered,
+                len(rows) * (count - 1),
+                [later[s] for s in self.table.next[chosen]],
+                by_pair,
+            )
+            if self.component_names != ("reward",):
+                components = _with_payment(self, components["component_table"], layered, paid)
+            layered = paid
+        parts = {
+            "table": layered,
+            **components,
+            "pair_state": layers(self.pair_state[rows], np.arange(states)) + own * time,
+            "pair_action": layers(self.pair_action[rows], self.pair_action[first[:-1]]),
+            "space": StateSpace(
+                columns=(Column(name=TIME, size=count + 1), *space.columns), extra=space.extra
+            ),
+            "start": tuple((s if s < own else s + own * count, weight) for s, weight in self.start),
+            "time_limit": None,
+            "labels": {name: timed(flags) for name, flags in self.labels.items()},
+            "goal": None if self.goal is None else timed(self.goal),
+            **NO_DATA,
+        }
+        return replace(self, **parts)
 
 
 def labelled(model: Parts, label: str) -> Flags:
@@ -203,94 +389,6 @@ def _kept(model: Parts, offsets: Integers, over: Flags) -> Integers:
     kept = ~over[model.pair_state]
     kept[offsets[:-1][over]] = True
     return np.flatnonzero(kept[: offsets[_in_columns(model, over).regular]])
-
-
-def unrolled(
-    model: Parts,
-    steps: object,
-    *,
-    offsets: Integers,
-    over: Flags,
-    terminal_value: object = None,
-) -> dict[str, Any]:
-    """Return the parts that change where episodes stop after N steps; see `MDP.within`.
-
-    `offsets` (S+1,) says where the pairs of each state begin, `over` (S,) where all is over.
-    """
-    values = [] if terminal_value is None else _values(terminal_value, model.space)
-    if any(values):
-        over = over & np.array([value == 0 for value in values])
-    count, space = counted(steps, "horizon"), _in_columns(model, over)
-    own, states = space.regular, model.n_states
-    if TIME in space.names:
-        raise ModelError(
-            f"the model has a column {TIME!r} of its own",
-            where="state space",
-            fix="unroll the model that it was made from, or name that column differently",
-        )
-    table, first, known = model.table, offsets, model.component_table
-    rows = _kept(model, offsets, over)
-    lengths = np.diff(table.offsets)[rows]
-    _check_size(model, own, count, int(lengths.sum()))
-    chosen = spans(table.offsets[rows], table.offsets[rows + 1])
-
-    def layers(values: Numbers, last: Numbers) -> Numbers:
-        """Return what each of the times 0 … N-1 has, and what the last one has."""
-        return np.concatenate([np.tile(values, count), last])
-
-    def ending(name: str, values: Numbers) -> Numbers:
-        return layers(values, _certain(name, values, states))
-
-    by_pair = len(table.gain) == table.pairs
-    layered = replace(
-        table.mapped(
-            lambda name, values: ending(name, values[rows]),
-            lambda name, values: ending(name, values[chosen]),
-        ),
-        offsets=np.concatenate([[0], np.cumsum(layers(lengths, np.ones(states, np.int64)))]),
-        next=_following(model, own, over, rows, chosen, count),
-    )
-    time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
-
-    def timed(flags: Flags) -> Flags:
-        return np.append(np.tile(flags[:own], count + 1), flags[own:])
-
-    components: dict[str, Any] = {
-        "component_table": None
-        if known is None
-        else ComponentTable(
-            amount=np.concatenate(
-                [
-                    np.tile(known.amount[rows], (count, 1)),
-                    np.zeros((states, known.amount.shape[1]), dtype=known.amount.dtype),
-                ]
-            ),
-            denominator=layers(known.denominator[rows], np.ones(states, np.int64)),
-        )
-    }
-    if any(values):
-        rate = model.discount_exact
-        later = [rate * value for value in values]
-        paid = _paid(
-            layered, len(rows) * (count - 1), [later[s] for s in model.table.next[chosen]], by_pair
-        )
-        if model.component_names != ("reward",):
-            components = _with_payment(model, components["component_table"], layered, paid)
-        layered = paid
-    return {
-        "table": layered,
-        **components,
-        "pair_state": layers(model.pair_state[rows], np.arange(states)) + own * time,
-        "pair_action": layers(model.pair_action[rows], model.pair_action[first[:-1]]),
-        "space": StateSpace(
-            columns=(Column(name=TIME, size=count + 1), *space.columns), extra=space.extra
-        ),
-        "start": tuple((s if s < own else s + own * count, weight) for s, weight in model.start),
-        "time_limit": None,
-        "labels": {name: timed(flags) for name, flags in model.labels.items()},
-        "goal": None if model.goal is None else timed(model.goal),
-        **NO_DATA,
-    }
 
 
 def _values(numbers: object, space: StateSpace) -> list[Fraction]:

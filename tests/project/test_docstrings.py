@@ -34,7 +34,8 @@ def public() -> Iterator[tuple[str, Any]]:
             if inspect.isfunction(thing):
                 yield f"{room}.{name}", thing
             elif inspect.isclass(thing):
-                for key, method in vars(thing).items():
+                parts = [vars(base) for base in thing.__mro__ if "exact_mdp" in base.__module__]
+                for key, method in {k: v for part in parts for k, v in part.items()}.items():
                     if isinstance(method, classmethod) and not key.startswith("_"):
                         yield f"{room}.{name}.{key}", method.__func__
 

@@ -11,17 +11,18 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, located, of_type
 from exact_mdp.mdp.forms.names import ByNumber, Told
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.rows import meant
 from exact_mdp.mdp.table import exact
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import check_options, counted
 
 MOST_STATES = 1_000_000
 OUTCOMES = "give a list of (probability, next state, reward)"
@@ -29,6 +30,68 @@ HOW = {
     "actions": "a function of a state that lists its actions: lambda state: [0, 1]",
     "outcomes": "a function of a state and an action that lists (probability, next state, reward)",
 }
+
+
+class FromFunction(FromArrays):
+    """Models from functions of states and actions."""
+
+    @classmethod
+    def from_function(
+        cls,
+        start: Any,
+        actions: Callable[[Any], Iterable[Hashable]],
+        outcomes: Callable[[Any, Any], Iterable[tuple[Any, Hashable, Any]]],
+        discount: object = 1,
+        *,
+        max_states: int = MOST_STATES,
+        labels: Mapping[str, Any] | None = None,
+        **names: Any,
+    ) -> Self:
+        """Build by exploring: from the start to all that can follow.
+
+        Parameters
+        ----------
+        start : state, or {state: probability}
+            States are any hashable objects; `mdp.space.number(state)` is the number of one. Those
+            that are tuples of one length are drawn as a map of their parts, which a
+            `namedtuple("Place", "row column")` names.
+        actions : function of a state
+            Its actions, any hashable objects. A state without any is an end.
+        outcomes : function of a state and an action
+            A list of (probability, next state, reward), each number exact or a float. In place of a
+            reward there may be {component: amount}: the reward is their sum.
+        discount : number or "p/q"
+        max_states : int
+            Give up when more states than this have been found.
+        labels : {name: function of a state}, optional
+            Which states a name is of; (S,) truth values are taken as well.
+        **names
+            As in `from_arrays`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where there are too many states; for states that cannot be keys, or outcomes of another
+            form; and as the constructor does.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> def bet(money, stake):
+        ...     return [("2/5", money + stake, 0), ("3/5", money - stake, 0)]
+        >>> def stakes(money):
+        ...     return range(1, min(money, 4 - money) + 1)
+        >>> mdp = MDP.from_function(2, stakes, bet)
+        >>> mdp, mdp.actions
+        (MDP(unnamed: 5 states, 2 actions, 6 pairs, 10 transitions, discount 1), ('1', '2'))
+        """
+        check_options(names)
+        rows, parts = explored(start, actions, outcomes, max_states, labels)
+        return cls.from_outcomes(rows, discount, **(parts | names))
 
 
 def explored(

@@ -29,10 +29,11 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeGuard
+from typing import Any, Self, TypeGuard
 
 import numpy as np
 
+from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import (
     ModelError,
     ShapeError,
@@ -71,6 +72,49 @@ TOYS = {
 Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
 Listed = list[tuple[int, int, list[tuple[Any, int, Any]]]]
+
+
+class FromGymnasium(FromArrays):
+    """Models from environments."""
+
+    @classmethod
+    def from_gymnasium(cls, env: object, discount: object = 1, **names: Any) -> Self:
+        """Build from a Gymnasium environment that exposes its model as `P` (toy-text).
+
+        Parameters
+        ----------
+        env : gymnasium.Env, str or table
+            An environment, wrapped or not; anything with an attribute `P`, or `dynamics` with
+            matrices; such a table; or a registered id, "module:ID" where a module registers it.
+        discount : number or "p/q"
+        **names
+            `start` instead of the environment's `initial_state_distrib`, or of state 0 where it
+            has none; `actions`, `states`,
+            `name`, `sense`, `labels`; `time_limit` instead of the environment's own. Beside an id,
+            others are the environment's: `is_slippery=False`.
+
+        Returns
+        -------
+        MDP
+
+        Raises
+        ------
+        ModelError
+            Where the environment is unknown or exposes no `P`, or `P` is not a table of
+            distributions over its own states.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> class Coin:
+        ...     P = {0: {0: [(0.5, 0, 1, False), (0.5, 1, 1, True)]}, 1: {0: [(1, 0, 7, False)]}}
+        ...     initial_state_distrib = (1, 0)
+        >>> MDP.from_gymnasium(Coin()).table.row(0)[1]
+        (Fraction(1, 2), 1, Fraction(1, 1))
+        """
+        make, given, parts = described(env, **names)
+        model: Self = getattr(cls, make)(*given, discount, **parts)
+        return model
 
 
 def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str, Any]]:

@@ -28,17 +28,18 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import tqdm
 
+from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, extra, of_type, suggest
 from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, exact
-from exact_mdp.mdp.validate import Flags, as_discount, check_options
+from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -66,20 +67,77 @@ END, UNSEEN = "end", "unseen"
 UNAVAILABLE, PESSIMISTIC = "unavailable", "pessimistic"
 
 
-def from_transitions(
-    frame: DataFrame | str | Path | Iterable[DataFrame],
-    discount: object,
-    *,
-    columns: Mapping[str, str] | None = None,
-    unseen: object = UNAVAILABLE,
-    progress: bool = False,
-    **names: Any,
-) -> dict[str, Any]:
-    """Return the parts of the model that `MDP.from_transitions` makes."""
-    check_options(names, told=("states", "actions", "components"))
-    record = counted(frame, columns, progress=progress)
-    parts = record.parts(discount, unseen, costs=names.get("sense") == "min")
-    return parts | names | {"labels": {**(names.get("labels") or {}), **parts["labels"]}}
+class FromTransitions(FromArrays):
+    """Models from records."""
+
+    @classmethod
+    def from_transitions(
+        cls,
+        frame: DataFrame | str | Path | Iterable[DataFrame],
+        discount: object = 1,
+        *,
+        columns: Mapping[str, str] | None = None,
+        unseen: object = UNAVAILABLE,
+        progress: bool = False,
+        **names: Any,
+    ) -> Self:
+        """Estimate a model from recorded transitions; the numbers of observations are kept.
+
+        Parameters
+        ----------
+        frame : DataFrame, path of a `.csv` or `.parquet` file, or iterable of DataFrames
+            One row for each transition: episode, state, action, reward and next state, in the order
+            of time, one episode after the other. Without a next state the episode is over there.
+            A whole number is the same name as 1 and as 1.0. A sixth column, truncated (true or
+            false), marks the rows after which an episode was cut off, as by a time limit. States
+            in which that happened, and that nobody left, have the label "cut off"; rows cut off
+            without a next state lead to one of that name.
+        discount : number or "p/q"
+        columns : mapping, optional
+            The names that the table has for "episode", "state", "action", "reward", "next_state"
+            and, where it has it, "truncated".
+        unseen : "unavailable", "pessimistic", or a number
+            What is done about an action that nobody took in a state: it is left out there; or it
+            ends the episode and is worth as little as a policy can be worth, or this number.
+        progress : bool
+            Show a bar on standard error where that is a terminal.
+        **names
+            `name`, `sense`; `start`, which is then known, instead of the shares of the states that
+            episodes begin in, which are estimates.
+
+        Returns
+        -------
+        MDP
+            With `observations` (L,), `counts` (L, S) and `episodes`.
+
+        Raises
+        ------
+        ModelError
+            For a missing column or value, and a gap in an episode, by row; and as the constructor
+            does.
+
+        Examples
+        --------
+        >>> from exact_mdp import MDP
+        >>> import pandas as pd
+        >>> names = ["episode", "state", "action", "reward", "next_state"]
+        >>> rows = [
+        ...     (1, "low", "wait", 0, "low"),
+        ...     (1, "low", "wait", 1, "high"),
+        ...     (2, "low", "wait", 1, "high"),
+        ... ]
+        >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="9/10")
+        >>> mdp.observations.tolist(), mdp.table.row(mdp.pair(1, "wait"))[0][0]
+        ([0, 3], Fraction(2, 3))
+        """
+        check_options(names, told=("states", "actions", "components"))
+        start = names.pop("start", None)
+        record = counted(frame, columns, progress=progress)
+        parts = record.parts(discount, unseen, costs=names.get("sense") == "min")
+        if start is not None:
+            parts |= {"start": as_start(start, parts["space"]), "episodes": None}
+        labels = {**(names.get("labels") or {}), **parts["labels"]}
+        return cls(**(parts | names | {"labels": labels}))
 
 
 def counted(
