@@ -27,6 +27,7 @@ from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 
 WIDE = 10  # states in a row where nothing says how many
+MOST_NAMED = 40  # states that are listed by their names, one in a row
 SPARSE = 4  # cells for each state of a map of tuples, at most
 ARROWS = "←↓→↑"
 COMPASS = (("left", "down", "right", "up"), ("west", "south", "east", "north"))
@@ -87,10 +88,9 @@ def arrange(
         space.column(name)
     if shape is not None:
         _check_shape(model.space, shape, named)
-        return _numbered(model, model.space, *shape, listed=False)
+        return _numbered(model, model.space, *shape)
     if len(space.columns) < 2 or space.regular == 0:
-        high, wide = -(-space.size // WIDE), min(space.size, WIDE)
-        return _numbered(model, space, high, wide, listed=True)
+        return _listed(model, space)
     space, states, heading = _headed(model, space, states)
     rest = [name for name in space.names if name not in named]
     split = across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1
@@ -252,19 +252,37 @@ def _along(
     return place, labels
 
 
-def _numbered(model: MDP, space: StateSpace, high: int, wide: int, *, listed: bool) -> Layout:
+def _numbered(model: MDP, space: StateSpace, high: int, wide: int) -> Layout:
     states = np.arange(space.size)
-    inside = np.full(space.size, True) if listed else states < space.regular
+    inside = states < space.regular
     row, column = np.where(inside, states // wide, -1), np.where(inside, states % wide, -1)
     return Layout(
         row=row,
         column=column,
-        signs=tuple(symbols(model.actions)) if listed else _signs(model, row, column),
-        rows=tuple(str(wide * row if listed else row) for row in range(high)),
-        columns=tuple(("+" if listed else "") + str(column) for column in range(wide)),
-        down="state" if listed else "row",
-        across="state" if listed else "column",
-        listed=listed,
+        signs=_signs(model, row, column),
+        rows=tuple(map(str, range(high))),
+        columns=tuple(map(str, range(wide))),
+        down="row",
+        across="column",
+    )
+
+
+def _listed(model: MDP, space: StateSpace) -> Layout:
+    """Return a list of states: a row for each of a few that have names, else rows of ten."""
+    states = np.arange(space.size)
+    names = [name.removeprefix("state ") for name in space.labels(range(space.size))]
+    named = len(states) <= MOST_NAMED and not all(map(str.isdecimal, names))
+    wide = 1 if named else min(space.size, WIDE)
+    numbers = [str(first) for first in range(0, space.size, wide)]
+    return Layout(
+        row=states // wide,
+        column=states % wide,
+        signs=tuple(symbols(model.actions)),
+        rows=tuple(names if named else numbers),
+        columns=("",) if named else tuple(f"+{column}" for column in range(wide)),
+        down="state",
+        across="" if named else "state",
+        listed=True,
     )
 
 

@@ -64,7 +64,7 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
             kind="wrong" if each is not None else "idle" if idle[state] else "",
             text=text,
             small=best,
-            name=label.removeprefix("state ") if layout.listed else "",
+            name=label.removeprefix("state ") if layout.listed and len(layout.columns) > 1 else "",
             title=f"{label}: {said}",
             shade=0.0 if each is None else 1.0 if each.cost == most else each.cost / most,
         )

@@ -2,9 +2,8 @@
 
 A state in which a policy takes pair l with probability π(l) has the row Σ_l π(l) P_l and the reward
 Σ_l π(l) r(l). These are built in integers from the Bellman rows of the model and the exact
-probabilities of the actions. The values that come out are put into their equations. That these have
-one solution is known wherever the optimum has been proven: a rank that falls along every pair, or
-w > γ P w, holds for mixtures of rows, too.
+probabilities of the actions. That the equations have one solution is known wherever the optimum has
+been proven: a rank that falls along every pair, or w > γ P w, holds for mixtures of rows, too.
 """
 
 from __future__ import annotations
@@ -21,10 +20,8 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, divide, in_proportion, integers
 from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.find import evaluated, visited
 from exact_mdp.solvers.exact.levels import Level, surplus
-from exact_mdp.solvers.objectives.occupancy import flow
-from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
-from exact_mdp.solvers.proof.margins import alike
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -66,7 +63,7 @@ def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -
         scaled = zip(earned, rows.scale.tolist(), strict=True)
         constant = [int(number * times) * scale for number, scale in scaled]
         rows = replace(rows, constant=integers(constant))
-    found = _proven(rows, solve_exactly(rows), "values")
+    (found,) = evaluated(rows, np.arange(mdp.n_states))
     return ExactPolicy(mdp=mdp, h=replace(found, below=[below * times for below in found.below]))
 
 
@@ -78,8 +75,8 @@ def exact_visits(chain: PolicyChain) -> ExactPolicy:
     """
     mdp = chain.mdp
     rows = mixed_rows(bellman_rows(mdp), chain)
-    found = flow(mdp, rows, np.flatnonzero(chain.reached & ~mdp.terminal))
-    return ExactPolicy(mdp=mdp, h=_proven(*found, "visits"))
+    visits = visited(rows, chain.reached & ~mdp.terminal, mdp.start)
+    return ExactPolicy(mdp=mdp, h=visits)
 
 
 def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
@@ -117,17 +114,5 @@ def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
 def exact_gaps(mdp: MDP, best: Certificate, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:
     """Return V*(s) - Q*(l) of some pairs as numerator and denominator, both integers."""
     asked = np.unique(np.array(list(pairs), dtype=np.int64))
-    same = alike(mdp, asked)
-    distinct = np.unique(same)
-    ((tops, belows),) = surplus(bellman_rows(mdp), best.h, pairs=distinct)
-    found = {l: (-a, b) for l, a, b in zip(distinct.tolist(), tops, belows, strict=True)}
-    return {l: found[first] for l, first in zip(asked.tolist(), same.tolist(), strict=True)}
-
-
-def _proven(rows: BellmanRows, found: ExactValues, what: str) -> Level:
-    """Return the solution of equations with one pair for each state, after putting it into them."""
-    level = Level(top=found.numerator, below=found.denominator, group=found.group)
-    ((tops, _),) = surplus(rows, level)
-    if any(top for top, over in zip(tops, rows.terminal, strict=True) if not over):
-        raise RuntimeError(f"exact {what} of a policy do not solve their equations")
-    return level
+    ((tops, belows),) = surplus(bellman_rows(mdp), best.h, pairs=asked)
+    return {l: (-a, b) for l, a, b in zip(asked.tolist(), tops, belows, strict=True)}

@@ -30,7 +30,6 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import surplus
-from exact_mdp.solvers.proof.margins import alike
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import ended
 from exact_mdp.solvers.values.visits import visits
@@ -66,8 +65,13 @@ def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
         some = _falling(mdp, best, departs & open_) if pairs is None else pairs & open_
         found = found | some
         named[label[of[some]]] = True
-    same = alike(mdp, np.arange(mdp.n_pairs))  # twins of an action are to blame with it
-    return np.isin(same, same[found])
+    rows = bellman_rows(mdp)  # twins of an action are to blame with it
+    following, weight = rows.next.tolist(), rows.weight.tolist()
+    entries = map(slice, rows.offsets[:-1].tolist(), rows.offsets[1:].tolist())
+    parts = zip(of.tolist(), rows.constant.tolist(), entries, strict=True)
+    content = [(s, c, *following[each], *weight[each]) for s, c, each in parts]
+    blamed = {content[pair] for pair in np.flatnonzero(found)}
+    return np.array([each in blamed for each in content])
 
 
 def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:

@@ -9,7 +9,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from exact_mdp.analysis.plots.style import BLUE, HATCHES, INK, LINES, axes_or_new, level, plain_text
+from exact_mdp.analysis.plots.style import (
+    BLUE,
+    HATCHES,
+    INK,
+    LINES,
+    Look,
+    about,
+    axes_or_new,
+    level,
+    picture,
+)
 from exact_mdp.analysis.vary.intervals import wilson
 from exact_mdp.mdp.table import Floats
 
@@ -18,8 +28,10 @@ if TYPE_CHECKING:
     from exact_mdp.analysis.learning.outcomes import Outcomes
     from exact_mdp.analysis.learning.trainers import TrainerAudit
 
+BIN = 20  # epochs that a band of sampled values is drawn over
 
-@plain_text
+
+@picture
 def plot_learning_curves(
     curves: LearningCurve | Mapping[str, LearningCurve],
     *,
@@ -59,15 +71,20 @@ def plot_learning_curves(
     every = curves if isinstance(curves, Mapping) else {"mean over a window": curves}
     for number, (label, curve) in enumerate(every.items()):
         colour, line = INK[number % len(INK)], LINES[number % len(LINES)]
-        sampled_band(ax, curve.sampled, colour)
+        parts = np.array_split(curve.sampled, max(len(curve.sampled) // BIN, 1))
+        at = np.linspace(0, len(curve.sampled) - 1, len(parts))
+        low, high = ([f(part) for part in parts] for f in (np.min, np.max))
+        band = "range of sampled means" if len(every) == 1 else None
+        ax.fill_between(at, low, high, color=colour, alpha=0.22, linewidth=0, label=band)
         if np.ptp(curve.value) > 0:
             ax.plot(curve.value, ".", color=colour, markersize=1, alpha=0.3)
         at, smooth = smoothed(curve.value, window)
         ax.plot(at, smooth, color=colour, linestyle=line, linewidth=1.6, label=label)
+    ax.set_title("Value of the greedy policy while it learns")
     return _by_epoch(ax, "return (reward)", optimum)
 
 
-@plain_text
+@picture
 def plot_value_bands(
     values: Mapping[str, Floats],
     *,
@@ -103,18 +120,26 @@ def plot_value_bands(
         band = "5 to 95 % of the runs" if len(values) == 1 else None
         ax.fill_between(at, below, above, color=colour, alpha=0.25, linewidth=0, label=band)
         ax.plot(at, middle, color=colour, linestyle=line, linewidth=1.4, label=label)
-    return _by_epoch(ax, "exact value of the greedy policy (reward)", optimum)
+    ax.set_title("Exact value of the greedy policy, mean over runs")
+    return _by_epoch(ax, "value (reward)", optimum)
 
 
 def _by_epoch(ax: Axes, what: str, optimum: float | None) -> Axes:
     if optimum is not None:
         level(ax, optimum)
     ax.set(xlabel="epoch", ylabel=what)
-    ax.legend(loc="lower right")
     return ax
 
 
-@plain_text
+def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
+    """Return the middle of each window of epochs, and the mean of the values in it."""
+    size = min(window, len(values))
+    means: Floats = np.convolve(values, np.full(size, 1 / size), mode="valid").astype(float)
+    middles: Floats = np.arange(len(means), dtype=float) + (size - 1) / 2
+    return middles, means
+
+
+@picture
 def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw the share of runs whose final regret is at most x, one step line for each training.
 
@@ -136,7 +161,7 @@ def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = 
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> found = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
     >>> plot_regrets(found).get_xlabel()
-    'exact regret of the final policy'
+    'exact regret of the final policy (reward)'
     """
     ax = axes_or_new(ax)
     every = found if isinstance(found, Mapping) else {"all runs": found}
@@ -148,55 +173,33 @@ def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = 
             where="post",
             color=INK[number % len(INK)],
             linestyle=LINES[number % len(LINES)],
-            label=f"{label}: mean {each.regret.mean():.2f}, optimal {each.optimal_fraction:.1%}",
+            label=f"{label}:\nmean {each.regret.mean():.2f}, optimal {each.optimal_fraction:.1%}",
         )
     ax.set_xlim(left=0)
-    ax.set(ylim=(0, 1), xlabel="exact regret of the final policy", ylabel="share of runs")
-    ax.legend(loc="lower right")
+    ax.set(ylim=(0, 1.02), xlabel="exact regret of the final policy (reward)")
+    ax.set_ylabel("share of runs that lose at most this")
+    ax.set_title(about("What trained policies lose", next(iter(every.values())).mdp.name))
     return ax
 
 
-@plain_text
+@picture
 def plot_trainer(found: TrainerAudit, *, ax: Axes | None = None) -> Axes:
-    """Draw the share of runs within the limits, and its interval, after every run.
-
-    Parameters
-    ----------
-    found : TrainerAudit
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-
-    Examples
-    --------
-    >>> from exact_mdp import MDP, check_trainer
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> plot_trainer(check_trainer(mdp, lambda seed: [1, 0], rng=0, runs=9)).get_xlabel()
-    'run'
-    """
+    """Draw the share of runs within the limits, and its interval, after every run."""
     ax, frame = axes_or_new(ax), found.frame()
-    runs = np.arange(1, len(frame) + 1)
-    ax.fill_between(
-        runs,
-        frame["low"],
-        frame["high"],
-        step="mid",
-        color=BLUE,
-        alpha=0.5,
-        linewidth=0,
-        label=f"interval of confidence {1 - float(found.alpha):.4g} at all runs",
-    )
+    runs, sure = np.arange(1, len(frame) + 1), 1 - float(found.alpha)
+    label = f"interval of confidence {sure:.4g}\nat all runs"
+    band: Look = {"step": "mid", "color": BLUE, "alpha": 0.5, "linewidth": 0}
+    ax.fill_between(runs, frame["low"], frame["high"], label=label, **band)
     passed = np.cumsum(frame["passed"]) / runs
     ax.step(runs, passed, where="mid", color=INK[0], label="share of the runs so far")
     level(ax, float(found.share), "share required")
-    ax.set(xlabel="run", ylabel="share of runs within the limits", ylim=(0, 1.02))
-    ax.legend(loc="best")
+    ax.set(xlabel="run", ylabel="share of runs within the limits", ylim=(-0.02, 1.02))
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_title(about("How often the trainer is good enough", found.audits[0].mdp.name))
     return ax
 
 
-@plain_text
+@picture
 def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw how many policies are greedy in the last episodes of a run, with 95 % intervals.
 
@@ -227,39 +230,21 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
         counts = [int((each.distinct == size).sum()) for size in many]
         shares = np.array(counts) / each.runs
         low, high = wilson(counts, each.runs)
-        colour = INK[number % len(INK)]
-        hatch = HATCHES[2 * (number % 3)]
         ax.bar(
             many + (number - (len(found) - 1) / 2) * width,
             shares,
             width=width,
             # Rounding may put a share of nothing or of everything beyond the end of its interval.
             yerr=np.maximum([shares - low, high - shares], 0),
-            color=colour,
+            color=INK[number % len(INK)],
             alpha=0.55,
             edgecolor="black",
-            hatch=hatch,
+            hatch=HATCHES[2 * (number % 3)],
             label=label,
             linewidth=0.6,
             error_kw={"elinewidth": 0.8, "capsize": 2},
         )
     ax.set(xlabel="policies greedy in the last episodes", ylabel="share of runs")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.legend()
+    ax.set_title("How many policies a run ends between")
     return ax
-
-
-def sampled_band(ax: Axes, values: Floats, ink: str, bin: int = 20) -> None:
-    """Draw the range of values (E,) within bins of epochs, one shape for thousands of points."""
-    parts = np.array_split(values, max(len(values) // bin, 1))
-    at = np.linspace(0, len(values) - 1, len(parts))
-    low, high = ([f(part) for part in parts] for f in (np.min, np.max))
-    ax.fill_between(at, low, high, color=ink, alpha=0.22, linewidth=0)
-
-
-def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
-    """Return the middle of each window of epochs, and the mean of the values in it."""
-    size = min(window, len(values))
-    means: Floats = np.convolve(values, np.full(size, 1 / size), mode="valid").astype(float)
-    middles: Floats = np.arange(len(means), dtype=float) + (size - 1) / 2
-    return middles, means

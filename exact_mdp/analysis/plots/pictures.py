@@ -6,32 +6,24 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots import (
-    learning,
-    perception,
-    psa,
-    returns,
-    sensitivity,
-    states,
-    tradeoffs,
-)
+from exact_mdp.analysis.plots import care, learning, returns, sensitivity, states, tradeoffs
 from exact_mdp.mdp.errors import ModelError
 
 PICTURES: dict[str, Any] = {
-    "AccuracyCurves": perception.plot_accuracy_curves,
+    "AccuracyCurves": care.plot_accuracy_curves,
     "Audit": states.plot_audit,
     "BoundedCertificate": states.plot_solution,
     "Certificate": states.plot_solution,
-    "CostEffectiveness": psa.plot_cost_effectiveness,
+    "CostEffectiveness": sensitivity.plot_cost_effectiveness,
     "Curve": sensitivity.plot_value_curves,
-    "ErrorCosts": perception.plot_error_costs,
+    "ErrorCosts": care.plot_error_costs,
     "Evaluation": states.plot_evaluation,
     "Front": tradeoffs.draw_front,
     "Gradient": sensitivity.plot_gradient,
     "LearningCurve": learning.plot_learning_curves,
     "MeanCVaR": tradeoffs.plot_mean_cvar,
     "Outcomes": learning.plot_regrets,
-    "PSA": psa.plot_acceptability,
+    "PSA": sensitivity.plot_acceptability,
     "PolicyComparison": states.plot_comparison,
     "ReturnDistribution": returns.plot_return_distribution,
     "RobustCurve": sensitivity.plot_robust_curve,

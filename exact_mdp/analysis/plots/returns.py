@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots.style import (
-    axes_or_new,
-    plain_text,
-)
+from exact_mdp.analysis.plots.style import axes_or_new, picture
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.values.returns import ReturnDistribution
     from exact_mdp.solvers.values.simulate import Simulation
 
 
-@plain_text
+@picture
 def plot_return_distribution(
     distribution: ReturnDistribution,
     *,
@@ -27,32 +24,16 @@ def plot_return_distribution(
 ) -> Axes:
     """Draw the probability of each return, with the mean as a line.
 
-    Parameters
-    ----------
-    distribution : ReturnDistribution
-    label : str
-        What stands before the mean in the title.
-    bin : float, optional
-        Add up the returns in stretches so long, from 0: distributions with many returns and with
-        few can be compared then. Each return has its own line unless given.
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-
-    Examples
-    --------
-    >>> from exact_mdp import MDP
-    >>> from exact_mdp.solvers import return_distribution
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0])
-    >>> plot_return_distribution(return_distribution(mdp, "optimal"), label="step").get_title()
-    'step: mean 1.00, standard deviation 0.00'
+    `label` stands before the title. With `bin`, returns are added up in stretches so long, from 0:
+    distributions with many returns and with few can be compared then.
     """
     ax = axes_or_new(ax)
     values = np.array([float(value) for value in distribution.values])
     if bin is None or not len(values):  # every run may go on for ever
-        ax.vlines(values, 0, distribution.probabilities, color="0.25", linewidth=1.3)
+        thick = 5 if len(values) < 20 else 1.3
+        ax.vlines(values, 0, distribution.probabilities, color="0.45", linewidth=thick)
+        if len(values) == 1:
+            ax.set_xlim(values[0] - 1, values[0] + 1)
     else:
         first, last = np.floor(values.min() / bin), np.floor(values.max() / bin)
         edges = bin * np.arange(first, last + 2)
@@ -60,17 +41,18 @@ def plot_return_distribution(
         ax.bar(edges[:-1], shares, width=bin, align="edge", color="0.45", edgecolor="white")
     mean, sd = distribution.mean, distribution.sd
     ax.set_ylim(bottom=0)
+    ax.set_xlabel("return (reward)")
     ax.set_ylabel("probability" if bin is None else f"probability\nof each {bin:g} points")
     title = f"mean {mean:.2f}, standard deviation {sd:.2f}"
     if distribution.unending:
         title = f"never ends, and is infinite, with probability {distribution.never_ends:.4g}"
     else:
-        ax.axvline(mean, color="black", linestyle="--", linewidth=1)
-    ax.set_title(f"{label}: {title}".lstrip(": "))
+        ax.axvline(mean, color="black", linestyle="--", linewidth=1, label="mean")
+    ax.set_title(f"{label or 'Distribution of the return'}: {title}")
     return ax
 
 
-@plain_text
+@picture
 def plot_simulation(found: Simulation, *, ax: Axes | None = None) -> Axes:
     """Draw how many sampled episodes had which return, and the mean with its 95 % interval."""
     ax = axes_or_new(ax)
@@ -80,7 +62,8 @@ def plot_simulation(found: Simulation, *, ax: Axes | None = None) -> Axes:
         ax.plot([], [], color="white", label=f"a share of {found.never_ends:.4g} never ends")
     else:
         ax.axvspan(*found.value.interval, color="0.85", zorder=0)
-        ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=str(found.value))
+        mean = f"mean {found.value}"
+        ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=mean)
     ax.set(xlabel="return (reward)", ylabel="episodes")
-    ax.legend()
+    ax.set_title(f"Returns of {len(found.returns):,} simulated episodes")
     return ax

@@ -1,4 +1,4 @@
-"""Figures of sensitivity analyses: tornado, curves, thresholds, robust values, global measures.
+"""Figures of varied parameters: tornado, curves, thresholds, robust values, indices, draws.
 
 `output` is "optimal", the value with the policy re-optimised, "fixed", the value with it held, or
 "regret", that of the policy held; `most` is the number of bars.
@@ -10,41 +10,46 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, to_rgb
+from matplotlib.ticker import FuncFormatter, NullFormatter
+from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
+    INK,
     LINES,
     WHITE,
-    action_legend,
+    Look,
+    about,
     action_styles,
     axes_or_new,
     bars_across,
     legend_beside,
     name_rows,
-    plain_text,
+    picture,
     swatch,
-    titled,
 )
+from exact_mdp.analysis.vary.intervals import tolerances_of
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.parameter import Parameter
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.vary.curves.curve import ValueFunction
     from exact_mdp.analysis.vary.curves.gradient import Gradient
     from exact_mdp.analysis.vary.curves.thresholds import Thresholds
+    from exact_mdp.analysis.vary.economics import CostEffectiveness
     from exact_mdp.analysis.vary.one_way import Bar, Curve, Tornado, TwoWay
-    from exact_mdp.analysis.vary.ranges import Range
+    from exact_mdp.analysis.vary.psa import PSA
     from exact_mdp.analysis.vary.robust import RobustCurve
     from exact_mdp.analysis.vary.sobol import Sobol
 
 OUTPUT = {
-    "optimal": "start value, policy re-optimised",
-    "fixed": "start value, policy held fixed",
+    "optimal": "value at the start, policy re-optimised",
+    "fixed": "value at the start, policy held fixed",
     "regret": "regret of the policy held fixed",
 }
 RADIUS = {
@@ -54,17 +59,20 @@ RADIUS = {
     "kl": "radius: KL(p‖q) of each row (nats)",
     "entropy": "radius: KL(q‖p) of each row (nats)",
 }
+LOW, HIGH = (WHITE, ""), (BLUE, "//")
+MOST_ROWS = 32
+STEEP = 50  # times the usual value, beyond which values leave the picture
 
 
 def _with_range(name: str, low: Fraction, high: Fraction) -> str:
     return f"{name} [{float(low):.3g}, {float(high):.3g}]"
 
 
-def _with_ranges(names: Sequence[str], ranges: Mapping[str, Range]) -> list[str]:
-    return [_with_range(name, ranges[name].low, ranges[name].high) for name in names]
+def _axis(parameter: Parameter) -> str:
+    return f"{parameter.name} ({unit_of(parameter)})"
 
 
-@plain_text
+@picture
 def plot_gradient(found: Gradient, *, most: int = 15, ax: Axes | None = None) -> Axes:
     """Draw the largest elasticities: per cent of the start value for a per cent of a parameter.
 
@@ -73,57 +81,57 @@ def plot_gradient(found: Gradient, *, most: int = 15, ax: Axes | None = None) ->
     table = found.frame().dropna(subset="elasticity (% per %)").head(most)
     ax = axes_or_new(ax, names := table["parameter"].tolist())
     rises = (table["derivative (reward per unit)"] > 0).tolist()
-    looks = ((WHITE, ""), (BLUE, "//"))
     for place, length in enumerate(table["elasticity (% per %)"]):
-        fill, hatch = looks[rises[place]]
-        ax.barh(place, length, color=fill, hatch=hatch, edgecolor=BLACK)
+        bars_across(ax, place, length, HIGH if rises[place] else LOW, "")
     name_rows(ax, names)
     ax.axvline(0, color=BLACK, linewidth=0.8)
-    ax.set_xlabel("elasticity of the start value (% per %)")
-    words = ("lowers the value", "raises the value")
-    handles = [swatch(words[way], looks[way]) for way in sorted({*rises}, reverse=True)]
+    ax.set_xlabel("elasticity of the value at the start (% per %)")
+    words = {True: ("raises the value", HIGH), False: ("lowers the value", LOW)}
+    handles = [swatch(*words[way]) for way in sorted({*rises}, reverse=True)]
     legend_beside(ax, handles, title="a higher parameter")
+    ax.set_title(about("Which parameters move the value most", found.model))
     return ax
 
 
-@plain_text
+@picture
 def plot_tornado(
     found: Tornado, *, most: int = 15, output: str = "optimal", ax: Axes | None = None
 ) -> Axes:
     """Draw the widest bars: white where the parameter is at its low end, blue at its high end."""
     middle = float(getattr(found.today, output).value)
 
-    def reaches(bar: Bar) -> list[tuple[float, str, str]]:
-        """Return both ends' reach and fill, the wider first."""
+    def reaches(bar: Bar) -> list[tuple[float, tuple[str, str]]]:
+        """Return both ends' reach and look, the wider first."""
         low, high = (getattr(end, output).value - middle for end in (bar.low, bar.high))
-        return sorted(((low, WHITE, ""), (high, BLUE, "//")), key=lambda end: -abs(end[0]))
+        return sorted(((low, LOW), (high, HIGH)), key=lambda end: -abs(end[0]))
 
     bars = sorted(found.bars, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
     names = [_with_range(b.parameter.name, b.low.at, b.high.at) for b in bars]
     ax = axes_or_new(ax, names)
     for place, bar in enumerate(bars):
-        for reach, fill, hatch in reaches(bar):
-            ax.barh(place, reach, left=middle, color=fill, edgecolor=BLACK, hatch=hatch)
+        for reach, look in reaches(bar):
+            bars_across(ax, place, reach, look, "", left=middle)
     name_rows(ax, names)
     ax.axvline(middle, color=BLACK, linewidth=0.8)
     ax.set_xlabel(f"{OUTPUT[output]} (reward)")
-    legend_beside(ax, [swatch("low end", (WHITE, "")), swatch("high end", (BLUE, "//"))])
+    legend_beside(ax, [swatch("at the low end", LOW), swatch("at the high end", HIGH)])
+    what = "regret" if output == "regret" else "value"
+    ax.set_title(about(f"Tornado: the {what} at both ends of each range", found.model))
     return ax
 
 
-@plain_text
+@picture
 def plot_value_curves(found: Curve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value along a parameter, the policy re-optimised and held fixed."""
     ax = axes_or_new(ax)
     at = [float(point.at) for point in found.points]
     for line, output in zip(LINES, ("optimal", "fixed"), strict=False):
         values = [getattr(point, output).value for point in found.points]
-        label = OUTPUT[output].removeprefix("start value, ")
+        label = OUTPUT[output].partition(", ")[2]
         ax.plot(at, values, linestyle=line, color=BLACK, label=label)
     _mark_today(ax, float(found.parameter.value), min(at), max(at))
-    ax.set_xlabel(f"{found.parameter.name} ({unit_of(found.parameter)})")
-    ax.set_ylabel("start value (reward)")
-    ax.legend()
+    ax.set(xlabel=_axis(found.parameter), ylabel="value at the start (reward)")
+    ax.set_title(about(f"The value along {found.parameter.name}", found.model))
     return ax
 
 
@@ -135,35 +143,40 @@ def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fra
         ax.plot([], [], " ", label=f"today: {today:g}, outside")
 
 
-@plain_text
+@picture
 def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = None) -> Axes:
     """Draw the optimal start value along a parameter, piece by piece, from its exact functions.
 
     A dotted line is a value at which another policy becomes optimal; each piece has `n` points.
     """
-    ax = axes_or_new(ax)
+    ax, name, drawn = axes_or_new(ax), found.parameter.name, list[float]()
     for number, piece in enumerate(found.pieces):
-        low, high = piece.low[1], piece.high[0]
+        low, high, first = piece.low[1], piece.high[0], number == 0
         at = [low + (high - low) * Fraction(k, n - 1) for k in range(n)]
         x = [float(value) for value in at]
         if number:
             label = "another policy becomes optimal" if number == 1 else None
             ax.axvline(x[0], color="0.5", linestyle=":", linewidth=1, label=label)
-        ax.plot(x, [float(piece.value.at(value)) for value in at], color=BLACK)
-        if piece.fixed is not None:
-            held = [float(piece.fixed.at(value)) for value in at]
-            ax.plot(x, held, "--", color="0.4")
-    ax.plot([], [], color=BLACK, label=OUTPUT["optimal"].removeprefix("start value, "))
-    if found.pieces[0].fixed is not None:
-        ax.plot([], [], "--", color="0.4", label=OUTPUT["fixed"].removeprefix("start value, "))
-    _mark_today(ax, float(found.parameter.value), found.pieces[0].low[0], found.pieces[-1].high[1])
-    ax.set_xlabel(f"{found.parameter.name} ({unit_of(found.parameter)})")
-    ax.set_ylabel(f"start value (reward; {found.claim})")
-    ax.legend()
+        for ratio, line, ink, how in (
+            (piece.value, "-", BLACK, "re-optimised"),
+            (piece.fixed, "--", "0.4", "held fixed"),
+        ):
+            if ratio is not None:
+                values = [float(ratio.at(value)) for value in at]
+                ax.plot(x, values, line, color=ink, label=f"policy {how}" if first else None)
+                drawn += values
+    sizes = np.abs(drawn)
+    near = np.array(drawn)[sizes <= STEEP * (float(np.median(sizes)) or 1.0)]
+    if len(near) < len(drawn):  # a discount near 1
+        ax.set_ylim(near.min(), near.max())
+        ax.plot([], [], " ", label=f"beyond the picture: {drawn[sizes.argmax()]:.3g}")
+    _mark_today(ax, float(found.parameter.value), found.range.low, found.range.high)
+    ax.set(xlabel=_axis(found.parameter), ylabel=f"value at the start (reward; {found.claim})")
+    ax.set_title(about(f"The optimal value along {name}", found.mdp.name))
     return ax
 
 
-@plain_text
+@picture
 def plot_thresholds(
     changes: Thresholds | Mapping[str, Thresholds], *, reached: bool = False, ax: Axes | None = None
 ) -> Axes:
@@ -187,34 +200,37 @@ def plot_thresholds(
     >>> from exact_mdp import Scenario, thresholds
     >>> small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     >>> ax = plot_thresholds(thresholds(small, "reward.anger"))
-    >>> ax.get_xlabel()
-    'blue: the optimal policy stays; bar: an optimal action changes; diamond: today'
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['the optimal policy stays', 'today']
     """
     every = [*changes.values()] if isinstance(changes, Mapping) else [changes]
-    if ax is None:
-        ax = plt.subplots(figsize=(7, 0.9 + 0.7 * len(every)))[1]
+    names = [_axis(each.parameter) for each in every]
+    ax = axes_or_new(ax, names, high=1.2 + 0.6 * len(every))
     for place, each in enumerate(every):
         low, high = float(each.range.low), float(each.range.high)
         width = (high - low) or 1.0
         near, far = ((float(end) - low) / width for end in each.stable(reached=reached))
-        ax.barh(place, 1.0, color=WHITE, edgecolor=BLACK, height=0.6)
-        ax.barh(place, far - near, left=near, color=BLUE, edgecolor=BLACK, height=0.6)
+        bars_across(ax, place, 1.0, LOW, "", height=0.6)
+        where: Look = {"left": near, "height": 0.6}
+        bars_across(ax, place, far - near, (BLUE, ""), "the optimal policy stays", **where)
         for threshold in each.found:
             if not reached or threshold.reached:
-                x = (threshold.value - low) / width
-                line = ":" if threshold.touch else "-"
-                ax.plot([x, x], [place - 0.3, place + 0.3], line, color=BLACK, linewidth=1)
-        ax.plot((float(each.parameter.value) - low) / width, place, "D", color=BLACK, markersize=4)
-        ax.text(-0.01, place + 0.42, f"{low:.3g}", ha="left", va="center", fontsize=7)
-        ax.text(1.01, place + 0.42, f"{high:.3g}", ha="right", va="center", fontsize=7)
-    parameters = [each.parameter for each in every]
-    name_rows(ax, [f"{parameter.name} ({unit_of(parameter)})" for parameter in parameters])
+                x, line = (threshold.value - low) / width, ":" if threshold.touch else "-"
+                ends = [place - 0.3, place + 0.3]
+                ax.plot([x, x], ends, line, color=BLACK, lw=1, label="an optimal action changes")
+        today = (float(each.parameter.value) - low) / width
+        ax.plot(today, place, "D", color=BLACK, markersize=4, label="today")
+        ax.text(0, place + 0.42, f"{low:.3g}", ha="left", va="center", fontsize=7)
+        ax.text(1, place + 0.42, f"{high:.3g}", ha="right", va="center", fontsize=7)
+    name_rows(ax, names)
     ax.set(xticks=[], xlim=(-0.02, 1.02), ylim=(len(every) - 0.4, -0.6))
-    ax.set_xlabel("blue: the optimal policy stays; bar: an optimal action changes; diamond: today")
+    handles, labels = ax.get_legend_handles_labels()
+    legend_beside(ax, [*dict(zip(labels, handles, strict=True)).values()])
+    ax.set_title(about("How far each parameter may move", every[0].model))
     return ax
 
 
-@plain_text
+@picture
 def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw which policy is optimal over two parameters, or which action in the state given.
 
@@ -223,33 +239,37 @@ def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = N
     ax, styles = axes_or_new(ax), action_styles(found.mdp.actions)
     x, y = found.x_values, found.y_values
     shown = found.policy if state is None else found.actions_at(state)
+    handles = []
     if state is None:
         count = int(shown.max()) + 1
         shades = np.linspace(1.0, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
         colours, names = [str(shade) for shade in shades], [str(n) for n in range(count)]
-        ax.set_title("policies that are optimal, by number (sampled); diamond: today")
+        what = "Which policy is optimal, by number"
     else:
         colours, names = [s.fill for s in styles], [s.short for s in styles]
-        action_legend(ax, styles, np.unique(shown).tolist())
+        used = np.unique(shown).tolist()
+        handles = [swatch(f"{styles[n].short} {styles[n].name}", (colours[n], "")) for n in used]
+        what = f"Which action is optimal in {found.mdp.space.label(state)}"
     ends, colour_map = (-0.5, len(colours) - 0.5), ListedColormap(colours)
     ax.pcolormesh(x, y, shown, cmap=colour_map, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
         row, column = np.argwhere(shown == number)[0]
         ink = "black" if np.mean(to_rgb(colours[number])) > 0.5 else "white"
         ax.text(x[column], y[row], names[number], ha="center", va="center", color=ink, fontsize=7)
-    ax.plot(float(found.x.value), float(found.y.value), "D", color=BLACK, markersize=5)
-    ax.set_xlabel(f"{found.x.name} ({unit_of(found.x)})")
-    ax.set_ylabel(f"{found.y.name} ({unit_of(found.y)})")
+    today = (float(found.x.value), float(found.y.value))
+    (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
+    legend_beside(ax, [*handles, mark])
+    ax.set(xlabel=_axis(found.x), ylabel=_axis(found.y), title=about(what, found.mdp.name))
     return ax
 
 
-@plain_text
+@picture
 def plot_robust_curve(found: RobustCurve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value of both policies against the radius: tables right, and worst case.
 
     The distance of the upper lines is the price of robustness, that of the lower ones the gain.
     """
-    ax = axes_or_new(ax)
+    ax, radii = axes_or_new(ax), [radius for radius, _ in found.points]
     every = [each for _, each in found.points]
     for label, values, line, marker, shade in (
         ("robust policy, tables right", [each.robust_value for each in every], "-", "s", "0"),
@@ -257,53 +277,21 @@ def plot_robust_curve(found: RobustCurve, *, ax: Axes | None = None) -> Axes:
         ("robust policy, worst case", [each.robust.start for each in every], "-", "o", "0"),
         ("nominal policy, worst case", [each.worst for each in every], "--", "o", "0.55"),
     ):
-        ax.plot(
-            [radius for radius, _ in found.points],
-            [value.value for value in values],
-            line,
-            marker=marker,
-            markersize=4,
-            markerfacecolor=shade if shade == "0" else "white",
-            color=shade,
-            label=label,
-        )
-    ax.set_xlabel(RADIUS[found.kind])
-    ax.set_ylabel("start value (reward)")
-    ax.legend()
+        form: Look = {"marker": marker, "markersize": 4, "color": shade, "label": label}
+        form["markerfacecolor"] = shade if shade == "0" else "white"
+        ax.plot(radii, [value.value for value in values], line, **form)
+    ax.set(xlabel=RADIUS[found.kind], ylabel="value at the start (reward)")
+    ax.set_title(about("Values where the tables may be wrong", every[0].mdp.name))
     return ax
 
 
-@plain_text
+@picture
 def plot_sobol(
     indices: Sobol, *, output: str = "optimal", most: int = 12, ax: Axes | None = None
 ) -> Axes:
     """Draw first-order and total indices of the parameters that weigh most, with intervals.
 
-    Parameters
-    ----------
-    indices : Sobol
-    output : str, optional
-        What varies: a key of `Sobol.of`.
-    most : int, optional
-        How many parameters are drawn.
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-
-    Raises
-    ------
-    ModelError
-        If the output does not vary, and has no indices.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario, sobol
-    >>> small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    >>> indices = sobol(small, names=["base.anger", "reward.anger"], n=8, rng=0)
-    >>> plot_sobol(indices).get_xlabel()
-    'share of the variance'
+    Raises ModelError if the output does not vary, and has no indices.
     """
     each = indices.of(output)
     if each.constant:
@@ -313,18 +301,124 @@ def plot_sobol(
             fix="draw another output, or state wider ranges",
         )
     order = np.argsort(-each.total, kind="stable")[:most]
-    names = _with_ranges([indices.names[place] for place in order], indices.ranges)
-    ax = axes_or_new(ax, names)
-    for at, lengths, half, fill, hatch, label in (
-        (-0.19, each.first, each.first_half, BLUE, "//", "first order: alone"),
-        (0.19, each.total, each.total_half, WHITE, "", "total: alone and with others"),
+    chosen = [(name, indices.ranges[name]) for name in np.array(indices.names)[order].tolist()]
+    ax = axes_or_new(ax, names := [_with_range(name, r.low, r.high) for name, r in chosen])
+    places = np.arange(len(order))
+    for at, lengths, half, look, label in (
+        (-0.19, each.first, each.first_half, HIGH, "first order: alone"),
+        (0.19, each.total, each.total_half, LOW, "total: alone and with others"),
     ):
-        places = np.arange(len(order)) + at
-        bars_across(ax, places, lengths[order], half[order], fill, hatch, label, height=0.38)
+        bars_across(ax, places + at, lengths[order], look, label, height=0.38, xerr=half[order])
     name_rows(ax, names)
     ax.axvline(0, color=BLACK, linewidth=0.8)
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
     ax.set_xlabel("share of the variance")
-    ax.legend(loc="lower right", title=f"{indices.confidence:.0%} intervals")
-    titled(ax, f"variance of the {OUTPUT[output]}")
+    legend_beside(ax, title=f"{indices.confidence:.0%} intervals")
+    ax.set_title(about(f"Variance of the {OUTPUT[output]}", indices.model))
     return ax
+
+
+# ---- draws -------------------------------------------------------------------------------------
+
+
+@picture
+def plot_acceptability(
+    draws: PSA,
+    *,
+    candidates: Sequence[int] = (0,),
+    tolerances: ArrayLike | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the probability that each candidate loses at most Δ, with its 95 % interval, against Δ.
+
+    Candidates are numbers of policies in `PSA.candidates`. Tolerances Δ that are given are on a
+    linear scale. Otherwise they reach from 0 to the largest 99 % quantile of these policies'
+    regrets; the scale is linear up to a ten-thousandth of that, then logarithmic.
+    """
+    ax = axes_or_new(ax)
+    if tolerances is None:
+        at = tolerances_of([draws.regret(number) for number in candidates], 201)
+        if len(at) > 1:
+            near = float(at[1])
+            ax.set_xscale("symlog", linthresh=near, linscale=0.3)
+            # Powers of 10 within the linear part would stand upon the 0.
+            powers = np.arange(np.ceil(np.log10(2 * near)), np.log10(at[-1]) + 1e-9)
+            ax.set_xticks([0.0, *10.0**powers])
+            ax.set_xticks([], minor=True)
+            ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            ax.xaxis.set_minor_formatter(NullFormatter())
+            at = np.append(np.linspace(0, near, 21), at[2:])
+    else:
+        at = np.asarray(tolerances, dtype=float)
+    for place, number in enumerate(candidates):
+        share, low, high = draws.accepted(at, number)
+        colour, line = (BLACK, *INK)[place % 7], LINES[place % len(LINES)]
+        name = draws.candidates[number].name
+        ax.plot(at, share, linestyle=line, color=colour, label=name)
+        ax.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
+    ax.set(xlabel="regret that is accepted, Δ (reward)", ylim=(-0.02, 1.02))
+    if at.max() > 0:
+        ax.set_xlim(0, at.max())
+    ax.set_ylabel("probability that the regret is at most Δ")
+    ax.set_title(about("How often each policy is good enough", draws.model))
+    return ax
+
+
+@picture
+def plot_cost_effectiveness(
+    found: CostEffectiveness, *, wtp: ArrayLike | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw acceptability curves over the willingness to pay; the frontier is the wide grey line."""
+    ax = axes_or_new(ax)
+    at = found.grid() if wtp is None else np.asarray(wtp, dtype=float)
+    frontier = [share for _, share in found.frontier(at)]
+    ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
+    shares = zip(found.strategies, found.acceptability(at).T, strict=True)
+    for place, (name, share) in enumerate(shares):
+        colour, line = (BLACK, *INK)[place % 7], LINES[place % len(LINES)]
+        ax.plot(at, share, linestyle=line, color=colour, label=name)
+    ax.set(xlabel="willingness to pay for one unit of effect", ylim=(-0.02, 1.02))
+    ax.set_ylabel("share of draws in which it is the best")
+    ax.set_title("Cost-effectiveness acceptability curves")
+    return ax
+
+
+@picture
+def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
+    """Draw, for each status and action, the share of draws in which the action is optimal.
+
+    Parameters
+    ----------
+    draws : PSA
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, psa
+    >>> draws = psa(Scenario.load("yuan2025"), 10, rng=0, effective_sample_size=40)
+    >>> len(plot_optimal_actions(draws).get_xticks())
+    4
+    """
+    ax = axes_or_new(ax)
+    share, labels = draws.probability_optimal()[0][:MOST_ROWS], draws.labels[:MOST_ROWS]
+    ax.imshow(share, cmap="Greys", vmin=0, vmax=1, aspect="auto")
+    for row, column in np.ndindex(*share.shape):
+        value = float(share[row, column])
+        ink = "white" if value > 0.55 else "black"
+        ax.text(column, row, _share(value), ha="center", va="center", color=ink, fontsize=7)
+    ax.set_xticks(range(len(draws.actions)), draws.actions)
+    ax.set_yticks(range(len(labels)), labels)
+    ax.set(xlabel="action", ylabel="status at subtask 0, trial 0" if draws.compiled else "state")
+    ax.tick_params(length=0)
+    ax.set_title(about("Share of draws in which each action is optimal", draws.model))
+    return ax
+
+
+def _share(value: float) -> str:
+    if value in (0, 1):
+        return "1" if value else ""
+    return "<.01" if value < 0.01 else ">.99" if value > 0.99 else f"{value:.2f}".lstrip("0")

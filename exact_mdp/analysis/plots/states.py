@@ -1,38 +1,41 @@
 """Pictures of any model's states: what a policy does, what states are worth, how often they come.
 
 A map has a cell for each state, placed as `analysis.layout` says: by two or more columns of the
-state space, or by the `shape` of a grid world. Actions whose names are directions are arrows.
-Values of states that are only numbered are bars. `place` stands for shape, down, across and the
-columns held fixed.
+state space, or by the `shape` of a grid world. Actions whose names are directions are arrows. The
+start has a heavy frame; where an episode ends stands the first letter of the end's label, such as
+goal or hole, or ∎. Values of states that are only numbered are bars. `place` stands for shape,
+down, across and the columns held fixed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.gate.cells import cells
-from exact_mdp.analysis.layout import ARROWS, WIDE, Layout, arrange, joined, taken
+from exact_mdp.analysis.layout import ARROWS, Layout, arrange, joined, taken
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
+    ORANGE,
     Look,
-    action_legend,
+    about,
     action_styles,
     axes_or_new,
     cell,
+    legend_beside,
     name_rows,
-    plain_text,
-    titled,
+    picture,
+    swatch,
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -49,25 +52,21 @@ if TYPE_CHECKING:
 MOST_CELLS = 4000  # of a map
 MOST_TEXTS = 700  # cells that have room for a text
 NUMBERED = 60  # cells that have room for a number, too
-MOST_NAMES = 40  # bars that are named
-MOST_LETTERS = 70  # of the texts at the ends of bars, side by side
-ORANGE = "#D55E00"
-GROUND = "Blues"
-ENDS = "∎ an episode ends"
+MOST_NAMES = 40  # rows, columns or bars that are named
+MOST_LETTERS = 70  # of names side by side
+END = "∎"
+SHADES = LinearSegmentedColormap.from_list("value", ["#F7FBFF", "#2171B5"])
+LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
 
-@plain_text
-def plot_policy(
-    model: MDP, policy: PolicyLike, *, legend: bool = True, ax: Axes | None = None, **place: Any
-) -> Axes:
+@picture
+def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what a policy does in each state, in the style of its action.
 
     Parameters
     ----------
     model : MDP
     policy : PolicyLike
-    legend : bool
-        Name the actions beside the map.
     ax : Axes, optional
     **place
         Where states stand: `shape`, `down`, `across`, and columns held fixed; see `arrange`.
@@ -91,26 +90,28 @@ def plot_policy(
     """
     layout = _placed(model, place)
     ax, styles = _map(layout, ax), action_styles(model.actions, layout.signs)
+    ends = _ends(model)
     choices = taken(model, policy_of(model, policy).weights(model))
     used = set[int]()
     for state in layout.shown.tolist():
         where, numbers = (int(layout.column[state]), int(layout.row[state])), choices[state]
-        drawn = styles[numbers[0]]
-        if model.over[state]:
-            cell(ax, *where, drawn, text="∎", fill="0.92", ink="0.4", hatch="", font=_font(layout))
+        drawn, look = styles[numbers[0]], Look(font=_font(layout))
+        if state in ends:
+            look |= {"text": ends[state][0], "fill": "0.92", "ink": "0.2", "hatch": ""}
         elif len(numbers) > 1:
             mixed = joined([styles[number].short for number in numbers], "mixed")
-            cell(ax, *where, drawn, text=mixed, fill="white", ink="black", hatch="", font=6)
+            look |= {"text": mixed, "fill": "white", "ink": "black", "hatch": "", "font": 6}
         else:
-            cell(ax, *where, drawn, font=_font(layout))
             used.add(numbers[0])
-    if legend:
-        ends = bool(model.over[layout.shown].any())
-        action_legend(ax, styles, sorted(used), ends=ends)
+        cell(ax, *where, drawn, **look)
+    names = {styles[n].short: styles[n].name for n in range(len(styles))}
+    handles = [swatch(_named(styles[n].short, names), styles[n]) for n in sorted(used)]
+    _explain(ax, model, layout, handles)
+    ax.set_title(about("What the policy does", model.name))
     return ax
 
 
-@plain_text
+@picture
 def plot_states(
     model: MDP,
     values: ArrayLike,
@@ -162,40 +163,33 @@ def plot_states(
     layout, texts = _placed(model, place), [""] * model.n_states
     if policy is not None:
         choices = taken(model, policy_of(model, policy).weights(model))
-        texts = [
-            joined([layout.signs[number] for number in numbers], "mixed") for numbers in choices
-        ]
+        texts = [joined([layout.signs[n] for n in numbers], "mixed") for numbers in choices]
+    signs = [] if policy is None else _signs(model, layout)
+    what = label.partition(" (")[0].capitalize()
+    acting = ", and what the policy does" if policy is not None else ""
     if layout.listed:
         ax = _bars(axes_or_new(ax), model, given, texts, label)
-        if policy is not None:
-            _key(ax, model, layout)
-        return ax
-    ax, scale = _map(layout, ax), _scale(given[layout.shown])
-    shades, font = colormaps[GROUND], _font(layout)
-    style = action_styles(["-"])[0]
-    numbered = len(layout.shown) <= NUMBERED
-    for state in layout.shown.tolist():
-        value, where = given[state], (int(layout.column[state]), int(layout.row[state]))
-        share = 0.75 * float(scale(value)) if np.isfinite(value) else 0.0
-        lines = ["∎" if model.over[state] else texts[state], f"{value:.3g}" * numbered]
-        if not np.isfinite(value):
-            lines[1] = f"{value:g}"
-        text = "\n".join(line for line in lines if line) or " "
-        ink = "white" if share > 0.6 else "black"
-        cell(ax, *where, style, text=text, fill=shades(share), ink=ink, font=font, edgecolor="0.8")
-    figure = ax.get_figure(root=True)
-    assert isinstance(figure, Figure)
-    low, high = scale.vmin or 0.0, scale.vmax or 0.0
-    shown = ScalarMappable(Normalize(low, low + (high - low) / 0.75 or 1.0), shades)
-    bar = figure.colorbar(shown, ax=ax, label=label, shrink=0.8)
-    bar.ax.set_ylim(low, high if high > low else low + 1.0)
-    ends = [ENDS] if model.over[layout.shown].any() else []
-    if policy is not None or ends:
-        _key(ax, model, layout, *ends)
+        if signs:
+            legend_beside(ax, signs)
+    else:
+        ax, scale, ends = _map(layout, ax), _scale(given[layout.shown]), _ends(model)
+        numbered, style = len(layout.shown) <= NUMBERED, action_styles(["-"])[0]
+        for state in layout.shown.tolist():
+            value, where = given[state], (int(layout.column[state]), int(layout.row[state]))
+            share = float(scale(value)) if np.isfinite(value) else 0.0
+            number = f"{value:.3g}" if numbered or not np.isfinite(value) else ""
+            lines = [ends[state][0] if state in ends else texts[state], number]
+            text = "\n".join(line for line in lines if line) or " "
+            look: Look = {"text": text, "fill": SHADES(share), "edgecolor": "0.8"}
+            look["ink"] = "white" if share > 0.7 else "black"
+            cell(ax, *where, style, font=_font(layout), **look)
+        _colours(ax, scale, SHADES, label)
+        _explain(ax, model, layout, signs)
+    ax.set_title(about(f"{what} of each state{acting}", model.name))
     return ax
 
 
-@plain_text
+@picture
 def plot_solution(found: Solution, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw the values of a solution, a certificate or an evaluation, with the policy's actions.
 
@@ -209,11 +203,12 @@ def plot_solution(found: Solution, *, ax: Axes | None = None, **place: Any) -> A
         )
     value = getattr(found, "value_float", None)
     value = found.value if value is None else value
-    label = "value (reward)" if getattr(found, "gain", None) is None else "gain (reward per step)"
+    average = getattr(found, "gain", None) is not None
+    label = "optimal gain (reward per step)" if average else "optimal value (reward)"
     return plot_states(found.mdp, value, policy=found.policy, label=label, ax=ax, **place)
 
 
-@plain_text
+@picture
 def plot_evaluation(
     found: Evaluation, *, visits: bool = False, ax: Axes | None = None, **place: Any
 ) -> Axes:
@@ -223,59 +218,58 @@ def plot_evaluation(
     return plot_states(found.mdp, values, policy=policy, label=label, ax=ax, **place)
 
 
-@plain_text
+@picture
 def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what the policy does; wrong states have a cross, a frame and the optimal action below.
 
-    Darker cells cost more. States that are only listed have their number or
-    name in a corner.
+    Darker cells cost more. States that are only listed have their number or name in a corner.
     """
-    layout = _placed(audit.mdp, place)
+    layout, mdp = _placed(audit.mdp, place), audit.mdp
     ax, style, font = _map(layout, ax), action_styles(["-"])[0], _font(layout)
     drawn = [each for row in cells(audit, layout) for each in row if each is not None]
+    ends = _ends(mdp)
     for each in drawn:
         where = (int(layout.column[each.state]), int(layout.row[each.state]))
         wrong = each.kind == "wrong"
-        fill = (0.84, 0.37, 0.0, 0.1 + 0.6 * each.shade) if wrong else "white"
-        edge, width = (ORANGE, 1.6) if wrong else ("0.8", 1.0)
-        text = "\n".join(line for line in (each.text, each.small) if line)
-        ink = "0.55" if each.kind == "idle" else "black"
-        frame: Look = {"edgecolor": edge, "linewidth": width, "zorder": 1 + wrong}
-        cell(ax, *where, style, text=text, fill=fill, ink=ink, font=font, **frame)
+        text = ends[each.state][0] if each.state in ends else f"{each.text}\n{each.small}".strip()
+        frame: Look = {"edgecolor": ORANGE if wrong else "0.8", "linewidth": 1.6 if wrong else 1.0}
+        ink = "0.5" if each.kind == "idle" else "black"
+        fill = LOSSES(min(each.shade, 1.0)) if wrong else "white"
+        cell(ax, *where, style, text=text, fill=fill, ink=ink, font=font, zorder=1 + wrong, **frame)
         if each.name and font:
             corner: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
             name = each.name if len(each.name) <= 9 else f"{each.name[:8]}…"
             ax.text(where[0] + 0.06, where[1] + 0.08, name, color=ink, **corner)
-    words = ["✗ not optimal; below it the optimal action; darker cells cost more"]
+    losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
+    if losses:
+        _colours(ax, Normalize(0.0, max(losses)), LOSSES, "what the state loses (reward)")
+    words = ["✗ not optimal; below it\n   the optimal action"] if losses else []
     if any(each.kind == "idle" for each in drawn):
-        words.append("grey: no choice, or not wrong and never visited")
-    if audit.mdp.over[layout.shown].any():
-        words.append(ENDS)
-    if layout.listed:
-        words.append("in the corner the state")
-    _key(ax, audit.mdp, layout, *words)
+        words.append("grey: no choice or no visit")
+    _explain(ax, mdp, layout, [*map(_words, words), *_signs(mdp, layout)])
+    lost = f"regret at the start {float(audit.regret.at_start.value):.4g}"
+    ax.set_title(about(f"Where the policy is not optimal; {lost}", mdp.name))
     return ax
 
 
-@plain_text
+@picture
 def plot_comparison(found: PolicyComparison, *, ax: Axes | None = None) -> Axes:
     """Draw the value of each policy at the start, certified or bounded; the optimum is a line."""
     ax, best = axes_or_new(ax, list(found.regrets)), float(found.value.value)
-    for row, each in enumerate(found.regrets.values()):
+    names = []
+    for row, (name, each) in enumerate(found.regrets.items()):
         value = float(each.learned.value)
-        end = value if np.isfinite(value) else 0.0  # an infinite value has no bar
-        ax.barh(row, end, color=BLUE, edgecolor=BLACK, height=0.6)
-        side = "left" if end >= 0 else "right"
-        text = f" {value:.6g} ({each.learned.claim}) "
-        ax.annotate(text, (end, row), va="center", ha=side, fontsize=8)
+        ax.barh(row, value if np.isfinite(value) else 0.0, color=BLUE, edgecolor=BLACK, height=0.6)
+        names.append(f"{name}\n{value:.6g} ({each.learned.claim})")
     if np.isfinite(best):
-        ax.axvline(best, color=BLACK, linestyle=":")
+        ax.axvline(best, color=BLACK, linestyle=":", label=f"optimum {best:.6g}\n({found.claim})")
     ax.axvline(0, color=BLACK, linewidth=0.8)
-    name_rows(ax, list(found.regrets))
-    ax.margins(x=0.3)
-    ax.set_xlabel("value at the start (reward)")
-    titled(ax, f"optimum {best:.6g} ({found.claim}), dotted")
+    name_rows(ax, names)
+    ax.set(xlabel="value at the start (reward)", title="Policies compared with the optimum")
     return ax
+
+
+# ---- maps --------------------------------------------------------------------------------------
 
 
 def _placed(model: MDP, place: Mapping[str, Any]) -> Layout:
@@ -294,7 +288,7 @@ def _map(layout: Layout, ax: Axes | None) -> Axes:
     """Return axes with a cell for each row and column of the map, and their names."""
     high, wide = len(layout.rows), len(layout.columns)
     if ax is None:
-        size = (max(3.6, min(14.0, 2.6 + 0.55 * wide)), max(2.2, min(12.0, 1.2 + 0.45 * high)))
+        size = (max(4.8, min(14.0, 3.4 + 0.55 * wide)), max(2.8, min(12.0, 1.9 + 0.42 * high)))
         ax = plt.subplots(figsize=size, layout="constrained")[1]
     ax.set(xlim=(0, wide), ylim=(high, 0), xlabel=layout.across, ylabel=layout.down)
     for ticks, labels in ((ax.set_xticks, layout.columns), (ax.set_yticks, layout.rows)):
@@ -307,19 +301,52 @@ def _map(layout: Layout, ax: Axes | None) -> Axes:
     return ax
 
 
-def _font(layout: Layout) -> float | None:
+def _font(layout: Layout) -> float:
     """Return the size of the text in a cell; 0 where there is no room for one."""
-    wide = len(layout.columns) > 2 * WIDE
-    sizes = ((30, 11), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide else 8))
+    wide = len(layout.columns) > 20
+    sizes = ((30, 10), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide else 7))
     return next((size for most, size in sizes if len(layout.shown) <= most), 0)
 
 
-def _key(ax: Axes, model: MDP, layout: Layout, *words: str) -> None:
-    """Say in the title what the signs of actions stand for."""
-    signs = zip(layout.signs, model.actions, strict=True)
-    named = [f"{sign} {name}" for sign, name in signs if sign != name and sign not in ARROWS]
-    if words or 0 < len(named) <= len(ARROWS) * 2:
-        titled(ax, "; ".join([*words, ", ".join(named)]).removesuffix("; "))
+def _ends(model: MDP) -> dict[int, tuple[str, str]]:
+    """Return the sign and the words of each state in which an episode ends."""
+    signs = dict.fromkeys(np.flatnonzero(model.over).tolist(), (END, "an episode ends"))
+    for name, states in model.labels.items():
+        held = np.flatnonzero(states)
+        if 0 < len(held) < len(signs) and model.over[held].all():
+            signs |= dict.fromkeys(held.tolist(), (name[:1].upper(), name))
+    return signs
+
+
+def _explain(ax: Axes, model: MDP, layout: Layout, handles: Iterable[Any]) -> None:
+    """Frame the start, and say beside the map what signs and frames mean."""
+    listed, ends = [*handles], _ends(model)
+    starts = [s for s, _ in model.start if layout.row[s] >= 0]
+    if len(starts) < len(layout.shown) / 2:
+        for s in starts:
+            corner = (int(layout.column[s]), int(layout.row[s]))
+            ax.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=BLACK, lw=2.5, zorder=4))
+        if starts:
+            listed.append(Patch(facecolor="none", edgecolor=BLACK, lw=2, label="start"))
+    shown = dict.fromkeys(ends[s] for s in layout.shown.tolist() if s in ends)
+    listed += [_words(f"{sign} {words}") for sign, words in shown]
+    if listed:
+        legend_beside(ax, listed)
+
+
+def _signs(model: MDP, layout: Layout) -> list[Line2D]:
+    """Return a legend's entries for the signs of actions that do not speak for themselves."""
+    names = dict(zip(layout.signs, model.actions, strict=True))
+    open_ = [sign for sign, name in names.items() if sign != name and sign not in ARROWS]
+    return [_words(_named(sign, names)) for sign in open_[: 2 * len(ARROWS)]]
+
+
+def _named(sign: str, names: Mapping[str, str]) -> str:
+    return sign if names[sign] == sign else f"{sign} {names[sign]}"
+
+
+def _words(text: str) -> Line2D:
+    return Line2D([], [], linestyle="", label=text)
 
 
 def _scale(values: Floats) -> Normalize:
@@ -328,18 +355,26 @@ def _scale(values: Floats) -> Normalize:
     return Normalize(low, high if high > low else low + 1.0)
 
 
+def _colours(ax: Axes, scale: Normalize, shades: Colormap, label: str) -> None:
+    """Draw the colour bar below the map."""
+    where: Look = {"location": "bottom", "shrink": 0.7, "aspect": 35, "pad": 0.03}
+    bar = ax.figure.colorbar(ScalarMappable(scale, shades), ax=ax, label=label, **where)
+    bar.outline.set_visible(False)
+
+
 def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) -> Axes:
     """Draw a bar for each state, with what the policy does at its end."""
-    finite = np.where(np.isfinite(values), values, 0.0)
-    ax.bar(range(len(values)), finite, color=BLUE, edgecolor=BLACK, linewidth=0.5)
-    names = [model.space.label(state).removeprefix("state ") for state in range(len(values))]
-    step = -(-len(values) // MOST_NAMES)
-    long = max(map(len, names[::step])) > 3
-    ax.set_xticks(range(0, len(values), step), names[::step], rotation=90 if long else 0)
-    turned = 90 if len(values) * max(map(len, texts)) > MOST_LETTERS else 0
-    for state, text in enumerate(texts if len(values) <= MOST_NAMES else ()):
-        shown = text if np.isfinite(values[state]) else f"{text}\n{values[state]:g}"
+    count, finite = len(values), np.where(np.isfinite(values), values, 0.0)
+    edge: Look = {"edgecolor": BLACK, "linewidth": 0.5} if count <= NUMBERED else {"width": 1.0}
+    ax.bar(range(count), finite, color=BLUE, **edge)
+    names = [model.space.label(state).removeprefix("state ") for state in range(count)]
+    step = -(-count // MOST_NAMES)
+    upright = len("  ".join(names[::step])) > MOST_LETTERS
+    ax.set_xticks(range(0, count, step), names[::step], rotation=90 if upright else 0)
+    turned = 90 if count * max(map(len, texts)) > MOST_LETTERS else 0
+    for state, text in enumerate(texts if count <= MOST_NAMES else ()):
         below = finite[state] < 0
+        shown = text if np.isfinite(values[state]) else f"{text}\n{values[state]:g}"
         ax.annotate(
             "" if model.over[state] else shown,
             (state, finite[state]),
@@ -351,6 +386,6 @@ def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) ->
             rotation=turned,
         )
     ax.axhline(0, color=BLACK, linewidth=0.8)
-    ax.margins(y=0.3 if turned else 0.12)
+    ax.margins(x=0.01, y=0.3 if turned and count <= MOST_NAMES else 0.12)
     ax.set(xlabel="state", ylabel=label)
     return ax

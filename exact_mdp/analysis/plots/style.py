@@ -1,4 +1,4 @@
-"""One look for every figure: colours, axes, legends, bars, cells; saving it whole or not at all.
+"""One look for every figure: colours, axes, titles, legends, bars, cells; saving it whole.
 
 Every text is shown as it is written: names may hold "$", which matplotlib takes for a formula.
 """
@@ -6,7 +6,7 @@ Every text is shown as it is written: names may hold "$", which matplotlib takes
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -16,11 +16,9 @@ from typing import Any, ParamSpec
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import Text
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from exact_mdp.analysis.layout import symbols
 from exact_mdp.mdp.io.files import write_atomically
@@ -34,8 +32,8 @@ PALETTE = ("#FFFFFF", "#F0E442", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#0
 HATCHES = ("", "...", "//", "", "xx", "\\\\", "++", "")
 LINES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
-WHITE, BLUE, BLACK = PALETTE[0], PALETTE[2], "#000000"
-INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7])
+WHITE, BLUE, ORANGE, BLACK = PALETTE[0], PALETTE[2], PALETTE[3], "#000000"
+INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7], PALETTE[5], "#8C6D1F")
 
 SETTINGS: dict[Any, Any] = {
     "figure.dpi": 144,
@@ -46,7 +44,6 @@ SETTINGS: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.titlesize": 10,
     "figure.titlesize": 10,
-    "axes.titlelocation": "left",
     "hatch.linewidth": 0.4,
     "svg.fonttype": "none",
     "svg.hashsalt": "exact-mdp",
@@ -96,12 +93,14 @@ def action_styles(actions: Sequence[str], signs: Sequence[str] = ()) -> list[Act
     return styles
 
 
-def plain_text(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
-    """Let a function that draws on axes show every text as it is: names hold "$", not formulas.
+def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
+    """Let a function draw in this style, on its own axes or on given ones; texts are as written.
+
+    The legend stands beside the axes, and the title is broken where the figure ends.
 
     Examples
     --------
-    >>> @plain_text
+    >>> @picture
     ... def plot(ax=None):
     ...     ax = axes_or_new(ax)
     ...     ax.set_title("from $a to $b")
@@ -111,16 +110,23 @@ def plain_text(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]
     """
 
     @wraps(function)
-    def plain(*arguments: Arguments.args, **settings: Arguments.kwargs) -> Axes:
+    def drawn(*arguments: Arguments.args, **settings: Arguments.kwargs) -> Axes:
         given = settings.get("ax")
         if isinstance(given, Axes):
             _as_written(given)
-        with _context({"text.parse_math": False, "legend.frameon": False}):
+        own = {"text.parse_math": False, "legend.frameon": False} if given else SETTINGS
+        with _context(own):
             ax = function(*arguments, **settings)
+            if ax.get_legend() is None and ax.get_legend_handles_labels()[1]:
+                legend_beside(ax)
+            title = ax.get_title() or ax.get_title(loc="left")
+            ax.set_title("")
+            # Where lines are broken, matplotlib measures formulas whatever it was told.
+            ax.set_title(title, loc="left", wrap="$" not in title)
         _as_written(ax)
         return ax
 
-    return plain
+    return drawn
 
 
 def _as_written(drawn: Axes | Figure) -> None:
@@ -152,55 +158,23 @@ def style() -> Iterator[None]:
         yield
 
 
-def axes_or_new(ax: Axes | None, names: Sequence[str] = ()) -> Axes:
+def axes_or_new(ax: Axes | None, names: Sequence[str] = (), high: float = 4.2) -> Axes:
     """Return the axes, or those of a new figure in which names, of rows also, have room."""
     if ax is not None:
         return ax
-    wide = 6.4 + 0.08 * max(0, max(map(len, names), default=0) - 12)
-    high = min(4.8, 1.6 + 0.35 * len(names)) if names else 4.8
+    wide = 7.2 + 0.08 * max(0, max(map(len, names), default=0) - 12)
+    high = min(4.8, 1.8 + 0.32 * len(names)) if names else high
     return plt.subplots(figsize=(wide, high), layout="constrained")[1]
 
 
-def titled(ax: Axes, text: str) -> Text:
-    """Set and return a title that is broken where it would be wider than its axes.
-
-    Breaks in the text are kept. Set the figure's size, and what its layout depends on, before.
-    """
-    title, figure = ax.set_title(""), ax.get_figure(root=True)
-    assert isinstance(figure, Figure)
-    figure.draw_without_rendering()
-    room = ax.get_window_extent().width
-
-    def fits(words: Sequence[str]) -> bool:
-        title.set_text(" ".join(words))
-        return bool(title.get_window_extent().width <= room)
-
-    lines: list[list[str]] = []
-    for paragraph in text.split("\n"):
-        lines.append([])
-        for word in paragraph.split():
-            if lines[-1] and not fits([*lines[-1], word]):
-                lines.append([])
-            lines[-1].append(word)
-    title.set_text("\n".join(" ".join(line) for line in lines))
-    return title
+def about(what: str, model: str = "") -> str:
+    """Return a title: what is shown, and of which model."""
+    return f"{what} \N{EN DASH} {model}" if model else what
 
 
 def legend_beside(ax: Axes, handles: Sequence[Any] | None = None, title: str = "") -> None:
     """Draw the legend to the right of the axes."""
     ax.legend(handles=handles, title=title, loc="upper left", bbox_to_anchor=(1.02, 1.0))
-
-
-def action_legend(
-    ax: Axes, styles: Sequence[ActionStyle], used: Collection[int], *, ends: bool = False
-) -> None:
-    """Name the actions that are drawn, beside the axes; and the sign of an end."""
-    drawn = [styles[number] for number in used]
-    names = [
-        each.name if each.short == each.name else f"{each.short} {each.name}" for each in drawn
-    ]
-    found = [swatch(name, each) for name, each in zip(names, drawn, strict=True)]
-    legend_beside(ax, [*found, *([swatch("∎ an episode ends", ("0.92", ""))] if ends else [])])
 
 
 def swatch(label: str, drawn: ActionStyle | tuple[str, str]) -> Patch:
@@ -211,38 +185,23 @@ def swatch(label: str, drawn: ActionStyle | tuple[str, str]) -> Patch:
 
 def bars_across(
     ax: Axes,
-    places: Numbers,
-    lengths: Numbers,
-    half: Numbers,
-    fill: str,
-    hatch: str,
+    places: float | Numbers,
+    lengths: float | Numbers,
+    look: tuple[str, str],
     label: str,
-    height: float = 0.7,
+    **more: Any,
 ) -> None:
-    """Draw horizontal bars with intervals."""
-    ax.barh(
-        places,
-        lengths,
-        height,
-        xerr=half,
-        color=fill,
-        hatch=hatch,
-        edgecolor=BLACK,
-        label=label,
-        error_kw={"ecolor": BLACK, "elinewidth": 1, "capsize": 2},
-    )
+    """Draw horizontal bars, of a fill and a hatching."""
+    ticks: Look = {"ecolor": BLACK, "elinewidth": 1, "capsize": 2}
+    fill, hatch = look
+    form: Look = {"color": fill, "hatch": hatch, "edgecolor": BLACK} | more
+    ax.barh(places, lengths, label=label, error_kw=ticks, **form)
 
 
 def name_rows(ax: Axes, names: Sequence[str]) -> None:
     """Name the rows 0, 1, …, the first on top."""
     ax.set_yticks(range(len(names)), names)
     ax.invert_yaxis()
-
-
-def plain_numbers(axis: Axis) -> None:
-    """Write the numbers along a logarithmic axis as numbers, not as formulas."""
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
 
 
 def level(ax: Axes, value: float, label: str = "optimum") -> None:
@@ -259,7 +218,6 @@ def cell(
     text: str = "",
     fill: object = None,
     ink: str = "",
-    pad: float = 1.2,
     font: float | None = 8,
     **frame: Any,
 ) -> None:
@@ -277,7 +235,7 @@ def cell(
         va="center",
         color=ink or drawn.ink,
         fontsize=font,
-        bbox={"facecolor": face if frame["hatch"] else "none", "edgecolor": "none", "pad": pad},
+        bbox={"facecolor": face if frame["hatch"] else "none", "edgecolor": "none", "pad": 1.2},
     )
 
 
@@ -314,5 +272,6 @@ def save_as(figure: Figure, path: Path) -> None:
     """Write a figure as the path's ending says, svg or png, whole or not at all."""
     _as_written(figure)
     kind, buffer = path.suffix.lower().removeprefix("."), io.BytesIO()
-    figure.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else {})
+    with _context({"svg.fonttype": "none", "svg.hashsalt": "exact-mdp"}):
+        figure.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else {})
     write_atomically(path, buffer.getvalue())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots.style import BLACK, BLUE, INK, MARKS, axes_or_new, plain_text
+from exact_mdp.analysis.plots.style import BLACK, BLUE, INK, MARKS, about, axes_or_new, picture
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.policies.policy import PolicyLike
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 NEAR = 0.02  # of an axis: marks that are nearer lie on each other
 
 
-@plain_text
+@picture
 def draw_front(
     found: Front, *, policies: Mapping[str, PolicyLike] | None = None, ax: Axes | None = None
 ) -> Axes:
@@ -52,17 +52,24 @@ def draw_front(
             ax.plot([x, x + sign], [y, y + sign], color=BLACK, linewidth=0.8, linestyle=":")
     ax.set_xlabel(f"expected total of {found.names[0]}")
     ax.set_ylabel(f"expected total of {found.names[1]}")
-    ax.legend()
+    ax.set_title(f"The front of {found.names[1]} against {found.names[0]}")
     return ax
 
 
-@plain_text
+@picture
 def plot_mean_cvar(found: MeanCVaR, *, ax: Axes | None = None) -> Axes:
     """Draw the mean against the mean of the worst episodes: best policies, and given ones."""
     ax = axes_or_new(ax)
     across = [float(each.mean) for each in found.optima]
     up = [float(each.value) for each in found.optima]
-    ax.plot(across, up, linestyle="", color=BLUE, marker="o", label="best for a weight of the mean")
+    ax.plot(
+        across,
+        up,
+        linestyle="",
+        color=BLUE,
+        marker="o",
+        label="best for a weight of the mean\n(written beside it)",
+    )
     weights = dict[tuple[float, float], list[str]]()
     for point, best in zip(zip(across, up, strict=True), found.optima, strict=True):
         weights.setdefault(point, []).append(f"{float(best.weight):.3g}")
@@ -77,5 +84,5 @@ def plot_mean_cvar(found: MeanCVaR, *, ax: Axes | None = None) -> Axes:
     what = "return" if found.mdp.sense == "max" else "cost"
     ax.set_xlabel(f"mean {what} of all episodes")
     ax.set_ylabel(f"mean {what} of the worst {float(found.level):.3g} of them")
-    ax.legend()
+    ax.set_title(about("The mean against the worst episodes", found.mdp.name))
     return ax

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.graph import moves
-from exact_mdp.analysis.plots.style import plain_text, titled
+from exact_mdp.analysis.plots.style import about, picture
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import extra
 from exact_mdp.mdp.model import MDP
@@ -22,7 +22,7 @@ MANY = 150  # outcomes above which no graph can be read
 CURVE = "arc3,rad=0.2"
 
 
-@plain_text
+@picture
 def plot_transitions(
     model: MDP | Scenario, policy: PolicyLike | None = None, *, ax: Axes | None = None
 ) -> Axes:
@@ -107,7 +107,9 @@ def plot_transitions(
     )
     ax.margins(0.05)
     ax.set_axis_off()
-    titled(ax, "at an arrow: probability, reward (none where it is 0)")
+    ax.set_title(
+        about("Transitions; at an arrow its probability, and its reward if any", model.name)
+    )
     return ax
 
 
@@ -127,5 +129,6 @@ def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | N
     ax.set_ylabel("state")
     ax.figure.colorbar(image, ax=ax, label="probability", shrink=0.8)
     acting = "all actions equally likely" if policy is None else "as the policy acts"
-    ax.set_title(f"{acting}; {outcomes:,} outcomes are too many for a graph", fontsize=8)
+    what = f"Transitions, {acting}; {outcomes:,} outcomes are too many for a graph"
+    ax.set_title(about(what, model.name))
     return ax

@@ -33,6 +33,8 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
+from exact_mdp.solvers.exact.find import visited
+from exact_mdp.solvers.exact.levels import fraction
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import (
     Cut,
@@ -45,7 +47,7 @@ from exact_mdp.solvers.objectives.checker import (
     totals_of,
 )
 from exact_mdp.solvers.objectives.file import WeightsProof
-from exact_mdp.solvers.objectives.occupancy import flow, visits
+from exact_mdp.solvers.objectives.occupancy import visits
 from exact_mdp.solvers.objectives.optima import optimum, rank_of
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.solution import Claim
@@ -196,12 +198,12 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
 def _flow(of: Objectives, policy: PolicyLike) -> Flow:
     """Return the expected visits of pairs under any policy."""
     chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
-    states = np.flatnonzero(of.reached(chain.pairs) & ~of.ending.terminal)
-    _, found = flow(of.ending, mixed_rows(of.rows, chain), states)
-    below = found.denominator
+    states = of.reached(chain.pairs) & ~of.ending.terminal
+    found = visited(mixed_rows(of.rows, chain), states, of.mdp.start)
+    below = found.each_below
     return {
-        pair: share * Fraction(found.numerator[s], below[found.group[s]])
-        for s in states.tolist()
+        pair: share * fraction(found.top[s], below[s])
+        for s in np.flatnonzero(states).tolist()
         for pair, share in chain.exact_weights(s).items()
     }
 

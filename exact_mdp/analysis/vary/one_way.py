@@ -91,10 +91,12 @@ class Tornado(Pictured):
 
     Attributes
     ----------
+    model : str
     today : Values
     bars : tuple of Bar
     """
 
+    model: str
     today: Values
     bars: tuple[Bar, ...]
 
@@ -143,6 +145,7 @@ class Tornado(Pictured):
 class Curve(Pictured):
     """Values along one parameter's range."""
 
+    model: str
     parameter: Parameter
     points: tuple[Point, ...]
 
@@ -210,7 +213,7 @@ def one_way(
     found = study(family, {name: values}, [policy])
     sense = family.at({}).sense
     every = tuple(_point(found, n, value, sense) for n, value in enumerate(values))
-    return Curve(parameter=parameter_of(family, name), points=every)
+    return Curve(model=family.name, parameter=parameter_of(family, name), points=every)
 
 
 def tornado(
@@ -277,7 +280,7 @@ def tornado(
     bars.sort(key=lambda bar: -bar.swing)
     fixed = finite_worth(mdp, held, "today's parameters")
     now = Values(optimal=solver.base.solution.start, fixed=fixed, sense=mdp.sense)
-    return Tornado(today=now, bars=tuple(bars))
+    return Tornado(model=family.name, today=now, bars=tuple(bars))
 
 
 def _point(found: Study, row: int, at: Fraction, sense: str) -> Point:

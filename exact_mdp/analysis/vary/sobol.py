@@ -84,6 +84,7 @@ class Sobol(Pictured):
 
     Attributes
     ----------
+    model : str
     parameters : tuple of P Parameter
     ranges : {name: Range}
     optimal, fixed, regret : Indices
@@ -96,6 +97,7 @@ class Sobol(Pictured):
     seed : int
     """
 
+    model: str
     parameters: tuple[Parameter, ...]
     ranges: Mapping[str, Range]
     optimal: Indices
@@ -236,6 +238,7 @@ def sobol(
         for name, output in zip(OUTPUTS, every, strict=True)
     }
     return Sobol(
+        model=family.name,
         parameters=tuple(spans),
         ranges={parameter.name: span for parameter, span in spans.items()},
         n=n,

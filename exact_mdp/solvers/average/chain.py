@@ -33,8 +33,8 @@ from exact_mdp.mdp.graph import strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
+from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import Matrix, exact_solve
-from exact_mdp.solvers.proof.rationals import fractions
 from exact_mdp.solvers.solution import SolverError, Status
 
 Mask = NDArray[np.bool_]
@@ -206,7 +206,7 @@ class ExactAverages(Averages):
         numbers, unit = common(constant.tolist())
         earned = zip(numbers, self._rows.scale.tolist(), strict=True)
         top, below = exact_solve(self._system(stop), [number * scale for number, scale in earned])
-        return fractions(map(int, top), [int(below) * unit] * len(top), int(below) * unit)
+        return Level.over(map(int, top), int(below) * unit).fractions()
 
     def _system(self, stop: Mask) -> Matrix:
         """Return the equations y = c + P y, with y = c where `stop`."""

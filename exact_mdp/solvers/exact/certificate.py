@@ -29,8 +29,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers, Numbers, divide
 from exact_mdp.solvers.exact import checker, codec
-from exact_mdp.solvers.exact.levels import Level, surplus
-from exact_mdp.solvers.proof.rationals import fraction
+from exact_mdp.solvers.exact.levels import Level, fraction, surplus
 from exact_mdp.solvers.solution import Certified, Claim, by_state, in_decimals, in_float
 
 if TYPE_CHECKING:

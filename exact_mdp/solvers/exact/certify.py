@@ -1,8 +1,6 @@
 """Make certificates: solve exactly and prove it, or widen a solution to proven bounds.
 
-Below discount 1, and where every policy ends, the values are those of `solvers.proof.exact`.
-
-Other totals, and averages, are found by `solvers.exact.find`.
+`solvers.exact.find` finds exact values, and what proves them.
 
 A bounded certificate takes the values V of a solution and the weights w of `solvers.bounds.bounds`:
 high = V + c w and low = V - c' w, with the least c and c' that floats prove to suffice.
@@ -22,14 +20,19 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import endless, termination, where_endless
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, gains
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, exact_rows
-from exact_mdp.solvers.exact.find import certificate, expansion, first_of, reaching
+from exact_mdp.solvers.exact.find import (
+    best,
+    certificate,
+    expansion,
+    first_of,
+    nearly,
+    reaching,
+)
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.proof.exact import solve_exactly
-from exact_mdp.solvers.proof.margins import alike
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, solve
 
@@ -121,58 +124,16 @@ def certify(
     return reaching(mdp) if endless(mdp) else _alone(mdp)
 
 
-# ---- values alone --------------------------------------------------------------------------------
-
-
 def _alone(mdp: MDP) -> Certificate:
     """Return the proof of values that are the one solution of their equations."""
-    optimal = np.zeros(mdp.n_pairs, dtype=bool)
-    pairs = _contenders(mdp)
-    same = alike(mdp, pairs)
-    distinct = np.unique(same)
-    found = solve_exactly(exact_rows(mdp, pairs=distinct))
-    optimal[distinct] = found.optimal
-    optimal[pairs] = optimal[same]
-    return certificate(
-        mdp,
-        first_of(mdp, optimal),
-        optimal,
-        h=Level(top=found.numerator, below=found.denominator, group=found.group),
-        rank=termination(mdp).rank if mdp.discount_exact == 1 else None,
-    )
+    rows = exact_rows(mdp)
+    _, value, sign = best(rows, nearly(rows, mdp.pair_offsets[:-1]))
+    optimal = sign == 0
+    rank = termination(mdp).rank if mdp.discount_exact == 1 else None
+    return certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)
 
 
 # ---- bounds --------------------------------------------------------------------------------------
-
-MANY = 20_000  # transitions from which on floats choose the pairs that are solved exactly
-
-
-def _contenders(mdp: MDP) -> Integers:
-    """Return (K,) the pairs that floats do not prove worse than two others of their state.
-
-    Bounds on the values bound what each pair is worth. Pairs above which another one is proven to
-    be are not optimal; and those that another one of these is proven to be above do not make the
-    gap.
-    """
-    mdp = mdp.maximised
-    every, state = np.arange(mdp.n_pairs), mdp.pair_state
-    if mdp.n_transitions < MANY or mdp.n_pairs < 2 * mdp.n_states:
-        return every
-    try:
-        found = _bounded(mdp, None, None)
-    except (SolverError, ModelError):
-        return every
-    low, high = _worth(mdp, found.lower, -1), _worth(mdp, found.upper, 1)
-    behind = high < np.maximum.reduceat(low, mdp.pair_offsets[:-1])[state]
-    return np.flatnonzero(~behind | mdp.terminal[state])
-
-
-def _worth(mdp: MDP, value: Floats, sign: int) -> Floats:
-    """Return (L,) what pairs are worth before these values, at least (-1) or at most (1)."""
-    found, own = gains(mdp, value), value[mdp.pair_state]
-    size = np.abs(own) + np.abs(found.value) + found.error
-    return np.asarray(own + found.value + sign * (found.error + 4 * UNIT * size))
-
 
 WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the other
 

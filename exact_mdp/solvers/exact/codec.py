@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
 from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.proof.rationals import fraction
+from exact_mdp.solvers.exact.levels import fraction
 
 T = TypeVar("T")
 Flags = NDArray[np.bool_]

@@ -31,13 +31,13 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, integers, spans
+from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.average.chain import ExactAverages
 from exact_mdp.solvers.average.iteration import improved
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.exact.certificate import Certificate, Flags, exact_rows
-from exact_mdp.solvers.exact.levels import Column, Level, surplus
-from exact_mdp.solvers.proof.exact import solve_exactly
+from exact_mdp.solvers.exact.levels import Column, Level, fraction, signs, surplus
+from exact_mdp.solvers.exact.linear import Matrix, solve_all
 from exact_mdp.solvers.solution import SolverError
 
 LIMIT = 200  # policies that floats try
@@ -152,15 +152,14 @@ def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifica
     order = graph.distance(label >= 0, every)
     finite = order < 0
     part, number = _closed(rows, finite)
-    found = solve_exactly(part)
-    best = np.zeros(mdp.n_pairs, dtype=bool)
-    best[number[found.optimal]] = True
-    best[~finite[state]] = (staying | _falling(graph, order))[~finite[state]]
-    top = [x if f else 0 for x, f in zip(found.numerator, finite, strict=True)]
+    _, values, sign = best(part, nearly(part, part.pair_offsets[:-1]))
+    optimal = np.zeros(mdp.n_pairs, dtype=bool)
+    optimal[number[sign == 0]] = True
+    optimal[~finite[state]] = (staying | _falling(graph, order))[~finite[state]]
     return certificate(
         mdp,
-        first_of(mdp, best),
-        h=Level(top=top, below=found.denominator, group=found.group),
+        first_of(mdp, optimal),
+        h=values,
         rank=np.maximum(graph.ranks(goal, finite[state]), 0),
         infinite=np.where(finite, 0, 1),
         order=np.maximum(order, 0),
@@ -190,8 +189,13 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifi
     far = graph.distance(goal, kept)
     nearer = kept & _falling(graph, far)
     nearer[mdp.pair_offsets[:-1][~finite | goal]] = True
-    own = np.searchsorted(number, first_of(mdp, nearer & np.isin(np.arange(mdp.n_pairs), number)))
-    own, values = _improved(part, own)
+    first = np.searchsorted(number, first_of(mdp, nearer & np.isin(np.arange(mdp.n_pairs), number)))
+    own = nearly(part, first)
+    chain = part.of_pairs(own)
+    shape = (mdp.n_states, mdp.n_states)
+    moves = sp.csr_array((np.ones(len(chain.next)), chain.next, chain.offsets), shape)
+    ends = closure(moves.T.tocsr(), part.terminal.copy()).all()
+    own, values, _ = best(part, own if ends else first)
     policy = np.where(finite, number[own], policy)
     used = np.zeros(mdp.n_pairs, dtype=bool)
     used[policy[finite]] = True
@@ -256,48 +260,95 @@ def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
     return part, number
 
 
-def _improved(rows: BellmanRows, pairs: Integers) -> tuple[Integers, Level]:
-    """Return the best pairs (S,) and their values, from those of a policy that ends.
+# ---- values of policies that end -----------------------------------------------------------------
 
-    Every policy on the way ends, since no class of states gains anything for ever: a pair takes the
-    place of another only if it is better.
+
+def equations(rows: BellmanRows, states: Flags | None = None) -> Matrix:
+    """Return the matrix of V = r + γ P V for rows of one pair in each state.
+
+    Of some states (S,), those that are not terminal by default; the others have V = r.
     """
-    pairs = _nearly(rows, pairs)
+    states = ~rows.terminal if states is None else states
+    inside, every = states[rows.pair], np.arange(len(rows.scale))
+    return Matrix.of(
+        len(every),
+        np.concatenate([every, rows.pair[inside]]),
+        np.concatenate([every, rows.next[inside]]),
+        np.concatenate([rows.scale, -rows.weight[inside]]),
+    )
+
+
+def evaluated(rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()) -> list[Level]:
+    """Return the values of the policy that takes some pairs (S,): of the rewards, or of amounts.
+
+    Amounts (L,) are over the scales of the states, as the constants of the rows are.
+    """
+    live = ~rows.terminal
+    sides = [(own[pairs] * live).tolist() for own in amounts or [rows.constant]]
+    return solve_all(equations(rows.of_pairs(pairs)), sides)
+
+
+def visited(rows: BellmanRows, states: Flags, start: Sequence[tuple[int, Fraction]]) -> Level:
+    """Return how often each state is visited from a start, for rows of one pair in each state.
+
+    x(t) = μ(t) + Σ x(s) γ P(s, t) over some states s; the others count arrivals.
+    """
+    side, (first, unit) = [0] * len(rows.scale), common([share for _, share in start])
+    for (state, _), number in zip(start, first, strict=True):
+        side[state] += number
+    (level,) = solve_all(equations(rows, states).transposed, [side])
+    top = [number * scale for number, scale in zip(level.top, rows.scale.tolist(), strict=True)]
+    return replace(level, top=top, below=[unit * below for below in level.below])
+
+
+def best(rows: BellmanRows, pairs: Integers) -> tuple[Integers, Level, Integers]:
+    """Return optimal pairs (S,), their values, and the sign (L,) of what each pair gains.
+
+    Every policy on the way from the first one ends, since no class of states gains anything for
+    ever: a pair takes the place of another only if it is better.
+    """
     while True:
-        found = solve_exactly(rows.of_pairs(pairs))
-        value = Level(top=found.numerator, below=found.denominator, group=found.group)
-        ((tops, belows),) = surplus(rows, value)
-        better, most = pairs.copy(), dict[int, Fraction]()
-        for pair in (pair for pair, top in enumerate(tops) if top > 0):
-            state, gain = int(rows.pair_state[pair]), Fraction(tops[pair], belows[pair])
-            if gain > most.get(state, 0) and not rows.terminal[state]:
-                most[state], better[state] = gain, pair
-        if not most:
-            return pairs, value
-        pairs = better
+        (value,) = evaluated(rows, pairs)
+        sign = signs(rows, value, pairs)
+        gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
+        if not len(gaining):
+            return pairs, value, sign
+        ((tops, belows),) = surplus(rows, value, pairs=gaining)
+        pairs, most = pairs.copy(), dict[int, Fraction]()
+        for pair, top, below in zip(gaining.tolist(), tops, belows, strict=True):
+            state, gain = int(rows.pair_state[pair]), fraction(top, below)
+            if gain > most.get(state, 0):
+                most[state], pairs[state] = gain, pair
 
 
-def _nearly(rows: BellmanRows, first: Integers) -> Integers:
+def nearly(rows: BellmanRows, first: Integers) -> Integers:
     """Return pairs (S,) that floats find better than the first ones, by more than rounding."""
     state, live = rows.pair_state, ~rows.terminal
+    if len(state) == len(live):
+        return first
     scale = rows.scale[state].astype(object)
-    share = (rows.weight / scale[rows.pair]).astype(np.float64) * live[state][rows.pair]
-    earned = (rows.constant / scale).astype(np.float64) * live[state]
+    try:
+        share = (rows.weight / scale[rows.pair]).astype(np.float64) * live[state][rows.pair]
+        earned = (rows.constant / scale).astype(np.float64) * live[state]
+    except OverflowError:  # beyond the floats, which only suggest a policy
+        return first
     moves = sp.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(live)))
     one, pairs = sp.eye_array(len(live), format="csc"), first
     for _ in range(LIMIT):
-        value = splu(sp.csc_array(one - moves[pairs])).solve(earned[pairs])
+        try:
+            value = splu(sp.csc_array(one - moves[pairs])).solve(earned[pairs])
+        except RuntimeError:  # singular, up to rounding
+            return first
         gain = earned + moves @ value - value[state]
         noise = NOISE * (np.abs(earned) + abs(moves) @ np.abs(value) + np.abs(value[state]))
         if not np.all(np.isfinite(gain)):
             return first
         gain[gain < noise.max(initial=0.0)] = 0.0
         most = np.maximum.reduceat(gain, rows.pair_offsets[:-1])
-        best = np.flatnonzero((gain > 0) & (gain == most[state]))
-        if not len(best):
+        better = np.flatnonzero((gain > 0) & (gain == most[state]))
+        if not len(better):
             break
         pairs = pairs.copy()
-        own, place = np.unique(state[best], return_index=True)
-        pairs[own] = best[place]
-    graph = sp.csr_array(moves[pairs] > 0).T.tocsr()
-    return pairs if closure(graph, rows.terminal.copy()).all() else first
+        own, place = np.unique(state[better], return_index=True)
+        pairs[own] = better[place]
+    return pairs

@@ -13,13 +13,48 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import lcm
+from numbers import Rational
 from operator import mul
+from typing import Any, cast
 
+import flint
 import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.table import Integers, Numbers, common
-from exact_mdp.solvers.proof.rationals import fractions, primes_of
+
+BITS = 128  # of values with which most pairs are compared
+
+
+@dataclass(frozen=True, slots=True)
+class _LowestTerms:
+    """What `Fraction` takes over as it is, as it does every rational."""
+
+    numerator: int
+    denominator: int
+
+
+Rational.register(_LowestTerms)
+
+
+def fraction(top: int, bottom: int) -> Fraction:
+    """Return the Fraction top / bottom, in little more than linear time, for a positive bottom."""
+    numerator, denominator = flint.fmpz(top), flint.fmpz(bottom)
+    shared = numerator.gcd(denominator)
+    lowest = _LowestTerms(int(numerator // shared), int(denominator // shared))
+    return Fraction(cast(Rational, lowest))
+
+
+def quotient(top: int, bottom: int) -> float:
+    """Return a float off by at most u (1 + 2⁻⁹⁰) times its size; not a number where there is none.
+
+    Long numbers are divided by their leading digits.
+    """
+    spare = max(0, min(top.bit_length(), bottom.bit_length()) - 100)
+    try:
+        return (top >> spare) / (bottom >> spare)
+    except (OverflowError, ZeroDivisionError):
+        return np.nan
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,8 +90,10 @@ class Level:
 
     def fractions(self, sign: int = 1) -> Numbers:
         """Return (S,) the numbers as Fractions, times a sign."""
-        top = self.top if sign > 0 else [-number for number in self.top]
-        return fractions(top, self.each_below, primes_of(self.below))
+        found = np.empty(len(self.top), dtype=object)
+        found[:] = [fraction(sign * a, b) for a, b in zip(self.top, self.each_below, strict=True)]
+        found.setflags(write=False)
+        return found
 
     def over_one(self, states: Sequence[int], group: Sequence[int]) -> tuple[list[int], int]:
         """Return the numbers of some states over a common denominator; `group` is the list."""
@@ -78,6 +115,18 @@ class Level:
         values, unit = self.over_one(states, self.group.tolist())
         parts, below = common(shares)
         return Fraction(sum(map(mul, values, parts)), unit * below)
+
+
+def combined(levels: Sequence[Level], weights: Sequence[Any]) -> Level:
+    """Return Σ weight · x of levels with the same denominators, for rational weights."""
+    whole, unit = common([Fraction(weight) for weight in weights])
+    tops = zip(*(level.top for level in levels), strict=True)
+    first = levels[0]
+    return Level(
+        top=[sum(map(mul, whole, each)) for each in tops],
+        below=[unit * below for below in first.below],
+        group=first.group,
+    )
 
 
 Column = tuple[list[int], list[int]]
@@ -114,11 +163,46 @@ def _column(
     offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
     scale, state, group = rows.scale.tolist(), rows.pair_state.tolist(), x.group.tolist()
     tops, belows = list[int](), list[int]()
+    last, known = -1, dict[Any, tuple[int, int]]()  # of pairs of a state that are the same
     for pair in range(len(state)) if pairs is None else pairs.tolist():
         own, here = state[pair], slice(offsets[pair], offsets[pair + 1])
-        values, unit = x.over_one([*following[here], own], group)
-        flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
+        if own != last:
+            last, known = own, {}
         top, below = earned(pair, own)
-        tops.append(top * unit + flow * below)
-        belows.append(scale[own] * unit * below)
+        key = (top, *following[here], *weight[here])
+        if key not in known:
+            values, unit = x.over_one([*following[here], own], group)
+            flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
+            known[key] = top * unit + flow * below, scale[own] * unit * below
+        tops.append(known[key][0])
+        belows.append(known[key][1])
     return tops, belows
+
+
+def signs(rows: BellmanRows, value: Level, own: Integers | None = None) -> Integers:
+    """Return (L,) the sign of what each pair gains against one level, r + γ P V - V.
+
+    The level holds the values of the pairs `own`, if they are given: these gain nothing. Numbers of
+    some `BITS` bits, which are too small by less than 2, tell most signs; all digits the others.
+    """
+    spare = [max(0, below.bit_length() - 2 * BITS) for below in value.below]
+    parts = zip(value.top, value.group.tolist(), strict=True)
+    listed = [(top >> spare[g], value.below[g] >> spare[g]) for top, g in parts]
+    longest = max(top.bit_length() - below.bit_length() for top, below in listed)
+    up, down = max(0, BITS - longest), max(0, longest - BITS)
+    near = [(top << up) // (below << down) for top, below in listed]
+    offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
+    scale, constant, found = rows.scale.tolist(), rows.constant.tolist(), list[int]()
+    first = 0
+    for state, earned, last in zip(rows.pair_state.tolist(), constant, offsets[1:], strict=True):
+        flow = sum(map(mul, weight[first:last], map(near.__getitem__, following[first:last])))
+        gain = ((earned << up) >> down) + flow - scale[state] * near[state]
+        found.append((gain > 0) - (gain < 0) if abs(gain) > 4 * scale[state] + 1 else 2)
+        first = last
+    sign = np.array(found, dtype=np.int64)
+    if own is not None:
+        sign[own] = 0
+    open_ = np.flatnonzero(sign == 2)
+    ((exact, _),) = surplus(rows, value, pairs=open_)
+    sign[open_] = [(top > 0) - (top < 0) for top in exact]
+    return sign

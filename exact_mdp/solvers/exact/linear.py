@@ -15,10 +15,11 @@ that hardly ever leaves a set of states. If some changes do not help, FLINT solv
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from operator import mul
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import flint
@@ -29,6 +30,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import row_sums
 from exact_mdp.mdp.graph import components_in_order
 from exact_mdp.mdp.table import Integers, Numbers, integers, spans
+from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.lifting import Lifting
 
 if TYPE_CHECKING:
@@ -36,7 +38,9 @@ if TYPE_CHECKING:
 
 
 FEW, MANY = 120, 4_000  # unknowns that FLINT solves faster, and those that are too many for it
+LARGEST = 20_000  # unknowns; the numbers of more would fill the memory
 MOST_CHANGES = 8  # of entries, before FLINT is asked
+FAR = 64  # bits that a shared denominator may be longer than twice the longest one
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,18 +90,30 @@ class Matrix:
         return [(column[a:b], entry[a:b]) for a, b in pairwise(self.offsets.tolist())]
 
     @cached_property
-    def components(self) -> list[tuple[list[int], Matrix]]:
-        """The unknowns and the matrix of each strong component, in the order of solution."""
+    def steps(self) -> list[tuple[list[int], Matrix | None]]:
+        """The unknowns in the order of solution: a strong component and its matrix in each step.
+
+        Single unknowns that do not lead to each other make one step, without a matrix.
+        """
         shape, ones = (self.size, self.size), np.ones(len(self.column), dtype=np.int8)
         label = components_in_order(sp.csr_array((ones, self.column, self.offsets), shape))
-        if not label.any():
-            return [(list(range(self.size)), self)]
-        found, order = list[tuple[list[int], Matrix]](), np.argsort(label, kind="stable")
-        for states in np.split(order, np.flatnonzero(np.diff(label[order])) + 1):
-            entries = spans(self.offsets[states], self.offsets[states + 1])
-            entries = entries[label[self.column[entries]] == label[states[0]]]
-            row, column = np.searchsorted(states, [self.row[entries], self.column[entries]])
-            block = Matrix.of(len(states), row, column, self.entry[entries])
+        number, rows, depth = label.tolist(), self.listed, [0] * self.size
+        for s in np.argsort(label, kind="stable").tolist():  # what it leads to comes before
+            own = number[s]
+            ahead = (depth[number[t]] + 1 for t in rows[s][0] if number[t] != own)
+            depth[own] = max(depth[own], *ahead, 0)
+        level, single = np.array(depth)[label], np.bincount(label)[label] == 1
+        order = np.lexsort((label, single, level))
+        apart = ~single[order][1:] & (np.diff(label[order]) != 0)
+        apart |= (np.diff(level[order]) != 0) | np.diff(single[order])
+        found = list[tuple[list[int], Matrix | None]]()
+        for states in np.split(order, np.flatnonzero(apart) + 1):
+            block = None
+            if not single[states[0]]:
+                entries = spans(self.offsets[states], self.offsets[states + 1])
+                entries = entries[label[self.column[entries]] == label[states[0]]]
+                row, column = np.searchsorted(states, [self.row[entries], self.column[entries]])
+                block = Matrix.of(len(states), row, column, self.entry[entries])
             found.append((states.tolist(), block))
         return found
 
@@ -147,40 +163,130 @@ def exact_solve(matrix: Matrix, side: Sequence[Any]) -> tuple[list[fmpz], fmpz]:
     >>> exact_solve(ring, [1, 0]), exact_solve(ring.transposed, [0, 1])
     (([3, 1], 5), ([1, 2], 5))
     """
-    one, rows = flint.fmpz(1), matrix.listed
-    value, group, below = [0 * one] * matrix.size, [0] * matrix.size, [one]
-    for states, block in matrix.components:
-        met = {group[t] for s in states for t in rows[s][0]}  # of other components, and 0
-        base = one
-        for own in met:
-            base = base.lcm(below[own])
-        times = {own: base // below[own] for own in met}
-        right = [base * side[s] for s in states]
-        if any(met):
-            for i, s in enumerate(states):
-                each = zip(*rows[s], strict=True)
-                right[i] -= sum(a * value[t] * times[group[t]] for t, a in each)
-        top, bottom = _solve_component(block, right, matrix.denominators, states[0])
-        top, bottom = _reduced(top, bottom * base)
-        for s, number in zip(states, top, strict=True):
-            value[s], group[s] = number, len(below)
-        below.append(bottom)
-    common = one
-    for number in below:
-        common = common.lcm(number)
-    factor = [common // number for number in below]
-    return [number * factor[g] for number, g in zip(value, group, strict=True)], common
+    solution = _Solution(matrix, [side])
+    common = _lcm(solution.below)
+    factor = [common // number for number in solution.below]
+    tops = zip(solution.tops[0], solution.group, strict=True)
+    return [number * factor[g] for number, g in tops], common
+
+
+def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
+    """Return the solutions for several right sides, in groups over the same denominators."""
+    solution = _Solution(matrix, sides)
+    group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))
+    return [Level(top=list(map(int, top)), below=below, group=group) for top in solution.tops]
+
+
+class _Solution:
+    """Solutions of A x = b: x(s) = tops[k][s] / below[group[s]] for the right side k.
+
+    Unknowns of a step share a denominator unless it would be far longer than their own. It is put
+    in lowest terms when it has become twice as long.
+    """
+
+    def __init__(self, matrix: Matrix, sides: Sequence[Sequence[Any]]) -> None:
+        zero, self.sides = flint.fmpz(0), sides
+        self.tops = [[zero] * matrix.size for _ in sides]
+        self.group, self.below = [0] * matrix.size, [flint.fmpz(1)]
+        self._rows, self._number = matrix.listed, {self.below[0]: 0}
+        for states, block in matrix.steps:
+            if block is None:
+                for base, alike in self._by_base(states).items():
+                    self._substitute(base, alike)
+                continue
+            base = _lcm(self._by_base(states))
+            each = [
+                _solve_component(block, right, matrix.denominators, states[0])
+                for right in self._right_sides(base, states)
+            ]
+            unit = _lcm(below for _, below in each)
+            tops = [[n * (unit // below) for n in top] for top, below in each]
+            self._settle(states, tops, base * unit, lowest=True)
+
+    def _by_base(self, states: Sequence[int]) -> dict[fmpz, list[int]]:
+        """Return unknowns by the common denominator of those that they lead to."""
+        bases: dict[frozenset[int], fmpz] = {}
+        found: dict[fmpz, list[int]] = {}
+        for s in states:
+            met = frozenset([self.group[t] for t in self._rows[s][0]])
+            if met not in bases:
+                bases[met] = _lcm(self.below[group] for group in met)
+            found.setdefault(bases[met], []).append(s)
+        return found
+
+    def _right_sides(self, base: fmpz, states: Sequence[int]) -> list[list[fmpz]]:
+        """Return b less what is known of A x, times `base`, for each right side."""
+        ahead = {t for s in states for t in self._rows[s][0]}
+        times = {group: base // self.below[group] for group in {self.group[t] for t in ahead}}
+        found = []
+        for side, top in zip(self.sides, self.tops, strict=True):
+            known = {t: top[t] * times[self.group[t]] if top[t] else top[t] for t in ahead}
+            flow = (
+                sum(map(mul, map(known.__getitem__, x), a))
+                for x, a in map(self._rows.__getitem__, states)
+            )
+            found.append([base * side[s] - own for s, own in zip(states, flow, strict=True)])
+        return found
+
+    def _substitute(self, base: fmpz, states: Sequence[int]) -> None:
+        """Solve for unknowns that do not lead to each other."""
+        pivots: list[fmpz] = []
+        numbers: list[list[fmpz]] = []
+        for s, *right in zip(states, *self._right_sides(base, states), strict=True):
+            column, entry = self._rows[s]
+            pivot = flint.fmpz(entry[column.index(s)] if s in column else 0)
+            if not pivot:
+                raise ZeroDivisionError("the matrix is singular")
+            shared = pivot if pivot > 0 else -pivot
+            for number in right:
+                shared = shared.gcd(number)
+            shared = shared if pivot > 0 else -shared
+            pivots.append(pivot // shared)
+            numbers.append([number // shared for number in right])
+        unit, longest = _lcm(pivots), max(pivot.bit_length() for pivot in pivots)
+        parts = [(states, numbers, pivots)]
+        if unit.bit_length() > 2 * longest + FAR:
+            parts = [([s], [n], [p]) for s, n, p in zip(states, numbers, pivots, strict=True)]
+        for some, tops, below in parts:
+            unit = _lcm(below)
+            each = zip(tops, below, strict=True)
+            scaled = [[n * (unit // pivot) for n in own] for own, pivot in each]
+            doubled = 1 << base.bit_length().bit_length()
+            lowest = (base * unit).bit_length() >= doubled
+            self._settle(some, list(zip(*scaled, strict=True)), base * unit, lowest=lowest)
+
+    def _settle(
+        self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz, *, lowest: bool
+    ) -> None:
+        """Keep the numbers of some unknowns, all over one denominator."""
+        if lowest:
+            listed, below = _reduced([n for top in tops for n in top], below)
+            tops = [listed[i : i + len(states)] for i in range(0, len(listed), len(states))]
+        number = self._number.setdefault(below, len(self.below))
+        self.below += [below] * (number == len(self.below))
+        for values, top in zip(self.tops, tops, strict=True):
+            for s, own in zip(states, top, strict=True):
+                values[s] = own
+        for s, *each in zip(states, *tops, strict=True):
+            self.group[s] = number if any(each) else 0
+
+
+def _lcm(numbers: Iterable[fmpz]) -> fmpz:
+    found = flint.fmpz(1)
+    for number in numbers:
+        found = number if found == 1 else found.lcm(number)
+    return found if found > 0 else -found
 
 
 def _solve_component(
     matrix: Matrix, side: Sequence[fmpz], known: dict[int, fmpz], first: int
 ) -> tuple[list[fmpz], fmpz]:
     """Return the solution for one component, whose first unknown is `first` in the whole system."""
-    if matrix.size == 1:
-        pivot = sum(matrix.entry.tolist())
-        if not pivot:
-            raise ZeroDivisionError("the matrix is singular")
-        return [side[0] if pivot > 0 else -side[0]], flint.fmpz(abs(pivot))
+    if matrix.size > LARGEST:
+        raise ModelError(
+            f"a cycle of {matrix.size} states is too large to be solved exactly",
+            fix="use certify(mdp, bounded=True), which proves bounds in floating point",
+        )
     if matrix.size <= FEW:
         return _dense(matrix, side)
     found = matrix.lifting.solve(side, matrix.listed, known.get(first))

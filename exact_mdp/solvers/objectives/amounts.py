@@ -32,10 +32,17 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
-from exact_mdp.mdp.graph import SHOWN, Mask, components, reachable, termination, ways_out
+from exact_mdp.mdp.graph import (
+    SHOWN,
+    Mask,
+    components,
+    reachable,
+    strong_components,
+    termination,
+    ways_out,
+)
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact, integers, multiply, ones, spans
-from exact_mdp.solvers.proof.stages import Kind, stages
 
 SHORT = 40  # states on a cycle, which are solved fast whatever is asked
 REWARD, STEPS = "reward", "steps"
@@ -119,7 +126,12 @@ class Objectives:
     @cached_property
     def longest_cycle(self) -> int:
         """The largest number of states that lead to each other, or 0: fractions are as long."""
-        return max((len(s.states) for s in stages(self.rows) if s.kind is Kind.CYCLE), default=0)
+        own = self.rows.pair_state[self.rows.pair]
+        moves = (np.ones(len(own)), (own, self.rows.next))
+        _, size = np.unique(
+            strong_components(sp.csr_array(moves, (self.mdp.n_states,) * 2)), return_counts=True
+        )
+        return int(size.max()) * bool(size.max() > 1)
 
     @property
     def cyclic(self) -> bool:

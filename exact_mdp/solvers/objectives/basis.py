@@ -32,11 +32,11 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Integers, common
+from exact_mdp.solvers.exact.levels import fraction
 from exact_mdp.solvers.exact.linear import exact_solve
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Limit, Values, Visits, room, totals_of, wrong_bound
 from exact_mdp.solvers.objectives.optima import NOISE, equations, proposed
-from exact_mdp.solvers.proof.rationals import fraction
 
 if TYPE_CHECKING:
     from flint import fmpz

@@ -17,9 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from exact_mdp.mdp.table import Integers, Numbers, common, shown
-from exact_mdp.solvers.exact.levels import Level, surplus
+from exact_mdp.solvers.exact.levels import Level, fraction, surplus
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.proof.rationals import fraction
 
 Point = tuple[Fraction, ...]
 

@@ -23,11 +23,11 @@ from scipy.sparse import linalg
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
-from exact_mdp.solvers.exact.linear import Matrix, exact_solve
+from exact_mdp.solvers.exact.find import best, evaluated, nearly
+from exact_mdp.solvers.exact.levels import Level, quotient
+from exact_mdp.solvers.exact.linear import Matrix
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.checker import Attained, Rank, Values, slack
-from exact_mdp.solvers.proof.exact import ExactValues, solve_exactly
-from exact_mdp.solvers.proof.margins import quotient
 
 if TYPE_CHECKING:
     from flint import fmpq
@@ -52,11 +52,11 @@ def optimum(of: Objectives, weights: Weights, pairs: Integers | None = None) -> 
     """Return the optimum for weights of at least 0 over some pairs, by default all."""
     whole, below = common([Fraction(w) for w in weights])
     chosen = np.arange(of.mdp.n_pairs) if pairs is None else pairs
-    found = solve_exactly(of.restricted(chosen, of.weighted(whole)))
-    values = _values(found, below)
-    return Optimum(
-        total=of.at_start(*values), values=values, optimal=chosen[np.flatnonzero(found.optimal)]
-    )
+    rows = of.restricted(chosen, of.weighted(whole))
+    _, level, sign = best(rows, nearly(rows, rows.pair_offsets[:-1]))
+    values = _values(level, below)
+    optimal = (sign == 0) | rows.terminal[rows.pair_state]
+    return Optimum(total=of.at_start(*values), values=values, optimal=chosen[optimal])
 
 
 def extreme(of: Objectives, weights: Weights, first: Optimum) -> Attained:
@@ -166,20 +166,8 @@ def _mixed(values: Sequence[Values], factors: Sequence[fmpq]) -> Values:
 
 
 def attained(of: Objectives, pairs: Integers) -> Attained:
-    """Return the totals of the policy that takes one pair (S,) of each state.
-
-    On a cycle, all totals share their equations, and so their denominator as a rule.
-    """
-    if of.cyclic:
-        live, found = np.flatnonzero(~of.rows.terminal), list[Values]()
-        system, own = equations(of, live, pairs[live]), [0] * of.mdp.n_states
-        for amount in of.amounts:
-            top, below = exact_solve(system, amount[pairs[live]].tolist())
-            for state, number in zip(live.tolist(), top, strict=True):
-                own[state] = int(number)
-            found.append(Values(list(own), int(below)))
-    else:
-        found = [_values(solve_exactly(of.restricted(pairs, own)), 1) for own in of.amounts]
+    """Return the totals of the policy that takes one pair (S,) of each state."""
+    found = [_values(level, 1) for level in evaluated(of.rows, pairs, of.amounts)]
     return Attained(pairs=pairs, values=tuple(found), total=tuple(of.at_start(*v) for v in found))
 
 
@@ -221,10 +209,7 @@ def rank_of(of: Objectives) -> Rank:
     return termination(of.ending).rank if of.mdp.discount_exact == 1 else None
 
 
-def _values(found: ExactValues, times: int) -> Values:
+def _values(level: Level, times: int) -> Values:
     """Return values over one denominator, which is `times` as large."""
-    below = lcm(*found.denominator)
-    each = [below // own for own in found.denominator]
-    group = found.group.tolist()
-    top = [number * each[g] for number, g in zip(found.numerator, group, strict=True)]
+    top, below = level.over_one(range(len(level.top)), level.group.tolist())
     return Values(top, below * times)

@@ -18,6 +18,9 @@ from exact_mdp import (
     QLearning,
     Scenario,
     accuracy_curves,
+    check,
+    compare,
+    curve,
     error_costs,
     evaluate,
     gradient,
@@ -28,6 +31,7 @@ from exact_mdp import (
     parametric,
     plots,
     psa,
+    return_distribution,
     sobol,
     solve,
     thresholds,
@@ -81,6 +85,7 @@ def test_a_fill_says_where_the_value_goes(model: MDP | Scenario) -> None:
 
 
 LONG = [f"a machine in condition {k}" for k in range(24)]
+MANY = MDP.from_arrays(np.eye(200)[np.newaxis], np.arange(200.0), 0.9)
 EVEN = MDP.from_arrays(np.full((6, 24, 24), 1 / 24), np.zeros((24, 6)), 0.9, states=LONG)
 
 
@@ -92,18 +97,31 @@ EVEN = MDP.from_arrays(np.full((6, 24, 24), 1 / 24), np.zeros((24, 6)), 0.9, sta
         lambda: tornado(MAINTENANCE, names=["discount"]).plot(),
         lambda: evaluate(EVEN, "random").plot(visits=True),
         lambda: solve(EVEN).plot(),
+        lambda: plots.plot_policy(EVEN, "random"),
+        lambda: solve(MANY).plot(),
+        lambda: check(MANY, [0] * 200).plot(),
+        lambda: thresholds(SMALL, "reward.assist.directive", relative=1).plot(),
+        lambda: curve(MAINTENANCE, "discount").plot(),
+        lambda: compare(MAINTENANCE, {"random": "random", "wait": "always:0"}).plot(),
+        lambda: return_distribution(SMALL.compile(), "random").plot(),
     ],
 )
 def test_no_text_is_cut_or_covered(draw) -> None:
-    figure = draw().figure
+    ax = draw()
+    figure = ax.figure
+    assert ax.get_title(loc="left")[:1].isupper()
     figure.canvas.draw()
+    for axis in (ax.xaxis, ax.yaxis):
+        labels = [label for label in axis.get_ticklabels() if label.get_text()]
+        boxes = [label.get_window_extent() for label in labels]
+        for one, other in itertools.combinations(boxes, 2):
+            assert not one.overlaps(other)
     drawn, (wide, high) = figure.get_tightbbox(), figure.get_size_inches()
     assert -0.01 <= drawn.x0 < drawn.x1 <= wide + 0.01
     assert -0.01 <= drawn.y0 < drawn.y1 <= high + 0.01
     mixed = [text for text in figure.axes[0].texts if "mixed" in text.get_text()]
     written = [text.get_window_extent() for text in mixed]
-    for before, after in itertools.pairwise(written):
-        assert before.x1 <= after.x0
+    assert not any(one.overlaps(other) for one, other in itertools.combinations(written, 2))
     legend = figure.axes[0].get_legend()
     assert legend is None or not legend.get_window_extent().overlaps(figure.axes[0].bbox)
 
@@ -112,7 +130,7 @@ def test_the_acceptability_curve_is_the_distribution_of_the_regret(draws: Any) -
     ax = draws.plot(tolerances=[0, 0.01, 0.1, 1])
     shares = [(draws.regret() <= t).mean() for t in (0, 0.01, 0.1, 1)]
     assert np.allclose(ax.lines[0].get_ydata(), shares)
-    both = plots.plot_acceptability(draws, candidates=range(min(2, len(draws.candidates))))
+    both = draws.plot(candidates=range(min(2, len(draws.candidates))))
     assert both.lines[0].get_ydata()[-1] >= 0.98
     assert "Δ (reward)" in both.get_xlabel()
     ticks, near = both.get_xticks(), both.xaxis.get_transform().linthresh
@@ -128,7 +146,7 @@ def test_a_policy_that_never_loses_has_a_curve_too() -> None:
         parametric(SMALL), {"reward": {"relative_sd": 1e-6}}, names=["reward.timestep"]
     )
     sure = psa(SMALL, 50, rng=0, uncertain=weights)
-    ax = plots.plot_acceptability(sure)
+    ax = sure.plot()
     assert list(ax.lines[0].get_ydata()) == [1.0]
 
 
@@ -234,24 +252,24 @@ def test_figures_of_indices() -> None:
     with plots.style():
         for output in ("optimal", "fixed", "regret"):
             figure, ax = plt.subplots()
-            assert plots.plot_sobol(indices, output=output, ax=ax) is ax
+            assert indices.plot(ax, output=output) is ax
             assert ax.get_xlabel().startswith("share")
             figure.savefig(io.BytesIO())
-    ax = plots.plot_sobol(indices, most=2)
+    ax = indices.plot(most=2)
     total = dict(zip(indices.names, indices.optimal.total, strict=True))
     widths = [patch.get_width() for patch in ax.patches]
     assert widths[2:] == sorted(total.values(), reverse=True)[:2]
     assert ax.get_yticklabels()[0].get_text().startswith(max(total, key=total.__getitem__))
     nothing = sobol(SMALL, names=["reward.subtask-complete"], n=4, rng=0)
     with pytest.raises(ModelError, match="the same at every draw"):
-        plots.plot_sobol(nothing, output="regret")
+        nothing.plot(output="regret")
 
 
 def test_figures_of_perception() -> None:
     mdp = SMALL.compile()
     policy = {f"{s:04b}": mdp.actions[(3 * s + 2) % 4] for s in range(16)}
     drawn = [
-        plots.plot_accuracy_curves(accuracy_curves(mdp, levels=[1.0, 0.9])),
+        accuracy_curves(mdp, levels=[1.0, 0.9]).plot(),
         error_costs(mdp, policy, ROUGH).plot(),
         plots.plot_confusion(ROUGH),
     ]

@@ -22,6 +22,7 @@ from exact_mdp import (
     ModelError,
     Scenario,
     certify,
+    check,
     compare,
     curve,
     dot,
@@ -68,7 +69,7 @@ def test_bars_where_states_are_only_numbered() -> None:
     ax = solution.plot()
     assert [bar.get_height() for bar in ax.patches] == pytest.approx(solution.value.tolist())
     assert certify(forest("24/25")).plot().patches[0].get_height() == pytest.approx(74.6496)
-    assert ax.get_ylabel() == "value (reward)"
+    assert ax.get_ylabel() == "optimal value (reward)"
 
 
 def test_a_map_over_any_two_columns() -> None:
@@ -209,25 +210,37 @@ def test_a_graph_that_would_be_a_tangle_is_a_heat_map(policy: Any) -> None:
     """Its title says so; the shades are the probabilities from state to state."""
     mdp = dense(16, rng=3)
     ax = plots.plot_transitions(mdp, policy)
-    assert "outcomes are too many for a graph" in ax.get_title()
+    assert "outcomes are too many for a graph" in ax.get_title(loc="left")
     shades = np.asarray(ax.images[0].get_array())
     each = [mdp.P(action).toarray() for action in range(mdp.n_actions)]
     assert np.allclose(shades, each[0] if isinstance(policy, list) else np.mean(each, axis=0))
 
 
-def test_the_sign_of_an_end_is_in_the_legend() -> None:
-    legend = plots.plot_policy(
-        MDP.from_gymnasium("FrozenLake-v1", "99/100"), "optimal"
-    ).get_legend()
-    assert "∎ an episode ends" in [text.get_text() for text in legend.get_texts()]
+def test_start_goal_and_holes_are_told_apart() -> None:
+    lake = MDP.from_gymnasium("FrozenLake-v1", "99/100")
+    results = solve(lake), check(lake, [0] * 16)
+    for ax in (plots.plot_policy(lake, "optimal"), *(each.plot() for each in results)):
+        words = [text.get_text() for text in ax.get_legend().get_texts()]
+        assert {"start", "G goal", "H hole"} <= set(words)
+        assert ax.get_title(loc="left").endswith("FrozenLake-v1")
+        written = [text.get_text() for text in ax.texts]
+        assert [sum(t.startswith(sign) for t in written) for sign in "GH"] == [1, 4]
     solved = plots.plot_policy(grid(2, 2), [1] * 4).get_legend()
     assert "∎ an episode ends" in [text.get_text() for text in solved.get_texts()]
+
+
+def test_named_states_keep_their_names() -> None:
+    names = ["in good health", "ill", "dead"]
+    moves = [[["1/2", "1/2", 0], [0, "1/2", "1/2"], [0, 0, 1]]] * 2
+    mdp = MDP.from_arrays(moves, [1, 0, 0], "9/10", states=names)
+    for ax in (plots.plot_policy(mdp, [0, 1, 0]), check(mdp, [0, 1, 0]).plot()):
+        assert [label.get_text() for label in ax.get_yticklabels()] == names
 
 
 @pytest.mark.parametrize("bin", [None, 10.0])
 def test_a_law_without_finite_returns_is_drawn(bin: float | None) -> None:
     """Every run goes on for ever: nothing stands in the picture but the title."""
     law = return_distribution(MDP.from_outcomes([(0, 0, [(1, 0, 1)])]), "always:0")
-    ax = plots.plot_return_distribution(law, bin=bin)
+    ax = law.plot(bin=bin)
     assert not ax.patches
-    assert "never ends, and is infinite, with probability 1" in ax.get_title()
+    assert "never ends, and is infinite, with probability 1" in ax.get_title(loc="left")

@@ -20,7 +20,6 @@ from exact_mdp import (
     MDP,
     ModelError,
     Scenario,
-    accuracy_curves,
     analysis,
     check,
     plots,
@@ -30,7 +29,6 @@ from exact_mdp import (
 from exact_mdp.analysis.gate.cells import cells
 from exact_mdp.analysis.layout import arrange
 from exact_mdp.analysis.plots.pictures import PICTURES
-from exact_mdp.analysis.plots.style import titled
 from exact_mdp.mdp.result import Pictured
 
 mpl.use("Agg")
@@ -60,20 +58,6 @@ def test_every_kind_of_result_has_its_picture() -> None:
 def ax() -> Iterator[Axes]:
     with plots.style():
         yield Figure().subplots()
-
-
-def test_labels_beside_the_axes_and_titles_within_them() -> None:
-    mdp = SMALL.compile()
-    curves = accuracy_curves(mdp, levels=[0.5, 1.0])
-    plots.plot_accuracy_curves(curves)
-    with plots.style():
-        _, ax = plt.subplots(figsize=(4, 3))
-        words = "What these errors cost the optimal policy by the posterior of all counts"
-        title = titled(ax, f"{words}\nTwo")
-        assert title.get_window_extent().width <= ax.get_window_extent().width
-        assert ax.get_title(loc="left") == title.get_text()
-        *first, last = title.get_text().splitlines()
-        assert (" ".join(first), last, len(first)) == (words, "Two", 2)
 
 
 mpl.use("Agg")
@@ -225,5 +209,6 @@ def test_a_listed_state_is_named_apart_from_its_actions() -> None:
     ]
     ax = audit.plot()
     assert [text.get_text() for text in ax.texts[:2]] == ["✗ 0\n1", "0"]
-    for words in ("∎ an episode ends", "in the corner the state", "not wrong and never visited"):
-        assert words in " ".join(ax.get_title().split())
+    words = " ".join(text.get_text() for text in ax.get_legend().get_texts())
+    assert "∎ an episode ends" in words
+    assert "grey: no choice or no visit" in words

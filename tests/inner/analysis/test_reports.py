@@ -15,7 +15,7 @@ from exact_mdp.analysis.cli.render import Report, Table, markdown
 from exact_mdp.analysis.layout import arrange, symbols
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import render
-from exact_mdp.analysis.plots.style import plain_text
+from exact_mdp.analysis.plots.style import picture
 
 
 def test_markdown_shows_facts_and_notes() -> None:
@@ -91,7 +91,7 @@ def test_nothing_is_said_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
 def test_names_stay_text_in_figures(tmp_path: Path) -> None:
     """Dollar signs, angle brackets and quotes are letters of a name: no formula, no element."""
 
-    @plain_text
+    @picture
     def plot(ax: object = None) -> object:
         import matplotlib.pyplot as plt
 

@@ -1,7 +1,10 @@
 """Exact solutions of linear systems, beside elimination in fractions."""
 
+import ast
+import sys
 from fractions import Fraction as F
 from math import gcd
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,10 +12,11 @@ import pytest
 from flint import fmpz
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import gridworld
 
-from exact_mdp import ModelError
+from exact_mdp import ModelError, certify
 from exact_mdp.mdp.table import integers
-from exact_mdp.solvers.exact import linear
+from exact_mdp.solvers.exact import checker, linear
 from exact_mdp.solvers.exact.lifting import Lifting
 from exact_mdp.solvers.exact.linear import Matrix, exact_solve
 from exact_mdp.solvers.exact.reconstruction import SPARE, convergents
@@ -155,7 +159,7 @@ def test_components_are_solved_in_order() -> None:
     order = rng.permutation(size)
     entries = {(int(order[i]), int(order[j])): a for (i, j), a in entries.items()}
     matrix, side = matrix_of(size, entries), rng.integers(-9, 9, size).tolist()
-    assert sorted({len(states) for states, _ in matrix.components}) == [1, 20]
+    assert {len(states) for states, block in matrix.steps if block} == {20}
     assert fractions(exact_solve(matrix, side)) == fractions(linear._dense(matrix, side))
 
 
@@ -211,3 +215,21 @@ def test_fractions_are_found_from_their_first_digits(
     _, below, fits = convergents(fmpz((over << bits) // under), bits, start)
     assert fits
     assert abs(below) == wanted
+
+
+def test_cycles_that_are_too_large_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linear, "LARGEST", 8)
+    with pytest.raises(ModelError, match="is too large to be solved exactly"):
+        certify(gridworld(4))
+
+
+def test_the_checker_can_be_read_in_one_sitting_and_imports_nothing() -> None:
+    text = Path(checker.__file__).read_text("utf-8")
+    tree = ast.parse(text)
+    imported = {
+        str(node.module if isinstance(node, ast.ImportFrom) else node.names[0].name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    }
+    assert {name.partition(".")[0] for name in imported} <= sys.stdlib_module_names
+    assert len(text.splitlines()) <= 350

@@ -211,7 +211,7 @@ def test_runs_that_miss_a_goal() -> None:
         assert [found.quantile(q) for q in (0.2, 0.25, 0.3, 1)] == [3, 3, inf, inf]
         assert found.cdf(10) == 0.25
         assert found.frame()["probability"].sum() == 1
-        assert "never ends" in found.plot().get_title()
+        assert "never ends" in found.plot().get_title(loc="left")
     lost = MDP.from_outcomes([(0, 0, [(1, 0, -1)])])
     found = return_distribution(lost, "random")
     assert (found.as_dict(), found.quantile(1), found.mean) == ({-inf: 1.0}, -inf, -inf)

@@ -132,6 +132,7 @@ class Gradient(Pictured):
 
     Attributes
     ----------
+    model : str
     start : Certified or Bounded
         The start value; `value` is the same, and `start_value` is its number alone.
     derivatives : {parameter name: Derivative}
@@ -142,6 +143,7 @@ class Gradient(Pictured):
         Whether the policy follows the parameter, or is held fixed.
     """
 
+    model: str
     start: Number
     derivatives: dict[str, Derivative]
     steps: dict[str, tuple[Number | None, Number]]
@@ -249,6 +251,7 @@ def gradient(
     exact = _cheap(mdp) if exact is None else exact
     passed = _ExactPass(mdp, policy) if exact else _BoundedPass(mdp, policy)
     return Gradient(
+        model=family.name,
         start=passed.start,
         derivatives={each.name: _derivative(family, mdp, passed, each) for each in parameters},
         steps=_steps(family, passed.start) if reoptimised else {},

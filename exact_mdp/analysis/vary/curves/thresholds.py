@@ -90,6 +90,7 @@ class Thresholds(Pictured):
 
     Attributes
     ----------
+    model : str
     parameter : Parameter
     range : Range
     found : tuple of Threshold
@@ -98,6 +99,7 @@ class Thresholds(Pictured):
         be more thresholds. None where a proof says that there are no others.
     """
 
+    model: str
     parameter: Parameter
     range: Range
     found: tuple[Threshold, ...]
@@ -223,6 +225,7 @@ def thresholds(
     family = parametric(model)
     found = curve(family, name, range_of(family, name, ranges, relative))
     return Thresholds(
+        model=found.mdp.name,
         parameter=found.parameter,
         range=found.range,
         found=tuple(sorted(_found(found), key=lambda threshold: threshold.low)),

@@ -1,22 +1,39 @@
-"""Diagrams of a care model: who influences whom, and how the status moves under an action."""
+"""Pictures of a care model: who influences whom, how the status moves, what errors in it cost."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch
 
-from exact_mdp.analysis.plots.style import Look, axes_or_new, plain_text
+from exact_mdp.analysis.plots.style import (
+    BLUE,
+    MARKS,
+    WHITE,
+    Look,
+    about,
+    axes_or_new,
+    legend_beside,
+    name_rows,
+    picture,
+    swatch,
+)
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.table import Floats
 
+if TYPE_CHECKING:
+    from exact_mdp.analysis.perception.accuracy import AccuracyCurves
+    from exact_mdp.analysis.perception.errors import ErrorCosts
+
+DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), (0, (3, 1, 1, 1, 1, 1)))
 RADIUS = 0.36  # of a status, where the statuses lie on a circle of radius 1
 APART = 0.07  # of an arrow from the line between two centres: arrows to and fro lie side by side
 
 
-@plain_text
+@picture
 def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     """Draw who raises whom; widths and labels are percentage points per timestep.
 
@@ -36,7 +53,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     >>> ax.texts[0].get_text().splitlines()[0]
     'forgetfulness'
     """
-    ax, count = axes_or_new(ax), len(scenario.statuses)
+    ax, count = axes_or_new(ax, high=6.0), len(scenario.statuses)
     angles = 3 * np.pi / 4 - 2 * np.pi * np.arange(count) / count  # four statuses make a square
     places = np.column_stack([np.cos(angles), np.sin(angles)])
     for status, place in zip(scenario.statuses, places, strict=True):
@@ -55,6 +72,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     reach = float(np.abs(places).max()) + RADIUS + 0.03
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     ax.set_axis_off()
+    ax.set_title(about("Who raises whom, in points of chance per timestep", scenario.name))
     return ax
 
 
@@ -74,7 +92,7 @@ def _influence(ax: Axes, start: Floats, end: Floats, amount: float) -> None:
     ax.text(x, y, f"+{100 * amount:g}", ha="center", va="center", fontsize=9, bbox=box)
 
 
-@plain_text
+@picture
 def plot_status_transitions(
     law: Floats,
     statuses: Sequence[str],
@@ -103,13 +121,14 @@ def plot_status_transitions(
     >>> [text.get_text() for text in ax.texts], ax.get_ylabel()
     (['100', '100', '100', '100'], 'status now: anger, confusion')
     """
-    ax = axes_or_new(ax)
-    vector_map(ax, law, threshold)
+    ax = axes_or_new(ax, high=6.0)
+    _vector_map(ax, law, threshold)
     ax.set(xlabel="status after the action", ylabel=f"status now: {', '.join(statuses)}")
+    ax.set_title("How the status moves in one step (chances in %)")
     return ax
 
 
-def vector_map(ax: Axes, shares: Floats, threshold: float) -> None:
+def _vector_map(ax: Axes, shares: Floats, threshold: float) -> None:
     """Draw shares (2^n, 2^n), from row to column, with numbers in per cent from a threshold on."""
     size = len(shares)
     labels = [format(number, f"0{size.bit_length() - 1}b") for number in range(size)]
@@ -125,3 +144,74 @@ def vector_map(ax: Axes, shares: Floats, threshold: float) -> None:
     ax.set_yticks(middles, labels, fontsize=7, family="monospace")
     ax.tick_params(length=0)
     ax.set(ylim=(size, 0), aspect="equal")
+
+
+@picture
+def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> Axes:
+    """Draw the value of a policy against the accuracy of one status, and of all."""
+    ax = axes_or_new(ax)
+    for number, (name, values) in enumerate(curves.values.items()):
+        every = name == "all"
+        ax.plot(
+            curves.levels,
+            values,
+            linestyle=DASHES[number % len(DASHES)],
+            marker=MARKS[number % len(MARKS)],
+            markevery=max(1, len(curves.levels) // 8),
+            markersize=4,
+            markerfacecolor="white",
+            color="black" if every else "0.35",
+            linewidth=1.8 if every else 1.1,
+            label="all four alike" if every and len(curves.values) == 5 else name,
+        )
+    ax.set_xlabel("accuracy of perception (sensitivity = specificity)")
+    ax.set_ylabel("value at the start (reward)")
+    legend_beside(ax, title="read with this accuracy")
+    ax.set_title("What a policy is worth by how well the status is read")
+    return ax
+
+
+@picture
+def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
+    """Draw the loss by status: missed where present, and seen where absent."""
+    found = sorted(costs.by_status.items(), key=lambda item: -sum(item[1]))
+    ax = axes_or_new(ax, [name for name, _ in found] * 2)
+    fills = ((WHITE, ""), (BLUE, "//"))
+    for row, (_, losses) in enumerate(found):
+        for place, loss, (fill, hatch) in zip((row - 0.2, row + 0.2), losses, fills, strict=True):
+            ax.barh(place, loss, height=0.38, facecolor=fill, edgecolor="black", hatch=hatch)
+            ax.text(loss, place, f" {loss:.2f}", va="center", fontsize=8)
+    name_rows(ax, [name for name, _ in found])
+    ax.margins(x=0.12)
+    ax.set_xlabel("loss against perfect perception (reward)")
+    words = ("present, not seen", "absent, but seen")
+    legend_beside(ax, [*map(swatch, words, fills)])
+    ax.set_title("What errors in reading each status cost")
+    return ax
+
+
+@picture
+def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
+    """Draw a confusion matrix: the darker, the likelier; numbers where 5 % and more.
+
+    Parameters
+    ----------
+    confusion : (2^n, 2^n)
+        Probability of each perceived status (column) given the true one (row).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> plot_confusion(np.eye(4)).get_xlabel()
+    'perceived status'
+    """
+    ax = axes_or_new(ax, high=6.0)
+    _vector_map(ax, confusion, 0.05)
+    ax.set(xlabel="perceived status", ylabel="true status")
+    ax.set_title("How each status is perceived (chances in %)")
+    return ax

@@ -1,1 +1,0 @@
-"""Proofs: certificates, who makes them, who checks them, and their files."""

@@ -1,0 +1,122 @@
+"""What is optimal is chosen exactly: ties, near ties, cycles, and what floats cannot tell."""
+
+from fractions import Fraction as F
+from itertools import product
+from typing import Any
+
+import pytest
+from flint import fmpq, fmpq_mat
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_models import gridworld
+from strategies import model_of
+
+from exact_mdp import MDP, certify
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 4),
+    st.sampled_from([(1, 0), (1, 1), (0, 0), ("1/2", "1/3"), (-1, 0)]),
+    st.data(),
+)
+def test_cycles_that_earn_nothing(
+    size: int, worth: tuple[object, object], data: st.DataObject
+) -> None:
+    """What they lead to decides: all attain the greatest value ahead, or not (brute force)."""
+    ends, rows = (size, size + 1), []
+    for s in range(size):
+        for a in range(data.draw(st.integers(1, 2))):
+            to, out = data.draw(st.integers(0, size - 1)), data.draw(st.sampled_from(ends))
+            rows.append((s, a, [("5/7", to, 0), ("2/7", out, 0)]))
+    rows += [(end, 0, [(1, size + 2, value)]) for end, value in zip(ends, worth, strict=True)]
+    mdp = MDP.from_outcomes([*rows, (size + 2, 0, [(1, size + 2, 0)])])
+    found = certify(mdp)
+    assert found.violations() == []
+    best = [F(-10)] * size
+    for pairs in product(*(mdp.pairs_of(s) for s in range(size))):
+        value = dict(zip(ends, map(F, worth), strict=True))
+        matrix = fmpq_mat(size, size, [fmpq(int(i == j)) for i in range(size) for j in range(size)])
+        right = fmpq_mat(size, 1)
+        for s, pair in enumerate(pairs):
+            for p, t, _ in mdp.table.row(pair):
+                share = fmpq(p.numerator, p.denominator)
+                if t < size:
+                    matrix[s, t] -= share
+                else:
+                    right[s, 0] += share * fmpq(value[t].numerator, value[t].denominator)
+        for s, number in enumerate(matrix.solve(right).entries()):
+            best[s] = max(best[s], F(int(number.p), int(number.q)))
+    assert found.value[:size].tolist() == best
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 5), st.integers(-4, 4), st.integers(1, 3), st.data())
+def test_one_value_everywhere(size: int, top: int, bottom: int, data: st.DataObject) -> None:
+    """Rewards of the value times the chance to end; less in some pairs, more in one at times."""
+    value, rows = F(top, bottom), []
+    for s in range(size):
+        for a in range(data.draw(st.integers(1, 3))):
+            out, to = (
+                data.draw(st.sampled_from([F(1, 3), F(1)])),
+                data.draw(st.integers(0, size - 1)),
+            )
+            less = data.draw(st.sampled_from([F(0), F(0), F(1, 7), F(2)])) if a else F(0)
+            reached = [(out, size, 0), (1 - out, to, 0)][: 1 + (out < 1)]
+            rows.append((s, a, [(p, t, value * out - less) for p, t, _ in reached]))
+    mdp = MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])])
+    found = certify(mdp)
+    assert found.violations() == []
+    assert found.value[:size].tolist() == [value] * size
+    more = mdp.pairs_of(data.draw(st.integers(0, size - 1)))[0]
+    gained = rows[more][2]
+    rows[more] = (*rows[more][:2], [(p, t, r + 1) for p, t, r in gained])
+    other = certify(MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])]))
+    assert other.violations() == []
+    assert max(other.value) > value
+
+
+def test_gridworld() -> None:
+    """One cycle of 399 states: symmetric values, and both ways along the diagonal."""
+    mdp = gridworld(20)
+    found = certify(mdp)
+    assert found.violations() == []
+    assert max(found.h.below).bit_length() > 1000
+    assert not found.unique
+    square = found.value.reshape(20, 20)
+    assert (square == square.T).all()
+    diagonal = [found.optimal_pairs[list(mdp.pairs_of(21 * i))] for i in range(19)]
+    assert all(marks.tolist() == [True, True, False, False] for marks in diagonal)
+
+
+@pytest.mark.parametrize("bits", [90, 1100])
+def test_what_floats_cannot_tell_apart_is_chosen_exactly(bits: int) -> None:
+    """Forty states in a row, each with two actions that differ by less than any rounding."""
+    size, more = 40, F(1, 2**bits)
+    rows: list[Any] = [
+        (s, a, [(1, s + 1, 1 + more * a if s % 2 else 1 + more * (1 - a))])
+        for s in range(size)
+        for a in (0, 1)
+    ]
+    found = certify(MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])]))
+    assert found.start_value == size * (1 + more)
+    assert found.policy[:-1].tolist() == [s % 2 for s in range(size)]
+    assert set(found.gaps[:-1]) == {more}
+    assert found.violations() == []
+
+
+@pytest.mark.parametrize("gap", [F(0), F(1, 10**15), F(1, 10**16), F(1, 10**40)])
+def test_near_ties_are_decided_exactly(gap: F) -> None:
+    """Three actions nearly alike, and two that are far off, in many states."""
+    size = 60
+    moves = [{(s + k) % size: F(1, 3) for k in (1, 2, 5)} for s in range(size)]
+    rows = [
+        (s, a, F(1, 3) - worse * gap - off, moves[s])
+        for s in range(size)
+        for a, (worse, off) in enumerate([(0, 0), (1, 0), (2, 0), (0, 1), (0, 2)])
+    ]
+    mdp = model_of(size, rows, F(9, 10))
+    found = certify(mdp)
+    assert found.violations() == []
+    assert set(found.value) == {F(10, 3)}
+    assert set(found.gaps) == {gap or 1}
