@@ -15,7 +15,6 @@ from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
 from math import isinf
-from operator import attrgetter
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.solution import Bounded, Solution
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,16 +97,6 @@ def unending(where: str) -> ModelError:
         where=f"the total at discount 1, {where}",
         fix="give a discount below 1 (--discount 0.95), or a range in which every policy ends",
     )
-
-
-def maximised(model: Parametric, policy: PolicyLike) -> tuple[Parametric, PolicyLike]:
-    """Return models of costs as their negations, which engines maximise, and the policy for them.
-
-    A policy is read as one of costs first: of a table of these, the least entries count.
-    """
-    if not (isinstance(policy, str) and policy == "optimal"):
-        policy = policy_of(model.at({}), policy)
-    return Posed(family=model, ask=attrgetter("maximised")), policy
 
 
 def digest(*policies: Floats) -> str:

@@ -9,33 +9,15 @@ E[V^c | φ] is estimated by regression on φ (Strong, Oakley and Brennan, Medica
 2014): least squares of V^c less the best candidate's on cubic splines, whose knots grow with the
 sample, and on pairwise products where φ has several parameters. Two estimates are given.
 
-*regression* takes the maximum of the fitted values, as they do. Noise in a maximum pulls it
-upwards, by an amount that falls as 1/D, and what the regression misses pulls it downwards. It is
-cut at EVPI of the same candidates and draws, above which no EVPPI can be.
+*regression* takes the maximum of the fitted values, as they do, cut at EVPI of the same candidates
+and draws. *lower* uses the fitted values of four fifths of the draws only to choose the candidate
+in the others, and averages what those choices are worth; its expectation is at most EVPPI.
 
-*lower* uses the fitted values of four fifths of the draws only to choose the candidate in the
-others, averages what those choices are worth, and takes off the largest mean that a candidate has
-over all draws. For candidates that are chosen beforehand its expectation is at most EVPPI: a choice
-that has not seen the draw it is judged by is worth at most E_φ[max_c E[V^c | φ]], and the largest
-of some sample means is on average at least the largest mean. It may be negative.
-
-Where the fit cannot be relied on, the estimate says so (`doubts`): both estimates are more than a
-standard error apart, or the lower one is less than half of the other; the fit promises half a
-standard error more or less than its own choices earn; few draws carry the value; or the residuals
-of neighbours along a parameter add up. For the last, the largest sum over 8, 16, 32 … neighbouring
-draws is compared with what the greatest of this many normal sums may be: a step at the edge of a
-parameter shows there, which splines round off. Where nothing is doubted, such a sum, the distance
-of the estimates, and twice what the fit promises too much or too little count as errors of their
-own in the standard error, root-sum-square: it is that of the draws and of what the fit may miss.
-
-How often the 95 % interval held the truth where nothing was doubted was counted with 250 samples
-each of 200, 500 and 2,000 draws of 42 problems in closed form: linear, quadratic, without effect, a
-step in the middle or 10, 5 and 2 % from an edge, a corner of two parameters, one parameter of five,
-three candidates, a normal tail, each with noise of sd 0, 0.3 and 1. It did in 97 % of 2,749 samples
-of 200 draws, 97 % of 3,330 of 500 and 97 % of 4,055 of 2,000; in each problem of which 20 samples
-or more were not doubted, in 91 to 100 %. Not doubted were nearly all of the linear ones without
-much noise, a third to none of those in which noise hides the effect, and hardly any of the steps
-that noise does not hide.
+Where the fit cannot be relied on, the estimate says so (`doubts`): both estimates are far apart;
+the fit promises more or less than its own choices earn; few draws carry the value; or the residuals
+of neighbours along a parameter add up, as they do at a step. Where nothing is doubted, these
+differences count as errors of their own in the standard error, root-sum-square. Its 95 % interval
+then held the truth in 97 % of some 10,000 samples of 42 problems in closed form.
 """
 
 from __future__ import annotations

@@ -2,25 +2,17 @@
 
 Every draw is a model of its own. It is solved (the policy re-optimised), and policies are evaluated
 in it (held fixed): the one asked about, today's optimum, and *candidates*, those among the optima
-of the draws that win most in the draws where the others lose most. The draws say
+of the draws that win most in the draws where the others lose most. The *acceptability curve* of a
+policy is the probability that its regret is at most Δ, by Δ (after Chen, Ayer and Chhatwal, Medical
+Decision Making 37, 2017). What knowing all parameters before choosing would be worth is
 
-- the distribution of V*, the policy re-optimised in every draw;
-- the distribution of the regret V* - V^π of a policy π held fixed, and its *acceptability curve*,
-  the probability that its regret is at most Δ, by Δ: how much willingness to accept a loss it takes
-  for the policy to be accepted (after Chen, Ayer and Chhatwal, Medical Decision Making 37, 2017,
-  whose curve tells the confidence in the base-case policy by that willingness; Δ = 0 is the
-  probability that the policy is optimal);
-- the probability that each action is optimal, by status, with Wilson's interval;
-- what knowing all parameters before choosing would be worth,
-
-      EVPI = E[max_π V^π] - max_π E[V^π] = E[V*] - max_π E[V^π].
+    EVPI = E[max_π V^π] - max_π E[V^π] = E[V*] - max_π E[V^π].
 
 The best of all policies for uncertain parameters is hard to find (Steimle, Kaufman and Denton, IISE
-Transactions 53, 2021), so EVPI is given by two ends. Its upper end takes the best policy found.
-Its lower end lets everything but the first action be chosen in full knowledge: no policy is worth
-more than max_a E[Q*(start, a)], hence EVPI ≥ min_a E[V* - Q*(start, a)]. Where reward weights alone
-are uncertain, values are linear in them, the best policy is the optimum at their means, and EVPI is
-E[V*] - V*(mean), one number. Every difference is that of pairs in the same draw.
+Transactions 53, 2021), so EVPI is given by two ends: the upper one takes the best policy found; the
+lower one lets everything but the first action be chosen in full knowledge, EVPI ≥ min_a E[V* -
+Q*(start, a)]. Where reward weights alone are uncertain, the best policy is the optimum at their
+means, and EVPI is one number. Every difference is that of pairs in the same draw.
 """
 
 from __future__ import annotations
@@ -49,7 +41,7 @@ from exact_mdp.analysis.vary.intervals import (
     share_of,
     wilson,
 )
-from exact_mdp.analysis.vary.study import DrawSolver, in_blocks, merged, solver_of, tell_cut
+from exact_mdp.analysis.vary.study import DrawSolver, merged, run, solver_of, tell_cut
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
@@ -383,7 +375,7 @@ def psa(
     draws = np.concatenate(blocks_of_draws)
     pieces = [(at * solver.block, some) for at, some in enumerate(blocks_of_draws)]
     work = partial(_solve_block, solver, chosen.names)
-    blocks = in_blocks(solver, "solved", work, pieces, key, rest, **how)
+    blocks = run(solver, "solved", work, pieces, key, rest, **how)
     solved = {"draws": draws} | joined(blocks, ("start", "error", "lost", "cut"))
     tell_cut(family, chosen.names, draws, solved["cut"])
 
@@ -392,7 +384,7 @@ def psa(
         told = digest(*policies)
         work, name = partial(_value_block, solver, chosen.names, policies), f"values-{told[:12]}"
         more = key | {"policies": told}
-        return joined(in_blocks(solver, name, work, pieces, more, rest, **how))
+        return joined(run(solver, name, work, pieces, more, rest, **how))
 
     picked, found, frequency = _selected(solver, chosen.names, solved, blocks, given, valued)
     return PSA(

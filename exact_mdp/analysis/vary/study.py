@@ -251,32 +251,26 @@ def run(
     work: Callable[[Any], Arrays],
     pieces: Sequence[Any],
     key: Mapping[str, object],
+    rest: int = 0,
     **how: Unpack[How],
 ) -> list[Arrays]:
-    """Do pieces of work: compiled loops in threads, other models in processes."""
+    """Do pieces of work: compiled loops in threads, other models in processes.
+
+    A folder has whole blocks of draws for samples of any size, and a last one of `rest` apart.
+    """
     folder = how.get("folder")
-    if folder is not None:
-        how["folder"] = Path(folder) / what
-    return many(work, pieces, key=key, what=what, threads=solver.compiled, **how)
-
-
-def in_blocks(
-    solver: DrawSolver,
-    what: str,
-    work: Callable[[Any], Arrays],
-    pieces: Sequence[Any],
-    key: Mapping[str, object],
-    rest: int,
-    **how: Unpack[How],
-) -> list[Arrays]:
-    """Do blocks of draws: whole ones in a folder for samples of any size, one of `rest` apart."""
-    full = len(pieces) - (rest > 0)
-    if how.get("folder") is None or not rest:
-        return run(solver, what, work, pieces, key, **how)
-    done = run(solver, what, work, pieces[:full], key, **how) if full else []
-    last = {"last block": full, "draws": rest}
-    name = f"{what}-last-{full}-{rest}"
-    return done + run(solver, name, work, pieces[full:], {**key, **last}, **how)
+    full = len(pieces) - (rest > 0 and folder is not None)
+    parts = [(what, pieces[:full], dict(key))]
+    if full < len(pieces):
+        last = {"last block": full, "draws": rest}
+        parts.append((f"{what}-last-{full}-{rest}", pieces[full:], {**key, **last}))
+    done = list[Arrays]()
+    for name, some, own in parts:
+        if folder is not None:
+            how["folder"] = Path(folder) / name
+        if some:
+            done += many(work, some, key=own, what=what, threads=solver.compiled, **how)
+    return done
 
 
 def distinct(rows: Numbers) -> tuple[Numbers, Integers]:

@@ -15,7 +15,7 @@ changes that changes: the left values are optimal up to it, the right ones from 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
@@ -73,9 +73,6 @@ class RationalFunction:
         return cls(
             numerator=tuple(c / unit for c in top), denominator=tuple(c / unit for c in below)
         )
-
-    def __neg__(self) -> RationalFunction:
-        return replace(self, numerator=tuple(-c for c in self.numerator))
 
     def at(self, value: Fraction) -> Fraction:
         """Return the ratio at a point."""
@@ -171,11 +168,16 @@ def _polynomials(tops: list[list[Fraction]], bottom: list[Fraction]) -> Values:
 
 
 def piece_violations(
-    family: Parametric, name: str, pieces: Sequence[CurvePiece], shares: Shares | None
+    family: Parametric,
+    name: str,
+    pieces: Sequence[CurvePiece],
+    shares: Shares | None,
+    *,
+    sign: int = 1,
 ) -> list[str]:
     """Return what does not hold of pieces of a model that maximises: nothing where all is sound.
 
-    `shares` is the policy held fixed.
+    `shares` is the policy held fixed; sign is -1 where values at the start are costs.
     """
     wrong, last = list[str](), None
     for _, some in groupby(pieces, key=lambda each: id(each.section)):
@@ -184,7 +186,7 @@ def piece_violations(
             if equations is None:
                 if last is not None and len({*last.high, *piece.low}) > 1:
                     wrong.append(f"nothing proves what is optimal next to {shown(piece.low[0])}")
-                equations = _Equations(family, name, piece.section)
+                equations = _Equations(family, name, piece.section, sign)
                 wrong += equations.unsound()
             gaps = equations.gaps(piece)
             wrong += equations.not_optimal(piece, gaps)
@@ -208,8 +210,8 @@ class _Gaps:
 class _Equations:
     """The equations of a model over one section."""
 
-    def __init__(self, family: Parametric, name: str, section: Section) -> None:
-        origin, self.section = section.origin, section
+    def __init__(self, family: Parametric, name: str, section: Section, sign: int) -> None:
+        origin, self.section, self.sign = section.origin, section, sign
         base, piece = family.at({name: origin}), Piece(low=section.low, high=section.high)
         change = row_change(family, name, piece, origin=origin, base=base)
         self.rows, self.cuts = PolynomialRows.of(base, change), family.breakpoints(name)
@@ -325,7 +327,7 @@ class _Equations:
             (w * numerators[s] for s, w in self.start if not self.rows.terminal[s]),
             flint.fmpq_poly(),
         )
-        if below.degree() < 0 or top * scale != start * below:
+        if below.degree() < 0 or self.sign * top * scale != start * below:
             yield f"the value at the start from {at} on is another one"
 
     def not_of(self, piece: CurvePiece, shares: Shares) -> Iterator[str]:

@@ -15,16 +15,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from exact_mdp.analysis.gate.limits import limit_of
-from exact_mdp.analysis.vary.base_case import maximised
-from exact_mdp.analysis.vary.curves.checker import (
-    CurvePiece,
-    piece_violations,
-)
+from exact_mdp.analysis.vary.curves.checker import CurvePiece, piece_violations
 from exact_mdp.analysis.vary.curves.regret_limits import Interval, kept
 from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, Sweep, below_one, pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
@@ -33,7 +30,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, Posed, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
@@ -57,7 +54,7 @@ class ValueFunction(Pictured):
     mdp : MDP
         The model today.
     family : Parametric
-        The models at all values; those that maximise, of a model of costs.
+        The models at all values; those that maximise the negated costs, of a model of costs.
     chain : PolicyChain or None
         The policy held fixed, in the model today.
     checked : int or None
@@ -127,15 +124,6 @@ class ValueFunction(Pictured):
             None if at == self.range.high else right,
         )
 
-    def negated(self, mdp: MDP) -> ValueFunction:
-        """Return the function of costs, whose model is given, from that of their negation."""
-        pieces = tuple(
-            replace(each, value=-each.value, fixed=None if each.fixed is None else -each.fixed)
-            for each in self.pieces
-        )
-        chain = None if self.chain is None else replace(self.chain, mdp=mdp)
-        return replace(self, pieces=pieces, mdp=mdp, chain=chain)
-
     def within(
         self, max_regret: object | None = None, max_relative_regret: object | None = None
     ) -> tuple[Interval, ...]:
@@ -195,8 +183,10 @@ class ValueFunction(Pictured):
         if self.chain is not None:
             weights = map(self.chain.exact_weights, range(self.mdp.n_states))
             shares = [[*each.items()] for each in weights]
-        pieces = self.pieces if self.mdp.sense == "max" else self.negated(self.mdp).pieces
-        return wrong + piece_violations(self.family, self.parameter.name, pieces, shares)
+        sign = -1 if self.mdp.sense == "min" else 1
+        return wrong + piece_violations(
+            self.family, self.parameter.name, self.pieces, shares, sign=sign
+        )
 
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
@@ -256,16 +246,14 @@ def curve(
     (2, Fraction(9, 1), Fraction(-60, 7))
     """
     family = parametric(model)
-    if family.at({}).sense == "min":
-        rewards, held = maximised(family, "optimal" if policy is None else policy)
-        given = None if policy is None else held
-        found = curve(rewards, name, ranges, relative=relative, policy=given)
-        return found.negated(family.at({}))
+    mdp, sign = family.at({}), 1
+    if mdp.sense == "min":
+        family, sign = Posed(family=family, ask=attrgetter("maximised")), -1
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
     if name == DISCOUNT and ranges is None and relative is None and span.high < 1:
         span = Range(low=span.low, high=NEARLY_ONE)
     span = below_one(family, name, span)
-    mdp, (pieces, sweeps) = family.at({}), pieces_of(family, name, span)
+    pieces, sweeps = pieces_of(family, name, span, sign)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
     if chain is not None and chain.policy is not None:
         ends = np.logical_and.reduce([np.array(each.rows.terminal) for each in sweeps])

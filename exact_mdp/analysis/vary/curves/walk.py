@@ -56,8 +56,8 @@ At = Callable[[Fraction], MDP]
 class Sweep:
     """A walk over one piece (low, high) of a parameter, whose rows are polynomials there."""
 
-    def __init__(self, rows: Rows, low: Fraction, high: Fraction) -> None:
-        self.rows, self.origin = rows, rows.change.origin
+    def __init__(self, rows: Rows, low: Fraction, high: Fraction, sign: int) -> None:
+        self.rows, self.origin, self.sign = rows, rows.change.origin, sign
         self.low, self.high = low - self.origin, high - self.origin
         self.section = Section(low=low, high=high, origin=self.origin)
         self.gaps = Gaps(rows, (self.low, self.high))
@@ -101,11 +101,11 @@ class Sweep:
         )
 
     def ratio(self, values: Values) -> RationalFunction:
-        """Return what a policy's values are worth at the start, as a function of the parameter."""
+        """Return the value at the start as a function of the parameter, with the sign of costs."""
         top, below = self.rows.worth(values)
         shared = top.gcd(below)
         shift = flint.fmpq_poly([rational(-self.origin), 1])
-        return RationalFunction.of(((top / shared)(shift), (below / shared)(shift)))
+        return RationalFunction.of((self.sign * (top / shared)(shift), (below / shared)(shift)))
 
     def _optimal(self) -> Mask:
         return np.array([poly.degree() < 0 for poly in self.gaps.gap])
@@ -288,8 +288,10 @@ def optimum(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
     return optimal[np.searchsorted(optimal, mdp.pair_offsets[:-1])], certificate.start
 
 
-def pieces_of(family: Parametric, name: str, span: Range) -> tuple[list[CurvePiece], list[Sweep]]:
-    """Return the pieces over a range, and the sections that they are on.
+def pieces_of(
+    family: Parametric, name: str, span: Range, sign: int
+) -> tuple[list[CurvePiece], list[Sweep]]:
+    """Return the pieces over a range, and the sections that they are on; sign is -1 for costs.
 
     Raises ModelError where some policy never ends at discount 1.
     """
@@ -304,7 +306,7 @@ def pieces_of(family: Parametric, name: str, span: Range) -> tuple[list[CurvePie
         base, change = _middle(family, at, name, low, high)
         if _endless(at, base, change):
             raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
-        sweep = Sweep(Rows(base, change), low, high)
+        sweep = Sweep(Rows(base, change), low, high, sign)
         found += sweep.pieces(optimum(base)[0] if policy is None else policy)
         policy = sweep.policy
         sweeps.append(sweep)
