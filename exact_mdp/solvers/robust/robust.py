@@ -3,17 +3,30 @@
     V(s) = max over pairs l of s of  min over laws q in U_l of  Σ q_i (r_i + γ V(s_i))
 
 or with either side turned round: robust and cooperative, to maximise and to minimise. The sets are
-(s, a)-rectangular: nature chooses for each pair on its own, and may choose anew in every step. For
-models without cycles one pass from the end gives the values up to rounding; for others value
-iteration, with sweeps under the present policy and laws in between, which are kept only where they
-help (after Kaufman and Schaefer, INFORMS Journal on Computing 25, 2013), until the bounds of
-`solvers.robust.bounds` meet the tolerance. Sources: Iyengar, Mathematics of Operations Research 30
-(2005); Nilim and El Ghaoui, Operations Research 53 (2005); Givan, Leach and Dean (2000).
+(s, a)-rectangular: nature chooses for each pair on its own, and may choose anew in every step. The
+equations of the present policy and laws are solved in turn with choosing both anew; where that does
+not bring the bounds closer, a step of value iteration does (Iyengar, Mathematics of Operations
+Research 30, 2005; Kaufman and Schaefer, INFORMS Journal on Computing 25, 2013).
+
+Bounds. T is the robust Bellman operator. Let w be positive but for terminal states, and let every
+row leave a margin against the worst law for it,
+
+    m(s) = w(s) - γ max over the pairs l of s, and the laws q of l, of Σ q w  > 0.
+
+As nature's optimum σ satisfies σ(V + c w) ≤ σ(V) + c γ max Σ q w for c ≥ 0, on either side,
+
+    T V - V ≤ c m  gives  V* ≤ V + c w   (c ≥ 0),     T V - V ≥ c m  gives  V* ≥ V + c w   (c ≤ 0),
+
+V* the fixed point of T, unique because T is a contraction in the norm weighted by w. A margin thus
+proves that episodes end under every policy and every choice of nature. The weights are levels where
+the model is acyclic, else 1 where γ < 1, else the greatest expected number of steps, nature siding
+with delay.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal
 
@@ -21,15 +34,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import closure
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Floats, Integers, spans
-from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.bounds.linear import DIRECT_STATES, LinearSystem
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
 from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, check_counts
-from exact_mdp.solvers.robust.bounds import Game, Margins, RobustBounds, margins, robust_bounds
-from exact_mdp.solvers.robust.sets import Ambiguity, blocks_of, inner
+from exact_mdp.solvers.robust.sets import Ambiguity, Block, Inner, blocks_of, entries, inner
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, warn_of_precision
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -38,9 +52,7 @@ if TYPE_CHECKING:
 
 
 Nature = Literal["worst", "best"]
-SWEEPS = 30  # under one policy and one law of each row, between two questions to nature
-MOST_SWEEPS = 500
-PATIENCE = 20
+DELAYS = 200  # policies and laws tried for the greatest number of steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -101,11 +113,7 @@ class RobustSolution(Result):
     @property
     def start(self) -> Bounded:
         """The value of the start distribution with its error bound."""
-        weights = self.mdp.start_distribution
-        terms = weights * self.value
-        rounding = (np.count_nonzero(weights) + 2) * 2.0**-52 * float(np.abs(terms).sum())
-        error = float(weights @ self.state_error) * (1 + 1e-9) + rounding
-        return Bounded(value=float(terms.sum()), error=error)
+        return at_start(self.mdp, FixedPoint(value=self.value, error=self.state_error))
 
     @property
     def start_value(self) -> float:
@@ -117,7 +125,7 @@ class RobustSolution(Result):
         import pandas
 
         mdp, policy = self.mdp, self.policy
-        states = [mdp.space.label(state) for state in range(mdp.n_states)]
+        states = mdp.space.labels(range(mdp.n_states))
         found = {"state": states, "value": self.value, "error": self.state_error}
         if policy is not None:
             found["action"] = [mdp.actions[action] for action in policy.tolist()]
@@ -152,7 +160,7 @@ def solve_robust(
     tol : float, optional
         Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
     max_iterations : int
-        Of value iteration, for models with cycles.
+        How often nature and the agent choose anew.
 
     Returns
     -------
@@ -177,6 +185,9 @@ def solve_robust(
     if nature not in ("worst", "best"):
         raise ModelError(f"unknown nature {nature!r}", where="robust", fix="say worst or best")
     ambiguity.check(model)
+    if tol is not None and not 0 < tol < np.inf:
+        raise ModelError(f"tol is {tol}", where="robust", fix="choose a positive number, or None")
+    check_counts("robust", max_iterations=max_iterations)
     game = Game(
         mdp=model,
         ambiguity=ambiguity,
@@ -184,25 +195,17 @@ def solve_robust(
         most=model.sense == "max",
         weights=None if policy is None else PolicyChain.of(model, policy).weights,
     )
-    if tol is not None and not 0 < tol < np.inf:
-        raise ModelError(f"tol is {tol}", where="robust", fix="choose a positive number, or None")
-    check_counts("robust", max_iterations=max_iterations)
-    found = margins(game)
-    if game.order is None:
-        status, end, iterations = _iterate(game, found, tol, max_iterations)
-    else:
-        end = robust_bounds(game, found, _one_pass(game, game.order))
-        status, iterations = Status.DIRECT, int(game.order.max(initial=0))
-    pairs = None
-    if end.chosen is not None:
+    status, value, error, asked, iterations = _iterate(game, tol, max_iterations)
+    chosen, pairs = game.choice(asked.value), None
+    if chosen is not None:
         pairs = model.pair_offsets[:-1].copy()
-        pairs[game.live] = game.pairs[end.chosen]
-    chain, earned = game.chain(end.asked.laws, end.chosen)
+        pairs[game.live] = game.pairs[chosen]
+    chain, earned = game.chain(asked.laws, chosen)
     solution = RobustSolution(
         mdp=model,
         nature=nature,
-        value=np.array(end.value),
-        state_error=np.asarray(end.error * end.weight * SLACK),
+        value=value,
+        state_error=error,
         pairs=pairs,
         transition=chain,
         reward=earned,
@@ -211,82 +214,217 @@ def solve_robust(
         seconds=perf_counter() - started,
     )
     if status is Status.PRECISION:
-        message = f"the error bound is {solution.error_bound:.2g}: {status}"
-        warn_of_precision(message)
+        warn_of_precision(f"the error bound is {solution.error_bound:.2g}: {status}")
     return solution
 
 
-def _one_pass(game: Game, level: Integers) -> Floats:
-    """Return (S,) robust values of an acyclic model, level by level from the end."""
-    mdp = game.mdp
-    value = np.zeros(mdp.n_states)
-    states, state_level = game.live, level[game.live]
-    lengths = np.diff(np.append(game.first, len(game.pairs)))
-    for depth in range(1, int(level.max(initial=0)) + 1):
-        now = np.flatnonzero(state_level == depth)
-        positions = spans(game.first[now], game.first[now] + lengths[now])
-        rows = blocks_of(mdp, game.pairs[positions])
-        found = inner(game.ambiguity, rows, value, discount=mdp.discount, against=game.against)
-        first = np.cumsum(lengths[now]) - lengths[now]
-        if game.weights is not None:
-            worth = np.add.reduceat(game.share[positions] * found.value, first)
-        else:
-            worth = (np.maximum if game.most else np.minimum).reduceat(found.value, first)
-        value[states[now]] = worth
-    return value
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Game:
+    """Who chooses what: a model, nature's sets, nature's side, and the agent's.
+
+    Attributes
+    ----------
+    against : bool
+        True where nature makes the values of rows as low as it can.
+    most : bool
+        True where the agent takes the best pair, False where the least.
+    weights : (L,), optional
+        Probability of each pair, where the agent's policy is fixed.
+    """
+
+    mdp: MDP
+    ambiguity: Ambiguity
+    against: bool
+    most: bool = True
+    weights: Floats | None = None
+
+    @cached_property
+    def pairs(self) -> Integers:
+        """(U,) the pairs that count: of states that are not terminal, and taken by the policy."""
+        taken = ~self.mdp.terminal[self.mdp.pair_state]
+        if self.weights is not None:
+            taken &= self.weights > 0
+        return np.flatnonzero(taken)
+
+    @cached_property
+    def live(self) -> Integers:
+        """(T,) the states that are not terminal."""
+        return np.flatnonzero(~self.mdp.terminal)
+
+    @cached_property
+    def first(self) -> Integers:
+        """(T,) the first position in `pairs` of each of these states."""
+        return np.searchsorted(self.mdp.pair_state[self.pairs], self.live)
+
+    @cached_property
+    def row_state(self) -> Integers:
+        """(U,) position in `live` of the state of each pair."""
+        return np.searchsorted(self.live, self.mdp.pair_state[self.pairs])
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """The rows of `pairs`."""
+        return blocks_of(self.mdp, self.pairs)
+
+    @cached_property
+    def share(self) -> Floats:
+        """(U,) probability of each pair under the fixed policy."""
+        assert self.weights is not None
+        share = self.weights[self.pairs]
+        return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
+
+    @cached_property
+    def order(self) -> Integers | None:
+        """(S,) levels where the model is acyclic, whatever nature does; None where it is not."""
+        return levels(self.mdp)
+
+    def ask(self, value: Floats, *, delay: bool = False) -> Inner:
+        """Return what nature makes of each of `pairs`, at values (S,).
+
+        With `delay` both sides are after steps: nature makes rows as valuable as it can, without
+        their rewards.
+        """
+        return inner(
+            self.ambiguity,
+            self.blocks,
+            value,
+            discount=self.mdp.discount,
+            against=self.against and not delay,
+            rewards=not delay,
+        )
+
+    def agent(self, q: Floats, *, delay: bool = False) -> Floats:
+        """Return (T,) what the agent makes of pair values (U,)."""
+        if self.weights is not None:
+            return np.asarray(np.add.reduceat(self.share * q, self.first))
+        best = np.maximum if self.most or delay else np.minimum
+        return np.asarray(best.reduceat(q, self.first))
+
+    def choice(self, q: Floats, *, delay: bool = False) -> Integers | None:
+        """Return (T,) the first position in `pairs` with the best value; None for a policy."""
+        if self.weights is not None:
+            return None
+        best = self.agent(q, delay=delay)
+        number = np.where(q == best[self.row_state], np.arange(len(q)), len(q))
+        return np.minimum.reduceat(number, self.first)
+
+    def chain(self, laws: list[Floats], chosen: Integers | None) -> tuple[sp.csr_array, Floats]:
+        """Return transitions (S, S) and expected rewards (S,) under laws, a pair in each state."""
+        mdp, mask = self.mdp, None
+        if chosen is not None:
+            mask = np.zeros(len(self.pairs), dtype=bool)
+            mask[chosen] = True
+        place, following, probability, earned = entries(self.blocks, laws, mask)
+        if chosen is None:
+            probability, earned = probability * self.share[place], earned * self.share
+        source = self.live[self.row_state]
+        shape = (mdp.n_states, mdp.n_states)
+        matrix = sp.csr_array((probability, (source[place], following)), shape)
+        total = np.bincount(source, weights=earned, minlength=mdp.n_states)
+        return matrix, np.asarray(total, dtype=np.float64)
+
+
+def margins(game: Game) -> tuple[Floats, Floats]:
+    """Return weights (S,), and verified margins (T,) of the states that are not terminal.
+
+    Raises ModelError where some policy and some laws never end at discount 1, SolverError where
+    double precision does not suffice.
+    """
+    if game.order is not None:
+        weight = game.order.astype(np.float64)
+    elif game.mdp.discount < 1:
+        weight = (~game.mdp.terminal).astype(np.float64)
+    else:
+        weight = _longest(game)
+    later = np.maximum.reduceat(game.ask(weight, delay=True).high, game.first)
+    margin = np.asarray((weight[game.live] - later) * (1 - 4 * UNIT))
+    if not np.all(margin > 0):
+        raise SolverError(Status.NO_BOUND, "no margin against the worst laws can be verified")
+    return weight, margin
+
+
+def _longest(game: Game) -> Floats:
+    """Return about the greatest expected number of steps, by policy iteration on both choices."""
+    mdp, live = game.mdp, ~game.mdp.terminal
+    weight = live.astype(np.float64)
+    for iteration in range(DELAYS):
+        asked = game.ask(weight, delay=True)
+        gain = 1 + game.agent(asked.value, delay=True) - weight[game.live]
+        # What adds less than half a step leaves a margin of over a half.
+        if iteration and gain.max() < 0.5:
+            return weight
+        chain, _ = game.chain(asked.laws, game.choice(asked.value, delay=True))
+        stuck = np.flatnonzero(~closure(chain.T.tocsr(), mdp.terminal.copy()))
+        if len(stuck):
+            named = ", ".join(f"({label})" for label in mdp.space.labels(stuck[:4]))
+            more = f" and {len(stuck) - 4} more" if len(stuck) > 4 else ""
+            raise ModelError(
+                "discount 1 needs every episode to end, and under laws within the sets one does "
+                "not",
+                where=f"it stays for ever among {named}{more}",
+                fix="choose a discount below 1, or smaller sets that keep a way out possible",
+            )
+        weight = LinearSystem(chain).approximate(live.astype(np.float64))
+        if not np.all(np.isfinite(weight)):
+            break
+    raise SolverError(Status.NO_BOUND, "the end is too many steps away under the worst laws")
+
+
+def robust_error(game: Game, value: Floats, margin: Floats) -> tuple[float, Inner]:
+    """Return c and what nature makes of values (S,): they are off by at most c times the weights.
+
+    So are the values of the policy that takes the best pairs of these.
+    """
+    asked, here = game.ask(value), value[game.live]
+    # What rounds here: the mean over pairs, and the difference from the value.
+    size = np.abs(here) + np.maximum.reduceat(np.abs(asked.value), game.first)
+    doubt = 4 * UNIT * size
+    if game.weights is not None:
+        doubt *= 1 + float(np.diff(np.append(game.first, len(asked.value))).max())
+    ends = [game.agent(asked.high) - here, here - game.agent(asked.low)]
+    if (chosen := game.choice(asked.value)) is not None:
+        ends.append(here - asked.low[chosen] if game.most else asked.high[chosen] - here)
+    error = max(0.0, *(float(((end + doubt) / margin).max()) for end in ends)) * SLACK
+    if not np.isfinite(error):
+        raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+    return error, asked
 
 
 def _iterate(
-    game: Game, found: Margins, tol: float | None, max_iterations: int
-) -> tuple[Status, RobustBounds, int]:
-    """Improve values until their bounds meet the tolerance, or rounding stops them."""
-    live, rate = game.live, game.mdp.discount
-    weight, most = found.weight, float(found.weight.max(initial=0.0))
-    value = kept = np.zeros(game.mdp.n_states)
+    game: Game, tol: float | None, max_iterations: int
+) -> tuple[Status, Floats, Floats, Inner, int]:
+    """Return values and their errors (S,), from what nature makes of them, and the iterations."""
+    live, value, rate = game.live, np.zeros(game.mdp.n_states), game.mdp.discount
     if not len(live):
-        return Status.CONVERGED, robust_bounds(game, found, value), 0
-    sweeps, trust, best, idle, near = SWEEPS, np.inf, np.inf, 0, np.inf
+        return Status.CONVERGED, value, value.copy(), game.ask(value), 0
+    weight, margin = margins(game)
+    shifted = rate < 1 and game.order is None  # all values may lack the same
+    most, best, trust, step = float(weight.max()), np.inf, np.inf, value
     for iteration in range(1, max_iterations + 1):
         asked = game.ask(value)
-        worth = game.agent(asked.value)
-        ratio = (worth - value[live]) / found.margin
+        better = game.agent(asked.value)
+        ratio = (better - value[live]) / margin
         low, high = float(ratio.min()), float(ratio.max())
-        size, half = max(high, -low), (high - low) / 2 * most
-        if not np.isfinite(size):
-            raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        limit = tol or RELATIVE_TOLERANCE * max(1.0, float(np.abs(worth).max()))
-        idle = 0 if half < best * 0.999 else idle + 1
-        best = min(best, half)
-        noise = float((asked.high - asked.low).max() / found.margin.min()) * most
-        stalled = idle >= PATIENCE and sweeps == 0 and half <= 4 * noise
-        if stalled or half <= min(limit, near):
-            # The middle between the bounds that the ratios suggest; `robust_bounds` verifies it.
-            end = robust_bounds(game, found, value + (high + low) / 2 * weight)
-            if end.error * most <= limit:
-                return Status.CONVERGED, end, iteration
-            if stalled:
-                return Status.PRECISION, end, iteration
-            near = half / 2
-        if size > trust:  # the sweeps led away from the fixed point: go back, and do fewer
-            value, trust, sweeps = kept, np.inf, sweeps // 4
+        size, middle = max(high, -low), (high + low) / 2 if shifted else 0.0
+        half = max(high - middle, middle - low) * most
+        if not size < trust:  # the equations led away: a step of value iteration does not
+            if trust == np.inf:
+                raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+            value, trust = step, np.inf
             continue
-        if idle >= PATIENCE and sweeps:
-            sweeps, idle = 0, 0
-        sweeps = min(2 * sweeps, MOST_SWEEPS) if size < trust / 2 else sweeps
-        kept = value.copy()
-        kept[live] = worth
-        value, trust = kept.copy(), size if sweeps else np.inf
-        if sweeps:
-            chain, earned = game.chain(
-                asked.laws, None if game.weights is not None else game.choice(asked.value)
-            )
-            if len(live) <= DIRECT_STATES:
-                value = LinearSystem(chain, rate).approximate(earned)
-                continue
-            for _ in range(sweeps):
-                value = earned + rate * (chain @ value)
-    error = robust_bounds(game, found, value).error * most
-    raise SolverError(
-        Status.ITERATION_LIMIT,
-        f"{error:.2g} is the error bound after {max_iterations} iterations",
-    )
+        limit = tol or RELATIVE_TOLERANCE * max(1.0, float(np.abs(better).max()))
+        noise = float((asked.high - asked.low).max() / margin.min()) * most
+        stalled = best <= half <= 4 * noise
+        best = min(best, half)
+        if stalled or half <= limit:
+            found = value + middle * weight
+            error, answer = robust_error(game, found, margin)
+            if stalled or error * most <= limit:
+                status = Status.CONVERGED if error * most <= limit else Status.PRECISION
+                return status, found, np.asarray(error * weight * SLACK), answer, iteration
+        step = value.copy()
+        step[live] = better
+        chain, earned = game.chain(asked.laws, game.choice(asked.value))
+        value, trust = LinearSystem(chain, rate, order=game.order).approximate(earned), size
+    detail = f"{robust_error(game, value, margin)[0] * most:.2g} is the error bound after "
+    raise SolverError(Status.ITERATION_LIMIT, detail + f"{max_iterations} iterations")

@@ -26,10 +26,9 @@ from exact_mdp import (
 )
 from exact_mdp.analysis.plots.sensitivity import plot_robust_curve
 from exact_mdp.analysis.vary.robust import SETS, ambiguity_of
-from exact_mdp.solvers.robust.bounds import Game, margins, robust_bounds
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import RobustSolution
-from exact_mdp.solvers.robust.sets import Inner, L1Ball
+from exact_mdp.solvers.robust.sets import L1Ball
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 F = Fraction
@@ -192,30 +191,6 @@ def test_unknown_words_are_refused(choices: dict) -> None:
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     with pytest.raises(ModelError):
         solve_robust(mdp, L1Ball(radius=0.1), **choices)
-
-
-def test_a_policy_is_bounded_where_nature_answers_exactly() -> None:
-    """The mean over a state's pairs is rounded: the bounds count that, whatever nature's error."""
-    rewards = [F(k * k, 7) for k in range(1, 12)]
-    rows = [(0, k, [(1, 1, float(reward))]) for k, reward in enumerate(rewards)]
-    mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
-    chosen = np.array([*(0.1 * k for k in range(1, 12)), 1.0])
-    shares = [F(w) for w in chosen[:-1].tolist()]
-    right = sum(w * F(float(r)) for w, r in zip(shares, rewards, strict=True)) / sum(shares)
-
-    class Sharp(Game):
-        def ask(self, value: np.ndarray, *, delay: bool = False) -> Inner:
-            if delay:
-                return super().ask(value, delay=True)
-            q = self.mdp.reward[self.pairs]
-            return Inner(low=q, high=q, value=q, laws=[])
-
-    game = Sharp(mdp=mdp, ambiguity=L1Ball(radius=0.0), against=True, weights=chosen)
-    assert F(float(game.agent(game.ask(np.zeros(2)).value)[0])) != right
-    value = np.array([float(game.agent(game.ask(np.zeros(2)).value)[0]), 0.0])
-    found = robust_bounds(game, margins(game), value)
-    assert F(value[0]) + F(found.low) <= right <= F(value[0]) + F(found.high)
-    assert found.error < 1e-12
 
 
 # ---- the analysis ----------------------------------------------------------------------------
