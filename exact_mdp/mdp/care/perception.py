@@ -33,7 +33,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.care.tables import known
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
@@ -118,30 +119,31 @@ def checked(confusion: ArrayLike, *, size: int, where: str) -> Floats:
             where=where,
             fix=f"give {size} true by {size} perceived statuses",
         )
-    bits = size.bit_length() - 1
-    labels = [format(number, f"0{bits}b") for number in range(size)]
-    below = np.argwhere(~(matrix >= 0))
-    if len(below):
-        row, column = below[0].tolist()
-        raise ModelError(
-            f"status {labels[row]} is seen as {labels[column]} with probability "
-            f"{matrix[row, column]:.12g}",
-            where=f"{where}, row {row}",
-            fix="give a number from 0 to 1",
-        )
-    for row, label in enumerate(labels):
-        _check_sum(matrix[row], label, f"{where}, row {row}")
+    for row in range(size):
+        _check_row(matrix[row], statuses_of(size).label(row), f"{where}, row {row}")
     return matrix
 
 
-def _check_sum(row: Floats, label: str, where: str) -> None:
-    total = float(row.sum())
-    if not abs(total - 1) <= FLOAT_ROW_TOLERANCE:
+def _check_row(row: Floats, label: str, where: str) -> None:
+    if not (row >= 0).all():
+        seen = int(np.flatnonzero(~(row >= 0))[0])
         raise ModelError(
-            f"the row of status {label} sums to {total:.12g}, not 1",
+            f"status {label} is seen as {statuses_of(len(row)).label(seen)} with probability "
+            f"{row[seen]:.12g}",
+            where=where,
+            fix="give a number from 0 to 1",
+        )
+    if not abs(row.sum() - 1) <= FLOAT_ROW_TOLERANCE:
+        raise ModelError(
+            f"the row of status {label} sums to {row.sum():.12g}, not 1",
             where=where,
             fix="correct a probability in this row, or add what is missing",
         )
+
+
+def statuses_of(size: int) -> Column:
+    """Return the column of so many status vectors."""
+    return Column(name="status", size=size, bits=size.bit_length() - 1)
 
 
 def status_size(model: MDP) -> int:
@@ -217,15 +219,11 @@ class Counted:
         ModelError
             Where a status was never seen and there is no prior.
         """
-        return self.confusion("confusion matrix")
-
-    def confusion(self, where: str) -> Floats:
-        """Return `mean`; `where` names the counts in an error."""
         if self.prior == 0 and self.missing:
             more = " and others" if len(self.missing) > 4 else ""
             raise ModelError(
                 f"no example was labelled {', '.join(self.missing[:4])}{more}",
-                where=where,
+                where="confusion matrix",
                 fix="label more, or give a prior, which counts as that many of each; "
                 "`exact-mdp perception` takes a --prior",
             )
@@ -235,9 +233,8 @@ class Counted:
     @property
     def missing(self) -> tuple[str, ...]:
         """Statuses without any example."""
-        bits = len(self.counts).bit_length() - 1
-        rows = np.flatnonzero(self.counts.sum(axis=1) == 0).tolist()
-        return tuple(format(row, f"0{bits}b") for row in rows)
+        label = statuses_of(len(self.counts)).label
+        return tuple(map(label, np.flatnonzero(self.counts.sum(axis=1) == 0).tolist()))
 
     def samples(self, rng: np.random.Generator, n: int) -> Floats:
         """Return (n, Z, Z) matrices drawn from the posterior.
@@ -325,33 +322,30 @@ def counted(
     if isinstance(source, np.ndarray) and source.shape == (size, size):
         return Counted(counts=source, prior=prior)
     pairs = ((f"pair {k}", *pair) for k, pair in enumerate(source, start=1))
-    return _counted(pairs, Column(name="status", size=size, bits=size.bit_length() - 1), prior)
+    return _tally(pairs, size, prior)
 
 
-def _counted(pairs: Iterable[tuple[str, object, object]], column: Column, prior: float) -> Counted:
+def _tally(pairs: Iterable[tuple[str, object, object]], size: int, prior: float) -> Counted:
     """Return the counts of places, true and perceived statuses."""
-    table = np.zeros((column.size, column.size), dtype=np.int64)
-    for place, true, seen in pairs:
-        table[_status(true, column, place), _status(seen, column, place)] += 1
-    return Counted(counts=table, prior=prior)
+    column, table = statuses_of(size), np.zeros((size, size), dtype=np.int64)
 
-
-def _status(value: object, column: Column, where: str) -> int:
-    if isinstance(value, str):
-        try:
+    def status(value: object) -> int:
+        if isinstance(value, str):
             return column.parse(value)
-        except ModelError as error:
-            raise ModelError(error.what, where=where, fix=error.fix) from error
-    number = -1
-    if isinstance(value, int | np.integer) and not isinstance(value, bool):
-        number = int(value)
-    if 0 <= number < column.size:
+        number = -1
+        if isinstance(value, int | np.integer) and not isinstance(value, bool):
+            number = int(value)
+        if not 0 <= number < size:
+            raise ModelError(
+                f"{value!r} is not a status",
+                fix=f"give a number from 0 to {size - 1}, or a label such as {column.label(0)}",
+            )
         return number
-    raise ModelError(
-        f"{value!r} is not a status",
-        where=where,
-        fix=f"give a number from 0 to {column.size - 1}, or a label such as {column.label(0)}",
-    )
+
+    for place, true, seen in pairs:
+        with located(place, instead=True):
+            table[status(true), status(seen)] += 1
+    return Counted(counts=table, prior=prior)
 
 
 # ---- files ---------------------------------------------------------------------------------------
@@ -368,8 +362,10 @@ def read(path: str | Path, model: MDP) -> Floats:
     size, where = status_size(model), str(path)
     suffix = Path(path).suffix.lower()
     if holds_examples(path):
-        matrix = read_counts(path, model).confusion(where)
-    elif suffix == ".csv":
+        counts = read_counts(path, model)
+        with located(where, instead=True):
+            return counts.mean
+    if suffix == ".csv":
         matrix = _matrix_of_rows(read_text(path), model.space.column("status"), where)
     elif suffix == ".toml":
         matrix = _matrix_of_rates(read_text(path, most=SMALL), model, where)
@@ -395,28 +391,25 @@ def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
     are passed over, and so is a last line that breaks off before its end; a header that names
     `statuses` must name the model's.
     """
-    text, where = read_text(path), str(path)
-    suffix = Path(path).suffix.lower()
+    text, where, suffix = read_text(path), str(path), Path(path).suffix.lower()
     if suffix == ".csv":
         rows = _csv_rows(text, where, PAIRS, "write true,perceived first")
-        pairs: Iterable[tuple[str, object, object]] = [
-            (place, row[0], row[1]) for place, row in rows
-        ]
+        pairs: Iterable[Any] = [(place, *row) for place, row in rows]
     elif suffix == ".jsonl":
-        pairs = _pairs_of_lines(text, where, _status_names(model))
+        pairs = _pairs_of_lines(text, where, _named(model))
     else:
         raise ModelError(f"unknown kind of examples {where!r}", fix="give a .csv or .jsonl file")
-    return _counted(pairs, model.space.column("status"), prior)
+    return _tally(pairs, status_size(model), prior)
 
 
-def _status_names(model: MDP) -> list[str]:
+def _named(model: MDP) -> list[str]:
     names = (parameter.name for parameter in model.parameters)
     return [name.removeprefix("base.") for name in names if name.startswith("base.")]
 
 
 def status_names(model: MDP) -> tuple[str, ...]:
     """Return the names of the statuses, the most significant bit first; numbers where unnamed."""
-    names, bits = _status_names(model), status_size(model).bit_length() - 1
+    names, bits = _named(model), status_size(model).bit_length() - 1
     return tuple(names) if len(names) == bits else tuple(f"bit {bit}" for bit in range(bits))
 
 
@@ -452,10 +445,10 @@ def _pairs_of_lines(
             raise ModelError(f"broken JSON: {error}", where=place, fix="correct it") from error
         if not isinstance(entry, Mapping):
             raise ModelError("a line that is not an object", where=place, fix="correct the line")
-        told = entry.get("statuses")
-        if told is not None and names and told != names:
+        stated = entry.get("statuses")
+        if stated is not None and names and stated != names:
             raise ModelError(
-                f"a recording with the statuses {told}",
+                f"a recording with the statuses {stated}",
                 where=place,
                 fix="choose the scenario that it was made with",
             )
@@ -466,51 +459,43 @@ def _pairs_of_lines(
 def _matrix_of_rows(text: str, column: Column, where: str) -> Floats:
     labels = [column.label(value) for value in range(column.size)]
     fix = f"name the statuses in order: status,{labels[0]},…,{labels[-1]}"
-    matrix = np.full((len(labels), len(labels)), np.nan)
+    rows: dict[str, list[float]] = {}
     for place, (label, *words) in _csv_rows(text, where, ["status", *labels], fix):
-        row = labels.index(label) if label in labels else -1
-        if row < 0 or not np.isnan(matrix[row, 0]):
+        if label not in labels or label in rows:
             raise ModelError(
                 f"status {label!r} is unknown or appears twice",
                 where=place,
                 fix="give one row for each status",
             )
-        matrix[row] = [_probability(word, place) for word in words]
-        _check_sum(matrix[row], label, place)
-    if np.isnan(matrix).any():
-        missing = labels[int(np.flatnonzero(np.isnan(matrix[:, 0]))[0])]
-        raise ModelError(f"the row of status {missing} is missing", where=where, fix="add it")
-    return matrix
+        rows[label] = [_probability(word, place) for word in words]
+        _check_row(np.array(rows[label]), label, place)
+    for label in labels:
+        if label not in rows:
+            raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
+    return np.array([rows[label] for label in labels])
 
 
 def _matrix_of_rates(text: str, model: MDP, where: str) -> Floats:
-    names, content = _status_names(model), toml_of(text, where)
+    names, content = _named(model), toml_of(text, where)
     rates = []
     for table in ("sensitivity", "specificity"):
         given = content.pop(table, None)
         if not isinstance(given, dict):
             raise ModelError(f"the table [{table}] is missing", where=where, fix="add it")
         for name in given:
-            if name not in names:
-                raise ModelError(f"unknown status {name!r}", where=where, fix=suggest(name, names))
+            known(name, names, "status", where)
         for name in names:
             if name not in given:
                 raise ModelError(f"{table}.{name} is missing", where=where, fix="state it")
         rates.append([_probability(given[name], f"{where}, {table}.{name}") for name in names])
-    if content:
-        raise ModelError(
-            f"unknown key {next(iter(content))!r}",
-            where=where,
-            fix="keep only [sensitivity] and [specificity]",
-        )
+    for key in content:
+        known(key, ("sensitivity", "specificity"), "key", where)
     return independent(*rates)
 
 
 def _probability(value: object, where: str) -> float:
-    try:
+    with located(where, instead=True):
         number = exact(value)
-    except ModelError as error:
-        raise ModelError(error.what, where=where, fix=error.fix) from error
     if not 0 <= number <= 1:
         raise ModelError(
             f"{beside(number, Fraction(0), Fraction(1))} is outside [0, 1]",
