@@ -33,7 +33,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.average.chain import ExactAverages
-from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
+from exact_mdp.solvers.average.evaluate import AverageEvaluation
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.exact.certificate import Certificate
@@ -41,6 +41,7 @@ from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError, regret
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.unending import average
 
 
 def average_loss(mdp: MDP, policy: Policy, exact: bool | None) -> Loss:
@@ -50,7 +51,7 @@ def average_loss(mdp: MDP, policy: Policy, exact: bool | None) -> Loss:
     exact = cheap(mdp, LAST_CYCLE) if exact is None else exact
     own: AverageEvaluation | None = None
     try:
-        own = evaluated(step, chain.weights, chain.roundings, policy)
+        own = average(chain)
         visits = own.visits
     except SolverError:
         if not exact:

@@ -24,7 +24,6 @@ from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import Certified, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.visits import visits
 
 LISTED = 4  # actions that a text names in one state
 
@@ -138,7 +137,7 @@ def own_visits(chain: PolicyChain, *, exact: bool) -> Floats:
         label = kept(chain)
         return np.where(chain.reached & (label >= 0), np.inf, arrivals(chain, label))
     try:
-        return np.where(chain.reached, visits(chain.mdp, chain.discounted).value, 0.0)
+        return np.where(chain.reached, chain.discounted.visits.value, 0.0)
     except SolverError:
         if not exact:
             raise

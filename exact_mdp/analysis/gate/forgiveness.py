@@ -28,7 +28,6 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.visits import visits
 
 
 def _rounded_rewards(mdp: MDP) -> Floats:
@@ -79,7 +78,7 @@ def forgiven(
     with np.errstate(over="ignore", invalid="ignore"):
         for sign, (chain, known) in ((-1, own), (1, best)):
             try:
-                met = visits(chain.mdp, chain.discounted)
+                met = chain.discounted.visits
             except SolverError:
                 return Fraction(0)
             live = (chain.reached & ~chain.mdp.terminal)[mdp.pair_state] * chain.weights

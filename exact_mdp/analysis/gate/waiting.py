@@ -32,7 +32,6 @@ from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import surplus
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 from exact_mdp.solvers.values.unending import ended
-from exact_mdp.solvers.values.visits import visits
 
 
 def kept(chain: PolicyChain) -> Integers:
@@ -87,7 +86,7 @@ def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
 def arrivals(chain: PolicyChain, label: Integers) -> Floats:
     """Return (S,) expected visits of the states that are left again, arrivals in the classes."""
     stays = PolicyChain(mdp=ended(chain.mdp, label >= 0), chosen=chain.chosen, policy=chain.policy)
-    return np.where(chain.reached, visits(stays.mdp, stays.discounted).value, 0.0)
+    return np.where(chain.reached, stays.discounted.visits.value, 0.0)
 
 
 def shares(chain: PolicyChain, by_state: Floats, gap: Floats, wrong: Flags) -> Floats:

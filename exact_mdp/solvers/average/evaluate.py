@@ -51,6 +51,8 @@ class AverageEvaluation(Result):
         Gain, the average reward per step from each state, and bias; see `solvers.average.chain`.
     error, bias_error : (S,)
         How far they may be from the exact ones.
+    exact : (FixedPoint, FixedPoint), optional
+        `share` and `arrivals`, where they were found in rational arithmetic.
 
     Examples
     --------
@@ -70,6 +72,7 @@ class AverageEvaluation(Result):
     error: Floats
     bias: Floats
     bias_error: Floats
+    exact: tuple[FixedPoint, FixedPoint] | None = None
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
@@ -96,10 +99,12 @@ class AverageEvaluation(Result):
     @cached_property
     def share(self) -> FixedPoint:
         """(S,) the share of time that is spent in each state in the long run, from the start."""
+        if self.exact is not None:
+            return self.exact[0]
         at_base, label = self.classes.at_base, self.classes.label
         averages = self._averages
         system = transposed(averages.system(at_base))
-        arrivals = self._arrivals
+        arrivals = self.arrivals
         onward = averages.transition[self.classes.base].sum(axis=0)
         onward = np.where(at_base, 0.0, onward)
         rounding = float(gamma(len(self.classes.base) + self.roundings))
@@ -121,8 +126,10 @@ class AverageEvaluation(Result):
         return FixedPoint(value=found, error=(error + 8 * UNIT * found) * SLACK * inside)
 
     @cached_property
-    def _arrivals(self) -> FixedPoint:
+    def arrivals(self) -> FixedPoint:
         """(S,) expected visits from the start until a base, that arrival included."""
+        if self.exact is not None:
+            return self.exact[1]
         begin = self.mdp.start_distribution
         return transposed(self._averages.system(self.classes.at_base)).solve(begin, UNIT * begin)
 
@@ -134,7 +141,7 @@ class AverageEvaluation(Result):
     def visits(self) -> Floats:
         """(S,) the share of time; in transient states the expected visits from the start."""
         recurrent = self.classes.recurrent
-        return np.where(recurrent, self.share.value, np.maximum(self._arrivals.value, 0.0))
+        return np.where(recurrent, self.share.value, np.maximum(self.arrivals.value, 0.0))
 
     @cached_property
     def components(self) -> dict[str, Bounded]:

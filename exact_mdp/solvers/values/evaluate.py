@@ -28,16 +28,16 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import COMPILED, Floats
-from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
+from exact_mdp.solvers.average.evaluate import AverageEvaluation
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
+from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.modified import closer, wide
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, in_float
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
 from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
 from exact_mdp.solvers.values.returns import return_distribution, times
-from exact_mdp.solvers.values.unending import arrives, model_of, rested
-from exact_mdp.solvers.values.visits import ever, pair_visits, steps, visits
+from exact_mdp.solvers.values.unending import arrives, average, model_of, rested
+from exact_mdp.solvers.values.visits import ever, pair_visits, steps
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -250,13 +250,9 @@ class Evaluation(Pictured):
         doubt = chain.total(chain.probability * (2 * np.abs(surprise) + off) * off)
         rounding = gamma(chain.outcomes + chain.roundings + 5)
         doubt += rounding * constant + TINY
-        system = chain.discounted
-        if self.mdp.discount_exact != 1:
-            # The square of a rounded γ is off by three roundings where one is allowed for.
-            system = LinearSystem(
-                system.transition, rate**2, order=system.order, roundings=system.roundings + 2
-            )
-        found = system.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
+        rate_exact = self.mdp.discount_exact
+        equations = chain.discounted if rate_exact == 1 else chain.equations(rate_exact**2)
+        found = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
         # No variance is negative: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
 
@@ -354,7 +350,7 @@ class Evaluation(Pictured):
     @cached_property
     def _undiscounted(self) -> FixedPoint:
         whole = self.mdp.discount_exact == 1
-        return self._discounted if whole else visits(self.mdp, self.chain.undiscounted)
+        return self._discounted if whole else self.chain.undiscounted.visits
 
     @cached_property
     def _discounted(self) -> FixedPoint:
@@ -364,7 +360,7 @@ class Evaluation(Pictured):
                 where="visits",
                 fix=ways_out(self.mdp),
             )
-        return visits(self.mdp, self.chain.discounted)
+        return self.chain.discounted.visits
 
     # ---- events ------------------------------------------------------------------------------
 
@@ -463,8 +459,7 @@ def evaluate(
         require_no_horizon(horizon)
         if isinstance(policy, str) and policy == "optimal":
             policy = solve(mdp, criterion="average")
-        held = PolicyChain.of(mdp, policy, kind=kind)
-        return evaluated(mdp.undiscounted, held.weights, held.roundings, held.policy)
+        return average(PolicyChain.of(mdp, policy, kind=kind))
     if horizon is not None:
         mdp = mdp.within(horizon)
     chain = PolicyChain.of(mdp, policy, kind=kind)

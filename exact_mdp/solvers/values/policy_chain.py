@@ -13,9 +13,11 @@ reached from which the terminal ones cannot be (Puterman, Markov Decision Proces
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from math import lcm
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,12 +33,16 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
+    common,
     divide,
     exact,
+    integers,
 )
 from exact_mdp.solvers.bounds.bounds import levels
-from exact_mdp.solvers.bounds.gains import TINY, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import LinearSystem, rows_of
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, rows_of, transposed
+from exact_mdp.solvers.exact.linear import MANY, Matrix, exact_solve
+from exact_mdp.solvers.solution import SolverError, Status
 from exact_mdp.solvers.solver import Criterion, solve
 
 Mask = NDArray[np.bool_]
@@ -271,19 +277,138 @@ class PolicyChain:
 
     # ---- equations ---------------------------------------------------------------------------
 
-    @cached_property
-    def undiscounted(self) -> LinearSystem:
-        """Equation x = c + P_π x on the states that end; the others have empty rows."""
-        matrix = self.transition if self.ends.all() else rows_of(self.transition, self.ends)
-        return LinearSystem(matrix, 1.0, order=self.order, roundings=self.roundings)
+    def equations(self, rate: Fraction) -> Equations:
+        """Return x = c + rate · P_π x; at rate 1 the states that may not end have empty rows."""
+        live = self.ends & ~self.mdp.terminal if rate == 1 else ~self.mdp.terminal
+        matrix = self.transition if rate < 1 or self.ends.all() else rows_of(self.transition, live)
+        system = LinearSystem(matrix, float(rate), order=self.order, roundings=self.roundings)
+        return Equations(chain=self, rate=rate, live=live, system=system)
 
     @cached_property
-    def discounted(self) -> LinearSystem:
+    def undiscounted(self) -> Equations:
+        """Equation x = c + P_π x on the states that end; the others have empty rows."""
+        return self.equations(Fraction(1))
+
+    @cached_property
+    def discounted(self) -> Equations:
         """Equation x = c + γ P_π x; at discount 1 on the states that end."""
-        rate = self.mdp.discount
-        if self.mdp.discount_exact == 1:
-            return self.undiscounted
-        return LinearSystem(self.transition, rate, order=self.order, roundings=self.roundings)
+        rate = self.mdp.discount_exact
+        return self.undiscounted if rate == 1 else self.equations(rate)
+
+    @cached_property
+    def odds(self) -> list[Fraction]:
+        """The exact probability of each of the N outcomes in its state."""
+        weight, below = self.table.integer_weights()
+        share: dict[int, Fraction] = {}
+        for state in range(self.mdp.n_states):
+            share |= self.exact_weights(state)
+        each = [share[l] / int(d) for l, d in zip(self.pairs.tolist(), below, strict=True)]
+        return [each[l] * int(w) for l, w in zip(self.table.pair.tolist(), weight, strict=True)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equations:
+    """x = c + rate · P x in some states of a chain, x = c in the others.
+
+    Where floats cannot bound x, as the chain mixes or ends too slowly, x is found in rationals.
+
+    Attributes
+    ----------
+    live : (S,)
+        The states.
+    left_out : (N,), optional
+        Outcomes that P does not count.
+    turned : bool
+        Whether the equation is x = c + rate · Pᵀ x.
+    """
+
+    chain: PolicyChain
+    rate: Fraction
+    live: Mask
+    system: LinearSystem
+    left_out: Mask | None = None
+    turned: bool = False
+
+    @cached_property
+    def transposed(self) -> Equations:
+        """The equations of visits."""
+        return replace(self, system=transposed(self.system), turned=not self.turned)
+
+    @cached_property
+    def visits(self) -> FixedPoint:
+        """(S,) expected visits from the start, times rate^t at time t; arrivals at an end count."""
+        start = self.chain.mdp.start_distribution
+        found = self.transposed.solve(start, UNIT * start)
+        # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
+        return FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
+
+    def solve(self, constant: Floats, error: Floats | float = 0.0) -> FixedPoint:
+        """Return x (S,) and its error, for a constant that may be off by `error`.
+
+        Raises SolverError where floats cannot bound it and rationals would take too long, or where
+        x is beyond the range of floats.
+        """
+        try:
+            return self.system.solve(constant, error)
+        except SolverError as error_of_floats:
+            doubt = np.broadcast_to(error, constant.shape)
+            require_few(self.chain.mdp, error_of_floats)
+            if not np.isfinite([constant, doubt]).all():
+                raise
+            value, off = (
+                rounded(self.exactly([*map(Fraction, side.tolist())])) for side in (constant, doubt)
+            )
+        return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
+
+    def exactly(self, constant: Sequence[Fraction]) -> list[Fraction]:
+        """Return x for an exact constant."""
+        matrix, scale = self._matrix
+        side, unit = common(constant)
+        if not self.turned:
+            side = [number * times for number, times in zip(side, scale, strict=True)]
+        top, below = exact_solve(matrix.transposed if self.turned else matrix, side)
+        found = [Fraction(int(number), int(below) * unit) for number in top]
+        if self.turned:
+            found = [number * times for number, times in zip(found, scale, strict=True)]
+        return found
+
+    @cached_property
+    def _matrix(self) -> tuple[Matrix, list[int]]:
+        """I - rate · P in integers, and what each row is multiplied by."""
+        used = self.live[self.chain.source]
+        if self.left_out is not None:
+            used &= ~self.left_out
+        place, states = np.flatnonzero(used), np.arange(len(self.live))
+        source, odds = self.chain.source[place], self.chain.odds
+        flow = [self.rate * odds[number] for number in place.tolist()]
+        scale = [1] * len(states)
+        for state, share in zip(source.tolist(), flow, strict=True):
+            scale[state] = lcm(scale[state], share.denominator)
+        each = zip(source.tolist(), flow, strict=True)
+        matrix = Matrix.of(
+            len(states),
+            np.concatenate([states, source]),
+            np.concatenate([states, self.chain.table.next[place]]),
+            integers([*scale, *(int(-share * scale[state]) for state, share in each)]),
+        )
+        return matrix, scale
+
+
+def require_few(mdp: MDP, error: SolverError) -> None:
+    """Raise SolverError, because of one of floats, where rationals would take too long."""
+    if mdp.n_states > MANY:
+        detail = f"{error.detail or 'double precision cannot bound the error'}, and rational "
+        detail += f"arithmetic takes up to {MANY:,} states"
+        raise SolverError(Status.TOO_LARGE, detail) from error
+
+
+def rounded(numbers: Iterable[Fraction]) -> FixedPoint:
+    """Return (S,) exact numbers, each rounded once."""
+    try:
+        value = np.array([float(number) for number in numbers])
+    except OverflowError:
+        raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats") from None
+    return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY * (value != 0))
 
 
 def _checked(mdp: MDP, weights: Floats) -> Floats:

@@ -295,9 +295,10 @@ def carry_exact(flow: Flow) -> tuple[dict[int, int], int]:
             where="policy",
             fix="leave out exact=True: all but 10^-12 of the probability is then found",
         )
-    odds, block = _odds(flow), flow.block[flow.source].tolist()
+    odds, block = flow.chain.odds, flow.block[flow.source].tolist()
+    chances = [odds[number] for number in flow.used.tolist()]
     common = [1] * int(flow.block[-1])
-    for here, chance in zip(block, odds, strict=True):
+    for here, chance in zip(block, chances, strict=True):
         common[here] = lcm(common[here], chance.denominator)
     # Mass of block b is over start · common[0] ⋯ common[b-1]; who jumps ahead takes all of these.
     product = [1]
@@ -305,7 +306,9 @@ def carry_exact(flow: Flow) -> tuple[dict[int, int], int]:
         product.append(product[-1] * factor)
     shares = [
         int(chance * common[here]) * (product[there] // product[here + 1])
-        for chance, here, there in zip(odds, block, flow.block[flow.target].tolist(), strict=True)
+        for chance, here, there in zip(
+            chances, block, flow.block[flow.target].tolist(), strict=True
+        )
     ]
     bottom = lcm(*(weight.denominator for weight in flow.start.values()))
     start = {
@@ -314,20 +317,6 @@ def carry_exact(flow: Flow) -> tuple[dict[int, int], int]:
     }
     masses, _, _ = _carry(flow, shares, start, 1)
     return masses, bottom * product[-1]
-
-
-def _odds(flow: Flow) -> list[Fraction]:
-    """Return (M,) the exact probabilities of the outcomes in their states."""
-    chain, table = flow.chain, flow.chain.table
-    chosen: dict[int, Fraction] = {}
-    for state in range(chain.mdp.n_states):
-        chosen |= chain.exact_weights(state)
-    weights, denominator = table.integer_weights()
-    scale = [
-        chosen[l] / int(bottom) for l, bottom in zip(chain.pairs.tolist(), denominator, strict=True)
-    ]
-    pair = table.pair[flow.used].tolist()
-    return [scale[l] * int(weights[i]) for l, i in zip(pair, flow.used.tolist(), strict=True)]
 
 
 def _carry(

@@ -17,12 +17,15 @@ import numpy as np
 
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.graph import closure, strong_components, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
-from exact_mdp.solvers.average.evaluate import evaluated
+from exact_mdp.solvers.average.chain import ExactAverages
+from exact_mdp.solvers.average.evaluate import AverageEvaluation, evaluated
 from exact_mdp.solvers.exact.find import best_average, expansion
-from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
+from exact_mdp.solvers.solution import SolverError
+from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain, require_few, rounded
 
 
 def arrives(chain: PolicyChain) -> bool:
@@ -113,8 +116,7 @@ def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
     """Return the `busy` states (S,), which earn for ever, that gain, and those that lose."""
     if not busy.any():
         return {}
-    mdp = chain.mdp.undiscounted
-    found = evaluated(mdp, chain.weights, chain.roundings)
+    mdp, found = chain.mdp, average(chain)
     gain, open_ = found.value, busy & (np.abs(found.value) <= found.error)
     if open_.any():
         of_policy = model_of(chain)
@@ -129,6 +131,49 @@ def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
                 fix=ways_out(mdp, 'take evaluate(), with criterion="average"'),
             )
     return {inf: busy & (gain > 0), -inf: busy & (gain < 0)}
+
+
+def average(chain: PolicyChain) -> AverageEvaluation:
+    """Return what a policy earns per step: in rationals where floats cannot bound it.
+
+    Raises SolverError where that would take too long.
+    """
+    mdp = chain.mdp.undiscounted
+    try:
+        found = evaluated(mdp, chain.weights, chain.roundings, chain.policy)
+        if np.isfinite(found.share.error).all():
+            return found
+    except SolverError as error:
+        require_few(mdp, error)
+    exact = ExactAverages(bellman_rows(model_of(chain).undiscounted))
+    gain, bias, _ = exact.expansion(exact.reward)
+    at_base, label = exact.classes.at_base, exact.classes.label
+    own = exact.classes.base[np.maximum(label, 0)]
+    until = replace(chain.undiscounted, rate=Fraction(1), live=~at_base, turned=True)
+    nothing = np.array([Fraction(0)] * mdp.n_states, dtype=object)
+    start, onward = nothing.copy(), nothing.copy()
+    for state, weight in mdp.start:
+        start[state] = weight
+    for number in np.flatnonzero(at_base[chain.source]).tolist():
+        onward[chain.table.next[number]] += chain.odds[number]
+    arrivals = np.array(until.exactly(start.tolist()), dtype=object)
+    # What is met between two visits of a base, over the time between them.
+    met = np.array(until.exactly(np.where(at_base, nothing, onward).tolist()), dtype=object)
+    met[at_base] = Fraction(1)
+    share = np.where(label < 0, nothing, arrivals[own] * met / exact.period[np.maximum(label, 0)])
+    own_value, own_bias = rounded(gain), rounded(bias)
+    return AverageEvaluation(
+        mdp=mdp,
+        weights=chain.weights,
+        roundings=chain.roundings,
+        policy=chain.policy,
+        classes=exact.classes,
+        value=own_value.value,
+        error=own_value.error,
+        bias=own_bias.value,
+        bias_error=own_bias.error,
+        exact=(rounded(share), rounded(arrivals)),
+    )
 
 
 def model_of(chain: PolicyChain) -> MDP:

@@ -12,35 +12,16 @@ chapter 3).
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
+from fractions import Fraction
 
 import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.graph import closure
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.gains import UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, transposed
-from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
-
-_VISITS: WeakKeyDictionary[LinearSystem, tuple[Floats, FixedPoint]] = WeakKeyDictionary()
-
-
-def visits(mdp: MDP, system: LinearSystem) -> FixedPoint:
-    """Return (S,) expected visits from the start; terminal states count arrivals.
-
-    Computed once for each system and start.
-    """
-    start, known = mdp.start_distribution, _VISITS.get(system)
-    if known is not None and np.array_equal(known[0], start):
-        return known[1]
-    found = transposed(system).solve(start, UNIT * start)
-    # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
-    found = FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
-    found.value.setflags(write=False)
-    _VISITS[system] = start, found
-    return found
+from exact_mdp.solvers.bounds.gains import gamma
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
+from exact_mdp.solvers.values.policy_chain import Equations, Mask, PolicyChain
 
 
 def pair_visits(chain: PolicyChain, found: FixedPoint) -> Floats:
@@ -71,5 +52,6 @@ def ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
     matrix = sp.csr_array(entries, (states, states))
     roundings = chain.roundings + int(chain.outcomes.max())
     system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
-    found = system.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
+    equations = Equations(chain=chain, rate=Fraction(1), live=possible, system=system, left_out=~on)
+    found = equations.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
     return FixedPoint(value=np.clip(found.value, 0.0, 1.0), error=found.error)

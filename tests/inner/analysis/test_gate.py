@@ -17,7 +17,6 @@ from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
 from exact_mdp.analysis.gate.relaxation import Rows as TableRows
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
-from exact_mdp.solvers.values.visits import visits
 
 
 def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,6 +122,6 @@ def test_exact_visits_are_those_of_floating_point_where_it_can() -> None:
     for discount in (1, "9/10"):
         model = MDP.from_outcomes(rows, discount, start={0: "1/2", 2: "1/2"})
         chain = PolicyChain.of(model, "random")
-        near = visits(model, chain.discounted).value
+        near = chain.discounted.visits.value
         assert exact_visits(chain).value_float.tolist() == pytest.approx(near.tolist(), rel=1e-12)
-        assert exact_visits(chain).value_float[4] == 0
+        assert exact_visits(chain).value[4] == 0

@@ -46,7 +46,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, Claim, difference, in
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.visits import visits
 
 if TYPE_CHECKING:
     from flint import fmpq
@@ -418,7 +417,7 @@ class _BoundedPass:
         live = ~np.isnan(self.found.value)
         self.value = np.where(live, self.found.value, 0.0)
         self.value_error = np.where(live, self.found.error, 0.0)
-        seen = visits(mdp, chain.discounted)
+        seen = chain.discounted.visits
         stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
         factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights
         self.uses = seen.value[mdp.pair_state] * factor

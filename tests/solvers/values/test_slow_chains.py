@@ -1,0 +1,114 @@
+"""Chains that mix or end so slowly that floats cannot bound what is asked of them."""
+
+from fractions import Fraction
+
+import pytest
+
+from exact_mdp import MDP, check, evaluate
+
+F = Fraction
+
+
+def kmr(n: int, p: Fraction, eps: Fraction) -> list[list[Fraction]]:
+    """Kandori, Mailath and Rob (Econometrica 61, 1993): n players revise one at a time."""
+
+    def likes(share: Fraction) -> Fraction:
+        return eps / 2 + (1 - eps) * (F(1, 2) if share == p else F(share > p))
+
+    rows = [[F(0)] * (n + 1) for _ in range(n + 1)]
+    for k, row in enumerate(rows):
+        if k:
+            row[k - 1] = F(k, n) * (1 - likes(F(k - 1, n - 1)))
+        if k < n:
+            row[k + 1] = F(n - k, n) * likes(F(k, n - 1))
+        row[k] = 1 - sum(row)
+    return rows
+
+
+def stationary(rows: list[list[Fraction]]) -> list[Fraction]:
+    """Grassmann, Taksar and Heyman (Operations Research 33, 1985), in rationals."""
+    rows, size = [[*row] for row in rows], len(rows)
+    for k in range(size - 1, 0, -1):
+        out = sum(rows[k][:k])
+        for i in range(k):
+            rows[i][k] /= out
+            for j in range(k):
+                rows[i][j] += rows[i][k] * rows[k][j]
+    share = [F(1)]
+    for k in range(1, size):
+        share.append(sum(share[i] * rows[i][k] for i in range(k)))
+    return [x / sum(share) for x in share]
+
+
+def uncoupled(eps: Fraction) -> list[list[Fraction]]:
+    """Two pairs of states that hardly ever lead to each other."""
+    half, left = F(1, 2), F(1, 2) - eps
+    return [
+        [half, half, 0, 0],
+        [half, left, eps, 0],
+        [0, 0, half, half],
+        [eps / 3, 0, half, half - eps / 3],
+    ]
+
+
+CHAINS = {
+    "two states": [[F("0.4"), F("0.6")], [F("0.2"), F("0.8")]],
+    "a ring": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+    "3 players": kmr(3, F(1, 3), F("1e-14")),
+    "27 players": kmr(27, F(1, 3), F("1e-2")),
+    "uncoupled": uncoupled(F("1e-30")),
+}
+
+
+@pytest.mark.parametrize("rows", CHAINS.values(), ids=CHAINS)
+def test_shares_of_time_have_all_their_digits(rows) -> None:
+    found = evaluate(
+        MDP.from_arrays([rows], [[k] for k in range(len(rows))]),
+        [0] * len(rows),
+        criterion="average",
+    )
+    exact = stationary(rows)
+    for share, error, right in zip(found.share.value, found.share.error, exact, strict=True):
+        assert abs(F(share) - right) <= F(error)
+        assert error <= 1e-14
+    mean = sum(k * share for k, share in enumerate(exact))
+    assert abs(F(found.mean) - mean) <= F(found.start.error) <= F("1e-12") * mean
+    assert found.components["reward"].value == pytest.approx(float(mean))
+
+
+def test_the_rarest_states_of_a_slow_chain_are_known_to_all_digits() -> None:
+    rows = CHAINS["27 players"]
+    found = evaluate(MDP.from_arrays([rows], [[0]] * 28), [0] * 28, criterion="average")
+    assert found.visits == pytest.approx([float(x) for x in stationary(rows)], rel=1e-15)
+
+
+def test_transient_states_and_two_classes_under_a_mixed_policy() -> None:
+    eps = F("1e-25")
+    slow = [[1 - 3 * eps, eps, 2 * eps], [0, 1, 0], [0, 0, 1]]
+    mdp = MDP.from_arrays([slow, slow], [[0, 0], [3, 3], [6, 6]])
+    found = evaluate(mdp, [[F(1, 3), F(2, 3)]] * 3, kind="policy", criterion="average")
+    assert found.share.value == pytest.approx([0, 1 / 3, 2 / 3], rel=1e-15)
+    assert found.value == pytest.approx([5, 3, 6], rel=1e-15)
+    assert found.visits[0] == pytest.approx(1 / (3e-25), rel=1e-15)
+
+
+@pytest.mark.parametrize("discount", [1, 1 - F("1e-30")])
+def test_an_end_that_hardly_comes(discount) -> None:
+    eps = F("1e-30")
+    rows = [(0, 0, [(1 - 3 * eps, 0, 2), (eps, 1, 2), (2 * eps, 2, 2)])]
+    rows += [(1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+    mdp = MDP.from_outcomes(rows, discount=discount)
+    mean = 2 / (1 - discount * (1 - 3 * eps))
+    found = evaluate(mdp, [0, 0, 0])
+    assert abs(F(found.mean) - mean) <= F(found.start.error) <= mean * F("1e-14")
+    assert found.steps == pytest.approx(1e30 / 3, rel=1e-15)
+    ends = found.visits if discount == 1 else evaluate(mdp.undiscounted, [0, 0, 0]).visits
+    assert ends.tolist() == pytest.approx([1e30 / 3, 1 / 3, 2 / 3], rel=1e-15)
+    assert check(mdp, [0, 0, 0]).passed
+
+
+def test_a_number_beyond_the_floats_is_refused() -> None:
+    eps = F(1, 10**400)
+    mdp = MDP.from_arrays([[[1 - eps, eps], [0, 1]]], [[1], [0]])
+    with pytest.raises(Exception, match="beyond the range of floats"):
+        evaluate(mdp, [0, 0])
