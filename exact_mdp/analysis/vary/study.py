@@ -559,9 +559,7 @@ class CareSolver:
     def solved(self, names: Sequence[str], draws: Numbers, first: int | None = None) -> Arrays:
         """Return the optima of (D, Q) draws; see `ModelSolver.solved`."""
         draws = draws.astype(float)
-        found = optimal(self.scenario, names, draws, gaps=True, actions=True)
-        assert found.gaps is not None
-        assert found.actions is not None
+        found = optimal(self.scenario, names, draws)
         rows, which = distinct(found.actions.reshape(len(draws), -1))
         return {
             "start": found.start,
@@ -581,22 +579,9 @@ class CareSolver:
         first: int | None = None,
     ) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies; see `ModelSolver.values`."""
-        tables, draws = [self.by_state(weights) for weights in policies], draws.astype(float)
-        value = np.empty((len(draws), len(tables)))
-        error = np.empty_like(value)
-        # Policies of one kind are evaluated together: pure or mixed, by status or by state.
-        kinds: dict[tuple[bool, bool], list[int]] = {}
-        for number, table in enumerate(tables):
-            pure = bool((table.max(axis=-1) == 1).all())
-            same = bool((table == table[:1, :1, :1]).all())
-            kinds.setdefault((pure, same), []).append(number)
-        for (pure, same), numbers in kinds.items():
-            chosen = np.stack([tables[number] for number in numbers])
-            chosen = chosen[:, 0, 0, 0] if same else chosen
-            chosen = chosen.argmax(axis=-1) if pure else chosen
-            found = policy_values(self.scenario, names, draws, chosen)
-            value[:, numbers], error[:, numbers] = found.mean, found.error[:, None]
-        return {"value": value, "error": error}
+        tables = np.stack([self.by_state(weights) for weights in policies])
+        value, error = policy_values(self.scenario, names, draws.astype(float), tables)
+        return {"value": value, "error": np.repeat(error[:, None], len(tables), axis=1)}
 
     def weights(self, row: Integers) -> Floats:
         """Return (L,) probabilities of pairs from a row of `solved`."""

@@ -5,13 +5,9 @@ With the rows r = (a, s) as the inner index, the law of the next status vector i
     K(s', r) = Π_i p_i(r)^{s'_i} (1 - p_i(r))^{1 - s'_i},
 
 and a stage (subtask, trial) is Q(r) = K(0, r) (c + assist_a) + Σ_{s' ≠ 0} K(s', r) u(s'), where c
-and u hold what completing and failing earn and lead to. The variance of the return has no
-cancellation (Sobel, Journal of Applied Probability 19, 1982):
-
-    Var(s) = Σ_s' K(s, s') [(u(s') - m(s))² + γ² Var(s')].
-
-Sums run over s' in one order, so that neither blocks nor threads change a bit. What each event
-charges and where it leads are numbers here, made from `mdp.care.rules`.
+and u hold what completing and failing earn and lead to. Sums run over s' in one order, so that
+neither blocks nor threads change a bit. What each event charges and where it leads are numbers
+here, made from `mdp.care.rules`.
 """
 
 from __future__ import annotations
@@ -77,11 +73,11 @@ class Room(NamedTuple):
         Next vector first.
     own : (V, V)
         A policy's law.
-    vector : (10, V)
-        Costs (next, present), returns beyond a skip, a stage's continuation and value, and the
-        same of their variance; what an action's own reward adds, and its spread.
-    ahead, here : (2, flags, V)
-        Values and variances at the start of the next and of this subtask.
+    vector : (6, V)
+        Costs (next, present), what a skip returns, a stage's continuation and value, and what an
+        action's own reward adds.
+    ahead, here : (flags, V)
+        Values at the start of the next and of this subtask.
     """
 
     numbers: Floats
@@ -98,7 +94,7 @@ class Room(NamedTuple):
     here: Floats
 
 
-NEXT, PRESENT, BEYOND, U, M, BEYOND2, U2, M2, EXTRA, EXTRA2 = range(10)
+NEXT, PRESENT, BEYOND, U, M, EXTRA = range(6)
 
 
 @inlined
@@ -151,35 +147,22 @@ def place(care: Care, base: Floats, positions: Numbers, drawn: Floats, room: Roo
 
 
 @inlined
-def beyond(care: Care, room: Room, k: int, discount: float, second: bool) -> None:
+def beyond(care: Care, room: Room, k: int, discount: float) -> None:
     """Write what failing the last trial of a subtask with vector s' earns and leads to."""
     vectors, at = care.bits.shape[0], care.places[k]
-    vector, ahead, skip = room.vector, room.ahead, room.skip
-    to, earned, failed = (
-        care.kept[at, 1],
-        room.gain[care.gains[SKIP, at, 1]],
-        room.gain[care.gains[FAIL, at, 0]],
-    )
-    mean, spread = vector[BEYOND], vector[BEYOND2]
+    vector, skip, to = room.vector, room.skip, care.kept[at, 1]
+    earned, failed = room.gain[care.gains[SKIP, at, 1]], room.gain[care.gains[FAIL, at, 0]]
+    mean = vector[BEYOND]
     for s in range(vectors):
         mean[s] = 0.0
-        spread[s] = 0.0
     for z in range(vectors):
-        later = discount * ahead[0, to, z] + (vector[NEXT, z] if care.own else 0.0)
+        later = discount * room.ahead[to, z] + (vector[NEXT, z] if care.own else 0.0)
         for s in range(vectors):
             mean[s] += skip[z, s] * later
-    if second:
-        for z in range(vectors):
-            later = discount * ahead[0, to, z] + (vector[NEXT, z] if care.own else 0.0)
-            noise = discount * discount * ahead[1, to, z]
-            for s in range(vectors):
-                off = later - mean[s]
-                spread[s] += skip[z, s] * (off * off + noise)
     for s in range(vectors):
         value = earned + mean[s]
         if care.own:  # a timestep in which *skip* is the only action
             value = discount * (vector[PRESENT, s] + value)
-            spread[s] *= discount * discount
         mean[s] = failed + vector[NEXT, s] + value
 
 
@@ -187,34 +170,27 @@ def beyond(care: Care, room: Room, k: int, discount: float, second: bool) -> Non
 def completing(care: Care, room: Room, k: int, flag: int, discount: float) -> float:
     """Return what completing a subtask earns and leads to, but for the action's own reward."""
     at = care.places[k]
-    later = discount * room.ahead[0, care.kept[at, flag], 0]
+    later = discount * room.ahead[care.kept[at, flag], 0]
     return float(room.gain[care.gains[COMPLETE, at, flag]] + later)
 
 
 @inlined
-def continuation(care: Care, room: Room, k: int, t: int, discount: float, second: bool) -> None:
-    """Write what failing trial t with vector s' earns and leads to, into U and U2."""
+def continuation(care: Care, room: Room, k: int, t: int, discount: float) -> None:
+    """Write what failing trial t with vector s' earns and leads to, into U."""
     vector, failed = room.vector, room.gain[care.gains[FAIL, care.places[k], 0]]
-    vectors = care.bits.shape[0]
-    if t == care.trials - 1:
-        for s in range(vectors):
+    for s in range(care.bits.shape[0]):
+        if t == care.trials - 1:
             vector[U, s] = vector[BEYOND, s]
-            vector[U2, s] = vector[BEYOND2, s]
-        return
-    for s in range(vectors):
-        vector[U, s] = failed + vector[NEXT, s] + discount * vector[M, s]
-    if second:
-        for s in range(vectors):
-            vector[U2, s] = discount * discount * vector[M2, s]
+        else:
+            vector[U, s] = failed + vector[NEXT, s] + discount * vector[M, s]
 
 
 @inlined
 def pass_on(care: Care, room: Room) -> None:
     """Let what was worked out for this subtask be what follows the one before it."""
-    for of in range(2):
-        for f in range(care.flags):
-            for s in range(care.bits.shape[0]):
-                room.ahead[of, f, s] = room.here[of, f, s]
+    for f in range(care.flags):
+        for s in range(care.bits.shape[0]):
+            room.ahead[f, s] = room.here[f, s]
 
 
 @compiled
@@ -231,7 +207,7 @@ def optimal_values(
     """Solve all draws (D, Q).
 
     `base` (P+2,) holds parameters, 0, discount; `positions` (Q,) says which of them are drawn.
-    `start`, `gaps` and `actions` are those of `solvers.care.CareValues`, empty where not wanted.
+    `start`, `gaps` and `actions` are those of `solvers.care.CareValues`.
     """
     vectors, rows, number = care.bits.shape[0], care.step.shape[1], len(care.assist)
     vector, law, q = room.vector, room.law, room.q
@@ -239,11 +215,11 @@ def optimal_values(
         discount = place(care, base, positions, draws[d], room)
         room.ahead[:] = 0.0
         for k in range(len(care.places) - 1, -1, -1):
-            beyond(care, room, k, discount, False)
+            beyond(care, room, k, discount)
             for f in range(care.flags):
                 done = completing(care, room, k, f, discount)
                 for t in range(care.trials - 1, -1, -1):
-                    continuation(care, room, k, t, discount, False)
+                    continuation(care, room, k, t, discount)
                     for a in range(number):
                         worth = done + room.assist[a]
                         for s in range(vectors):
@@ -259,140 +235,77 @@ def optimal_values(
                             value = q[a * vectors + s]
                             best = vector[M, s]
                             vector[M, s] = value if value > best else best
-                    if len(actions) > 0:
-                        for s in range(vectors):
-                            a = 0
-                            while q[a * vectors + s] != vector[M, s]:
-                                a += 1
-                            actions[d, k, t, f, s] = a
-                    if len(gaps) > 0 and k == 0 and t == 0 and f == 0:
+                    for s in range(vectors):
+                        a = 0
+                        while q[a * vectors + s] != vector[M, s]:
+                            a += 1
+                        actions[d, k, t, f, s] = a
+                    if k == 0 and t == 0 and f == 0:
                         for s in range(vectors):
                             for a in range(number):
                                 gaps[d, s, a] = vector[M, s] - q[a * vectors + s]
                     for s in range(vectors):
                         vector[M, s] += vector[PRESENT, s]
                 for s in range(vectors):
-                    room.here[0, f, s] = vector[M, s]
+                    room.here[f, s] = vector[M, s]
             pass_on(care, room)
-        start[d] = room.ahead[0, 0, 0]
+        start[d] = room.ahead[0, 0]
 
 
 @inlined
-def follow(
-    care: Care, room: Room, chosen: Numbers, shares: Floats, n: int, g: int, mixed: bool
-) -> None:
-    """Write a policy's law, and the mean and spread of its own reward on completing."""
+def follow(care: Care, room: Room, shares: Floats) -> None:
+    """Write the law of a policy (V, A), and the mean of its own reward for completing."""
     vectors, number = care.bits.shape[0], len(care.assist)
     law, own, vector = room.law, room.own, room.vector
-    if not mixed:
-        for s in range(vectors):
-            r = chosen[n, g, s] * vectors + s
-            vector[EXTRA, s] = room.assist[chosen[n, g, s]]
-            vector[EXTRA2, s] = 0.0
-            for s2 in range(vectors):
-                own[s2, s] = law[s2, r]
-        return
-    for s2 in range(vectors):
-        for s in range(vectors):
-            own[s2, s] = 0.0
-            for a in range(number):
-                own[s2, s] += shares[n, g, s, a] * law[s2, a * vectors + s]
+    own[:] = 0.0
     for s in range(vectors):
-        total, spread = 0.0, 0.0
+        vector[EXTRA, s] = 0.0
         for a in range(number):
-            total += shares[n, g, s, a] * law[0, a * vectors + s] * room.assist[a]
-        mean = total / own[0, s] if own[0, s] > 0.0 else 0.0
-        for a in range(number):
-            off = room.assist[a] - mean
-            spread += shares[n, g, s, a] * law[0, a * vectors + s] * (off * off)
-        vector[EXTRA, s] = mean
-        vector[EXTRA2, s] = spread
-
-
-@inlined
-def change(care: Care, room: Room, chosen: Numbers, n: int, held: int, g: int) -> None:
-    """Write what a deterministic policy's law is at stage g, where it is not as at stage `held`."""
-    vectors = care.bits.shape[0]
-    for s in range(vectors):
-        a = chosen[n, g, s]
-        if a != chosen[n, held, s]:
-            room.vector[EXTRA, s] = room.assist[a]
-            for s2 in range(vectors):
-                room.own[s2, s] = room.law[s2, a * vectors + s]
+            share, r = shares[s, a], a * vectors + s
+            if share > 0.0:
+                vector[EXTRA, s] += share * law[0, r] * room.assist[a]
+                for s2 in range(vectors):
+                    own[s2, s] += share * law[s2, r]
 
 
 @compiled
-def policy_moments(
+def policy_values(
     care: Care,
     base: Floats,
     positions: Numbers,
     draws: Floats,
-    chosen: Numbers,
-    shares: Floats,
     room: Room,
-    second: bool,
-    mean: Floats,
-    variance: Floats,
+    shares: Floats,
+    value: Floats,
 ) -> None:
-    """Evaluate all policies at all draws.
+    """Write the start values (D, N) of policies (N, G, V, A) at all draws.
 
-    Parameters
-    ----------
-    chosen : (N, G, V) int16
-        Action of each vector; G is 1 (the same at every stage) or K·trials·flags.
-    shares : (N, G, V, A), or (0, …) for deterministic policies
-    mean, variance : (C, D, N)
-        Of the return from the start, of all subtasks where C is 1; where C is K, row i is of the
-        last i + 1 subtasks alone. `variance` is (C, 0, 0) where it is not asked for.
+    G is 1 for a policy that is the same at every stage, else K·trials·flags.
     """
     vectors = care.bits.shape[0]
     vector, own = room.vector, room.own
-    mixed = len(shares) > 0
-    staged = (shares.shape[1] if mixed else chosen.shape[1]) > 1
     for d in range(len(draws)):
         discount = place(care, base, positions, draws[d], room)
-        for n in range(mean.shape[2]):
-            held = 0
-            follow(care, room, chosen, shares, n, 0, mixed)
+        for n in range(len(shares)):
+            follow(care, room, shares[n, 0])
             room.ahead[:] = 0.0
             for k in range(len(care.places) - 1, -1, -1):
-                beyond(care, room, k, discount, second)
+                beyond(care, room, k, discount)
                 for f in range(care.flags):
                     done = completing(care, room, k, f, discount)
-                    to = care.kept[care.places[k], f]
-                    noise = discount * discount * room.ahead[1, to, 0]
                     for t in range(care.trials - 1, -1, -1):
-                        continuation(care, room, k, t, discount, second)
-                        if staged:
-                            stage = (k * care.trials + t) * care.flags + f
-                            if mixed:
-                                follow(care, room, chosen, shares, n, stage, mixed)
-                            else:
-                                change(care, room, chosen, n, held, stage)
-                            held = stage
+                        continuation(care, room, k, t, discount)
+                        if shares.shape[1] > 1:
+                            follow(care, room, shares[n, (k * care.trials + t) * care.flags + f])
                         for s in range(vectors):
-                            vector[M, s] = own[0, s] * (done + vector[EXTRA, s])
+                            vector[M, s] = own[0, s] * done + vector[EXTRA, s]
                         for s2 in range(1, vectors):
                             worth = vector[U, s2]
                             for s in range(vectors):
                                 vector[M, s] += own[s2, s] * worth
-                        if second:
-                            for s in range(vectors):
-                                off = done + vector[EXTRA, s] - vector[M, s]
-                                vector[M2, s] = own[0, s] * (off * off + noise) + vector[EXTRA2, s]
-                            for s2 in range(1, vectors):
-                                worth, spread = vector[U, s2], vector[U2, s2]
-                                for s in range(vectors):
-                                    off = worth - vector[M, s]
-                                    vector[M2, s] += own[s2, s] * (off * off + spread)
                         for s in range(vectors):
                             vector[M, s] += vector[PRESENT, s]
                     for s in range(vectors):
-                        room.here[0, f, s] = vector[M, s]
-                        room.here[1, f, s] = vector[M2, s]
+                        room.here[f, s] = vector[M, s]
                 pass_on(care, room)
-                of = len(mean) - 1 - k  # a value of the subtasks from here on
-                if of >= 0:
-                    mean[of, d, n] = room.ahead[0, 0, 0]
-                    if second:
-                        variance[of, d, n] = room.ahead[1, 0, 0]
+            value[d, n] = room.ahead[0, 0]

@@ -2,7 +2,6 @@
 
 import json
 from fractions import Fraction as F
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +10,24 @@ from care_oracle import ACTIONS, READINGS, Oracle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import MDP, ModelError, Policy, Scenario, StateSpace, evaluate, solve
-from exact_mdp.solvers.care import Batch, optimal, policy_values
+from exact_mdp import MDP, ModelError, Policy, Scenario, StateSpace, evaluate, solve, study
+from exact_mdp.solvers.care import optimal, policy_values
 
 YUAN = Scenario.load("yuan2025")
 CHANCES = [p.name for p in YUAN.parameters if p.low is not None]
 WEIGHTS = [p.name for p in YUAN.parameters if p.low is None]
+TODAY = np.empty((1, 0))
 
 
 def status_of(number: int) -> tuple[int, ...]:
     return tuple(number >> shift & 1 for shift in (3, 2, 1, 0))
+
+
+def staged(scenario: Scenario, shares: np.ndarray) -> np.ndarray:
+    """Policies by status (N, V, A), as policies by state."""
+    stages = optimal(scenario, (), TODAY).actions.shape[1:-1]
+    wide = shares[:, None, None, None]
+    return np.broadcast_to(wide, (len(shares), *stages, *shares.shape[1:]))
 
 
 @st.composite
@@ -58,7 +65,7 @@ def against_the_reference(world) -> None:
     scenario = YUAN.with_(readings=readings, tasks=tasks, max_trial=trials)
     names = [*values, "discount"]
     draws = [[float(v) for v in [*values.values(), discount]]]
-    found = optimal(scenario, names, draws, gaps=True, actions=True)
+    found = optimal(scenario, names, draws)
     best = oracle.value(oracle.start)
     assert abs(F(found.start[0]) - best) <= F(found.error[0])
     for number in range(16):
@@ -69,13 +76,12 @@ def against_the_reference(world) -> None:
         assert ACTIONS[found.actions[0, 0, 0, 0, number]] in {
             name for name, gap in gaps.items() if gap <= 2 * found.error[0]
         }
-    moments = policy_values(scenario, names, draws, policy[None], second_moment=True)
-    told = oracle.evaluate(
+    value, error = policy_values(scenario, names, draws, staged(scenario, np.eye(4)[policy][None]))
+    right = oracle.evaluate(
         lambda state: {ACTIONS[policy[int("".join(map(str, state[3])), 2)]]: F(1)},
         distribution=False,
     )
-    assert abs(F(moments.mean[0, 0]) - told["mean"]) <= F(moments.error[0])
-    assert abs(F(moments.variance[0, 0]) - told["variance"]) <= F(moments.variance_error[0])
+    assert abs(F(value[0, 0]) - right["mean"]) <= F(error[0])
 
 
 def sampled(count: int, seed: int) -> tuple[list[str], np.ndarray]:
@@ -101,176 +107,98 @@ def test_values_are_those_of_the_explicit_model(readings: dict[str, str]) -> Non
     scenario = YUAN.with_(readings=readings, tasks=[2, 1], max_trial=2, discount="19/20")
     names, draws = sampled(2, seed=1)
     rng = np.random.default_rng(2)
-    shares = rng.dirichlet(np.ones(4), size=(2, 16))
-    pure = rng.integers(0, 4, size=(3, 16))
-    found = optimal(scenario, names, draws, actions=True)
-    mixed = policy_values(scenario, names, draws, shares, second_moment=True)
-    plain = policy_values(scenario, names, draws, pure, second_moment=True)
-    best = policy_values(scenario, names, draws, found.actions, second_moment=True)
+    shares = np.concatenate(
+        [rng.dirichlet(np.ones(4), (2, 16)), np.eye(4)[rng.integers(0, 4, (3, 16))]]
+    )
+    found = optimal(scenario, names, draws)
+    values, error = policy_values(scenario, names, draws, staged(scenario, shares))
+    best, _ = policy_values(scenario, names, draws, np.eye(4)[found.actions])
     for d, row in enumerate(draws):
         mdp = compiled(scenario, names, row)
         start = solve(mdp).start
         assert abs(found.start[d] - start.value) <= found.error[d] + start.error
-        assert best.mean[d, d] == pytest.approx(found.start[d], abs=found.error[d])
+        assert best[d, d] == pytest.approx(found.start[d], abs=found.error[d])
         by_status = StateSpace(columns=(mdp.space.column("status"),))
-        for policies, moments in ((shares, mixed), (pure, plain)):
-            for n, policy in enumerate(policies):
-                share = policy if policy.ndim == 2 else np.eye(4)[policy]
-                table = np.zeros((16, mdp.n_actions))
-                table[:, :4] = share
-                told = evaluate(mdp, Policy(space=by_status, actions=mdp.actions, rule=table))
-                assert moments.mean[d, n] == pytest.approx(told.mean, abs=1e-9)
-                assert np.sqrt(moments.variance[d, n]) == pytest.approx(told.sd, rel=1e-7)
+        for n, share in enumerate(shares):
+            table = np.zeros((16, mdp.n_actions))
+            table[:, :4] = share
+            own = evaluate(mdp, Policy(space=by_status, actions=mdp.actions, rule=table)).start
+            assert abs(values[d, n] - own.value) <= error[d] + own.error
 
 
 @pytest.mark.parametrize("name", ["tea", "yuan2025"])
 def test_shipped_scenarios_are_solved_as_they_are(name: str) -> None:
     scenario = Scenario.load(name)
-    found, start = optimal(scenario), solve(scenario.compile()).start
+    found, start = optimal(scenario, (), TODAY), solve(scenario.compile()).start
     assert abs(found.start[0] - start.value) <= found.error[0] + start.error
     assert found.error[0] < 1e-9
 
 
-@pytest.mark.parametrize(("gaps", "actions"), list(product([False, True], repeat=2)))
-def test_the_order_of_draws_and_what_is_kept_change_no_bit(gaps: bool, actions: bool) -> None:
+def test_the_order_of_draws_changes_no_bit() -> None:
     names, draws = sampled(1100, seed=3)
-    one = optimal(YUAN, names, draws, gaps=True, actions=True)
-    two = optimal(YUAN, names, draws[::-1], gaps=gaps, actions=actions)
+    one, two = optimal(YUAN, names, draws), optimal(YUAN, names, draws[::-1])
     assert one.start.tobytes() == two.start[::-1].tobytes()
-    for kept, asked, known in ((two.gaps, gaps, one.gaps), (two.actions, actions, one.actions)):
-        assert (kept is not None) == asked
-        assert kept is None or np.array_equal(kept[::-1], known)
+    assert np.array_equal(one.gaps, two.gaps[::-1])
+    assert np.array_equal(one.actions, two.actions[::-1])
 
 
 def test_a_policy_among_many_is_that_policy_alone() -> None:
-    policies = np.random.default_rng(4).integers(0, 4, size=(1300, 16))
-    many = policy_values(YUAN, (), None, policies, second_moment=True)
-    assert policy_values(YUAN, (), None, policies[7:8]).mean[0, 0] == many.mean[0, 7]
-
-
-def test_a_policy_for_every_state_is_that_of_a_status_where_it_does_not_look() -> None:
-    rng = np.random.default_rng(5)
-    scenario = YUAN.with_(readings={"task_bonus": "no-subtask-skipped"}, tasks=[2, 1])
-    policies, shares = rng.integers(0, 4, (2, 16)), rng.dirichlet(np.ones(4), (2, 16))
-    for given_ in (policies, shares):
-        wide = np.broadcast_to(given_[:, None, None, None], (2, 3, 5, 2, *given_.shape[1:]))
-        one = policy_values(scenario, (), None, given_, second_moment=True)
-        two = policy_values(scenario, (), None, wide, second_moment=True)
-        assert np.array_equal(one.mean, two.mean)
-        assert np.array_equal(one.variance, two.variance)
-
-
-@pytest.mark.parametrize(
-    ("names", "draws", "message"),
-    [
-        (["base.angr"], [[0.1]], "unknown parameter 'base.angr'"),
-        (["base.anger"], [[1.5]], r"base.anger is drawn as 1.5, outside \[0, 1\]"),
-        (["base.anger"], [[-1e-9]], "base.anger is drawn as -1e-09"),
-        (["discount"], [[1.01]], "discount is drawn as 1.01"),
-        (["reward.trial"], [[np.inf]], "reward.trial is drawn as inf"),
-        (["reward.trial"], [[np.nan]], "reward.trial is drawn as nan"),
-        (["base.anger"], [0.1], "shape"),
-        (["base.anger"], np.empty((0, 1)), "shape"),
-        (["base.anger", "base.anger"], [[0.1, 0.1]], "drawn twice"),
-    ],
-)
-def test_draws_that_cannot_be_are_refused(names, draws, message) -> None:
-    with pytest.raises(ModelError, match=message):
-        optimal(YUAN, names, draws)
-
-
-@pytest.mark.parametrize(
-    "policies",
-    [
-        np.zeros((1, 15), dtype=int),
-        np.full((1, 16), 4),
-        np.full((1, 16), -1),
-        np.zeros((1, 16)),
-        np.zeros((0, 16), dtype=int),
-        np.full((1, 16, 4), 0.3),
-        np.full((1, 16, 4), np.nan),
-    ],
-)
-def test_policies_that_cannot_be_are_refused(policies: np.ndarray) -> None:
-    with pytest.raises(ModelError, match="polic"):
-        policy_values(YUAN, (), None, policies)
-
-
-def simple(folder: Path, actions: int) -> Scenario:
-    """Return a scenario of one status, in which all but the second action differ by price alone."""
-    words = [f"a{number}" for number in range(actions)]
-    lines = [
-        'name = "simple"\ntitle = "one status"\nsource = "made up"\nstatuses = ["x"]',
-        f"actions = {json.dumps(words)}\ntasks = [2]\nmax_trial = 3\ndiscount = 1",
-        '[readings]\nskip_onset = "base"\n[base]\nx = 0.25\n[persistence]\nx = 0.9',
-        "[assistance.a1.x]\npersistence = 0.3\nonset = 0.1\n[skip.x]\npersistence = 0.4",
-        "[reward]\nx = -1\ntrial = -1\nsubtask-complete = 20\nsubtask-skip = -8",
-        "timestep = -0.5\ntask-complete = 10\n[reward.assist]\na0 = 0\na1 = -2",
-        *(f"{word} = -3" for word in words[2:]),
-    ]
-    file = folder / "simple.toml"
-    file.write_text("\n".join(lines))
-    return Scenario.load(file)
-
-
-def test_more_weights_than_chances_have_room(tmp_path: Path) -> None:
-    scenario, actions = simple(tmp_path, 8), 8
-    names, draws = ["base.x", "persistence.x"], np.array([[0.2, 0.7], [0.6, 0.5]])
-    batch = Batch(scenario, names, draws)
-    room = batch.room()
-    assert len(room.numbers) == len(batch.base)  # `place` writes all of them
-    assert room.assist.shape == (actions,)
-    found = optimal(scenario, names, draws, actions=True)
-    last = policy_values(scenario, names, draws, np.full((1, 2), actions - 1))
-    assert found.actions is not None
-    assert found.actions.min() >= 0
-    for d, row in enumerate(draws):
-        mdp = compiled(scenario, names, row)
-        start = solve(mdp).start
-        assert abs(found.start[d] - start.value) <= found.error[d] + start.error
-        told = evaluate(mdp, f"always:a{actions - 1}")
-        assert abs(last.mean[d, 0] - told.mean) <= last.error[d] + told.start.error
-    table = np.zeros((1, *found.actions.shape[1:]), dtype=int) + actions - 1
-    staged = policy_values(scenario, names, draws, table)
-    assert np.array_equal(staged.mean, last.mean)
-
-
-def test_actions_that_have_no_number_are_not_kept(tmp_path: Path) -> None:
-    many, few = simple(tmp_path, 130), simple(tmp_path, 8)
-    assert optimal(many).start == pytest.approx(optimal(few).start)
-    with pytest.raises(ModelError, match="130 actions"):
-        optimal(many, actions=True)
-
-
-def test_rewards_that_overflow_are_refused_before_they_do() -> None:
-    names = ["reward.trial", "reward.assist.directive"]
-    for call in (
-        lambda: optimal(YUAN, names, [[1e308, -1e308]], actions=True),
-        lambda: policy_values(YUAN, names, [[1e307, 0]], np.zeros((1, 16), dtype=int)),
-        lambda: policy_values(
-            YUAN, names, [[1e160, 0]], np.zeros((1, 16), dtype=int), second_moment=True
-        ),
-    ):
-        with pytest.raises(ModelError, match="overflow"):
-            call()
-    assert np.isfinite(optimal(YUAN, names, [[1e200, 0]], actions=True).start).all()
-
-
-def test_shares_that_sum_to_one_but_for_rounding_are_those_of_a_policy() -> None:
-    shares = np.random.default_rng(6).dirichlet(np.ones(4), size=(1, 16))
-    exact, off = (policy_values(YUAN, (), None, each) for each in (shares, shares * (1 - 9e-13)))
-    assert abs(exact.mean - off.mean).item() < 1e-12 * abs(exact.mean).item()
+    rng = np.random.default_rng(4)
+    policies = staged(YUAN, np.eye(4)[rng.integers(0, 4, size=(300, 16))])
+    many, _ = policy_values(YUAN, (), TODAY, policies)
+    assert policy_values(YUAN, (), TODAY, policies[7:8])[0][0, 0] == many[0, 7]
 
 
 def test_policies_that_change_from_stage_to_stage_are_those_of_the_explicit_model() -> None:
     rng = np.random.default_rng(7)
-    scenario = YUAN.with_(tasks=[2, 1], max_trial=2)
+    scenario = YUAN.with_(readings={"task_bonus": "no-subtask-skipped"}, tasks=[2, 1], max_trial=2)
     names, draws = sampled(2, seed=8)
-    found = optimal(scenario, names, draws, actions=True)
-    assert found.actions is not None
-    tables = np.concatenate([found.actions, rng.integers(0, 4, (2, *found.actions.shape[1:]))])
-    pure = policy_values(scenario, names, draws, tables, second_moment=True)
-    mixed = policy_values(scenario, names, draws, np.eye(4)[tables], second_moment=True)
-    assert np.allclose(pure.mean, mixed.mean, rtol=1e-12)
-    assert np.allclose(pure.variance, mixed.variance, rtol=1e-10)
-    assert np.allclose(np.diag(pure.mean[:, :2]), found.start, rtol=1e-12)
+    tables = rng.dirichlet(np.ones(4), (2, *optimal(scenario, (), TODAY).actions.shape[1:]))
+    values, error = policy_values(scenario, names, draws, tables)
+    for d, row in enumerate(draws):
+        mdp = compiled(scenario, names, row)
+        for n, table in enumerate(tables):
+            own = evaluate(mdp, np.append(table.reshape(-1), 1.0)).start
+            assert abs(values[d, n] - own.value) <= error[d] + own.error
+
+
+def test_more_weights_than_chances_have_room(tmp_path: Path) -> None:
+    """One status, eight actions that differ by price: arrays are as long as what they hold."""
+    words = [f"a{number}" for number in range(8)]
+    lines = [
+        f'name = "simple"\nstatuses = ["x"]\nactions = {json.dumps(words)}\ntasks = [2]',
+        'max_trial = 3\n[readings]\nskip_onset = "base"\n[base]\nx = 0.25\n[persistence]\nx = 0.9',
+        "[assistance.a1.x]\npersistence = 0.3\nonset = 0.1\n[skip.x]\npersistence = 0.4",
+        "[reward]\nx = -1\ntrial = -1\nsubtask-complete = 20\nsubtask-skip = -8",
+        "timestep = -0.5\ntask-complete = 10\n[reward.assist]\na0 = 0",
+        *(f"{word} = -3" for word in words[1:]),
+    ]
+    (tmp_path / "simple.toml").write_text("\n".join(lines))
+    scenario, names = Scenario.load(tmp_path / "simple.toml"), ["base.x", "persistence.x"]
+    found = optimal(scenario, names, draws := np.array([[0.2, 0.7], [0.6, 0.5]]))
+    for d, row in enumerate(draws):
+        start = solve(compiled(scenario, names, row)).start
+        assert abs(found.start[d] - start.value) <= found.error[d] + start.error
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ({"base.angr": [0.1]}, "unknown parameter 'base.angr'"),
+        ({"base.anger": [1.5]}, "base.anger"),
+        ({"base.anger": [-1e-9]}, "base.anger"),
+        ({"discount": [1.01]}, "discount"),
+        ({"reward.trial": [np.inf]}, "reward.trial|finite"),
+        ({"reward.trial": [np.nan]}, "reward.trial|finite"),
+        ({"base.anger": []}, "point"),
+        ({"reward.trial": [1e308], "reward.assist.directive": [-1e308]}, "overflow"),
+    ],
+)
+def test_draws_that_cannot_be_are_refused(points, message) -> None:
+    with pytest.raises(ModelError, match=message):
+        study(YUAN, points)
+
+
+def test_large_rewards_that_do_not_overflow_are_solved() -> None:
+    found = study(YUAN, {"reward.trial": [1e200]})
+    assert np.isfinite(found.optimal).all()
