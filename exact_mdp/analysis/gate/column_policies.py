@@ -27,14 +27,14 @@ import numpy as np
 import tqdm as progress
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.gate.relaxation import Expansion, Flags, Relaxations, Rows, one_hot
+from exact_mdp.analysis.gate.relaxation import Expansion, Relaxations, Rows, one_hot
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import Flags, counted
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
 

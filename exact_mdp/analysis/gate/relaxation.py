@@ -1,138 +1,75 @@
 """Policies bound to read some columns only: many of them, or many relaxations, solved at once.
 
-All states in which the columns read have the same values form a *row*, and a policy that reads
-these columns takes one action in the whole row. A relaxation allows a set of actions in each row
-and lets every state of it choose among them freely, knowing the full state: its optimal value is
-an upper bound for every policy that takes, in each row, one of the allowed actions, mixed ones
-included, and with one action allowed in each row it is the value of that policy.
+All states in which the columns read have the same values form a *row*, in which such a policy takes
+one action. A relaxation allows a set of actions in each row and lets every state choose among them
+knowing the full state: its optimal value bounds every policy that takes allowed actions, mixed ones
+too, and with one action in each row it is the value of that policy.
 
-Models without cycles are solved backward, level by level, for all sets of allowed pairs at once;
-others by policy iteration, one set after the other, begun with the policy of the one before.
-Neither claims anything of its error.
-
-The upper bound is V + c w with the weights w and margins m of `solvers.bounds.bounds`, where V are
-the values found and r + γ P V - V ≤ c m for every allowed pair,
-rounding errors included.
+Models without cycles are solved backward, level by level, for all relaxations at once; others by
+policy iteration, one after the other. The upper bound is V + c w with the weights w and margins m
+of `solvers.bounds.bounds`, where r + γ P V - V ≤ c m for every allowed pair, rounding included.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Integers, spans
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.exact.find import first_of
+from exact_mdp.solvers.values.layers import Layers
 
-Flags = NDArray[np.bool_]
 ITERATIONS = 1000
+CELLS = 2**21  # pairs times relaxations solved at once
+Solved = tuple[Floats, Floats, Floats]
+"""Values (S, N), action values (L, N) and the greatest r + γPV - V of a pair allowed (N,)."""
 
 
-class Levels:
-    """Models without cycles: one backward pass for all relaxations at once."""
-
-    def __init__(self, mdp: MDP) -> None:
-        self.mdp = mdp
-        level = levels(mdp)
-        assert level is not None
-        used = np.flatnonzero(reachable(mdp) & (level > 0))
-        used = used[np.argsort(level[used], kind="stable")]
-        cuts = np.flatnonzero(np.diff(level[used], prepend=0))
-        self.blocks = []
-        for states in np.split(used, cuts)[1:]:
-            first, last = mdp.pair_offsets[states], mdp.pair_offsets[states + 1]
-            pairs = spans(first, last)
-            matrix = mdp.transition[pairs]
-            offsets = np.concatenate([[0], np.cumsum(last - first)[:-1]])
-            targets, columns = np.unique(matrix.indices, return_inverse=True)
-            shape = (len(pairs), len(targets))
-            back = sp.csr_array((matrix.data, columns, matrix.indptr), shape).T.tocsr()
-            self.blocks.append((states, pairs, offsets, matrix, targets, back))
-
-    def solve(self, allowed: Flags) -> tuple[Floats, Floats, Floats]:
-        """Return values (S, N), action values (L, N) and the greatest r + γPV - V allowed (N,)."""
-        mdp, count = self.mdp, allowed.shape[1]
-        value, q = np.zeros((mdp.n_states, count)), np.zeros((mdp.n_pairs, count))
-        for states, pairs, offsets, matrix, _, _ in self.blocks:
-            found = mdp.reward[pairs, None] + mdp.discount * (matrix @ value)
-            q[pairs] = found
-            found[~allowed[pairs]] = -np.inf
-            value[states] = np.maximum.reduceat(found, offsets)
-        return value, q, np.zeros(count)
-
-    def visits(self, taken: Flags) -> Floats:
-        """Return (S, N) discounted visits from the start where the pairs (L, N) are taken."""
-        mdp = self.mdp
-        visits = np.repeat(mdp.start_distribution[:, None], taken.shape[1], axis=1)
-        for _, pairs, _, _, targets, back in reversed(self.blocks):
-            flow = visits[mdp.pair_state[pairs]] * taken[pairs]
-            visits[targets] += mdp.discount * (back @ flow)
-        return visits
-
-
-class Cycles:
-    """Models with cycles: policy iteration for each relaxation, begun with the one before."""
-
-    def __init__(self, mdp: MDP) -> None:
-        self.mdp = mdp
-
-    def solve(self, allowed: Flags) -> tuple[Floats, Floats, Floats]:
-        """See `Levels.solve`."""
-        mdp, count = self.mdp, allowed.shape[1]
-        values, q = np.empty((mdp.n_states, count)), np.empty((mdp.n_pairs, count))
-        excess = np.empty(count)
-        pairs = mdp.pair_offsets[:-1]
-        for column in range(count):
-            values[:, column], q[:, column], pairs = self._iterate(allowed[:, column], pairs)
-            gain = q[:, column] - values[mdp.pair_state, column]
-            excess[column] = np.abs(gain[pairs]).max()
-            excess[column] = max(excess[column], gain[allowed[:, column]].max())
-        return values, q, excess
-
-    def visits(self, taken: Flags) -> Floats:
-        """See `Levels.visits`."""
-        mdp = self.mdp
-        visits = np.empty((mdp.n_states, taken.shape[1]))
-        for column in range(taken.shape[1]):
-            chain, _ = policy_chain(mdp, self._first(taken[:, column]))
-            system = LinearSystem(chain.T.tocsr(), mdp.discount)
-            visits[:, column] = system.approximate(mdp.start_distribution)
-        return visits
-
-    def _iterate(self, allowed: Flags, pairs: Integers) -> tuple[Floats, Floats, Integers]:
-        mdp = self.mdp
-        pairs = np.where(allowed[pairs], pairs, self._first(allowed))
+def in_cycles(mdp: MDP, allowed: Flags) -> Solved:
+    """Solve relaxations of any model by policy iteration, each begun with the one before."""
+    pairs = first = mdp.pair_offsets[:-1]
+    values, actions = np.empty((mdp.n_states, allowed.shape[1])), np.empty(allowed.shape)
+    excess = np.empty(allowed.shape[1])
+    for column, mask in enumerate(allowed.T):
+        pairs = np.where(mask[pairs], pairs, first_of(mdp, mask))
         for _ in range(ITERATIONS):
             chain, reward = policy_chain(mdp, pairs)
             value = LinearSystem(chain, mdp.discount).approximate(reward)
             q = mdp.reward + mdp.discount * (mdp.transition @ value)
-            open_q = np.where(allowed, q, -np.inf)
-            best = np.maximum.reduceat(open_q, mdp.pair_offsets[:-1])
-            noise = 2.0**-44 * (np.abs(mdp.reward).max() + np.abs(value).max())
-            better = best > q[pairs] + noise
+            open_q = np.where(mask, q, -np.inf)
+            best = np.maximum.reduceat(open_q, first)
+            better = best > q[pairs] + 2.0**-44 * (np.abs(mdp.reward).max() + np.abs(value).max())
             if not better.any():
                 break
-            pairs = np.where(better, self._first(open_q == best[mdp.pair_state]), pairs)
+            pairs = np.where(better, first_of(mdp, open_q == best[mdp.pair_state]), pairs)
         # Where rounding keeps it from ending, the excess says how far it came.
-        return value, q, pairs
-
-    def _first(self, marked: Flags) -> Integers:
-        """Return (S,) each state's first marked pair (L,); states never reached may mark more."""
-        numbers = np.where(marked, np.arange(self.mdp.n_pairs), self.mdp.n_pairs)
-        return np.asarray(np.minimum.reduceat(numbers, self.mdp.pair_offsets[:-1]))
+        gain = q - value[mdp.pair_state]
+        values[:, column], actions[:, column] = value, q
+        excess[column] = max(np.abs(gain[pairs]).max(), gain[mask].max())
+    return values, actions, excess
 
 
-CELLS = 2**21  # pairs times relaxations solved at once
+def visits_in_cycles(mdp: MDP, taken: Flags) -> Floats:
+    """Return (S, N) discounted visits from the start where the pairs (L, N) are taken."""
+    found = np.empty((mdp.n_states, taken.shape[1]))
+    for column, mask in enumerate(taken.T):
+        chain, _ = policy_chain(mdp, first_of(mdp, mask))
+        system = LinearSystem(chain.T.tocsr(), mdp.discount)
+        found[:, column] = system.approximate(mdp.start_distribution)
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -194,30 +131,14 @@ class Rows:
         return taken
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Expansion:
-    """What is known of N relaxations, and more of the M that are kept.
+class Expansion(NamedTuple):
+    """What is known of N relaxations, and more of the M whose bound is above the one asked for."""
 
-    Attributes
-    ----------
-    upper : (N,)
-        Nothing that the relaxation allows has a higher value at the start, rounding included.
-    kept : (M,) int64
-        Those with an upper bound above the one asked for.
-    choice : (M, K) int64
-        A policy that it allows: the cheapest action of each row, by the relaxation's own visits.
-    value : (M,)
-        About the value of that policy at the start.
-    loss : (M, K)
-        About what each row costs it against the relaxation: visits of the policy times what its
-        actions fall short of the best allowed. The sum is the whole difference.
-    """
-
-    upper: Floats
-    kept: Integers
-    choice: Integers
-    value: Floats
-    loss: Floats
+    upper: Floats  # (N,) nothing allowed has a higher value at the start, rounding included
+    kept: Integers  # (M,)
+    choice: Integers  # (M, K) the cheapest action of each row, by the relaxation's own visits
+    value: Floats  # (M,) about the value of that policy at the start
+    loss: Floats  # (M, K) about what each row costs it; the sum is the whole difference
 
 
 class Relaxations:
@@ -237,7 +158,7 @@ class Relaxations:
         self._sums = sp.csr_array(
             (np.ones(len(chosen)), (entry[chosen], chosen)), shape=(self._entries, mdp.n_pairs)
         )
-        self._engine = Cycles(mdp) if levels(mdp) is None else Levels(mdp)
+        self._layers = None if levels(mdp) is None else Layers(mdp)
         weights = margin_weights(mdp)
         self._reach = float(mdp.start_distribution @ weights.value) * SLACK
         self._margin = float(weights.least[self._live].min(initial=np.inf))
@@ -251,7 +172,7 @@ class Relaxations:
         """
         mdp = self.rows.mdp
         open_pairs = self._pairs(allowed)
-        value, q, excess = self._engine.solve(open_pairs)
+        value, q, excess = self._solve(open_pairs)
         top, error = self._start(value, excess)
         upper = top + error
         kept = np.flatnonzero(upper > worth)
@@ -276,10 +197,16 @@ class Relaxations:
         found = []
         for first in range(0, len(choices), self.batch):
             some = one_hot(choices[first : first + self.batch], self.rows.mdp.n_actions)
-            value, _, excess = self._engine.solve(self._pairs(some))
+            value, _, excess = self._solve(self._pairs(some))
             found.append(self._start(value, excess))
         values, errors = zip(*found, strict=True)
         return np.concatenate(values), np.concatenate(errors)
+
+    def _solve(self, allowed: Flags) -> Solved:
+        """Return what allowed pairs (L, N) are worth."""
+        if self._layers is None:
+            return in_cycles(self.rows.mdp, allowed)
+        return (*self._layers.best(allowed), np.zeros(allowed.shape[1]))
 
     def _start(self, value: Floats, excess: Floats) -> tuple[Floats, Floats]:
         """Return the values (N,) at the start, and how far they may be off."""
@@ -290,8 +217,9 @@ class Relaxations:
 
     def _losses(self, taken: Flags, gap: Floats) -> Floats:
         """Return (N, K·A) the gaps (L, N), weighted by the visits of the pairs taken (L, N)."""
-        visits = self._engine.visits(taken)
-        return np.asarray((self._sums @ (visits[self.rows.mdp.pair_state] * gap)).T)
+        mdp, layers = self.rows.mdp, self._layers
+        visits = visits_in_cycles(mdp, taken) if layers is None else layers.visits(taken)
+        return np.asarray((self._sums @ (visits[mdp.pair_state] * gap)).T)
 
     def _pairs(self, allowed: Flags) -> Flags:
         """Return (L, N) the pairs that are allowed."""

@@ -145,16 +145,16 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     matrix = checked(confusion, size=size, where="confusion matrix")
     matrix = np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
     weights = passes.weights(table, np.stack([matrix, np.eye(size)]))
-    value, q = passes.values(weights)
+    value, q = passes.layers.mean(weights)
     worth, perfect = passes.at_start(value).tolist()
-    met = passes.visits(weights[:, 0])[: model.space.regular].reshape(-1, size)
+    met = passes.layers.visits(weights[:, :1])[:, 0][: model.space.regular].reshape(-1, size)
     # (P, Z, Z): what acting by z is worth in s
     by_seen, true_by_seen = (by_place(model, each) @ table.transpose(0, 2, 1) for each in q.T)
     derivative = np.einsum("ps,psz->sz", met, by_seen)
     short = np.diagonal(true_by_seen, axis1=1, axis2=2)[:, :, None] - true_by_seen
     loss = matrix * np.einsum("ps,psz->sz", met, short)
     # Visits sum to the steps at most, and no difference of values exceeds twice the largest.
-    error = 4 * size * len(passes.layers) * passes.rounding * SLACK
+    error = 4 * size * len(passes.layers.blocks) * passes.rounding * SLACK
     names = status_names(model)
     return ErrorCosts(
         statuses=names,

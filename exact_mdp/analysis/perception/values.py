@@ -1,12 +1,10 @@
-"""Values and visits of one policy under many confusions of the status at once.
+"""Values of one policy under many confusions of the status at once.
 
-    Q(s, a) = r(s, a) + γ Σ_s' P(s' | s, a) V(s'),     V(s) = Σ_a π_C(a | s) Q(s, a),
+Where only counts of a confusion are known, its rows are drawn from their posterior.
 
-with the mixed policy π_C that a confusion C makes of a policy (`mdp.care.perception`), in one pass
-from the last states to the first, and the visits d in one pass forward. Every number is a sum of
-products. With D steps at most, n roundings in each of them and R the greatest reward of an outcome,
-a value is off by at most γ(D n) D R (Higham, Accuracy and Stability of Numerical Algorithms, SIAM
-2002, section 3.1).
+A confusion C makes a mixed policy π_C of the true status. Every number is a sum of products: with D
+steps at most, n roundings in each of them and R the greatest reward of an outcome, a value is off
+by at most γ(D n) D R (Higham, Accuracy and Stability of Numerical Algorithms, 2002, section 3.1).
 """
 
 from __future__ import annotations
@@ -19,15 +17,15 @@ import numpy as np
 
 from exact_mdp.mdp.care.perception import LEVEL, Counted, by_place, status_size
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Floats, Integers, spans
+from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded, Estimated
+from exact_mdp.solvers.values.layers import Layers
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
@@ -42,8 +40,7 @@ class Passes:
     Attributes
     ----------
     mdp : MDP
-    layers : list of int arrays
-        States that are reached and not the end; a transition leads to an earlier layer, or the end.
+    layers : Layers
     rounding : float
         No value that is computed here is off by more.
     """
@@ -67,10 +64,8 @@ class Passes:
                 fix="offer the same actions in every status of a place",
             )
         self.mdp, self.statuses = mdp, size
-        used = np.flatnonzero(reachable(mdp) & ~mdp.terminal)
-        used = used[np.argsort(level[used], kind="stable")]
-        self.layers: list[Integers] = np.split(used, np.flatnonzero(np.diff(level[used])) + 1)
-        steps = len(self.layers)
+        self.layers = Layers(mdp)
+        steps = len(self.layers.blocks)
         widest = int(np.diff(mdp.table.offsets).max())
         largest = steps * float(np.abs(mdp.table.gains()).max(initial=0.0)) * SLACK
         terms = steps * (widest + 2 * size + 2 * mdp.n_actions + 12) + mdp.n_states + 4 * size
@@ -90,39 +85,13 @@ class Passes:
         total = np.add.reduceat(found, mdp.pair_offsets[:-1])
         return np.asarray(found / total[mdp.pair_state])
 
-    def values(self, weights: Floats) -> tuple[Floats, Floats]:
-        """Return values (S, N) and action values (L, N) of policies (L, N); 0 where never met."""
-        mdp = self.mdp
-        value, q = np.zeros((mdp.n_states, weights.shape[1])), np.zeros(weights.shape)
-        for states in self.layers:
-            pairs, offsets = self._pairs(states)
-            ahead = mdp.transition[pairs] @ value
-            q[pairs] = mdp.reward[pairs, None] + mdp.discount * ahead
-            value[states] = np.add.reduceat(weights[pairs] * q[pairs], offsets)
-        return value, q
-
-    def visits(self, weights: Floats) -> Floats:
-        """Return (S,) expected discounted visits from the start under a policy (L,)."""
-        mdp = self.mdp
-        found = mdp.start_distribution.copy()
-        for states in reversed(self.layers):
-            pairs, _ = self._pairs(states)
-            flow = found[mdp.pair_state[pairs]] * weights[pairs]
-            found += mdp.discount * (mdp.transition[pairs].T @ flow)
-        return found
-
     def at_start(self, values: Floats) -> Floats:
         """Return (N,) start values of values (S, N)."""
         return np.asarray(self.mdp.start_distribution @ values)
 
     def worth(self, table: Floats, confusions: Floats) -> Floats:
         """Return (N,) the start values of a policy (P, Z, A) under confusions (N, Z, Z)."""
-        return self.at_start(self.values(self.weights(table, confusions))[0])
-
-    def _pairs(self, states: Integers) -> tuple[Integers, Integers]:
-        """Return the pairs of some states, and where each state's begin."""
-        first, last = self.mdp.pair_offsets[states], self.mdp.pair_offsets[states + 1]
-        return spans(first, last), np.concatenate([[0], np.cumsum(last - first)[:-1]])
+        return self.at_start(self.layers.mean(self.weights(table, confusions))[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
