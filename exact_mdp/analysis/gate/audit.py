@@ -102,8 +102,7 @@ class Audit(Pictured):
     regret : Regret
         Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
     found : callable
-        Makes `visits` and `disagreements` when they are first asked for: a verdict does not need
-        them.
+        Makes `visits` and `disagreements` when they are first asked for.
     max_regret, max_relative_regret : Fraction, optional
         The limits; without either, the regret has to be zero.
     criterion : "total" or "average"
@@ -149,10 +148,7 @@ class Audit(Pictured):
 
     @property
     def claim(self) -> Claim:
-        """What the verdict can claim: that of the regret, or of the interval where it rests on one.
-
-        The regret in the estimated model keeps its own: `audit.value.claim`.
-        """
+        """What the verdict can claim: that of the regret, or of the interval it rests on."""
         return self.value.claim if self.interval is None else self.interval.claim
 
     @property
@@ -203,10 +199,7 @@ class Audit(Pictured):
 
     @property
     def visits(self) -> Floats:
-        """(S,) expected discounted visits of the policy from the start; undiscounted at discount 1.
-
-        NaN where floats cannot bound them, in a model too large for rational arithmetic.
-        """
+        """(S,) expected discounted visits from the start; NaN where floats cannot bound them."""
         return self._findings[0]
 
     @property
@@ -223,8 +216,7 @@ class Audit(Pictured):
     def agreement(self) -> float:
         """Share of the states with a choice in which all that the policy does is optimal.
 
-        Terminal states do not count, and `unclear` ones as agreement. 1 where there is no choice;
-        NaN where no policy keeps the limits.
+        `unclear` states count as agreement. NaN where no policy keeps the limits.
         """
         states = int(self.mdp.asked.sum())
         if not self.feasible:
@@ -249,11 +241,7 @@ class Audit(Pictured):
         return int((open_ & self.mdp.asked).sum())
 
     def frame(self, *, full: bool = False) -> DataFrame:
-        """Return the disagreements, by the number of the state, the costliest first.
-
-        `cost` is the value lost in the state, and `share` its share of all that is lost; `full`
-        adds expected visits.
-        """
+        """Return the disagreements, by the number of the state; `full` adds expected visits."""
         import pandas
 
         lost = sum(each.cost for each in self.disagreements)
@@ -358,9 +346,8 @@ class Audit(Pictured):
     def representation(self) -> Representation | None:
         """What the policy's columns cannot express.
 
-        None where it reads the whole state, under limits, where some policy never ends at discount
-        1, or where floating point cannot bound the values that the search needs (`unexplained`).
-        The verdict does not depend on it.
+        None where it reads the whole state, under limits, and where it is `unexplained`. The
+        verdict does not depend on it.
         """
         if not self._partial:
             return None
@@ -411,15 +398,7 @@ class Audit(Pictured):
     def message(self, *, explain: bool = True) -> str:
         """Return in words what was found, the costly states by name.
 
-        Parameters
-        ----------
-        explain : bool
-            Say also what the policy's columns cannot express, which takes a search.
-
-        Returns
-        -------
-        str
-            Several lines.
+        With `explain` also what the policy's columns cannot express, which takes a search.
         """
         lines = [self.question]
         lines += [f"{'passed' if each.passed else 'failed'}: {each.told}" for each in self.verdicts]

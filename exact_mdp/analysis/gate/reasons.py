@@ -5,8 +5,7 @@
 where `best` is the value of the best deterministic policy that reads the same columns as π
 (`analysis.gate.column_policies`). The first bracket is the *representation loss*: no learner that
 reads these columns can avoid it. The second is the *learning error*; it is negative where π mixes
-and gains by that. The gain of remembering more follows from the value of the best policy that
-reads further columns, too.
+and gains by that.
 
 A Q-table may also be wrong about the optimal action values, and about what it will earn:
 

@@ -3,24 +3,14 @@
     regret(s) = V*(s) - V^π(s) = Σ_s' d_s(s') gap(s', π(s')),    gap(s, a) = V*(s) - Q*(s, a)
 
 with d_s the discounted visits of π that begins in s. V* comes with a certificate that its checker
-has accepted. V^π solves the policy's equations exactly (`analysis.gate.exact_policy`); where all
-that π takes is optimal it is V*, which solves the same equations. Large models and long cycles are
-bounded in floating point instead: V* ≤ V + c w and V^π ≥ V + c' w as in `solvers.bounds.bounds`,
-which is narrow where little is lost, or the two values, each with its error.
-
-Even there a regret of 0 can be certified. Around the values V, with low · w ≤ V* - V ≤ high · w,
-
-    Q*(l) - V(s) = d(l) + γ Σ_s' P(l, s') (V*(s') - V(s')),    d(l) = r(l) + γ P_l V - V(s)
-
-lies between two floats, rounding included. An action is optimal where no other one of its state may
-be better; two actions with the same expected reward and the same row are equally good whatever V*
-is. Where all that a policy does in each state that it reaches is optimal, so is the policy: V* then
-solves its equations, which have one solution where it ends or γ < 1.
+has accepted, and V^π solves the policy's equations exactly. Large models and long cycles are
+bounded in floating point: V* ≤ V + c w and V^π ≥ V + c' w as in `solvers.bounds.bounds`. Even there
+a regret of 0 can be certified: Q*(l) - V(s) lies between two floats, rounding included, and where
+all that a policy does in each state that it reaches is proven to be optimal, so is the policy.
 
 Where all numbers are exact, an action is optimal where its gap is 0. With floats among them, it
 ties with the best where its gap is at most what their rounding can move
-(`analysis.gate.forgiveness`). Doubles decide this where their errors allow it, and rational
-arithmetic decides the rest.
+(`analysis.gate.forgiveness`), decided by doubles where their errors allow it, else exactly.
 """
 
 from __future__ import annotations
@@ -162,12 +152,8 @@ def policy_regret(
 ) -> Regret:
     """Return what a policy is worth against the optimum.
 
-    `exact` asks for rational arithmetic, or for bounds; unless given, rational arithmetic is used
-    in models of up to 100,000 transitions (250,000 with a horizon) without cycles of over 200
-    states. An `optimum` that another policy's regret was found with is not computed again; unless
-    `exact` is given, it says how. Raises ModelError at discount 1 where not every policy ends.
-
-    Of costs, all is found in the model of rewards that are the costs times -1.
+    `exact` asks for rational arithmetic, or for bounds; unless given, the model's size decides, or
+    an `optimum` that another policy's regret was found with, which is not computed again.
     """
     if mdp.sense == "min":
         chain = PolicyChain(mdp=chain.mdp.maximised, chosen=chain.chosen, policy=chain.policy)

@@ -53,14 +53,12 @@ class TrainerAudit(Pictured):
     Attributes
     ----------
     names : tuple
-        What each run is called: its seed, or what was given.
+        What each run is called: its seed, or its number.
     audits : tuple of Audit
-        What was found of each run, in the order in which they were done.
     intervals : tuple of (Fraction, Fraction)
-        The interval of the share after each run; all hold together with probability 1 - α.
-    share : Fraction
-        The share of seeds that has to be within the limits.
-    alpha : Fraction
+        The interval of the share after each run; all hold together with probability 1 - alpha.
+    share, alpha : Fraction
+        The share of seeds that has to be within the limits, and the risk of error.
     runs : int
         How many runs there might have been.
     prove : bool

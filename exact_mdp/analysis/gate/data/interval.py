@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Result
@@ -109,12 +109,8 @@ def confidence_of(given: object) -> Fraction:
     >>> confidence_of(0.95), confidence_of("0.9")
     (Fraction(19, 20), Fraction(9, 10))
     """
-    try:
+    with located("confidence", instead=True):
         found = exact(str(given) if isinstance(given, float) else given)
-    except ModelError as error:
-        raise ModelError(
-            error.what, where="confidence", fix="give a share, such as 0.95"
-        ) from error
     if not 0 < found < 1 or float(found) in (0.0, 1.0):
         raise ModelError(
             f"a confidence of {given}",

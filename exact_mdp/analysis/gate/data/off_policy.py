@@ -19,9 +19,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from math import log
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -29,13 +28,14 @@ from scipy import special
 from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, cut_off, observations_of
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
+from exact_mdp.analysis.vary.intervals import mean_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.mdp.validate import RNG, counted, seed_of
+from exact_mdp.mdp.validate import RNG, Flags, counted, seed_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 DRAWS = 2000
@@ -130,6 +130,8 @@ class OffPolicy:
             )
         low, high = seen.bounds(bounds.range, mdp.discount, doubt / 4)
         best = bounds.at_start(mdp.maximised, bounds.best)
+        w, terms = seen.weight, seen.weight * seen.returns
+        total = float(w.sum())
         drawn = bootstrap(seen.weight, seen.returns, float(confidence), bounds.range, draws, seed)
         return RegretInterval(
             low=max(best[0] - high, 0.0),
@@ -146,14 +148,14 @@ class OffPolicy:
             found={
                 "optimal_value": bounds.at_start(mdp, bounds.best),
                 "learned_value": (low, high) if sign > 0 else (-high, -low),
-                "weighted": sign * seen.weighted,
+                "weighted": sign * float(terms.sum()) / total if total > 0 else float("nan"),
                 "bootstrap": drawn if sign > 0 else (-drawn[1], -drawn[0]),
                 "draws": draws,
                 "seed": seed,
-                "ordinary": sign * seen.ordinary,
-                "standard_error": seen.standard_error,
-                "effective_sample_size": seen.effective_sample_size,
-                "episodes": len(seen.weight),
+                "ordinary": sign * float(terms.mean()),
+                "standard_error": mean_of(terms).standard_error,
+                "effective_sample_size": total**2 / float(w @ w) if total > 0 else 0.0,
+                "episodes": len(w),
                 "cut_off": int(seen.cut.sum()),
                 "taken_for_ended": seen.entered,
             },
@@ -182,34 +184,14 @@ def _ratios(mdp: MDP, own: Floats, behaviour: Floats) -> Floats:
     return np.divide(own, behaviour, out=np.zeros_like(own), where=behaviour > 0)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Trajectories:
-    """Weight, return, length (E,) of each episode, and whether it was cut off."""
+class _Trajectories(NamedTuple):
+    """Weight, return and length (E,) of each episode, and whether it was cut off."""
 
     weight: Floats
     returns: Floats
     steps: Integers
-    cut: np.ndarray
+    cut: Flags
     entered: int  # episodes that stop in a state that is taken for an end
-
-    @cached_property
-    def ordinary(self) -> float:
-        return float((self.weight * self.returns).mean())
-
-    @cached_property
-    def standard_error(self) -> float:
-        terms = self.weight * self.returns
-        return float(terms.std(ddof=1) / len(terms) ** 0.5) if len(terms) > 1 else float("inf")
-
-    @cached_property
-    def weighted(self) -> float:
-        total = float(self.weight.sum())
-        return float(self.weight @ self.returns) / total if total > 0 else float("nan")
-
-    @cached_property
-    def effective_sample_size(self) -> float:
-        square = float(self.weight @ self.weight)
-        return float(self.weight.sum()) ** 2 / square if square > 0 else 0.0
 
     def bounds(self, ends: Ends, rate: float, doubt: float) -> Ends:
         """Return bounds of V^π, each wrong with a probability of at most `doubt`."""

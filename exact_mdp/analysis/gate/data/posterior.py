@@ -34,11 +34,11 @@ from exact_mdp.analysis.gate.data.interval import (
 )
 from exact_mdp.analysis.vary.base_case import digest
 from exact_mdp.analysis.vary.intervals import quantiles, require_draws, upper_quantile, wilson
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
-from exact_mdp.mdp.table import Floats, exact
+from exact_mdp.mdp.table import Floats, exact, shown
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
@@ -201,15 +201,12 @@ def _refuse_cut_off(mdp: MDP, horizon: int | None) -> None:
 
 
 def _prior(given: object) -> float:
-    try:
-        found = float(exact(given))
-    except (ModelError, OverflowError) as error:
-        raise ModelError(f"the prior is {given!r}", where="prior", fix="give a number") from error
+    with located("prior", instead=True):
+        found = exact(given)
     if not 1e-6 <= found <= 1e9:
-        raise ModelError(
-            f"the prior is {found:g} observations", where="prior", fix="give 1e-6 to 1e9, such as 1"
-        )
-    return found
+        what = f"the prior is {shown(found)} observations"
+        raise ModelError(what, where="prior", fix="give 1e-6 to 1e9, such as 1")
+    return float(found)
 
 
 def drawn(mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, count: int) -> Batch:
