@@ -65,7 +65,10 @@ def who(names: Set[str], everyone: Set[str]) -> str:
 
 def commands_of(group: str) -> dict[str, tuple[click.Command, click.Context]]:
     """Return the commands of a group, "module:name", by name."""
-    made = {name: named(group).get_command(None, name) for name in sorted(named(group).commands)}
+    made = {
+        name: named(group).get_command(None, name)
+        for name in sorted(named(group).list_commands(None))
+    }
     return {
         name: (each, click.Context(each, **each.context_settings)) for name, each in made.items()
     }

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from exact_mdp.analysis import plots as plots
-from exact_mdp.analysis.gate.check import Audit as Audit
+from exact_mdp.analysis.gate.audit import Audit as Audit
 from exact_mdp.analysis.gate.check import assert_policy_optimal as assert_policy_optimal
 from exact_mdp.analysis.gate.check import check as check
 from exact_mdp.analysis.gate.column_policies import best_policy as best_policy

@@ -259,13 +259,18 @@ def _place(error: BaseException) -> str:
 
 def _named(command: click.Command, words: Sequence[str]) -> str:
     """Return the command of a group that the words name; nothing where there is none."""
-    known = command.commands if isinstance(command, click.Group) else {}
+    known = (
+        command.list_commands(click.Context(command)) if isinstance(command, click.Group) else ()
+    )
     return next((word for word in words if word in known), "")
 
 
 def _option(command: click.Command, name: str, where: str, words: Sequence[str]) -> str:
     """Return where the error is: the option as it was written, for the argument's name."""
-    chosen = command.commands[name] if isinstance(command, click.Group) and name else command
+    chosen: click.Command | None = command
+    if isinstance(command, click.Group) and name:
+        chosen = command.get_command(click.Context(command), name)
+    assert chosen is not None
     for parameter in chosen.params:
         spelled = max(parameter.opts, key=len)
         given = any(word == spelled or word.startswith(f"{spelled}=") for word in words)

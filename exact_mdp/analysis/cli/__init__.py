@@ -1,6 +1,6 @@
 """The program `exact-mdp`; `exact_mdp.analysis.exit_status` says how it ends.
 
-`commands` declares what can be typed, the other modules do it, and `render` shows the result. A
+`commands` names them, `derive` makes them from functions, and `render` shows the report. A
 failure is reported on standard error as what, where and fix, with nothing on standard output.
 """
 
@@ -18,29 +18,17 @@ import click
 from click.shell_completion import shell_complete
 
 from exact_mdp.analysis import github
-from exact_mdp.analysis.cli import commands
-from exact_mdp.analysis.cli.commands import GROUPS, HELP
+from exact_mdp.analysis.cli.commands import Commands
+from exact_mdp.analysis.cli.derive import HELP
 from exact_mdp.analysis.exit_status import REFUSED, Told, leave, run, say
 
 PROGRAM = "exact-mdp"
 COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell's line that completes words
-GATE = commands.check
-
-
-class Commands(click.Group):
-    """The commands, listed by what they are for."""
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write each group with its commands and what they do."""
-        for title, group in GROUPS.items():
-            lines = [(str(each.name), each.get_short_help_str(80)) for each in group]
-            with formatter.section(title):
-                formatter.write_dl(lines)
+GATE = "check"
 
 
 @click.group(
     cls=Commands,
-    commands=[command for group in GROUPS.values() for command in group],
     context_settings={"help_option_names": HELP},
     epilog="MODEL is a shipped scenario (yuan2025, tea), a .toml scenario, a saved "
     ".npz, .json or .umb model, or gymnasium:ID.",
@@ -77,13 +65,14 @@ def _reporting(words: list[str]) -> Told | None:
     The file says so from the start, so that no report of an earlier run stays, whatever happens to
     this one.
     """
-    if next((word for word in words if not word.startswith("-")), None) != GATE.name:
+    gate = cli.get_command(click.Context(cli), GATE)
+    if gate is None or next((word for word in words if not word.startswith("-")), "") != GATE:
         return None
-    rest = words[words.index(str(GATE.name)) + 1 :]
+    rest = words[words.index(GATE) + 1 :]
     if not set(HELP).isdisjoint(rest):
         return None
     anything: dict[str, Any] = {"ignore_unknown_options": True, "allow_extra_args": True}
-    with GATE.make_context(GATE.name, rest, resilient_parsing=True, **anything) as context:
+    with gate.make_context(GATE, rest, resilient_parsing=True, **anything) as context:
         path, model = context.params.get("junit"), context.params.get("model") or "?"
     known = isinstance(path, str) and path.lower().endswith(".xml") and Path(path).parent.is_dir()
     title = f"{PROGRAM} check {model}"

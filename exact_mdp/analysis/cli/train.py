@@ -5,15 +5,14 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Sequence
-from fractions import Fraction
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from exact_mdp.analysis.cli.options import Given, given, number_of, whole_of
-from exact_mdp.analysis.cli.render import Report, Table, number, to_json
+from exact_mdp.analysis.cli.given import Given, number_of, pairs_of
 from exact_mdp.analysis.learning.outcomes import (
     CANDIDATES,
     QUANTILES,
@@ -22,20 +21,16 @@ from exact_mdp.analysis.learning.outcomes import (
     outcomes,
 )
 from exact_mdp.analysis.record import run_record
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.report import Report, Shown, Table, number
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import as_discount
 from exact_mdp.solvers.learning import training
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.sampler import as_policy
-from exact_mdp.solvers.learning.schedules import (
-    PAPER_CONSTANT,
-    PAPER_DECAYING,
-    Constant,
-    Schedule,
-)
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Schedule
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_values import policy_values
@@ -43,103 +38,140 @@ from exact_mdp.solvers.values.policy_values import policy_values
 LISTED_ROWS = 1000  # policies over more rows are left to the files of --out
 SHOWN = 10  # policies in the table
 SCHEDULES: dict[str, Schedule] = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
+WHOLE = ("epochs", "episodes", "max_steps", "snapshot_episode", "last")
+NUMBERS = ("rate", "rate_power", "initial")
 
 
 def train(
-    model: str,
-    seeds: str,
-    seed: str,
-    out: str | None,
-    jobs: str | None,
-    sets: tuple[str, ...],
-    discount: str | None,
-    **options: Any,
+    given: Given,
+    *,
+    epsilon: str = "constant",
+    seeds: int = 40,
+    seed: int = 0,
+    learner: Sequence[str] = (),
+    out: str | None = None,
+    n_jobs: int | None = None,
 ) -> Report:
-    """Train on a model and judge what was learned by exact values."""
-    asked = given(model, sets, discount)
-    settings, first = _settings(asked.mdp, options), whole_of(seed, "--seed", most=2**128)
-    count = whole_of(seeds, "--seeds", 1, 10**7)
-    workers = None if jobs is None else whole_of(jobs, "--jobs", 1, 1024)
-    solve(asked.mdp)  # a model that cannot be judged is refused before the work
-    runs = training.train(
-        asked.mdp,
-        settings,
-        count,
-        rng=first,
-        n_jobs=workers,
-        out=out,
-        progress=True,
-    )
-    found = outcomes(asked.mdp, runs)
-    result = asked.head | {"seed": first, "settings": repr(settings)} | _summary(runs, found)
-    if out is not None:
-        result["written"] = _save(Path(out), asked, settings, runs[0], found, result)
-    return asked.report(result, _facts(result, found), _tables(result))
+    """Train Q-learning, and judge what was learned by exact values.
+
+    Regret is that of the final greedy policies, at the model's discount, over the seeds.
+
+    Example:
+
+    exact-mdp train yuan2025 --seeds 10 --learner epochs=1000
+
+    Parameters
+    ----------
+    epsilon : SCHEDULE
+        constant (0.1), decaying (0.03 + 0.97 exp(-λt), 0.8 at epoch 300), or a number from 0 to 1.
+    seeds : N, 1 to 10000000
+        Number of runs.
+    seed : S, 0 to 340282366920938463463374607431768211456
+        Seed of the random numbers.
+    learner : NAME=VALUE, optional
+        A setting of `exact_mdp.QLearning`: method=sarsa (expected-sarsa, double-q-learning),
+        epochs=6000, episodes=30, discount=0.95, rate=0.05, rate_power=0, columns=all or
+        trial,status, initial=0, ties=first (last, random), bootstrap_end=true, max_steps=10000.
+    out : DIR, optional
+        Folder for finished runs; runs that are there already are not repeated.
+    n_jobs : N, 1 to 1024
+        Number of threads, all cores unless given. Does not change results.
+    """
+    mdp, settings = given.mdp, _settings(given.mdp, epsilon, learner)
+    solve(mdp)  # a model that cannot be judged is refused before the work
+    runs = training.train(mdp, settings, seeds, rng=seed, n_jobs=n_jobs, out=out, progress=True)
+    found = outcomes(mdp, runs)
+    report = given.report(_report(runs, found, settings), seed=seed)
+    return report if out is None else _saved(report, Path(out), given, settings, runs[0], found)
 
 
-def _settings(mdp: MDP, options: dict[str, Any]) -> QLearning:
+def _settings(mdp: MDP, epsilon: str, learner: Sequence[str]) -> QLearning:
     """Return the learner that the options describe."""
-    epsilon, columns = options["epsilon"], options["columns"]
-    if columns == "all":
-        columns = mdp.space.names
-    elif columns is not None:
-        columns = tuple(name.strip() for name in columns.split(","))
-    try:
-        discount: Fraction = as_discount(options["learning_discount"])
-    except ModelError as error:
-        raise ModelError(error.what, where="--learning-discount", fix=error.fix) from error
-    episodes = whole_of(options["episodes"], "--episodes", 1, 10**9)
-    return QLearning(
-        method=options["method"],
-        epochs=whole_of(options["epochs"], "--epochs", 1, 10**7),
-        episodes=episodes,
-        discount=discount,
-        rate=Constant(number_of(options["rate"], "--rate")),
-        rate_power=number_of(options["rate_power"], "--rate-power"),
-        exploration=SCHEDULES.get(epsilon) or Constant(number_of(epsilon, "--epsilon")),
-        columns=columns,
-        initial=number_of(options["initial"], "--initial"),
-        ties=options["ties"],
-        bootstrap_end=options["bootstrap_end"],
-        max_steps=whole_of(options["max_steps"], "--max-steps", 1, 10**9),
-        snapshot_episode=min(10, episodes),
-    )
+    stated: dict[str, Any] = {}
+    known = [each.name for each in fields(QLearning) if each.name != "exploration"]
+    for name, text in pairs_of(learner, "--learner").items():
+        where = f"--learner {name}"
+        if name not in known:
+            fix = suggest(name, known)
+            raise ModelError(f"unknown setting {name!r}", where="--learner", fix=fix)
+        if name == "columns":
+            every = text == "all"
+            stated[name] = mdp.space.names if every else tuple(x.strip() for x in text.split(","))
+        elif name in NUMBERS:
+            stated[name] = number_of(text, where)
+        elif name in WHOLE:
+            if not (text.isascii() and text.isdigit() and 0 < len(text) < 10):
+                what = f"{text!r} is not a whole number below a thousand million"
+                raise ModelError(what, where=where, fix="choose one in that range")
+            stated[name] = int(text)
+        elif name == "discount":
+            with located(where, instead=True):
+                stated[name] = as_discount(text)
+        elif name == "bootstrap_end":
+            if text not in ("true", "false"):
+                raise ModelError(f"{text!r} is no truth value", where=where, fix="write true")
+            stated[name] = text == "true"
+        else:
+            stated[name] = text
+    exploration = SCHEDULES.get(epsilon)
+    if exploration is None:
+        stated["exploration"] = number_of(epsilon, "--epsilon")
+    else:
+        stated["exploration"] = exploration
+    stated.setdefault("snapshot_episode", min(10, stated.get("episodes", 10)))
+    with located("--learner"):
+        return QLearning(**stated)
 
 
 # ---- the result ----------------------------------------------------------------------------------
 
 
-def _summary(runs: Sequence[TrainingRun], found: Outcomes) -> dict[str, Any]:
+def _report(runs: Sequence[TrainingRun], found: Outcomes, settings: QLearning) -> Report:
     """Return what the runs ended with."""
-    best, counts = found.best, found.last_counts
-    return {
+    best, counts, regret = found.best, found.last_counts, _spread(found.regret)
+    interval = found.regret_interval
+    quantiles = ", ".join(f"{float(q):.0%}: {number(v)}" for q, v in regret["quantiles"].items())
+    apart = "" if interval is None else f" (95 %: {_percent(interval, '.4g')})"
+    learning, optimal = _spread(found.learning_error), found.interval_of(found.optimal_fraction)
+    policies = [
+        row | _share(int(row["count"]), found) | {"policy": _named(found, policy)}
+        for row, policy in zip(
+            found.frame().to_dict("records"), found.policies[found.counts > 0], strict=True
+        )
+    ]
+    facts = {
+        "settings": repr(settings),
         "seeds": found.runs,
         "columns": found.rows.space.names,
-        "claim": "estimated",
-        "value_claim": "bounded",
-        "optimal_value": found.optimum.value,
-        "optimal_value_error": found.optimum.error,
+        "claim": Shown("estimated"),
+        "value_claim": Shown("bounded"),
+        "optimal_value": Shown(found.optimum.value, found.optimum),
+        "optimal_value_error": Shown(found.optimum.error),
         "random_value": evaluate(found.mdp, "random").mean,
-        "best_value": found.best_value.value,
-        "best_value_upper_bound": found.optimum.value if best is None else best.upper_bound,
+        "best_value": Shown(found.best_value.value, found.best_value),
+        "best_value_upper_bound": Shown(found.optimum.value if best is None else best.upper_bound),
         "best_value_proven": True if best is None else best.proven,
-        "regret": _spread(found.regret) | {"mean_interval": found.regret_interval},
-        "optimal_fraction": found.optimal_fraction,
-        "optimal_fraction_interval": found.interval_of(found.optimal_fraction),
-        "learning_error": _spread(found.learning_error),
-        "best_fraction": found.best_fraction,
-        "best_fraction_interval": found.interval_of(found.best_fraction),
-        "selected": {
-            "regret": _spread(found.selected_regret),
-            "optimal_fraction": float((found.selected_regret == 0).mean()),
-        },
-        "first_run": _first_run(found, runs[0]),
-        "policies": [
-            row | _share(int(row["count"]), found) | {"policy": _named(found, policy)}
-            for row, policy in zip(
-                found.frame().to_dict("records"), found.policies[found.counts > 0], strict=True
-            )
-        ],
+        "regret": Shown(
+            regret | {"mean_interval": interval},
+            f"mean regret {number(regret['mean'])}{apart}; quantiles {quantiles}",
+        ),
+        "optimal_fraction": Shown(
+            found.optimal_fraction,
+            f"{found.optimal_fraction:.1%} of the runs end optimal (95 %: {_percent(optimal)})",
+        ),
+        "optimal_fraction_interval": Shown(optimal),
+        "learning_error": Shown(learning, f"mean {number(learning['mean'])}"),
+        "best_fraction": Shown(found.best_fraction, f"{found.best_fraction:.1%}"),
+        "best_fraction_interval": Shown(found.interval_of(found.best_fraction)),
+        "selected": Shown(
+            {
+                "regret": _spread(found.selected_regret),
+                "optimal_fraction": float((found.selected_regret == 0).mean()),
+            },
+            f"mean regret of the best of five {number(float(found.selected_regret.mean()))}",
+        ),
+        "first_run": Shown(_first_run(found, runs[0])),
+        "policies": policies,
         "distinct_in_last": {
             str(many): {"count": count, "interval": found.interval_of(count / found.runs)}
             for many, count in counts.items()
@@ -153,10 +185,15 @@ def _summary(runs: Sequence[TrainingRun], found: Outcomes) -> dict[str, Any]:
         "cut_short": sum(run.cut_short for run in runs),
         "written": [],
     }
+    return Report(title="training", facts=facts, tables=_tables(facts, found.runs))
 
 
 def _share(count: int, found: Outcomes) -> dict[str, Any]:
     return {"fraction": count / found.runs, "interval": found.interval_of(count / found.runs)}
+
+
+def _percent(interval: Interval, form: str = ".1%") -> str:
+    return f"{interval[0]:{form}} to {interval[1]:{form}}"
 
 
 def _spread(values: Floats) -> dict[str, Any]:
@@ -199,14 +236,14 @@ def _named(found: Outcomes, choices: Numbers) -> dict[str, str] | None:
     return {label(row): names[action] for row, action in enumerate(choices.tolist())}
 
 
-def _save(
+def _saved(
+    report: Report,
     folder: Path,
-    asked: Given,
+    given: Given,
     settings: QLearning,
     run: TrainingRun,
     found: Outcomes,
-    result: dict[str, Any],
-) -> list[str]:
+) -> Report:
     """Write summary, most frequent policy, first Q-table and record beside the runs."""
     mdp, space = found.mdp, found.rows.space
     summary, policy, table, record = paths = [
@@ -218,89 +255,46 @@ def _save(
     np.save(content, run.q if space == mdp.space else run.q[:, free])
     write_atomically(table, content.getvalue())
     words = click.get_current_context().find_root().obj or ()
-    kept = run_record(
-        mdp, model=asked.loaded.name, solver=repr(settings), seed=result["seed"], command=words
-    )
-    write_atomically(record, json.dumps(kept, indent=2) + "\n")
-    written = [str(path) for path in paths]
-    write_atomically(summary, to_json(result | {"written": written}) + "\n")
-    return written
+    seed = report.facts["seed"]
+    made = run_record(mdp, model=given.loaded.name, solver=repr(settings), seed=seed, command=words)
+    write_atomically(record, json.dumps(made, indent=2) + "\n")
+    report = replace(report, facts={**report.facts, "written": [str(path) for path in paths]})
+    write_atomically(summary, report.json() + "\n")
+    return report
 
 
-# ---- for people ----------------------------------------------------------------------------------
+def _tables(facts: dict[str, Any], runs: int) -> dict[str, Table]:
+    most = facts["policies"][0]["policy"]
 
-
-def _facts(result: dict[str, Any], found: Outcomes) -> dict[str, Any]:
-    regret = result["regret"]
-    told = {
-        "settings": result["settings"],
-        "runs": f"{result['seeds']:,} from seed {result['seed']}, {result['steps']:,} steps",
-        "discount": f"{number(result['discount'])} (values); the learner's own is in its settings",
-        "optimal value": found.optimum,
-        "value of acting at random": result["random_value"],
-        "mean regret": number(regret["mean"]),
-        "quantiles of regret": ", ".join(
-            f"{float(share):.0%}: {number(value)}" for share, value in regret["quantiles"].items()
-        ),
-        "runs that end optimal": f"{result['optimal_fraction']:.1%} "
-        f"({_percent(result['optimal_fraction_interval'])})",
-    }
-    if regret["mean_interval"]:
-        told["mean regret"] += " (95 %: {:.4g} to {:.4g})".format(*regret["mean_interval"])
-    if result["best_value"] < result["optimal_value"] - result["optimal_value_error"]:
-        proof = "proven" if result["best_value_proven"] else "the best found"
-        read = ", ".join(result["columns"]) or "nothing"
-        told[f"best that reads {read}"] = (
-            f"{number(result['best_value'])}, {proof}; {result['best_fraction']:.1%} end with it"
-        )
-    return told | {
-        "mean regret of the best of five": result["selected"]["regret"]["mean"],
-        "episodes cut short": result["cut_short"] or None,
-        "written": ", ".join(result["written"]) or None,
-    }
-
-
-def _percent(interval: Interval) -> str:
-    return "{:.1%} to {:.1%}".format(*interval)
-
-
-def _tables(result: dict[str, Any]) -> list[Table]:
-    most = result["policies"][0]["policy"]
-
-    def named(entry: dict[str, Any]) -> str:
-        policy = entry["policy"]
+    def named(policy: dict[str, str] | None) -> str:
         if policy is None:
             return "as most runs"
         shown = {row: a for row, a in policy.items() if policy is most or a != most[row]}
         return ", ".join(f"{row} {action}" for row, action in shown.items())
 
-    def interval(entry: dict[str, Any]) -> str:
-        return _percent(entry["interval"])
-
-    changed = [{"row": row} | each for row, each in result["changed_in_last"].items()]
-    return [
-        Table(
+    changed = [{"row": row} | each for row, each in facts["changed_in_last"].items()]
+    return {
+        "policies": Table(
             title="final greedy policies, and where they differ from the first",
-            rows=result["policies"],
-            columns={"runs": "count", "value": "value", "regret": "regret", "policy": named},
+            rows=[each | {"policy": named(each["policy"])} for each in facts["policies"]],
+            columns={"runs": "count", "value": "value", "regret": "regret", "policy": "policy"},
             first=SHOWN,
         ),
-        Table(
+        "distinct_in_last": Table(
             title="how many policies are greedy in the last episodes of a run",
             rows=[
-                {"policies": int(many), "share": each["count"] / result["seeds"]} | each
-                for many, each in result["distinct_in_last"].items()
+                {"many": int(many), "count": each["count"], "share": each["count"] / runs}
+                | {"interval": _percent(each["interval"])}
+                for many, each in facts["distinct_in_last"].items()
             ],
-            columns={
-                "policies": "policies",
-                "runs": "count",
-                "share": "share:.1%",
-                "95 %": interval,
-            },
+            columns={"policies": "many", "runs": "count", "share": "share:.1%", "95 %": "interval"},
         ),
-        Table(
+        "changed_in_last": Table(
             title="where these policies differ",
-            rows=sorted(changed, key=lambda each: -each["fraction"]),
-            columns={"row": "row", "share of runs": "fraction:.1%", "95 %": interval},
+            rows=[
+                each | {"interval": _percent(each["interval"])}
+                for each in sorted(changed, key=lambda each: -each["fraction"])
+            ],
+            columns={"row": "row", "share of runs": "fraction:.1%", "95 %": "interval"},
         ),
-    ]
+    }

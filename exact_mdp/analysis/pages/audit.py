@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
 
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.cells import cells
 from exact_mdp.analysis.layout import arrange
-from exact_mdp.analysis.pages.page import render
+from exact_mdp.analysis.pages.page import ADVICE, render
+from exact_mdp.mdp.report import Report
 
 MOST_CELLS = 4000  # of the map; more are no picture
+AT_THE_TOP = ("passed", "checks")  # of the page
 
 
 def audit_page(
-    audit: Audit,
-    *,
-    model: str,
-    policy: str,
-    facts: Mapping[str, str],
-    tables: Sequence[Mapping[str, Any]],
-    notes: Sequence[str],
-    rerun: str,
+    audit: Audit, report: Report, model: str, policy: str, *, rerun: str, first: int
 ) -> str:
-    """Return the page; facts and tables are texts, `model` and `policy` what the user named."""
+    """Return the page; `model` and `policy` are what the user named, `first` rows are shown."""
     layout, actions = arrange(audit.mdp), audit.mdp.actions
     drawn = len(layout.rows) * len(layout.columns) <= MOST_CELLS
     legend = [pair for pair in zip(layout.signs, actions, strict=True) if len({*pair}) > 1]
+    tables = [replace(each, first=first) for each in report.shown_tables()]
     return render(
         "audit.html.j2",
         model=model,
@@ -35,11 +30,20 @@ def audit_page(
         verdict="; ".join(
             f"{'passed' if each.passed else 'failed'}: {each.told}" for each in audit.verdicts
         ),
-        facts=facts.items(),
+        facts=[each for each in report.lines().items() if each[0] not in AT_THE_TOP],
         layout=layout,
         cells=cells(audit, layout) if drawn else [],
         legend=legend,
-        tables=tables,
-        notes=notes,
+        tables=[
+            {
+                "heading": each.heading(),
+                "note": each.note,
+                "columns": list(each.columns),
+                "numeric": each.numeric(),
+                "rows": each.cells(),
+            }
+            for each in tables
+        ],
+        notes=[note for note in report.notes if note != ADVICE],  # at the foot of every page
         rerun=rerun,
     )

@@ -34,6 +34,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import shown
 from exact_mdp.mdp.validate import counted
@@ -90,6 +91,17 @@ class Explorer(Result):
                 f.assign(**{self.second.name: v}) for f, v in zip(frames, values, strict=True)
             ]
         return pandas.concat(frames, ignore_index=True)
+
+    def report(self) -> Report:
+        """Return the pieces of the optimal value."""
+        columns = {"from": "low:.10g", "to": "high:.10g"}
+        columns |= {"value": "value_low:.10g", "": "value_high:.10g"}
+        if self.second is not None:
+            columns = {self.second.name: f"{self.second.name}:.6g"} | columns
+        names = [self.curves[0].parameter.name, *([self.second.name] if self.second else [])]
+        facts = {"parameters": names, "pieces": len(self.frame())}
+        table = Table(title="pieces of the optimal value", rows=self.frame(), columns=columns)
+        return Report(title="explorer", facts=facts, tables={"listed": table})
 
     def page(self, *, rerun: str = "") -> str:
         """Return the page; `rerun` is the command that makes it again."""

@@ -26,10 +26,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from exact_mdp.analysis.gate.limits import totals_under
+from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.objectives.amounts import Objectives
@@ -184,6 +186,76 @@ class Front(Pictured):
         of = self.objectives
         own = totals_under(of, policy_of(of.mdp, policy))
         return min(of.at_start(*v) - _worth(w, own) for w, v in self.duals.items())
+
+    def report(self, policies: Mapping[str, PolicyLike] | None = None) -> Report:
+        """Return vertices, edges and facets; `policies` by name are placed beside the front."""
+
+        def named(values: Any) -> dict[str, Fraction]:
+            return dict(zip(self.names, values, strict=True))
+
+        mdp = self.objectives.mdp
+        vertices = [
+            {
+                "values": named(vertex),
+                "policy": of_every_state(mdp, [mdp.actions[a] for a in policy]),
+            }
+            for vertex, policy in zip(self.vertices, self.policies, strict=True)
+        ]
+        edges = [
+            {
+                "from": edge.start,
+                "to": edge.end,
+                "rate": named(edge.rate) if isinstance(edge.rate, tuple) else edge.rate,
+            }
+            for edge in self.edges
+        ]
+        beside: list[dict[str, Any]] = [
+            {
+                "policy": name,
+                "values": named(self.totals(policy)),
+                "distance": self.distance(policy),
+            }
+            for name, policy in (policies or {}).items()
+        ]
+        two = len(self.names) == 2
+        rates = [None, *(each["rate"] for each in edges)]
+        each = {name: f"{name}:.10g" for name in self.names}
+        return Report(
+            title="front",
+            facts={
+                "names": list(self.names),
+                "claim": self.claim,
+                "vertices": vertices,
+                "edges": Shown(edges),
+                "facets": Shown(
+                    [
+                        {"weights": named(weights), "vertices": list(tight)}
+                        for weights, tight in self.facets
+                    ]
+                ),
+                "policies": beside,
+            },
+            tables={
+                "vertices": Table(
+                    title="vertices of the front",
+                    rows=[
+                        named(vertex) | ({"rate of exchange": rates[number]} if two else {})
+                        for number, vertex in enumerate(self.vertices)
+                    ],
+                    columns={**each, "rate": "rate of exchange:.6g"} if two else each,
+                    note=f"rate: how much {self.names[1]} one point of {self.names[0]} costs on "
+                    "the way from the row above"
+                    if two
+                    else "",
+                ),
+                "policies": Table(
+                    title="policies beside the front",
+                    rows=[one | one["values"] for one in beside],
+                    columns={"policy": "policy", **each, "distance": "distance:.6g"},
+                    note="distance: by how much every total could be better at once",
+                ),
+            },
+        )
 
     def frame(self) -> DataFrame:
         """Return the vertices, one in each row, and what the step from the one before costs."""

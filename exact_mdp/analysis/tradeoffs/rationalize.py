@@ -32,6 +32,7 @@ from exact_mdp.analysis.gate.exact_policy import mixed_rows
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Result
 from exact_mdp.solvers.exact.find import visited
 from exact_mdp.solvers.exact.levels import fraction
@@ -50,7 +51,7 @@ from exact_mdp.solvers.objectives.file import WeightsProof
 from exact_mdp.solvers.objectives.occupancy import visits
 from exact_mdp.solvers.objectives.optima import optimum, rank_of
 from exact_mdp.solvers.objectives.simplex import maximise
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solution import Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -120,6 +121,42 @@ class Rationalization(Result):
     def __repr__(self) -> str:
         done = f"a change of {float(self.change):.6g}" if self.possible else "no change below 1"
         return f"Rationalization({done} makes the policy optimal; certified)"
+
+    def report(self) -> Report:
+        """Return the weights, the change, and for each weight what it does alone."""
+        rows = [
+            {
+                "name": name,
+                "weight": weight,
+                "alone": "none" if ends is None else f"{ends[0]} to {ends[1]}",
+            }
+            for (name, weight), ends in zip(self.weights.items(), self.alone.values(), strict=True)
+        ]
+        table = Table(
+            title="multipliers of the weights",
+            rows=rows,
+            columns={"component": "name", "multiplier": "weight:.6g", "alone": "alone"},
+            note="alone: the multipliers of this weight for which the policy is optimal, the "
+            "others unchanged",
+        )
+        return Report(
+            title="weights that make a policy optimal",
+            facts={
+                "claim": Shown(self.claim),
+                "possible": Shown(
+                    self.possible,
+                    "the policy is optimal already"
+                    if not self.change
+                    else "the policy is optimal with these weights"
+                    if self.possible
+                    else "with no weights short of dropping them all (proven)",
+                ),
+                "change": Shown(self.change, Certified(value=self.change)),
+                "weights": self.weights,
+                "alone": Shown({name: ends and list(ends) for name, ends in self.alone.items()}),
+            },
+            tables={"weights": table},
+        )
 
     def frame(self) -> DataFrame:
         """Return a row for each component: its multiplier, and the interval that does it alone."""

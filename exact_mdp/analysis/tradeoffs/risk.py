@@ -16,11 +16,12 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import shown
 from exact_mdp.solvers.risk.lattice import share_of, tail_mean
 from exact_mdp.solvers.risk.tail import CVaROptimum, best_cvar
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solution import Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.returns import return_distribution
 
@@ -56,6 +57,57 @@ class MeanCVaR(Pictured):
         best = float(self.optima[0].value)
         return f"MeanCVaR(worst {shown(self.level)}: at best {best:.6g}; certified)"
 
+    def report(self) -> Report:
+        """Return the best policy for the worst episodes, and those for weighted means."""
+        best = self.optima[0]
+        points = [
+            {"weight": o.weight, "mean": o.mean, "cvar": o.value, "threshold": o.threshold}
+            for o in self.optima
+        ]
+        beside = [
+            {"policy": name, "mean": mean, "cvar": value}
+            for name, (mean, value) in self.policies.items()
+        ]
+        rules = [
+            {"state": self.mdp.space.label(state), "from": low, "to": high, "action": action}
+            for state, low, high, action in best.rules()
+        ]
+        return Report(
+            title="mean of the worst episodes",
+            facts={
+                "claim": Shown(self.claim),
+                "measure": Shown("cvar"),
+                "value": Shown(best.value, Certified(value=best.value)),
+                "level": Shown(self.level, f"the worst {self.level} of the episodes"),
+                "mean": Shown(best.mean, Certified(value=best.mean)),
+                "threshold": best.threshold,
+                "distribution": Shown(best.distribution()),
+                "points": points,
+                "policies": Shown(beside),
+                "policy": rules,
+            },
+            tables={
+                "points": Table(
+                    title="mean against the worst episodes",
+                    rows=self.frame(),
+                    columns={"policy": "policy", "mean": "mean:.10g", "of the worst": "CVaR:.10g"},
+                    note="the best policies remember the reward so far; each is exact, and best "
+                    "for its weight",
+                ),
+                "policy": Table(
+                    title="best policy for the worst episodes, by state and reward so far",
+                    columns={
+                        "state": "state",
+                        "from": "from:.10g",
+                        "to": "to:.10g",
+                        "action": "action",
+                    },
+                    first=RULES,
+                    note="--policy-out FILE writes it",
+                ),
+            },
+        )
+
     def frame(self) -> DataFrame:
         """Return one row for each best policy, and for each given one."""
         import pandas
@@ -68,6 +120,9 @@ class MeanCVaR(Pictured):
             {"policy": name, "mean": float(mean), "CVaR": float(value), "claim": "certified"}
             for name, mean, value in rows
         )
+
+
+RULES = 20  # rows of a policy with a memory that a table shows
 
 
 def mean_cvar(

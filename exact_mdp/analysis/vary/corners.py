@@ -25,6 +25,7 @@ from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, cell
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.solution import Bounded, Claim
@@ -58,6 +59,27 @@ class WorstPoint(Result):
     def claim(self) -> Claim:
         """Estimated: a worse point may exist."""
         return Claim.ESTIMATED
+
+    def report(self) -> Report:
+        """Return the value there, and the corner."""
+        value = {"value": self.value.value, "error_bound": self.value.error, "claim": self.claim}
+        point = {name: float(at) for name, at in self.point.items()}
+        said = f"at best {cell(self.value)}, not proven to be the worst point (estimated)"
+        return Report(
+            title="worst corner",
+            facts={
+                "claim": Shown(self.claim),
+                "nature": "one choice of the parameters for all states",
+                "worst_case": Shown(value | {"point": point, "optimum": self.optimum}, said),
+            },
+            tables={
+                "point": Table(
+                    title=f"the worst of {self.corners:,} corners",
+                    rows=[{"name": name, "at": at} for name, at in point.items()],
+                    columns={"parameter": "name", "at the worst point": "at:.6g"},
+                )
+            },
+        )
 
     def frame(self) -> DataFrame:
         """Return where each parameter is."""

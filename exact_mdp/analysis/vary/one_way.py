@@ -31,6 +31,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, claimed
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
@@ -38,6 +39,13 @@ from exact_mdp.solvers.solution import Bounded, regret, regrets
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+
+VALUES = {
+    "re-optimised": "value:.6g",
+    "policy held fixed": "fixed_value:.6g",
+    "its regret": "regret:.3g",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +122,56 @@ class Tornado(Pictured):
         """Bound on the error of `value`."""
         return self.value.error
 
+    def report(self) -> Report:
+        """Return values and regrets at both ends of every range."""
+        bars = [
+            {
+                "parameter": bar.parameter.name,
+                "unit": unit_of(bar.parameter),
+                "today": float(bar.parameter.value),
+                "low": float(bar.low.at),
+                "high": float(bar.high.at),
+                "value_low": bar.low.optimal.value,
+                "value_high": bar.high.optimal.value,
+                "swing": bar.swing,
+                "fixed_value_low": bar.low.fixed.value,
+                "fixed_value_high": bar.high.fixed.value,
+                "fixed_swing": bar.fixed_swing,
+                "regret_low": bar.low.regret.value,
+                "regret_high": bar.high.regret.value,
+                "regret": bar.regret,
+            }
+            for bar in self.bars
+        ]
+        ends = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
+
+        def at(what: str) -> dict[str, str]:
+            return {"at low": f"{what}_low:.6g", "at high": f"{what}_high:.6g"}
+
+        bars_of = "start value at both ends, policy {}"
+        return Report(
+            title="tornado",
+            facts={
+                **claimed("start_value", self.today.optimal),
+                "policy_value": Shown(self.today.fixed.value, self.today.fixed),
+                "regret": Shown(self.today.regret.value, self.today.regret),
+                "bars": bars,
+            },
+            tables={
+                "bars": Table(
+                    title=f"{bars_of.format('re-optimised')}; regret of the policy held fixed",
+                    columns=ends | at("value") | {"regret": "regret:.3g"},
+                ),
+                "held": Table(
+                    title=bars_of.format("held fixed"),
+                    rows=sorted(bars, key=lambda bar: -bar["fixed_swing"])
+                    if self.today.regret.value > 0
+                    else (),
+                    columns=ends | at("fixed_value") | {"regret": "regret:.3g"},
+                ),
+            },
+        )
+
     def frame(self) -> DataFrame:
         """Return one row for each bar; values and regrets in units of reward."""
         import pandas
@@ -148,6 +206,22 @@ class Curve(Pictured):
     model: str
     parameter: Parameter
     points: tuple[Point, ...]
+
+    def report(self) -> Report:
+        """Return the values along the range."""
+        points = [
+            {
+                "at": float(point.at),
+                "value": point.optimal.value,
+                "fixed_value": point.fixed.value,
+                "regret": point.regret.value,
+                "error_bound": point.regret.error,
+            }
+            for point in self.points
+        ]
+        table = Table(title="value at the start", columns={self.parameter.name: "at:.6g"} | VALUES)
+        facts = {"parameter": self.parameter.name, "points": points}
+        return Report(title="one-way", facts=facts, tables={"points": table})
 
     def frame(self) -> DataFrame:
         """Return one row for each value of the parameter."""
@@ -326,6 +400,21 @@ class TwoWay(Pictured):
     error: Floats
     choices: Integers
     policy: Integers
+
+    def report(self) -> Report:
+        """Return the values over the grid, and the number of the best policy."""
+        keys = ["x", "y", "policy", "value", "fixed_value", "regret", "error_bound", "claim"]
+        points = self.frame().set_axis(keys, axis="columns").drop(columns="claim")
+        names = {self.x.name: "x:.6g", self.y.name: "y:.6g", "policy": "policy"}
+        return Report(
+            title="two-way",
+            facts={
+                "parameters": [self.x.name, self.y.name],
+                "policies": int(self.policy.max()) + 1,
+                "points": points.to_dict("records"),
+            },
+            tables={"points": Table(title="value at the start", columns=names | VALUES)},
+        )
 
     def frame(self) -> DataFrame:
         """Return one row for each point of the grid."""

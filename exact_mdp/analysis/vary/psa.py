@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,12 +33,14 @@ from exact_mdp.analysis.vary.distributions import (
     Uncertainty,
     uncertainty,
 )
-from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
+from exact_mdp.analysis.vary.information import FEWEST, PartialInformation, evpi, evppi
 from exact_mdp.analysis.vary.intervals import (
     MeanLoss,
     mean_loss,
     mean_of,
+    quantiles,
     share_of,
+    tolerances_of,
     wilson,
 )
 from exact_mdp.analysis.vary.study import DrawSolver, merged, run, solver_of, tell_cut
@@ -48,6 +50,7 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, counted, seed_of
@@ -58,6 +61,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+LISTED = 16  # rows of a table
 POOL = 24  # policies that are considered as candidates
 CANDIDATES = 6  # of them kept, beside the policy held and today's optimum
 LEAST_GAIN = 1e-2  # of what today's optimum loses, for a policy to be added
@@ -246,6 +250,144 @@ class PSA(Pictured):
             found[label] = replace(each, doubts=(*each.doubts, *doubt))
         return found
 
+    def report(self, policy: str = "optimal") -> Report:
+        """Return value, regret, optimal actions and the value of information over the draws.
+
+        `policy` is what the policy held fixed is called.
+        """
+        partly = self.evppi() if len(self) >= FEWEST else {}
+        information, regret, optimal = self.evpi(), self.regret(), self.optimal
+        lost, tolerances = mean_loss(regret), tolerances_of([regret])
+        accepted, least, most = self.accepted(tolerances)
+        means = {"regret": lost, "EVPI": information.high, "EVPI's lower end": information.low}
+        few = [f"{name} by {m.carried:.0f}" for name, m in means.items() if m.few and m.value]
+        ends = f"{cell(information.low)} to {cell(information.high)}"
+        wilson = self.probability_optimal()
+        reach = float(np.maximum(wilson[2] - wilson[0], wilson[0] - wilson[1]).max(initial=0.0))
+        candidates = [
+            {
+                "name": candidate.name,
+                "actions": candidate.actions,
+                "mean": mean_of(self.values[:, n]),
+                "expected_loss": _loss(mean_loss(self.regret(n))),
+                "probability_optimal": self.acceptability([0.0], n)[0].value,
+                "draws_whose_optimum_it_was": candidate.frequency,
+            }
+            for n, candidate in enumerate(self.candidates)
+        ]
+        return Report(
+            title="probabilistic sensitivity analysis",
+            facts={
+                **claimed("start_value", self.start),
+                "claim": "estimated",
+                "draws": Shown(len(self), f"{len(self):,}, each re-solved"),
+                "seed": self.seed,
+                "drawn": Shown(
+                    {
+                        name: {"distribution": part.kind, "size": part.size, "mean": mean, "sd": sd}
+                        for part in self.uncertainty.parts
+                        for name, mean, sd in zip(part.names, part.mean, part.sd, strict=True)
+                    },
+                    f"{len(self.names)} parameters",
+                ),
+                "fixed": Shown(self.uncertainty.fixed, len(self.uncertainty.fixed) or None),
+                "clipped": self.clipped,
+                "value": Shown(
+                    _spread(optimal), f"mean {cell(self.value)}, 95 % of draws {_middle(optimal)}"
+                ),
+                "regret": Shown(
+                    _spread(regret, lost), f"mean {cell(lost)}, 95 % of draws {_middle(regret)}"
+                ),
+                "acceptability": Shown(
+                    {
+                        "policy": policy,
+                        "tolerance": tolerances,
+                        "probability": accepted,
+                        "low": least,
+                        "high": most,
+                        "candidates": {
+                            candidate.name: self.accepted(tolerances, n)[0]
+                            for n, candidate in enumerate(self.candidates)
+                        },
+                    },
+                    f"the policy held is optimal in {accepted[0]:.1%} of draws",
+                ),
+                "evpi": Shown(information.high.value, f"{ends} (best policy: {information.best})"),
+                "evpi_bounds": Shown(
+                    {
+                        "low": _loss(information.low),
+                        "high": _loss(information.high),
+                        "best_policy": information.best,
+                    }
+                ),
+                "evpi_of_candidates": Shown(_loss(self.evpi_of_candidates())),
+                "evppi": {name: each.regression.value for name, each in partly.items()},
+                "evppi_details": Shown(
+                    {
+                        name: {
+                            "parameters": each.names,
+                            "regression": each.regression,
+                            "lower": each.lower,
+                            "reliable": each.reliable,
+                            "doubts": each.doubts,
+                        }
+                        for name, each in partly.items()
+                    }
+                ),
+                "p_optimal": {
+                    label: {
+                        action: dict(zip(("probability", "low", "high"), each, strict=True))
+                        for action, each in zip(self.actions, row, strict=True)
+                    }
+                    for label, row in zip(
+                        self.labels, np.stack(wilson, axis=-1).tolist(), strict=True
+                    )
+                },
+                "candidates": candidates,
+            },
+            tables={
+                "p_optimal": Table(
+                    title="share of draws in which an action is optimal, "
+                    f"{'at subtask 0, trial 0; ' if self.compiled else ''}"
+                    f"ends of Wilson's 95 % intervals are within {reach:.2g}",
+                    rows=[
+                        {"": label, **dict(zip(map(str, range(len(row))), row, strict=True))}
+                        for label, row in zip(self.labels, wilson[0].tolist(), strict=True)
+                    ],
+                    columns={"status" if self.compiled else "state": ""}
+                    | {action: f"{n}:.4f" for n, action in enumerate(self.actions)},
+                    first=LISTED,
+                ),
+                "candidates": Table(
+                    title="policies held fixed in every draw",
+                    rows=[
+                        each | {"loss": mean_loss(self.regret(n))}
+                        for n, each in enumerate(candidates)
+                    ],
+                    columns={
+                        "policy": "name",
+                        "mean value": "mean:.6g",
+                        "expected loss": "loss",
+                        "optimal in": "probability_optimal:.1%",
+                    },
+                ),
+                "evppi": Table(
+                    title="EVPPI, choosing among these policies: by regression, at most their "
+                    "EVPI, and a lower estimate; ? marks what is not to be relied on",
+                    rows=[
+                        {"name": name, "by": each.regression, "lower": each.lower}
+                        | {"doubt": "" if each.reliable else "?"}
+                        for name, each in sorted(
+                            partly.items(), key=lambda item: -item[1].regression.value
+                        )
+                    ],
+                    columns={"known": "name", "regression": "by", "lower": "lower", "": "doubt"},
+                    first=LISTED,
+                ),
+            },
+            notes=[f"carried by few draws: {', '.join(few)}; take more to rely on it"] * bool(few),
+        )
+
     def frame(self) -> DataFrame:
         """Return a table: the drawn parameters, V*, each candidate's value (units of reward)."""
         import pandas
@@ -255,6 +397,21 @@ class PSA(Pictured):
         for number, candidate in enumerate(self.candidates):
             table[f"{candidate.name} (reward)"] = self.values[:, number]
         return table
+
+
+def _loss(found: MeanLoss) -> dict[str, Any]:
+    return {**plain(found), "draws_that_carry_it": found.carried, "few_draws": found.few}
+
+
+def _spread(values: Floats, lost: MeanLoss | None = None) -> dict[str, Any]:
+    mean = plain(mean_of(values)) if lost is None else _loss(lost)
+    sd = float(values.std(ddof=1)) if len(values) > 1 else float("nan")
+    return {"mean": mean.pop("value"), **mean, "sd": sd, "quantiles": quantiles(values)}
+
+
+def _middle(values: Floats) -> str:
+    found = {each.probability: each.value for each in quantiles(values)}
+    return f"{found[0.025]:.4g} to {found[0.975]:.4g}"
 
 
 def groups_of(

@@ -28,6 +28,7 @@ from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, claimed
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
@@ -93,6 +94,59 @@ class Robust(Result):
         differs = np.logical_or.reduceat(apart, mdp.pair_offsets[:-1])
         seen = reachable(mdp, pairs=taken > 0) | reachable(mdp, pairs=self.policy > 0)
         return np.flatnonzero(differs & seen & ~mdp.terminal)
+
+    def report(self) -> Report:
+        """Return the values under the tables, and under nature's worst and best."""
+        mdp = self.mdp
+        changes = [
+            {
+                "state": mdp.space.label(state),
+                "before": " or ".join(
+                    mdp.actions[mdp.pair_action[pair]]
+                    for pair in mdp.pairs_of(state)
+                    if self.policy[pair] > 0
+                ),
+                "after": mdp.actions[mdp.pair_action[np.asarray(self.robust.pairs)[state]]],
+            }
+            for state in self.changed.tolist()
+        ]
+        best = {"value": self.optimistic.start.value, "error_bound": self.optimistic.start.error}
+        worst = {"value": self.robust.start.value, "error_bound": self.robust.start.error}
+        values = [
+            {"policy": "held", "right": self.value, "worst": self.worst, "best": self.best},
+            {
+                "policy": "robust",
+                "right": self.robust_value,
+                "worst": self.robust.start,
+                "best": self.robust_best,
+            },
+        ]
+        columns = {"tables right": "right", "worst case": "worst", "best case": "best"}
+        return Report(
+            title="robust",
+            facts={
+                **claimed("start_value", self.value),
+                "nature": "dynamic, independent in each state and action",
+                "worst_case": Shown(worst | {"nominal_policy": self.worst}),
+                "best_case": Shown(best | {"nominal_policy": self.best}),
+                "price_of_robustness": self.price,
+                "worst_case_gain": self.gain,
+                "robust_policy_value": Shown(self.robust_value),
+                "policy_changes": changes,
+                "seconds": Shown(self.robust.seconds),
+            },
+            tables={
+                "values": Table(
+                    title="value at the start",
+                    rows=values,
+                    columns={"policy": "policy", **columns},
+                ),
+                "policy_changes": Table(
+                    title="states in which the robust policy takes another action",
+                    columns={"state": "state", "held": "before", "robust": "after"},
+                ),
+            },
+        )
 
     def frame(self) -> DataFrame:
         """Return values at the start (reward), one row for each policy and law."""

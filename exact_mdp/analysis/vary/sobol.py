@@ -24,7 +24,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.random import default_rng
@@ -37,6 +37,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, number
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, counted, seed_of
@@ -49,6 +50,17 @@ if TYPE_CHECKING:
 
 OUTPUTS = ("optimal", "fixed", "regret")
 RESAMPLES = 200
+TITLES = {
+    "optimal": "the start value, policy re-optimised",
+    "regret": "the regret of the policy held fixed",
+}
+SHARES = {
+    "parameter": "parameter",
+    "first order": "first order (share of variance):.4f",
+    "± first": "first order ±:± .4f",
+    "total": "total (share of variance):.4f",
+    "± total": "total ±:± .4f",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,6 +137,56 @@ class Sobol(Pictured):
             )
         indices: Indices = getattr(self, output)
         return indices
+
+    def report(self) -> Report:
+        """Return the indices of the optimum's value and of the policy's regret."""
+        more = np.zeros(len(self.names), dtype=bool)
+        for each in (self.optimal, self.regret):
+            over = each.first - each.total
+            more |= (over > 0) & (over <= each.first_half + each.total_half)
+        notes = [
+            f"for {more.sum()} of {len(more)} the first order is above the total, within the "
+            "intervals: noise of the estimates; more --samples help"
+        ] * bool(more.any())
+        return Report(
+            title="Sobol indices",
+            facts={
+                "claim": "estimated",
+                "draws": self.draws,
+                "seed": self.seed,
+                "confidence": self.confidence,
+                "ranges": Shown({n: [float(r.low), float(r.high)] for n, r in self.ranges.items()}),
+                "samples": self.n,
+                **{k: Shown(v) for k, v in self._numbers(self.optimal).items()},
+                "mean": self.optimal.mean,
+                "sd": self.optimal.sd,
+                "regret": Shown(
+                    self._numbers(self.regret),
+                    f"mean {number(self.regret.mean)}, sd {self.regret.sd:.4g}",
+                ),
+            },
+            tables={
+                f"shares of {name}": Table(
+                    title=f"shares of the variance of {what}, ± half an interval",
+                    rows=() if self.of(name).constant else self.frame(name),
+                    columns=SHARES,
+                )
+                for name, what in TITLES.items()
+            },
+            notes=notes,
+        )
+
+    def _numbers(self, each: Indices) -> dict[str, Any]:
+        """Return an output's mean and spread, and each parameter's indices with intervals."""
+        numbers: dict[str, Any] = {"mean": each.mean, "sd": each.sd}
+        for key, index, half in (
+            ("first_order", each.first, each.first_half),
+            ("total", each.total, each.total_half),
+        ):
+            ends = np.stack([index - half, index + half], axis=1).tolist()
+            numbers[key] = dict(zip(self.names, index.tolist(), strict=True))
+            numbers[f"{key}_interval"] = dict(zip(self.names, ends, strict=True))
+        return numbers
 
     def frame(self, output: str = "optimal") -> DataFrame:
         """Return one row for each parameter, the largest total index first.

@@ -141,7 +141,8 @@ def load(path: str | Path) -> MDP:
         if not isinstance(data, dict) or (data.get("format"), data.get("version")) != (FORMAT, 2):
             raise ModelError(
                 f"the file is no {FORMAT} of version {VERSION}",
-                fix="give a file that exact-mdp convert IN model.json wrote",
+                fix="give a file that exact-mdp convert IN model.json wrote; in "
+                "verify CERTIFICATE MODEL the certificate comes first",
             )
         return _model(data)
 

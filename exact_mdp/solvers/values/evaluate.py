@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf, nan, sqrt
+from math import inf, isfinite, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar, Literal, overload
 
 import numpy as np
@@ -26,6 +26,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
+from exact_mdp.mdp.report import Report, Shown, Table, claimed
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.average.evaluate import AverageEvaluation
@@ -119,6 +120,41 @@ class Evaluation(Pictured):
 
         rows = [(name, number.value, number.error) for name, number in self.numbers.items()]
         return pandas.DataFrame(rows, columns=["number", "value", "error"])
+
+    def report(self) -> Report:
+        """Return the mean and what it is made of, with quantiles."""
+        parts = self._components.items()
+        totals = [{"name": name, "total": number} for name, number in parts]
+        shares = self.quantiles or {}
+        rows = [{"share": share, "return": value} for share, value in shares.items()]
+        finite = isfinite(self.mean)
+        return Report(
+            title="value of a policy",
+            facts={
+                **claimed("mean", self.start),
+                "sd": Shown(self.sd, self._sd if finite else "undefined: the mean is infinite"),
+                "steps": Shown(self.steps, self._steps if self.ends else "inf: it may never end"),
+                "ends": Shown(self.ends),
+                "skip_probability": Shown(self.skip_probability),
+                "event_probability": Shown(self.event_probability, self._events),
+                "components": Shown(self.components),
+                "quantiles": Shown(self.quantiles, self.quantiles_missing or None),
+                "quantiles_missing": Shown(self.quantiles_missing or None),
+                "error_bounds": Shown({name: each.error for name, each in self.numbers.items()}),
+            },
+            tables={
+                "totals": Table(
+                    title="expected total of each reward component",
+                    rows=totals,
+                    columns={"component": "name", "total": "total"},
+                ),
+                "returns": Table(
+                    title="quantiles of the return",
+                    rows=rows,
+                    columns={"share": "share:.0%", "return": "return"},
+                ),
+            },
+        )
 
     def __repr__(self) -> str:
         return f"Evaluation(mean {self.start}, sd {self.sd:.6g})"

@@ -20,8 +20,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
+from itertools import accumulate
 from math import inf, lcm, nan, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
 
 DENSE_RANGE = 10_000
 NEGLIGIBLE = 1e-280
+LISTED = 1000  # returns that people see
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -186,6 +189,34 @@ class ReturnDistribution(Pictured):
         errors |= {s: float(getattr(each, "error", 0.0)) for s, each in self.unending.items()}
         columns = {"probability": [*law.values()], "error": [errors[value] for value in law]}
         return pandas.DataFrame(columns, index=pandas.Index([*law], name="return"))
+
+    def report(self) -> Report:
+        """Return the law of the return."""
+        law = {decimal(value): chance for value, chance in self.as_dict().items()}
+        error = float(self.frame()["error"].max())
+        facts: dict[str, Any] = {
+            "claim": Shown(self.claim),
+            "error_bound": Shown(error, f"{at_most(error)} of each probability"),
+            "remaining": Shown(self.remaining, self.remaining or None),
+            "never_ends": Shown(self.never_ends, self.never_ends or None),
+            "distribution": law,
+        }
+        if self.exact is not None:
+            exactly: dict[Fraction | float, Any] = {
+                sign: each.value for sign, each in self.unending.items()
+            }
+            exactly |= zip(self.values, self.exact, strict=True)
+            facts["exact_distribution"] = {
+                decimal(value): exactly[value] for value in self.as_dict()
+            }
+        below = accumulate(law.values())
+        rows = [
+            {"return": value, "chance": chance, "sum": most}
+            for (value, chance), most in zip(law.items(), below, strict=True)
+        ]
+        columns = {"return": "return", "probability": "chance", "at most that": "sum"}
+        table = Table(title="distribution", rows=rows, columns=columns, first=LISTED)
+        return Report(title="law of the return", facts=facts, tables={"distribution": table})
 
     def __repr__(self) -> str:
         count = len(self.multiples) + len(self.unending)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, inf, log, log1p, nan, sqrt
+from math import ceil, inf, isfinite, log, log1p, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -21,6 +21,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, between, number
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, seed_of
@@ -133,6 +134,36 @@ class Simulation(Pictured):
     def mean_steps(self) -> float:
         """Mean number of timesteps; infinite where an episode never ends."""
         return inf if self.endless else float(self.steps.mean())
+
+    def report(self) -> Report:
+        """Return the estimate and what it rests on."""
+        finite = isfinite(self.mean)
+        low, high = self.value.interval
+        ends = between(low, high, self.standard_error / 10)
+        return Report(
+            title="simulation",
+            facts={
+                "claim": Shown(self.claim),
+                "mean": Shown(self.mean, self.value if finite else f"{self.mean} ({self.claim})"),
+                "standard_error": Shown(self.standard_error),
+                "interval": Shown(self.value.interval, f"{ends} (95 %)" if finite else None),
+                "sd": Shown(
+                    self.sd,
+                    number(self.sd, self.standard_error / 10)
+                    if finite
+                    else "undefined: the mean is infinite",
+                ),
+                "steps": Shown(
+                    self.mean_steps,
+                    f"{self.mean_steps}: some never end" if self.endless else self.mean_steps,
+                ),
+                "event_probability": self.events,
+                "episodes": self.episodes,
+                "never_ends": Shown(self.never_ends, self.never_ends or None),
+                "truncated": Shown(self.truncated, self.truncated or None),
+                "truncation_error": Shown(self.truncation_error, self.truncation_error or None),
+            },
+        )
 
     def frame(self) -> DataFrame:
         """Return the return and the steps of each episode."""

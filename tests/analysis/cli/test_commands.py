@@ -236,17 +236,10 @@ def test_a_policy_that_may_never_end_has_no_number_of_steps() -> None:
     assert "it may never end" in run("evaluate", *words).out
 
 
-def test_quantiles_can_be_left_out() -> None:
-    words = ("evaluate", "yuan2025", "random", *SMALL)
-    every = run(*words, "--json").result
-    assert list(every["quantiles"]) == ["0.05", "0.25", "0.5", "0.75", "0.95"]
-    assert sorted(every["quantiles"].values()) == list(every["quantiles"].values())
-    found = run(*words, "--no-quantiles", "--json").result
-    assert (found["quantiles"], found["quantiles_missing"]) == (None, "left out")
-    assert found["mean"] == every["mean"]
-    assert re.search(
-        r"^quantiles +none: left out$", run(*words, "--no-quantiles").out, re.MULTILINE
-    )
+def test_quantiles_rise() -> None:
+    found = run("evaluate", "yuan2025", "random", *SMALL, "--json").result["quantiles"]
+    assert list(found) == ["0.05", "0.25", "0.5", "0.75", "0.95"]
+    assert sorted(found.values()) == list(found.values())
 
 
 def test_returns_agree_with_the_oracle() -> None:

@@ -61,8 +61,8 @@ def test_long_numbers_and_deep_tables_of_a_scenario_are_bad_input(
 @pytest.mark.parametrize(
     "words",
     [
-        ("tornado", "tea", "--ranges"),
-        ("psa", "tea", "--samples", "4", "--effective-sample-size"),
+        ("tornado", "tea", "--range"),
+        ("psa", "tea", "--samples", "4", "--uncertain"),
         ("evaluate", "yuan2025", "random", "--perception"),
     ],
     ids=lambda words: words[-1],
@@ -83,8 +83,8 @@ LINES = {
     "check yuan2025 random --discount {}": "--discount",
     "solve yuan2025 --discount {}": "--discount",
     "solve yuan2025 --tol {}": "--tol",
-    "train tea --seeds 1 --epochs 2 --learning-discount {}": "--learning-discount",
-    "train tea --seeds 1 --epochs 2 --rate {}": "--rate",
+    "train tea --seeds 1 --learner epochs=2 --learner discount={}": "--learner discount",
+    "train tea --seeds 1 --learner epochs=2 --learner rate={}": "--learner rate",
     "train tea --seeds {}": "--seeds",
     "simulate tea random --episodes {}": "--episodes",
     "robust tea --radius {}": "--radius",

@@ -29,8 +29,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("kind", ["robust", "posterior", "off-policy"])
 def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> None:
-    more = [f"--records={folder / 'records.csv'}", "--behaviour=random"] * (kind == "off-policy")
-    more += ["--draws=200", "--seed=2"] if kind == "posterior" else ["--rewards=0,1"]
+    more = [f"--evidence=records={folder / 'records.csv'}", "--evidence=behaviour=random"] * (
+        kind == "off-policy"
+    )
+    more += (
+        ["--evidence=n=200", "--evidence=rng=2"]
+        if kind == "posterior"
+        else ["--evidence=rewards=0,1"]
+    )
     words = [
         "check",
         str(folder / "model.npz"),
@@ -77,16 +83,24 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
     ("words", "what"),
     [
         (["--by", "robust"], "applies to an interval"),
-        (["--prior", "2"], "applies to an interval"),
+        (["--evidence", "prior=2"], "applies to an interval"),
         (["--confidence", "1"], "a confidence of 1"),
         (["--confidence", "0.9", "--by", "bayes"], "unknown kind"),
-        (["--confidence", "0.9", "--prior", "2"], "does not apply to robust"),
-        (["--confidence", "0.9", "--rewards", "5"], "no range"),
-        (["--confidence", "0.9", "--rewards", "0,x"], "no range"),
+        (["--confidence", "0.9", "--evidence", "prior=2"], "does not apply to robust"),
+        (["--confidence", "0.9", "--evidence", "rewards=5"], "no range"),
+        (["--confidence", "0.9", "--evidence", "rewards=0,x"], "no range"),
         (["--confidence", "0.9", "--by", "off-policy"], "no trajectories"),
-        (["--confidence", "0.9", "--by", "posterior", "--draws", "x"], "not a whole number"),
+        (["--confidence", "0.9", "--by", "posterior", "--evidence", "n=x"], "not a whole number"),
         (["--confidence", "0.9"], "nothing says where rewards lie"),
-        (["--confidence=.9", "--rewards=0,1", "--by=off-policy", "--records=none.csv"], "none.csv"),
+        (
+            [
+                "--confidence=.9",
+                "--evidence=rewards=0,1",
+                "--by=off-policy",
+                "--evidence=records=none.csv",
+            ],
+            "none.csv",
+        ),
         (["--confidence", "0.9", "--max-relative-regret", "1"], "total regret alone"),
     ],
 )
@@ -100,8 +114,8 @@ def test_bad_input_prints_nothing_and_exits_with_2(
 
 
 def test_a_behaviour_that_the_records_refute_is_refused(folder: Path) -> None:
-    words = ("--confidence=0.9", "--by=off-policy", f"--records={folder / 'records.csv'}")
-    ranges = ("--rewards=0,1", "--behaviour=always:a")
+    words = ("--confidence=0.9", "--by=off-policy", f"--evidence=records={folder / 'records.csv'}")
+    ranges = ("--evidence=rewards=0,1", "--evidence=behaviour=always:a")
     done = run("check", folder / "model.npz", "always:a", *words, *ranges)
     assert (done.status, done.out) == (2, "")
     assert "the behaviour never does what was recorded" in done.err
@@ -120,10 +134,10 @@ def test_trajectories_that_tell_nothing_are_refused(folder: Path) -> None:
     words = (
         "--confidence=0.9",
         "--by=off-policy",
-        "--rewards=0,1",
-        f"--records={folder / 'records.csv'}",
+        "--evidence=rewards=0,1",
+        f"--evidence=records={folder / 'records.csv'}",
     )
-    done = run("check", folder / "model.npz", "always:a", *words, "--behaviour=always:b")
+    done = run("check", folder / "model.npz", "always:a", *words, "--evidence=behaviour=always:b")
     assert (done.status, done.out) == (2, "")
     assert "never does what the policy does" in done.err
     assert "state ill" in done.err
@@ -131,8 +145,8 @@ def test_trajectories_that_tell_nothing_are_refused(folder: Path) -> None:
 
 @pytest.mark.parametrize("by", ["robust", "posterior", "off-policy"])
 def test_a_horizon_leaves_no_counts_behind(by: str, folder: Path) -> None:
-    more = ["--draws=80"] if by == "posterior" else ["--rewards=0,1"]
-    more += [f"--records={folder / 'records.csv'}"] * (by == "off-policy")
+    more = ["--evidence=n=80"] if by == "posterior" else ["--evidence=rewards=0,1"]
+    more += [f"--evidence=records={folder / 'records.csv'}"] * (by == "off-policy")
     words = ("check", folder / "model.npz", "always:a", f"--by={by}", "--confidence=0.95", *more)
     alone, one = (run(*words, *late, "--json").result for late in ([], ["--horizon=1"]))
     assert one["horizon"] == 1

@@ -132,8 +132,8 @@ def test_check_takes_the_policies_of_many_seeds(policies: list[str], tmp_path: P
 @pytest.mark.parametrize(
     ("several", "words", "what"),
     [
-        (False, ["--share", "1/2"], "--share is a question of several policies"),
-        (False, ["--prove"], "--prove is a question of several policies"),
+        (False, ["--share", "1/2"], "--share does not apply to a single policy"),
+        (False, ["--prove"], "--prove does not apply to a single policy"),
         (True, ["--html", "page.html"], "--html does not apply to several policies"),
         (True, ["--no-explain"], "--no-explain does not apply"),
         (True, ["--share", "2"], "share is 2"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from fractions import Fraction
 from pathlib import Path
 
@@ -157,8 +158,8 @@ def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
     found = json.loads(run("perception", *words, "0.1", "--draws", "50", "--json").out)
     low, high = found["counted"]["interval"]
     text = run("perception", *words, "0.1", "--draws", "50").out
-    assert "seen taken for true" in text
-    assert "by the posterior" in text
+    assert "taken as true" in text
+    assert re.search(r"^counted +95% in \S+ to \S+ \(estimated\)$", text, re.MULTILINE)
     assert low < found["counted"]["mean"] < high < found["perfect"]["value"]
 
 

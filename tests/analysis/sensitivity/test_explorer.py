@@ -162,7 +162,7 @@ def test_names_are_text(tmp_path: Path) -> None:
         (("--parameter", "base.anxiety", "--html", "p.txt"), ".html"),
         ((*("--parameter", "base.anxiety") * 2, "--html", "p.html"), "name one or two"),
         (("--parameter", "reward.assist.wait", "--html", "p.html"), "state a range"),
-        (("--parameter", "base.anxiety", "--grid", "1", "--html", "p.html"), "--grid"),
+        (("--parameter", "base.anxiety", "--points", "1", "--html", "p.html"), "--points"),
         (("always:sing", "--parameter", "base.anxiety", "--html", "p.html"), "sing"),
     ],
 )

@@ -5,7 +5,6 @@ import json
 import re
 from dataclasses import replace
 from fractions import Fraction
-from importlib import import_module
 from math import inf, nan
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp import MDP, ModelError, Policy, Scenario, rationalize, solve, tradeoff
-from exact_mdp.analysis.cli.render import at_most, decimal, digits_of, number, ratio, to_json
-from exact_mdp.analysis.cli.solve import whole_policy
 from exact_mdp.analysis.gate.junit import Case, junit, write_junit
+from exact_mdp.analysis.optimum import of_every_state
+from exact_mdp.mdp.report import Report, at_most, decimal, digits_of, number, ratio
 from exact_mdp.mdp.table import beside
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
@@ -59,7 +58,7 @@ def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
     monkeypatch: pytest.MonkeyPatch, fault: Exception
 ) -> None:
     """A crash is not 1, which says that the policy is bad."""
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", Mock(side_effect=fault))
+    monkeypatch.setattr("exact_mdp.analysis.cli.given.read_model", Mock(side_effect=fault))
     done = run("check", "yuan2025", "optimal")
     assert (done.status, done.out) == (3, "")
     told(done.err)
@@ -84,11 +83,11 @@ def test_the_other_programs_end_in_the_same_way(
 
 def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = Mock(side_effect=ValueError("a mistake"))
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", broken)
+    monkeypatch.setattr("exact_mdp.analysis.cli.given.read_model", broken)
     done = run("info", "yuan2025")
     assert (done.status, done.out) == (3, "")
     assert done.err.startswith("ValueError: an error in the program, not in your input: a mis")
-    assert "where: exact-mdp info, in analysis/cli/options.py, line " in done.err
+    assert "where: exact-mdp info, in analysis/cli/given.py, line " in done.err
     assert "EXACT_MDP_TRACEBACK=1" in done.err
     monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")
     assert "Traceback (most recent call last)" in run("info", "yuan2025").err
@@ -122,7 +121,7 @@ def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.Mon
 
 def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     stop = Mock(side_effect=KeyboardInterrupt)
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", stop)
+    monkeypatch.setattr("exact_mdp.analysis.cli.given.read_model", stop)
     done = run("info", "yuan2025")
     assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")
 
@@ -136,13 +135,13 @@ def test_every_number_stands_on_its_own_side(off: Fraction) -> None:
 
 
 def test_long_distributions_and_values_are_left_to_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module("exact_mdp.analysis.cli.solve"), "SHOWN_DIGITS", 100)
-    monkeypatch.setattr(import_module("exact_mdp.analysis.cli.evaluate"), "LISTED_RETURNS", 7)
+    monkeypatch.setattr("exact_mdp.analysis.optimum.SHOWN_DIGITS", 100)
+    monkeypatch.setattr("exact_mdp.solvers.values.returns.LISTED", 7)
     done = run("solve", "yuan2025", "--certify")
     assert re.search(r"exact start value  a rational of \d+ digits; --json prints it\n", done.out)
     done = run("returns", "yuan2025", "random", "--set", "tasks=[1]")
     assert "(the first 7 of 77; --json prints all)" in done.out
-    assert len(done.out.splitlines()) == 20  # with what it is not: medical advice
+    assert len(done.out.splitlines()) == 19  # with what it is not: medical advice
 
 
 @given(st.integers(0, 10**30), st.integers(1, 200), st.booleans())
@@ -172,14 +171,14 @@ def test_integers_have_all_their_digits(digits: int) -> None:
 @settings(max_examples=50)
 @given(st.floats() | st.integers() | st.text() | st.booleans() | st.none())
 def test_json_is_strict_and_exact(value: object) -> None:
-    found = strict(to_json({"x": [value]}))["x"][0]
+    found = strict(Report(title="", facts={"x": [value]}).json())["x"][0]
     assert found is None if value != value or value in (inf, -inf) else found == value
 
 
 def test_json_takes_arrays_and_rationals() -> None:
     found = {"a": np.array([1.5, nan]), 2: (np.int64(3), np.bool_(True)), "q": Fraction(1, 3)}
     expected = {"format": 2, "a": [1.5, None], "2": [3, True], "q": "1/3"}
-    assert json.loads(to_json(found)) == expected
+    assert json.loads(Report(title="", facts=found).json()) == expected
 
 
 @given(st.floats(0, 1e300))
@@ -196,7 +195,18 @@ def test_printed_numbers_are_as_good_as_their_error(value: float, error: float) 
 
 def test_a_piece_whose_numbers_were_changed_is_damaged(tmp_path) -> None:
     """A changed policy was read from beyond an array; others were taken as they were."""
-    words = ("train", "tea", "--seeds", "1", "--epochs", "3", "--jobs", "1", "--out", tmp_path)
+    words = (
+        "train",
+        "tea",
+        "--seeds",
+        "1",
+        "--learner",
+        "epochs=3",
+        "--n-jobs",
+        "1",
+        "--out",
+        tmp_path,
+    )
     assert run(*words).status == 0
     path = tmp_path / "runs-000000.npz"
     good = path.read_bytes()
@@ -249,7 +259,7 @@ def test_so_does_whatever_else_ends_the_check(
         assert "did not end" in str(before.get("message"))
         raise fault
 
-    monkeypatch.setattr("exact_mdp.analysis.cli.options.read_model", fail)
+    monkeypatch.setattr("exact_mdp.analysis.cli.given.read_model", fail)
     assert run("check", "tea", "optimal", "--junit", path).status in (3, 130)
     found = ElementTree.parse(path).find(".//error")
     assert found is not None
@@ -268,7 +278,7 @@ def test_a_policy_by_status_is_one_that_reads_nothing_else(tmp_path: Path) -> No
     late = always.copy()
     late[mdp.space.index(trial=1, status=3)] = 0
     for numbers, by_status in ((always, True), (late, False)):
-        found = whole_policy(mdp, [mdp.actions[a] for a in numbers])
+        found = of_every_state(mdp, [mdp.actions[a] for a in numbers])
         assert (found.keys() == {f"{n:04b}" for n in range(16)}) is by_status
         again = as_read(mdp, tmp_path, found)
         assert (again.weights(mdp) == Policy.from_choices(mdp, numbers).weights(mdp)).all()

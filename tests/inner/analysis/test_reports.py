@@ -11,18 +11,19 @@ from made_models import corridor
 
 from exact_mdp import ModelError, Scenario, check, plots
 from exact_mdp.analysis import github
-from exact_mdp.analysis.cli.render import Report, Table, markdown
+from exact_mdp.analysis.cli.render import markdown
 from exact_mdp.analysis.layout import arrange, symbols
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import render
 from exact_mdp.analysis.plots.style import picture
+from exact_mdp.mdp.report import Report, Table
 
 
 def test_markdown_shows_facts_and_notes() -> None:
     table = Table(title="t", rows=[{"a": 1}], columns={"a": "a"}, note="what a is")
-    report = Report(result={}, facts={"x": None, "y": 2}, tables=[table])
-    assert markdown(report, "*").splitlines() == [
-        r"## \*", "", "|  |  |", "| --- | --- |", "| y | 2 |", "", "### t", "", "what a is", "",
+    report = Report(title="*", facts={"x": None, "y_z": 2}, tables={"t": table})
+    assert markdown(report).splitlines() == [
+        r"## \*", "", "|  |  |", "| --- | --- |", "| y z | 2 |", "", "### t", "", "what a is", "",
         "| a |", "| ---: |", "| 1 |",
     ]  # fmt: skip
 
@@ -32,15 +33,8 @@ def test_unsafe_characters_are_written_as_codes() -> None:
     page = render("base.html.j2")
     assert "\x1b" not in page
     audit = check(corridor(["a", "b"]), [1, 0])
-    shown = audit_page(
-        audit,
-        model="m\x1b[31m\u202e",
-        policy="p",
-        facts={},
-        tables=[],
-        notes=["it stops"],
-        rerun="x\ny",
-    )
+    report = Report(title="", facts={}, notes=["it stops"])
+    shown = audit_page(audit, report, "m\x1b[31m\u202e", "p", rerun="x\ny", first=9)
     assert r"m\x1b[31m\u202e" in shown
     assert "x\ny" in shown
     assert "Note: it stops" in shown

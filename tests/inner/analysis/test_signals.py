@@ -108,7 +108,7 @@ def test_workers_end_with_the_program(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads /proc")
 def test_a_training_that_was_stopped_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
-    words = [PROGRAM, "train", "tea", "--epochs", "100", "--jobs", "2", "--json", "--out"]
+    words = [PROGRAM, "train", "tea", "--learner", "epochs=100", "--n-jobs", "2", "--json", "--out"]
     process = started([*words, tmp_path / "out", "--seeds", "100000"], tmp_path)
     process.send_signal(signal.SIGTERM)
     process.send_signal(signal.SIGTERM)  # as `timeout` does: to the process, then to its group

@@ -21,7 +21,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.limits import limit_of
-from exact_mdp.analysis.vary.curves.checker import CurvePiece, piece_violations
+from exact_mdp.analysis.optimum import of_every_state
+from exact_mdp.analysis.vary.curves.checker import (
+    Bracket,
+    CurvePiece,
+    RationalFunction,
+    piece_violations,
+)
 from exact_mdp.analysis.vary.curves.regret_limits import Interval, kept
 from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, Sweep, below_one, pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
@@ -32,6 +38,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, Posed, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.solvers.solution import Claim
@@ -188,6 +195,41 @@ class ValueFunction(Pictured):
             self.family, self.parameter.name, self.pieces, shares, sign=sign
         )
 
+    def report(self, within: Sequence[Interval] | None = None) -> Report:
+        """Return the pieces; `within` is where a policy held fixed keeps a limit."""
+        pieces = [
+            {
+                **_between(each.low, each.high),
+                **_ratio(each.value),
+                **({} if each.fixed is None else {"fixed": _ratio(each.fixed)}),
+                "policy": of_every_state(self.mdp, _actions(self.mdp, each.optimal)),
+            }
+            for each in self.pieces
+        ]
+        facts: dict[str, Any] = {
+            "parameter": self.parameter.name,
+            "claim": self.claim,
+            "pieces": pieces,
+        }
+        if within is not None:
+            ends = [_between(each.low, each.high) for each in within]
+            words = [f"{float(each['from']):.10g} to {float(each['to']):.10g}" for each in ends]
+            said = "; ".join(words) or "nowhere"
+            facts["within"] = Shown(ends, f"the policy keeps the limit: {said}")
+        table = Table(
+            title="pieces of the optimal value at the start",
+            rows=self.frame(),
+            columns={
+                "from": "low:.10g",
+                "to": "high:.10g",
+                "value from": "value_low:.10g",
+                "value to": "value_high:.10g",
+                "degree": "degree",
+            },
+            note="each is a ratio of polynomials, whose exact coefficients --json prints",
+        )
+        return Report(title="curve", facts=facts, tables={"pieces": table})
+
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
         import pandas
@@ -204,6 +246,33 @@ class ValueFunction(Pictured):
             }
             for piece in self.pieces
         )
+
+
+def _between(low: Bracket, high: Bracket) -> dict[str, Any]:
+    ends = {"from": _point(low), "to": _point(high)}
+    return ends | {"from_bracket": list(low), "to_bracket": list(high)}
+
+
+def _point(bracket: Bracket) -> Fraction:
+    """Return a fraction of small denominator between two ends; the end, where they are equal."""
+    low, high = bracket
+    middle, most = (low + high) / 2, 1
+    while True:
+        near = middle.limit_denominator(most)
+        if low <= near <= high:
+            return near
+        most *= 10
+
+
+def _ratio(ratio: RationalFunction) -> dict[str, Any]:
+    return {"numerator": list(ratio.numerator), "denominator": list(ratio.denominator)}
+
+
+def _actions(mdp: MDP, optimal: np.ndarray) -> list[str]:
+    """Return the first optimal action of each state."""
+    marked = np.flatnonzero(optimal)
+    first = marked[np.flatnonzero(np.diff(mdp.pair_state[marked], prepend=-1))]
+    return [mdp.actions[action] for action in mdp.pair_action[first]]
 
 
 def curve(

@@ -39,6 +39,7 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.row_change import RowChange, pieces, row_change
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
@@ -170,6 +171,59 @@ class Gradient(Pictured):
         """Bound on the error of the start value; 0 where it is exact."""
         return self.start.error if isinstance(self.start, Bounded) else 0.0
 
+    def report(self) -> Report:
+        """Return derivatives and elasticities by every parameter."""
+        each = self.derivatives
+        sides = ("value", "left", "right")
+        floats = {side: {n: _number(getattr(d, side)) for n, d in each.items()} for side in sides}
+        exact = {
+            n: d.value.value if isinstance(d.value, Certified) else None for n, d in each.items()
+        }
+        errors = {
+            name: max(
+                (getattr(side, "error", 0.0) for side in (d.left, d.right) if side), default=0.0
+            )
+            for name, d in each.items()
+        }
+        steps = {
+            name: {"one_less": _number(less), "one_more": _number(more)}
+            for name, (less, more) in self.steps.items()
+        }
+        facts = {
+            **claimed("start_value", self.start),
+            "policy": "re-optimised" if self.reoptimised else "fixed",
+            "derivatives": floats["value"],
+            "left": Shown(floats["left"]),
+            "right": Shown(floats["right"]),
+            "elasticities": Shown({name: d.elasticity for name, d in each.items()}),
+            "exact_derivatives": Shown(exact),
+            "error_bounds": Shown(errors),
+            "steps": steps,
+        }
+        del facts["error_bound"]
+        rows = [
+            {
+                "name": name,
+                "today": float(d.parameter.value),
+                "slope": " | ".join(cell(floats[side][name], ".6g") for side in sides[1:])
+                if d.value is None
+                else floats["value"][name],
+                "elasticity": d.elasticity,
+            }
+            for name, d in sorted(each.items(), key=lambda one: -abs(one[1].elasticity or 0.0))
+        ]
+        table = Table(
+            title="derivatives of the start value, per unit of the parameter",
+            rows=rows,
+            columns={
+                "parameter": "name",
+                "today": "today",
+                "derivative": "slope:.6g",
+                "elasticity": "elasticity:.4g",
+            },
+        )
+        return Report(title="gradient", facts=facts, tables={"derivatives": table})
+
     def frame(self) -> DataFrame:
         """Return one row for each parameter, the largest elasticity first."""
         import pandas
@@ -190,6 +244,10 @@ class Gradient(Pictured):
         ]
         rows.sort(key=lambda row: -np.nan_to_num(abs(row["elasticity (% per %)"])))
         return pandas.DataFrame(rows)
+
+
+def _number(slope: Slope | None) -> float | None:
+    return None if slope is None else float(slope.value)
 
 
 def _float(number: Slope | None) -> float:

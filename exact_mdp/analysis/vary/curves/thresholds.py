@@ -25,6 +25,7 @@ from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import shown
 from exact_mdp.solvers.solution import Claim
@@ -138,6 +139,10 @@ class Thresholds(Pictured):
         ]
         return pandas.DataFrame(rows) if rows else pandas.DataFrame(columns=list(COLUMNS))
 
+    def report(self) -> Report:
+        """Return every threshold and what changes there."""
+        return report_of({self.parameter.name: self})
+
     def stable(self, *, reached: bool = False) -> tuple[Fraction, Fraction]:
         """Return the interval around today's value in which no optimal action changes.
 
@@ -180,6 +185,77 @@ class Thresholds(Pictured):
         if high != parameter.high:
             sides.append(high - today)
         return min(sides, default=max(today - low, high - today))
+
+
+def report_of(found: Mapping[str, Thresholds]) -> Report:
+    """Return what was found of several parameters."""
+    switches = [
+        {
+            "parameter": name,
+            "threshold": each.value,
+            "low": each.low,
+            "high": each.high,
+            "state": switch.label,
+            "columns": switch.columns,
+            "before": switch.before,
+            "after": switch.after,
+            "reached": switch.reached,
+            "touch": each.touch,
+        }
+        for name, all_ in found.items()
+        for each in all_.found
+        for switch in each.switches
+    ]
+    stable = {
+        name: {
+            "today": float(each.parameter.value),
+            "unit": unit_of(each.parameter),
+            "low": float(each.stable()[0]),
+            "high": float(each.stable()[1]),
+            "low_on_reached_states": float(each.stable(reached=True)[0]),
+            "high_on_reached_states": float(each.stable(reached=True)[1]),
+            "radius": float(each.radius),
+            "searched": [float(each.range.low), float(each.range.high)],
+        }
+        for name, each in found.items()
+    }
+    rows = [
+        {**stable[name], "name": name, "found": len(each.found)} for name, each in found.items()
+    ]
+    claims = [each.claim for each in found.values()]
+    return Report(
+        title="thresholds",
+        facts={
+            "claim": Claim.CHECKED if Claim.CHECKED in claims else Claim.CERTIFIED,
+            "stable": stable,
+            "switches": switches,
+        },
+        tables={
+            "stable": Table(
+                title="the optimal policy stays as it is, other parameters held",
+                rows=rows,
+                columns={
+                    "parameter": "name",
+                    "today": "today:.6g",
+                    "stays from": "low:.6g",
+                    "to": "high:.6g",
+                    "searched": "searched",
+                    "thresholds": "found",
+                },
+                first=len(found),
+            ),
+            "switches": Table(
+                title="optimal actions that change",
+                columns={
+                    "parameter": "parameter",
+                    "state": "state",
+                    "threshold": "threshold:.12g",
+                    "below": "before",
+                    "above": "after",
+                },
+            ),
+        },
+    )
 
 
 def thresholds(

@@ -1,0 +1,257 @@
+"""Commands made from functions: the signature gives arguments and options, the docstring the help.
+
+The source of a function is read and not imported, so that help comes at once. What a parameter
+becomes:
+
+    given: Given                   the argument MODEL, with the options of `given` that are shared
+    policy: Policy                 an argument or option POLICY, of which `given` makes the policy
+    without a default              an argument, a required option where it is keyword-only
+    : bool                         a flag
+    : int                          a whole number
+    : Sequence or Mapping          an option of the singular name that may be repeated
+    anything else                  an option with a text
+
+What is not typed is not passed: the function's own default holds. The words in capitals or quotes
+before "optional" in the docstring's type stand in the help for the value.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from inspect import cleandoc
+from pathlib import Path
+from typing import Any
+
+import click
+
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import aside
+
+PACKAGE = Path(__file__).resolve().parents[2]
+HELP = ["-h", "--help"]
+GIVEN = "analysis.cli.given:given"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a function, with what its docstring says."""
+
+    name: str
+    kind: str
+    default: str
+    keyword: bool
+    form: str
+    help: str
+
+    @property
+    def required(self) -> bool:
+        """Whether there is no default."""
+        return not self.default
+
+    @property
+    def multiple(self) -> bool:
+        """Whether it takes several values."""
+        return self.kind.startswith(("Sequence", "Mapping", "Iterable"))
+
+    def click(self) -> click.Parameter:
+        """Return the argument or option."""
+        words = re.findall(r'"([^"]+)"', self.form)
+        form = "|".join(words) or self.form.partition(",")[0]
+        if not self.keyword:
+            metavar = form or self.name.upper() + "..." * self.multiple
+            metavar = metavar if self.required else f"[{metavar}]"
+            nargs = -1 if self.multiple else 1
+            return click.Argument([self.name], required=self.required, nargs=nargs, metavar=metavar)
+        name = singular(self.name) if self.multiple else self.name
+        shown = self.default not in ("", "None", "False", "()")
+        help_ = f"{self.help[:-1]} ({self.default})." if shown else self.help
+        if self.kind == "bool":
+            return click.Option([_flag(name), self.name], is_flag=True, default=None, help=help_)
+        return click.Option(
+            [_flag(name), self.name],
+            metavar=form,
+            multiple=self.multiple,
+            required=self.required,
+            type=Whole(self.form) if self.kind.startswith("int") else None,
+            help=help_ + " May be repeated." * self.multiple,
+        )
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+class Whole(click.ParamType[int]):
+    """A whole number within limits, which the docstring's type states: "N, 1 to 100"."""
+
+    name = "whole number"
+
+    def __init__(self, form: str) -> None:
+        limits = re.search(r"(\d+) to (\d+)", form)
+        self.least, self.most = map(int, limits.groups()) if limits else (0, 10**18)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Return the number that a text states."""
+        text = str(value)
+        digits = text.isascii() and text.isdigit() and len(text) <= 40
+        if digits and self.least <= int(text) <= self.most:
+            return int(text)
+        raise ModelError(
+            f"{text!r} is not a whole number from {self.least} to {self.most:,}",
+            where=param.opts[-1] if param else "",
+            fix="choose one in that range",
+        )
+
+
+def singular(name: str) -> str:
+    """Return the singular of a name, whose option may be repeated.
+
+    >>> singular("ranges"), singular("policies"), singular("subject_to")
+    ('range', 'policy', 'subject_to')
+    """
+    return re.sub("ie$", "y", name.removesuffix("s"))
+
+
+def function(target: str) -> tuple[str, list[Parameter]]:
+    """Return what the docstring of "module:name" says, and its parameters."""
+    module, _, name = target.partition(":")
+    every = [each for each in _tree(module).body if isinstance(each, ast.FunctionDef)]
+    found = next(each for each in every if each.name == name)
+    said: dict[str, tuple[str, str]] = {}
+    for each in reversed([found, *every]):  # a parameter that is not explained, is in another one
+        said |= _documented(each)[1]
+    return _documented(found)[0], [*_parameters(found.args, said)]
+
+
+def _documented(function: ast.FunctionDef) -> tuple[str, dict[str, tuple[str, str]]]:
+    """Return a docstring's text, and type and text of each parameter."""
+    text = cleandoc(ast.get_docstring(function) or "")
+    head, _, rest = text.partition("\n\nParameters\n----------\n")
+    return head, dict(_sections(rest.partition("\n\n")[0]))
+
+
+@cache
+def _tree(module: str) -> ast.Module:
+    return ast.parse(PACKAGE.joinpath(*module.split(".")).with_suffix(".py").read_text("utf-8"))
+
+
+def _sections(text: str) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Yield name, type and text of each parameter in numpydoc's section of them."""
+    for block in re.split(r"\n(?=\S)", text):
+        head, _, below = block.partition("\n")
+        names, _, form = head.partition(" : ")
+        for name in names.split(", "):
+            yield name, (form, " ".join(below.split()))
+
+
+def _parameters(args: ast.arguments, said: dict[str, tuple[str, str]]) -> Iterator[Parameter]:
+    missing = [None] * (len(args.args) - len(args.defaults))
+    placed = [*zip(args.args, [*missing, *args.defaults], strict=True)]
+    named = [*zip(args.kwonlyargs, args.kw_defaults, strict=True)]
+    for keyword, pairs in ((False, placed), (True, named)):
+        for arg, default in pairs:
+            form, text = said.get(arg.arg, ("", ""))
+            kind = ast.unparse(arg.annotation) if arg.annotation else ""
+            value = "" if default is None else ast.unparse(default).strip("'")
+            yield Parameter(arg.arg, kind, value, keyword, form, text)
+
+
+class Command(click.Command):
+    """A command whose options stand in sections: its own, those of the model, those of all."""
+
+    shared: Sequence[str] = ()
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections."""
+        sections: dict[str, list[tuple[str, str]]] = {"Options": [], "Model": [], "Output": []}
+        for each in self.get_params(ctx):
+            record = each.get_help_record(ctx)
+            if record is None or isinstance(each, click.Argument):
+                continue
+            last = bool({"--json", "--markdown", "--help"} & {*each.opts})
+            title = "Output" if last else "Model" if each.name in self.shared else "Options"
+            sections[title].append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+
+def command(
+    name: str, target: str, shared: Sequence[str] = (), *, markdown: bool = False, epilog: str = ""
+) -> click.Command:
+    """Return the command that calls the function "module:name" of this package.
+
+    Parameters
+    ----------
+    name, target : str
+    shared : sequence of str
+        Parameters of `given` that the command has as options.
+    markdown : bool
+        Whether it has the option --markdown.
+    epilog : str
+        What stands below the options.
+    """
+    text, own = function(target)
+    _, every = function(GIVEN)
+    asked = [
+        each for each in every if each.name in shared and each.name not in {o.name for o in own}
+    ]
+    params: list[click.Parameter] = []
+    for each in own:
+        params.append(click.Argument(["model"]) if each.name == "given" else each.click())
+    params += [each.click() for each in asked]
+    params.append(click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON object."))
+    if markdown:
+        params.append(
+            click.Option(["--markdown", "as_markdown"], is_flag=True, help="Print Markdown.")
+        )
+
+    def work(*, as_json: bool, as_markdown: bool = False, **options: Any) -> int:
+        with aside():  # a module of the user's may print: the result is printed below
+            report = _report(target, own, [each.name for each in asked], options)
+        show = import_module("exact_mdp.analysis.cli.render").show
+        show(report, as_json=as_json, as_markdown=as_markdown)
+        return int(report.passed is False)
+
+    def ended(*positional: Any, **options: Any) -> int:
+        try:
+            return work(*positional, **options)
+        except click.exceptions.Exit as end:  # not of --help, but of code that was called
+            sys.exit(end.exit_code)
+
+    made = Command(
+        name,
+        params=params,
+        callback=ended,
+        help=text.replace("Example:\n\n", "\b\nExample:\n"),
+        short_help=text.partition("\n")[0],
+        epilog=epilog,
+        context_settings={"help_option_names": HELP},
+    )
+    made.shared = [each.name for each in asked]
+    return made
+
+
+def _report(target: str, own: list[Parameter], asked: list[str], options: dict[str, Any]) -> Any:
+    """Call the function with what was typed, and return its report."""
+    module, _, name = target.partition(":")
+    call: Callable[..., Any] = getattr(import_module(f"exact_mdp.{module}"), name)
+    typed = {key: value for key, value in options.items() if value is not None and value != ()}
+    with_policy = any(each.kind.startswith("Policy") for each in own)
+    words = {name: typed[name] for name in (each.name for each in own) if name in typed}
+    if any(each.name == "given" for each in own):
+        given = import_module("exact_mdp.analysis.cli.given").given
+        shared = {key: typed[key] for key in asked if key in typed}
+        has = [*asked, "policy"] if with_policy else asked
+        policy = words.pop("policy", None) if with_policy else None
+        words["given"] = given(options["model"], has=has, policy=policy, **shared)
+        if words["given"].taken is not None:
+            words["policy"] = words["given"].taken
+    return call(**words)

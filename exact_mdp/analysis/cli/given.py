@@ -1,0 +1,330 @@
+"""What the words of a command mean: a model and what is asked of it, a policy, numbers, files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from exact_mdp.analysis.pages.page import ADVICE
+from exact_mdp.mdp.care import perception as seeing
+from exact_mdp.mdp.care.scenario import ScenarioFamily
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.load import Loaded, read_model
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.parametric import Parametric, Posed, parametric
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.report import Report, Shown
+from exact_mdp.mdp.table import exact
+from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
+from exact_mdp.solvers.values.policy_chain import policy_of
+
+OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is no scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """What --reach, --until and those beside them ask of a model: a function of models."""
+
+    reach: str | None = None
+    until: str | None = None
+    reward: str | None = None
+    allowed: str | None = None
+    minimize: bool = False
+    start: str | None = None
+
+    def __post_init__(self) -> None:
+        for needy, value, needed, fix in (
+            ("--allowed", self.allowed, self.reach, "--reach LABEL"),
+            ("--reward", self.reward, self.until, "--until LABEL, or MODEL.umb#NAME"),
+        ):
+            if value is not None and needed is None:
+                what = f"{needy} is part of another question"
+                raise ModelError(what, where=needy, fix=f"give {fix}")
+        if self.reach is not None and self.until is not None:
+            raise ModelError(
+                "--reach and --until ask two questions",
+                where="--until",
+                fix="leave out --until, or --reach",
+            )
+
+    def __call__(self, mdp: MDP) -> MDP:
+        """Return the model whose optimal value is the answer."""
+        changes: dict[str, Any] = {} if self.start is None else {"start": self.start}
+        if self.minimize:
+            changes["sense"] = "min"
+        mdp = mdp.with_(**changes) if changes else mdp
+        if self.reach is not None:
+            return mdp.reaching(self.reach, self.allowed)
+        return mdp if self.until is None else mdp.until(self.until, self.reward)
+
+    def words(self) -> str | None:
+        """Return the question in words; None for the total reward."""
+        best = "least" if self.minimize else "greatest"
+        if self.reach is not None:
+            through = f" through {self.allowed}" if self.allowed else ""
+            return f"{best} probability of reaching {self.reach}{through}"
+        if self.until is not None:
+            return f"{best} expected {self.reward or 'reward'} until {self.until}"
+        return "least expected costs" if self.minimize else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Given:
+    """The model that a command names, with what is asked of it.
+
+    Attributes
+    ----------
+    endless : Loaded
+        The model as it is.
+    loaded : Loaded
+        The model that the question makes of it, of episodes that stop after `horizon` steps. It is
+        no scenario where there is a question.
+    question : Question, optional
+    horizon : int, optional
+    average : bool
+        Whether the average reward per step counts (--criterion average).
+    form : str or None
+        The policy as it was typed.
+    taken : Policy or "optimal", optional
+        The policy, of a command that takes one: "optimal" where it is to be re-optimised.
+    perception : str or None
+        The file of --perception.
+    kind : str
+        What an array in a policy's file holds.
+    head : {key: value}
+        How the command's report begins.
+    notes : tuple of str
+        Says where an answer leaves the environment's time limit out.
+    """
+
+    endless: Loaded
+    loaded: Loaded
+    question: Question | None
+    horizon: int | None
+    average: bool
+    form: str | None
+    perception: str | None
+    kind: str
+    head: dict[str, Any]
+    notes: tuple[str, ...]
+    taken: Any = None
+
+    @property
+    def mdp(self) -> MDP:
+        """The model."""
+        return self.loaded.mdp
+
+    @property
+    def asked(self) -> MDP:
+        """The model of the question, of episodes that go on whatever the horizon."""
+        return self.endless.mdp if self.question is None else self.question(self.endless.mdp)
+
+    @cached_property
+    def family(self) -> Parametric:
+        """The model with its parameters; what is compiled already stays so."""
+        family: Parametric = parametric(self.endless.mdp)
+        if self.endless.scenario is not None:
+            family = ScenarioFamily(scenario=self.endless.scenario, base=self.endless.mdp)
+        return family if self.question is None else Posed(family=family, ask=self.question)
+
+    def policy(self, form: str) -> Policy:
+        """Return the policy that a text names, acting on what is perceived where that is given.
+
+        Under a perception the optimum is that of whoever sees the truth.
+        """
+        criterion: Criterion = "average" if self.average else "total"
+        found: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=criterion)
+        if self.perception is None:
+            return found
+        seen: Policy = seeing.perceived(self.mdp, found, seeing.read(self.perception, self.mdp))
+        return replace(seen, source=found.source)
+
+    def report(self, found: Report, **more: Any) -> Report:
+        """Return what was found, after what was asked; `more` are facts that stand between."""
+        facts = {**self.head, **more, **found.facts}
+        return replace(found, facts=facts, notes=(*found.notes, *self.notes))
+
+
+def given(
+    model: str,
+    *,
+    has: Sequence[str] = (),
+    policy: str | None = None,
+    criterion: str = "total",
+    horizon: int | None = None,
+    kind: str = "auto",
+    perception: str | None = None,
+    reach: str | None = None,
+    until: str | None = None,
+    reward: str | None = None,
+    allowed: str | None = None,
+    minimize: bool = False,
+    start: str | None = None,
+    sets: Sequence[str] = (),
+    discount: str | None = None,
+) -> Given:
+    """Return the model that a command names, with what is asked of it.
+
+    Parameters
+    ----------
+    model : MODEL
+    has : sequence of str
+        Which of the others the command has.
+    policy : POLICY, optional
+    criterion : "total" or "average"
+        What counts: the total reward, or the average reward per step in the long run, whatever the
+        discount.
+    horizon : N, 1 to 1000000000
+        Stop every episode after N steps, without a further reward.
+    kind : "q", "policy" or "auto"
+        What a .npy or .npz file holds: a Q-table, or probabilities of actions.
+    perception : FILE, optional
+        The policy acts on a perceived status: a confusion matrix as .csv, or .toml with sensitivity
+        and specificity, or labelled examples (.csv true,perceived; .jsonl).
+    reach : LABEL, optional
+        Ask for the probability of reaching a label.
+    until : LABEL, optional
+        Ask for the expected reward until a label.
+    reward : NAME, optional
+        The reward component that counts until then.
+    allowed : LABEL, optional
+        Reach it through states of this label only.
+    minimize : bool
+        Minimise: rewards are costs.
+    start : STATE, optional
+        Start in this state, a number or a name.
+    sets : KEY=VALUE
+        Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION.
+    discount : G, optional
+        Discount instead of the model's own: 0.95 or 19/20.
+    """
+    asked = Question(
+        reach=reach, until=until, reward=reward, allowed=allowed, minimize=minimize, start=start
+    )
+    question = None if asked == Question() else asked
+    endless = read_model(model, sets=sets, discount=discount, start=start)
+    loaded = endless
+    if question is not None:
+        loaded = replace(endless, mdp=question(endless.mdp), scenario=None)
+    average = is_average(criterion)
+    if average:
+        require_no_horizon(horizon)
+        if reach is not None or until is not None:
+            raise ModelError(
+                "an average reward per step has no target",
+                where="--criterion",
+                fix="leave out --reach and --until, or --criterion",
+            )
+    if horizon is not None:
+        loaded = replace(loaded, mdp=loaded.mdp.within(horizon))
+    mdp, limit = loaded.mdp, loaded.mdp.time_limit
+    head: dict[str, Any] = {"model": loaded.name}
+    if "start" in has:
+        words = question.words() if question else None
+        head |= {"sense": Shown(mdp.sense), "question": words, "start": start}
+    if "criterion" in has:
+        head["criterion"] = Shown(criterion, "reward per step" if average else None)
+    found = Given(
+        endless=endless,
+        loaded=loaded,
+        question=question,
+        horizon=horizon,
+        average=average,
+        form=policy,
+        perception=perception,
+        kind=kind,
+        head={},
+        notes=(*_limit_note(limit, "horizon" in has and not average), *advice(endless)),
+    )
+    if "policy" in has and (policy or perception) is not None:
+        same = (policy or "optimal", perception) == ("optimal", None) and "kind" not in has
+        taken: Any = "optimal" if same else found.policy(policy or "optimal")
+        found = replace(found, taken=taken)
+        if "kind" in has:  # what was read comes first
+            head = {"read_as": Shown(taken.read_as, taken.source or None)} | head
+            head["policy"] = policy
+    if "perception" in has:
+        head |= {"perception": perception}
+    head |= {"discount": mdp.discount}
+    if "horizon" in has:
+        head["horizon"] = Shown(horizon, None if horizon is None else f"{horizon:,} steps")
+    return replace(found, head=head)
+
+
+def _limit_note(limit: int | None, has_horizon: bool) -> list[str]:
+    if limit is None:
+        return []
+    also = f": --horizon {limit}" if has_horizon else ""
+    return [
+        f"the environment stops after {limit:,} steps; this answer is for episodes without a "
+        f"limit{also}"
+    ]
+
+
+def advice(loaded: Loaded) -> tuple[str, ...]:
+    """Return the note on models of care, and on models from records; nothing on others."""
+    care = loaded.scenario is not None or loaded.name.startswith(OF_CARE)
+    return (ADVICE,) * (care or loaded.mdp.observations is not None)
+
+
+def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
+    """Return what --subject-to says, as `solve` takes it."""
+    found: dict[str, list[str]] = {}
+    for text in texts:
+        name, *limit = re.split("(>=|<=)", text, maxsplit=1)
+        if not limit:
+            raise ModelError(
+                f"{text!r} is no limit",
+                where="--subject-to",
+                fix='write "NAME >= -1/2" or "NAME <= 1/20"',
+            )
+        found.setdefault(name.strip(), []).append("".join(limit))
+    return found
+
+
+def number_of(text: str, option: str, *, positive: bool = False) -> float:
+    """Return the number that an option states, as a float."""
+    try:
+        found = float(exact(text))
+    except ModelError as error:
+        raise ModelError(error.what, where=option, fix=error.fix) from error
+    except OverflowError as error:
+        raise ModelError("too large for a float", where=option, fix="choose less") from error
+    if positive and not found > 0:
+        raise ModelError(f"{text} is not positive", where=option, fix="give more than 0")
+    return found
+
+
+def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
+    """Return what NAME=VALUE texts say."""
+    found = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not value.strip():
+            raise ModelError(f"{text!r} is not {form}", where=option, fix=f"write {form}")
+        found[name.strip()] = value.strip()
+    return found
+
+
+def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
+    """Raise ModelError, before any work, where a file (path, allowed endings) cannot be written."""
+    taken = []
+    for name, endings in files:
+        if name is None:
+            continue
+        path = Path(name)
+        if path.suffix.lower() not in endings:
+            raise ModelError(
+                f"cannot write {path.suffix or 'a file without ending'} here",
+                where=name,
+                fix=f"name it {' or '.join(endings)}",
+            )
+        if not path.parent.is_dir():
+            raise ModelError("there is no such folder", where=str(path.parent), fix="make it first")
+        if path.resolve() in taken:
+            raise ModelError("two results go to one file", where=name, fix="name another file")
+        taken.append(path.resolve())

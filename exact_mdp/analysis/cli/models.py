@@ -1,0 +1,271 @@
+"""The commands of a model itself: describe, estimate and convert it; write and check a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from exact_mdp.analysis.cli.given import Given, advice, check_outputs, pairs_of
+from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken
+from exact_mdp.analysis.pages.page import ADVICE
+from exact_mdp.mdp.care import lint as linter
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination
+from exact_mdp.mdp.io import transitions
+from exact_mdp.mdp.io.files import SMALL, read_text, write_atomically
+from exact_mdp.mdp.io.load import read_model, save
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.report import Report, Shown, Table, ratio
+
+NAMED = 1000  # pairs that nobody took, in JSON
+MOST_RARE = 20  # rows of the table
+SHOWN = 4  # states of a policy that never ends, and start states, that are printed
+
+
+def new(file: str) -> Report:
+    """Write a commented scenario to change.
+
+    Example:
+
+    exact-mdp new mine.toml
+    """
+    check_outputs((file, (".toml",)))
+    if Path(file).exists():
+        raise ModelError("the file is there already", where=file, fix="choose another name")
+    template = (files("exact_mdp.mdp.care") / "template.toml").read_text(encoding="utf-8")
+    write_atomically(file, template)
+    return Report(title="new scenario", facts={"written": file}, notes=[ADVICE])
+
+
+def lint(file: str) -> Report:
+    """List all problems of a scenario file.
+
+    An error keeps the scenario from being read; a warning is about numbers that can be read, and
+    are probably not what was meant.
+
+    Example:
+
+    exact-mdp lint mine.toml
+    """
+    if Path(file).suffix.lower() != ".toml":
+        raise ModelError("not a scenario file", where=file, fix="name a .toml file")
+    problems = linter.lint(read_text(file, most=SMALL), Path(file).stem)
+    rows = [each | {"what": f"{each['severity']}: {each['what']}"} for each in problems]
+    columns = {"line": "line", "what": "what", "fix": "fix"}
+    table = Table(title="problems", rows=rows, columns=columns, first=max(1, len(rows)))
+    errors = sum(each["severity"] == "error" for each in problems)
+    return Report(
+        title=f"problems of {file}",
+        facts={
+            "file": file,
+            "problems": Shown(problems, f"{errors} errors, {len(problems) - errors} warnings"),
+        },
+        tables={"listed": table},
+        notes=[ADVICE],
+        passed=not problems,
+    )
+
+
+def info(given: Given) -> Report:
+    """Describe a model: sizes, discount, whether every policy ends.
+
+    Example:
+
+    exact-mdp info gymnasium:FrozenLake-v1
+    """
+    mdp, scenario = given.mdp, given.loaded.scenario
+    ending = termination(mdp)
+    start = [(mdp.space.label(state), weight) for state, weight in mdp.start]
+    shown = [f"{label} ({ratio(weight)})" for label, weight in start[:SHOWN]]
+    facts: dict[str, Any] = {
+        "title": scenario.title if scenario else None,
+        "source": scenario.source if scenario else None,
+        "states": mdp.n_states,
+        "columns": {column.name: column.size for column in mdp.space.columns},
+        "reachable": int(reachable(mdp).sum()),
+        "terminal": int(mdp.terminal.sum()),
+        "with_choice": int((~mdp.forced).sum()),
+        "actions": mdp.n_actions,
+        "action_names": mdp.actions,
+        "pairs": mdp.n_pairs,
+        "transitions": mdp.n_transitions,
+        "discount_exact": Shown(mdp.discount_exact),
+        "start": Shown(start, some(shown, start)),
+        "terminates": Shown(ending.proven, "every policy ends" if ending.proven else "no"),
+        "never_ends": _counterexample(mdp, ending),
+        "acyclic": is_acyclic(mdp),
+        "time_limit": Shown(
+            mdp.time_limit,
+            mdp.time_limit and f"{mdp.time_limit:,} steps, left out without --horizon",
+        ),
+        "sense": Shown(mdp.sense, "min: rewards are costs" if mdp.sense == "min" else None),
+        "labels": {name: int(states.sum()) for name, states in mdp.labels.items()},
+        "reward_components": mdp.component_names,
+        "events": mdp.events,
+    }
+    if scenario:
+        facts |= {
+            "statuses": scenario.statuses,
+            "tasks": scenario.tasks,
+            "max_trial": scenario.max_trial,
+            "readings": scenario.readings,
+            "parameters": Shown(scenario.values(), [*scenario.values()]),
+        }
+    facts["model_hash"] = fingerprint(mdp)
+    return given.report(Report(title=f"model {given.loaded.name}", facts=facts))
+
+
+def _counterexample(mdp: MDP, ending: Termination) -> Shown | None:
+    """Return a policy that never ends, by the first of the states that it never leaves."""
+    if ending.policy is None:
+        return None
+    trapped = ending.trapped[:SHOWN].tolist()
+    policy = {mdp.space.label(s): mdp.actions[ending.policy[s]] for s in trapped}
+    shown = some([f"{state}: {action}" for state, action in policy.items()], ending.trapped)
+    return Shown(
+        {"states": len(ending.trapped), "policy": policy}, f"a policy that stays for ever: {shown}"
+    )
+
+
+def some(shown: Sequence[str], of: Any) -> str:
+    """Return the texts shown, and how many more there are."""
+    more = len(of) - len(shown)
+    return "; ".join(shown) + (f"; {more} more" if more else "")
+
+
+def data(
+    file: str,
+    *,
+    out: str,
+    discount: str = "1",
+    columns: Sequence[str] = (),
+    unseen: str = "unavailable",
+    rare: int = 5,
+) -> Report:
+    """Estimate a model from recorded transitions.
+
+    The columns are episode, state, action, reward and next_state, in the order of time, one episode
+    after the other; without a next state the episode is over. A sixth column, truncated (true or
+    false), marks the rows after which an episode was cut off, as by a time limit; --column
+    truncated=NAME where it is called otherwise. The numbers of observations are kept in the model.
+
+    Example:
+
+    exact-mdp data records.csv --discount 0.95 --out model.npz
+
+    Parameters
+    ----------
+    file : FILE
+    out : MODEL
+        Where the model is written: .npz.
+    discount : G, optional
+        The model's discount.
+    columns : NAME=COLUMN, optional
+        What the file calls episode, state, action, reward, next_state or truncated.
+    unseen : "unavailable", "pessimistic" or "V"
+        An action that nobody took in a state is left out there, or it is worth as little as a
+        policy can be worth, or V.
+    rare : N, 0 to 1000000000
+        List the pairs observed fewer than N times.
+    """
+    if Path(out).suffix.lower() != ".npz":
+        raise ModelError(f"{out!r} is not named .npz", where="--out", fix="name it MODEL.npz")
+    names = pairs_of(columns, "--column", "NAME=COLUMN")
+    record = transitions.counted(file, names, progress=True)
+    mdp = MDP(**record.parts(discount, unseen))
+    save(mdp, out)
+    seen, ends, never = mdp.observations, entered(mdp), never_taken(mdp)
+    assert seen is not None
+    few = np.flatnonzero((seen > 0) & (seen < rare))
+    rows = [
+        {
+            "state": mdp.space.label(int(mdp.pair_state[pair])),
+            "action": mdp.actions[mdp.pair_action[pair]],
+            "observations": int(seen[pair]),
+        }
+        for pair in few[np.argsort(seen[few], kind="stable")].tolist()
+    ]
+    named = [f"{mdp.space.label(s)}: {mdp.actions[a]}" for s, a in never[:NAMED].tolist()]
+    stopped = record.n_cut_off
+    unknown = [mdp.space.label(s) for s in np.flatnonzero(cut_off(mdp)).tolist()]
+    observed = int((seen > 0).sum())
+    offered = mdp.n_actions * len(np.unique(mdp.pair_state[seen > 0]))
+    facts = {
+        "written": out,
+        "episodes": record.n_episodes,
+        "transitions": record.rows,
+        "states": mdp.n_states,
+        "actions": mdp.n_actions,
+        "pairs": Shown(
+            observed, f"{observed:,} observed of {offered:,}, {len(rows):,} of them rare"
+        ),
+        "discount": mdp.discount,
+        "ends": Shown(ends, ends and f"{some(ends[:SHOWN], ends)} (entered, never left)"),
+        "n_never_taken": Shown(len(never)),
+        "never_taken": Shown(named, named and some(named[:SHOWN], never)),
+        "rare": rows,
+        "cut_off": Shown(
+            stopped, f"{stopped:,} episode{'s' * (stopped != 1)}" if stopped else None
+        ),
+        "cut_off_states": Shown(unknown, unknown and some(unknown[:SHOWN], unknown)),
+        "model_hash": fingerprint(mdp),
+    }
+    title, keys = f"pairs observed fewer than {rare} times", ("state", "action", "observations")
+    table = Table(title=title, columns=dict(zip(keys, keys, strict=True)), first=MOST_RARE)
+    notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
+    notes += [
+        f"the column {name!r} is not used: where it marks the rows after which an episode was cut "
+        f"off, add --column truncated={name}; where it marks the ends, leave next_state empty there"
+        for name in record.ignored
+    ]
+    notes += [
+        "nobody knows what follows where episodes were cut off and no record leaves: robust and "
+        "off-policy intervals allow every total there; the estimate takes it for 0"
+    ] * bool(unknown)
+    notes += [
+        "a state that no record leaves is taken for an end, worth 0: where episodes were cut off "
+        "there, no verdict holds: record what follows"
+    ] * bool(ends)
+    title = f"model from {file}"
+    return Report(title=title, facts=facts, tables={"rare": table}, notes=[*notes, ADVICE])
+
+
+def convert(
+    source: str,
+    target: str,
+    *,
+    constants: str | None = None,
+    sets: Sequence[str] = (),
+    discount: str | None = None,
+) -> Report:
+    """Write a model in another format.
+
+    IN may also be a .prism or .jani file, which Storm builds.
+
+    Example:
+
+    exact-mdp convert tea tea.umb
+
+    Parameters
+    ----------
+    source : IN
+    target : OUT
+    constants : "A=1,B=2"
+        What a .prism or .jani file leaves open (extra models).
+    sets : KEY=VALUE
+        Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION.
+    discount : G, optional
+        Discount instead of the model's own: 0.95 or 19/20.
+    """
+    check_outputs((target, (".npz", ".umb", ".json")))
+    loaded = read_model(source, sets=sets, discount=discount, constants=constants)
+    save(loaded.mdp, target)
+    sizes = {"states": loaded.mdp.n_states, "pairs": loaded.mdp.n_pairs}
+    facts = {"written": target, "model": loaded.name, **sizes}
+    facts["transitions"] = loaded.mdp.n_transitions
+    return Report(title=f"{source} as {target}", facts=facts, notes=advice(loaded))

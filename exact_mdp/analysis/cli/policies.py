@@ -1,0 +1,298 @@
+"""The commands of an optimum, its proof, and of one policy: value, returns, simulation."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from math import ulp
+from typing import Any
+
+import click
+import numpy as np
+
+from exact_mdp.analysis.cli.given import Given, check_outputs, limits_from, number_of
+from exact_mdp.analysis.optimum import (
+    LISTED,
+    Contradiction,
+    Optimum,
+    limited_report,
+    optimum,
+)
+from exact_mdp.analysis.record import run_record, write_record
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import endless
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.report import Report, Shown, Table
+from exact_mdp.solvers.exact import codec
+from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
+from exact_mdp.solvers.exact.certify import certify as certified
+from exact_mdp.solvers.objectives.file import PROOFS, ObjectivesProof
+from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.solver import solve as solve_model
+from exact_mdp.solvers.values.evaluate import evaluate as value_of
+from exact_mdp.solvers.values.returns import return_distribution
+from exact_mdp.solvers.values.simulate import simulate as sample
+
+KINDS: dict[str, Any] = {
+    "total": Certificate,
+    "average": Certificate,
+    "bounds": BoundedCertificate,
+    **PROOFS,
+}
+
+
+# ---- the optimum ---------------------------------------------------------------------------------
+
+
+def solve(
+    given: Given,
+    *,
+    certify: bool = False,
+    subject_to: Sequence[str] = (),
+    method: str = "auto",
+    tol: str | None = None,
+    certificate: str | None = None,
+    policy_out: str | None = None,
+    out: str | None = None,
+) -> Report:
+    """Find an optimal policy and its value, bounded or proved.
+
+    With --certify the optimum is also computed in rational arithmetic, and proved. The result says
+    whether an optimal policy needs the status alone, unless bounds without a proof leave that open.
+    With --horizon episodes stop, and the optimal policy depends on the time. With --subject-to the
+    optimum under limits is exact, with its policy, which may draw its actions, and the price of
+    each limit; the exit status is 1 where no policy keeps the limits.
+
+    Example:
+
+    exact-mdp solve yuan2025 --certify --certificate proof.json
+    exact-mdp solve tea --subject-to 'steps <= 20'
+
+    Parameters
+    ----------
+    given : Given
+    certify : bool
+        Compute and prove the exact optimum.
+    subject_to : 'NAME >= X', optional
+        Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward,
+        steps, an event, or a sum such as 2*a-b. Exact.
+    method : NAME
+        value-iteration, gauss-seidel, modified-policy-iteration, policy-iteration,
+        backward-induction, linear-program, or what suits the model.
+    tol : X, optional
+        Greatest absolute error of a value.
+    certificate : FILE, optional
+        Write a proof for `verify`: .json; of the exact optimum with --certify or under limits, else
+        of bounds.
+    policy_out : FILE, optional
+        Write the policy: .csv or .json.
+    out : FILE, optional
+        Write values, policy and action values: .npz. Beside each file that is written stands a
+        record of its making, FILE.run.json.
+    """
+    check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
+    mdp, average = given.mdp, given.average
+    if subject_to:
+        refused = {"--method": method != "auto", "--tol": tol, "--out": out}
+        _refuse(refused | {"--criterion average": average})
+        limited = solve_model(mdp, subject_to=limits_from(subject_to))
+        if faults := limited.violations():
+            raise Contradiction(f"the proof does not hold: {faults[0]}")
+        if policy_out:
+            limited.policy.write(policy_out)
+        if certificate:
+            limited.save(certificate)
+        return given.report(limited_report(limited, [policy_out, certificate]))
+    if certificate and not certify and average:
+        what = "there are no bounded certificates of an average reward"
+        raise ModelError(what, where="--certificate", fix="add --certify")
+    if certificate and not certify and endless(mdp):
+        raise ModelError(
+            "bounds are proved where every policy ends, and here one need not",
+            where="--certificate",
+            fix="add --certify, which proves the exact values",
+        )
+    found = optimum(
+        mdp,
+        method,
+        None if tol is None else number_of(tol, "--tol"),
+        certify=certify,
+        criterion="average" if average else "total",
+    )
+    if certificate:
+        proof = found.certificate or certified(mdp, bounded=True, solution=found.solution)
+        proof.save(certificate)
+    if policy_out:
+        Policy.from_choices(mdp, found.policy).write(policy_out)
+    if out:
+        _save_arrays(found, out)
+    written = [path for path in (policy_out, out, certificate) if path]
+    solver = found.solution.solver if found.solution else found.method
+    for path in written:
+        words = click.get_current_context().find_root().obj
+        record = run_record(mdp, model=given.loaded.name, solver=solver, command=words)
+        write_record(path, record)
+    report = found.report()
+    return given.report(replace(report, facts={**report.facts, "written": written}))
+
+
+def _refuse(options: Mapping[str, object]) -> None:
+    for option, used in options.items():
+        if used:
+            what, fix = f"{option} does not apply to limits", f"leave {option} out"
+            raise ModelError(what, where="--subject-to", fix=fix)
+
+
+def _save_arrays(found: Optimum, path: str) -> None:
+    """Write arrays; `q` is (S, A), NaN where an action is not available, and reads as a policy.
+
+    Of an average reward there is the bias instead of action values.
+    """
+    mdp = found.mdp
+    arrays: dict[str, Any] = {
+        "value": found.value,
+        "state_error": found.state_error,
+        "policy": found.policy,
+        "start_value": np.float64(found.start_value),
+        "error_bound": np.float64(found.error_bound),
+        "claim": np.array(str(found.claim)),
+    }
+    if found.average:
+        arrays["bias"] = found.bias.astype(np.float64)
+    else:
+        q = np.full((mdp.n_states, mdp.n_actions), np.nan)
+        q[mdp.pair_state, mdp.pair_action] = mdp.backup(found.value)
+        optimal = np.zeros(q.shape, dtype=bool)
+        optimal[mdp.pair_state, mdp.pair_action] = found.optimal
+        arrays |= {"q": q, "optimal": optimal}
+    content = io.BytesIO()
+    np.savez(content, **arrays)
+    write_atomically(path, content.getvalue())
+
+
+def verify(certificate: str, given: Given) -> Report:
+    """Check a certificate of an optimum or of a front.
+
+    It is what solve wrote, with limits or without, or tradeoff: a front then. The checker imports
+    no solver. The exit status is 1 where CERTIFICATE does not hold of MODEL.
+
+    Example:
+
+    exact-mdp verify proof.json yuan2025
+
+    Parameters
+    ----------
+    certificate : CERTIFICATE
+    """
+    kind, proof = codec.load(KINDS, certificate)
+    if not isinstance(proof, ObjectivesProof):
+        proof = replace(proof, mdp=given.mdp, **({} if kind == "bounds" else {"kind": kind}))
+    violations = proof.violations(given.mdp)
+    said = "does not hold" if violations else f"holds ({proof.claim})"
+    facts: dict[str, Any] = {
+        "certificate": certificate,
+        "holds": Shown(not violations, said),
+        "violations": Shown(violations, [{"what is wrong": each} for each in violations]),
+        "claim": Shown(None if violations else proof.claim),
+    }
+    if isinstance(proof, ObjectivesProof):
+        facts |= {"kind": kind, "objectives": list(proof.objectives)}
+        facts |= {} if violations else _proven_totals(proof.found(given.mdp))
+    elif not violations:
+        facts |= _proven_start(kind, proof, given)
+    return given.report(Report(title="proof", facts=facts, passed=not violations))
+
+
+def _proven_totals(proven: dict[str, Any]) -> dict[str, Any]:
+    """Return what a front or an optimum under limits proves."""
+    if "limits" not in proven:
+        return proven
+    closest = {moved.name: moved.bound for moved in proven["closest"]}
+    start = proven["exact_start_value"]
+    none = "none: no policy keeps the limits (proven)"
+    exact = Shown(start, none if start is None else Certified(value=start))
+    shown = Shown(closest, [moved.text(10) for moved in proven["closest"]])
+    limits = {"limits": [str(limit) for limit in proven["limits"]], "closest": shown}
+    return proven | limits | {"exact_start_value": exact}
+
+
+def _proven_start(kind: str, proof: Any, given: Given) -> dict[str, Any]:
+    """Return what a sound certificate proves of the start value."""
+    if isinstance(proof, BoundedCertificate):
+        weights = ((weight, float(proof.value[state])) for state, weight in given.mdp.start)
+        value = float(sum(weight * Fraction(middle) for weight, middle in weights))
+        start = Bounded(value=value, error=proof.error_bound + ulp(value))
+        return {"start_value": Shown(value, start), "error_bound": Shown(start.error)}
+    value = float(proof.start_value)
+    exact = {"start_value": Shown(value, proof.start), "error_bound": Shown(ulp(value))}
+    more = {"criterion": "average"} if kind == "average" else {"unique": proof.unique}
+    return exact | {"exact_start_value": Shown(proof.start_value)} | more
+
+
+# ---- one policy ----------------------------------------------------------------------------------
+
+
+def evaluate(given: Given, policy: Policy) -> Report:
+    """Compute a policy's mean return, its spread and its parts.
+
+    Example:
+
+    exact-mdp evaluate yuan2025 always:directive
+    """
+    if not given.average:
+        return given.report(value_of(given.mdp, policy).report())
+    found = value_of(given.mdp, policy, criterion="average")
+    frame, few = found.frame(), given.mdp.n_states <= LISTED
+    facts = {
+        "claim": Shown(found.claim),
+        "mean": Shown(found.start.value, found.start),
+        "error_bound": Shown(found.start.error),
+        "recurrent_classes": len(found.classes.base),
+        "components": Shown(
+            {name: number.value for name, number in found.components.items()}, found.components
+        ),
+        "by_state": Shown(frame.set_index("state").to_dict("index") if few else None),
+    }
+    columns = {name: name for name in ("state", "gain", "bias", "share")}
+    table = Table(title="gain, bias and share of time", rows=frame, columns=columns)
+    return given.report(Report(title="average reward", facts=facts, tables={"states": table}))
+
+
+def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
+    """Compute the exact law of a policy's return, at discount 1.
+
+    Example:
+
+    exact-mdp returns yuan2025 random --set tasks=[1]
+
+    Parameters
+    ----------
+    exact : bool
+        Give the probabilities as rationals, too.
+    """
+    found = return_distribution(given.mdp, policy, exact=exact)
+    moments = value_of(given.mdp, policy).report().facts
+    mean, sd = moments["mean"], moments["sd"]
+    bounds = {name: moments["error_bounds"].value[name] for name in ("mean", "sd")}
+    return given.report(found.report(), mean=mean, sd=sd, error_bounds=Shown(bounds))
+
+
+def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> Report:
+    """Estimate a policy's mean return by simulation.
+
+    Example:
+
+    exact-mdp simulate tea random --episodes 10000
+
+    Parameters
+    ----------
+    episodes : N, 1 to 1000000000
+        Number of episodes.
+    seed : S
+        Seed of the random numbers.
+    """
+    found = sample(given.asked, policy, episodes, seed, horizon=given.horizon)
+    return given.report(found.report(), seed=seed)

@@ -1,1 +1,0 @@
-"""Reports of the analyses of parameters: tornado, gradient, threshold, curve, psa and others."""

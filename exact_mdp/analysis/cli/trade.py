@@ -1,0 +1,235 @@
+"""The commands of trade-offs: fronts, weights that make a policy optimal, risk, perception."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from exact_mdp.analysis.cli.given import Given, check_outputs, number_of
+from exact_mdp.analysis.perception.accuracy import confusion_at
+from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
+from exact_mdp.analysis.perception.values import value_under_counts
+from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
+from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
+from exact_mdp.analysis.tradeoffs.risk import mean_cvar
+from exact_mdp.mdp.care.perception import Counted, holds_examples, read, read_counts, status_size
+from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.report import Report, Shown, Table, at_most, between
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.risk.lattice import share_of
+from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.policy_chain import policy_of
+
+
+def tradeoff(
+    given: Given,
+    names: Sequence[str],
+    *,
+    policies: Sequence[str] = (),
+    certificate: str | None = None,
+) -> Report:
+    """Compute the exact front of two or three expected totals.
+
+    Each is a component of the reward, steps, an event, a label that is not left again, or a sum:
+    name=2*a-b. The front maximises all of them; in a model of costs it minimises them.
+
+    Example:
+
+    exact-mdp tradeoff yuan2025 anger subtask-complete --set tasks=[1]
+
+    Parameters
+    ----------
+    names : "A B [C]"
+    policies : POLICY, optional
+        A policy to place beside the front, with its distance.
+    certificate : FILE, optional
+        Write the proof for `verify`: .json.
+    """
+    check_outputs((certificate, (".json",)))
+    front = front_of(given.mdp, names)
+    if certificate:
+        front.save(certificate)
+    report = front.report({form: given.policy(form) for form in policies})
+    return given.report(report, written=[certificate] if certificate else [])
+
+
+def rationalize(given: Given, policy: Policy) -> Report:
+    """Find the least change of weights that makes a policy optimal.
+
+    The least relative change of the weights, exactly, with its proof; and for each component the
+    interval of its weight that does it alone, the others unchanged. Multipliers are of today's
+    weights. A change of 1 can make all weights zero: no smaller change makes the policy optimal.
+
+    Example:
+
+    exact-mdp rationalize tea random --set tasks=[1]
+    """
+    return given.report(weights_for(given.mdp, policy).report())
+
+
+def risk(
+    given: Given, *, cvar: str, policies: Sequence[str] = (), policy_out: str | None = None
+) -> Report:
+    """Find the best policy for the worst share of the episodes.
+
+    MODEL has discount 1 and no cycles, or a horizon. The answer is the policy with the greatest
+    mean of the worst episodes, which remembers the reward so far, and those with the most of a
+    weighted mean of this and the mean of all. In a model of costs, the least.
+
+    Example:
+
+    exact-mdp risk yuan2025 --cvar 1/10 --set tasks=[1]
+
+    Parameters
+    ----------
+    cvar : SHARE
+        The mean return of this share of the episodes, the worst: 0.1 or 1/10.
+    policies : POLICY, optional
+        A policy to place beside the best ones.
+    policy_out : FILE, optional
+        Write the policy: .csv or .json; by state and reward so far.
+    """
+    check_outputs((policy_out, (".csv", ".json")))
+    beside = {form: given.policy(form) for form in policies}
+    report = mean_cvar(given.mdp, share_of(cvar), policies=beside).report()
+    if policy_out:
+        _write_rules(policy_out, report.facts["policy"])
+    return given.report(report, written=[policy_out] if policy_out else [])
+
+
+def _write_rules(path: str, rules: Sequence[Mapping[str, Any]]) -> None:
+    """Write what a policy does by state and reward so far, exactly."""
+    texts = [{name: str(value) for name, value in rule.items()} for rule in rules]
+    if path.lower().endswith(".json"):
+        write_atomically(path, json.dumps(texts, indent=2, ensure_ascii=False) + "\n")
+        return
+    out = io.StringIO()
+    writer = csv.DictWriter(out, ["state", "from", "to", "action"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(texts)
+    write_atomically(path, out.getvalue())
+
+
+# ---- perception ----------------------------------------------------------------------------------
+
+
+def perception(
+    given: Given,
+    *,
+    perception: str | None = None,
+    accuracy: str | None = None,
+    prior: str | None = None,
+    draws: int = 2000,
+    seed: int = 0,
+    policy: str = "optimal",
+) -> Report:
+    """Compute what errors of perception cost, and which of them.
+
+    The value where the status is known, and where the policy takes what it perceives for true; then
+    which errors cost most.
+
+    Example:
+
+    exact-mdp perception yuan2025 --accuracy 0.9
+
+    Parameters
+    ----------
+    perception : FILE, optional
+        A confusion matrix as .csv; .toml with sensitivity and specificity; labelled examples as
+        .csv (true,perceived) or the .jsonl of a recording.
+    accuracy : X, optional
+        Each status is read correctly with this probability instead.
+    prior : X, optional
+        Pseudo-count of each cell, where the file holds examples; adds a credible interval.
+    draws : N, 2 to 1000000
+        Draws for that interval.
+    seed : S
+        Seed of the draws.
+    policy : POLICY
+        The policy that takes what is perceived for true.
+    """
+    mdp = given.mdp
+    matrix, counts = _confusion(mdp, perception, accuracy, prior)
+    optimum = solve(mdp)
+    chosen = policy_of(mdp, optimum if policy == "optimal" else policy)
+    costs = error_costs(mdp, chosen, matrix)
+    facts: dict[str, Any] = {
+        "policy": policy,
+        "perception": perception or f"accuracy {accuracy}",
+        "claim": Shown(costs.value.claim),
+        "perfect": optimum.start,
+        "taken_as_true": costs.value,
+        "counted": None,
+    }
+    if counts is not None:
+        spread = value_under_counts(mdp, chosen, counts, rng=seed, n=draws)
+        mean = {"mean": spread.value.value, "standard_error": spread.value.standard_error}
+        rest = {"interval": list(spread.interval), "level": spread.level}
+        rest |= {"draws": len(spread.draws), "seed": seed, "claim": spread.value.claim}
+        said = f"{spread.level:.0%} in {between(*spread.interval)} (estimated)"
+        facts["counted"] = Shown(mean | rest, said)
+    return given.report(_error_report(costs, facts))
+
+
+def _error_report(costs: ErrorCosts, facts: dict[str, Any]) -> Report:
+    names = ("missed", "seen", "by_sensitivity", "by_specificity")
+    errors = {
+        status: dict(zip(names, (*lost, *costs.rates[status]), strict=True))
+        for status, lost in costs.by_status.items()
+    }
+    confusions = {"loss": costs.loss, "marginal": costs.marginal, "error_bound": costs.error}
+    frame = costs.frame()
+    true, seen, loss, marginal = frame.columns[:4]
+    return Report(
+        title="errors of perception",
+        facts=facts | {"errors": errors, "confusions": Shown(confusions)},
+        tables={
+            "errors": Table(
+                title="what errors cost where the status seen is taken for true (within "
+                f"{at_most(costs.error)})",
+                columns={
+                    "status": "",
+                    "missed": "missed:.4f",
+                    "seen wrongly": "seen:.4f",
+                    "per unit of sensitivity": "by_sensitivity:.4f",
+                    "of specificity": "by_specificity:.4f",
+                },
+            ),
+            "costliest": Table(
+                title="the costliest confusions",
+                rows=frame,
+                columns={"true": true, "perceived": seen, "loss": f"{loss}:.4f"}
+                | {"per unit of probability": f"{marginal}:.4f"},
+                first=12,
+            ),
+        },
+    )
+
+
+def _confusion(
+    mdp: MDP, path: str | None, accuracy: str | None, prior: str | None
+) -> tuple[Floats, Counted | None]:
+    """Return the confusion matrix, and the counts behind it where a prior is given."""
+    status_size(mdp)
+    if (path is None) == (accuracy is None):
+        what = "no perception, or two of them"
+        raise ModelError(what, where="options", fix="give --perception or --accuracy")
+    if accuracy is not None:
+        if prior is not None:
+            raise ModelError("an accuracy takes no prior", where="--prior", fix="leave it out")
+        with located("--accuracy", instead=True):
+            return confusion_at(mdp, number_of(accuracy, "--accuracy")), None
+    assert path is not None
+    if prior is None:
+        return read(path, mdp), None
+    weight = number_of(prior, "--prior", positive=True)
+    if not holds_examples(path):
+        raise ModelError("only labelled examples take a prior", where="--prior", fix="leave it out")
+    counts = read_counts(path, mdp, prior=weight)
+    return counts.mean, counts

@@ -1,0 +1,572 @@
+"""The commands that vary parameters: each gives a public function what the words mean."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import click
+from tqdm import tqdm
+
+from exact_mdp.analysis.cli.given import Given, check_outputs, pairs_of
+from exact_mdp.analysis.pages.explorer import explore as explorer_of
+from exact_mdp.analysis.record import run_record
+from exact_mdp.analysis.vary.base_case import finite_worth
+from exact_mdp.analysis.vary.corners import worst_point
+from exact_mdp.analysis.vary.curves.curve import curve as curve_of
+from exact_mdp.analysis.vary.curves.gradient import gradient as gradient_of
+from exact_mdp.analysis.vary.curves.thresholds import report_of, thresholds
+from exact_mdp.analysis.vary.curves.walk import optimum
+from exact_mdp.analysis.vary.distributions import (
+    EFFECTIVE_SAMPLE_SIZE,
+    Uncertainty,
+    load_uncertainty,
+    row_family,
+    uncertainty,
+)
+from exact_mdp.analysis.vary.one_way import one_way as values_along
+from exact_mdp.analysis.vary.one_way import tornado as tornado_of
+from exact_mdp.analysis.vary.one_way import two_way as values_over
+from exact_mdp.analysis.vary.psa import psa as psa_of
+from exact_mdp.analysis.vary.ranges import (
+    RELATIVE,
+    Ranges,
+    checked,
+    load_ranges,
+    ranges_of,
+    unit_of,
+    usual,
+)
+from exact_mdp.analysis.vary.robust import SETS, ambiguity_of
+from exact_mdp.analysis.vary.robust import robust as robust_of
+from exact_mdp.analysis.vary.sobol import sobol as sobol_of
+from exact_mdp.analysis.vary.study import solver_of
+from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.io.files import write_atomically
+from exact_mdp.mdp.parametric import Parametric
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, claimed
+from exact_mdp.mdp.table import FLOAT_RANGE, LARGEST, beside, exact, shown
+from exact_mdp.solvers.solver import solve
+
+ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
+"""What is certified under a perception: a file may state 1/3, which no float is."""
+RADII = {"interval": RELATIVE, "absolute": "0.02", "l1": "0.1", "kl": "0.01", "entropy": "0.01"}
+"""The radius of each kind of set unless one is given."""
+MEANING = {
+    "interval": "each transition probability ± {} of itself, rows on their own",
+    "absolute": "each transition probability ± {}, rows on their own",
+    "l1": "rows within an L1 distance of {}, on their own",
+    "kl": "rows that keep the tables likely, KL(p‖q) ≤ {}, on their own",
+    "entropy": "rows of relative entropy KL(q‖p) ≤ {}, on their own",
+}
+BOX = "box"
+MOST_APART = 2  # the L1 distance of laws that have nothing in common
+
+
+# ---- one parameter at a time ---------------------------------------------------------------------
+
+
+def tornado(
+    given: Given,
+    *,
+    parameters: Sequence[str] = (),
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
+    policy: PolicyLike = "optimal",
+) -> Report:
+    """Compute values at both ends of each parameter's range.
+
+    One parameter moves at a time, the others stay at today's values.
+
+    Example:
+
+    exact-mdp tornado yuan2025 --relative 1/10
+    exact-mdp tornado tea --range base.anxiety=0.05:0.2 --policy random
+
+    Parameters
+    ----------
+    parameters : NAME, optional
+        Vary only this parameter. Unless given, all that MODEL has.
+    ranges : NAME=LOW:HIGH, optional
+        Vary a parameter from LOW to HIGH; or a .toml file with such ranges, NAME = [low, high].
+    relative : X, optional
+        Other ranges: today's value ± this share of it, 0.2 unless given; or whole, for all that a
+        parameter may be.
+    policy : POLICY, optional
+        The policy held fixed, whose value and regret are shown; today's optimum unless given.
+    """
+    spans, without = _spans(given.family, parameters, ranges, relative)
+    found = tornado_of(given.family, policy=policy, names=list(spans), ranges=spans)
+    return _report(given, "tornado", found.report(), without_range=without)
+
+
+def gradient(
+    given: Given, *, parameters: Sequence[str] = (), policy: PolicyLike = "optimal"
+) -> Report:
+    """Compute the derivative of the value by each parameter.
+
+    They are those of the optimum, or of the --policy held fixed. Where the optimal policy changes
+    at today's value, both one-sided derivatives are given.
+
+    Example:
+
+    exact-mdp gradient tea --parameter base.anxiety
+    """
+    found = gradient_of(given.family, policy=policy, names=parameters or None)
+    more = {"claim_of": ROUNDED} if given.perception is not None else {}
+    return _report(given, "gradient", found.report(), **more)
+
+
+def threshold(
+    given: Given,
+    *,
+    parameters: Sequence[str] = (),
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
+) -> Report:
+    """Find where an optimal action changes along a parameter.
+
+    One parameter moves at a time. The policy is optimal knowing the state at every value.
+
+    Example:
+
+    exact-mdp threshold yuan2025 --parameter base.anger --relative whole
+    """
+    spans, without = _spans(given.family, parameters, ranges, relative)
+    steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
+    found = {name: thresholds(given.family, name, spans) for name in steps}
+    start = claimed("start_value", optimum(given.family.at({}))[1])
+    report = report_of(found)
+    return given.report(report, kind="threshold", **start, without_range=without)
+
+
+def curve(
+    given: Given,
+    *,
+    parameters: Sequence[str] = (),
+    max_regret: str | None = None,
+    max_relative_regret: str | None = None,
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
+    policy: PolicyLike | None = None,
+) -> Report:
+    """Compute the optimum as an exact function of a parameter.
+
+    With --max-regret, also for which values the policy held fixed keeps within that limit. The
+    parameter moves over all that it may be, unless it is given a range.
+
+    Example:
+
+    exact-mdp curve yuan2025 --parameter reward.trial --range reward.trial=-3:-1
+
+    Parameters
+    ----------
+    parameters : NAME
+        The parameter that moves.
+    max_regret : X, optional
+        Where the policy loses at most X: 0.1 or 1/10.
+    max_relative_regret : X, optional
+        The same, over the absolute optimal value.
+    """
+    (name,) = _named(parameters, 1, "curve")
+    spans = _ranges(given.family, [name], ranges, relative) if ranges or relative else None
+    limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
+    limited = any(limits.values())
+    held = "optimal" if policy is None and limited else policy
+    found = curve_of(given.family, name, spans, policy=held)
+    report = found.report(found.within(**limits) if limited else None)
+    return given.report(report, kind="curve")
+
+
+def one_way(
+    given: Given,
+    *,
+    parameters: Sequence[str] = (),
+    points: int = 21,
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
+    policy: PolicyLike = "optimal",
+) -> Report:
+    """Compute values along the range of one parameter.
+
+    The policy is optimal at each of the values, and held fixed beside it.
+
+    Example:
+
+    exact-mdp one-way tea --parameter base.anxiety --points 11
+
+    Parameters
+    ----------
+    parameters : NAME
+        The parameter that moves.
+    points : N, 2 to 10000
+        Values along each range, ends included.
+    """
+    (name,) = _named(parameters, 1, "one-way")
+    spans = _ranges(given.family, [name], ranges, relative)
+    found = values_along(given.family, name, spans, policy=policy, points=points)
+    start = claimed("start_value", solve(given.mdp).start)
+    return _report(given, "one-way", found.report(), **start)
+
+
+def two_way(
+    given: Given,
+    *,
+    parameters: Sequence[str] = (),
+    points: int = 11,
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
+    policy: PolicyLike = "optimal",
+) -> Report:
+    """Compute values and best policies over two parameters.
+
+    Give --parameter twice: the first lies across, the second along.
+
+    Example:
+
+    exact-mdp two-way tea --parameter base.anxiety --parameter discount
+
+    Parameters
+    ----------
+    parameters : NAME
+        A parameter that moves.
+    """
+    x, y = _named(parameters, 2, "two-way")
+    spans = _ranges(given.family, [x, y], ranges, relative)
+    found = values_over(given.family, x, y, policy=policy, points=points, ranges=spans)
+    start = claimed("start_value", solve(given.mdp).start)
+    return _report(given, "two-way", found.report(), **start)
+
+
+# ---- all parameters at once ----------------------------------------------------------------------
+
+
+def psa(
+    given: Given,
+    *,
+    samples: int | None = None,
+    uncertain: str | None = None,
+    effective_sample_size: str | None = None,
+    parameters: Sequence[str] = (),
+    policy: PolicyLike = "optimal",
+    seed: int = 0,
+    n_jobs: int | None = None,
+    out: str | None = None,
+) -> Report:
+    """Draw the parameters from distributions: what a policy risks.
+
+    The policy held fixed is judged by how likely it is to lose at most so much, and by what better
+    numbers would be worth (EVPI, EVPPI).
+
+    Example:
+
+    exact-mdp psa yuan2025 --samples 1000 --effective-sample-size 50
+
+    Parameters
+    ----------
+    samples : N, 1 to 100000000
+        Draws: 10000 unless given, 500 of slow models.
+    uncertain : FILE, optional
+        A .toml file with distributions by name.
+    effective_sample_size : X, optional
+        Number of observations behind each probability of which nothing is said, 100 unless given.
+    seed : S
+        Seed of the draws.
+    n_jobs : N, 1 to 1024
+        Number of processes, all cores unless given. Results do not change.
+    out : DIR, optional
+        Folder for finished work and the result; work that is there already is not repeated.
+    """
+    of_rows = given.endless.scenario is None
+    model = row_family(given.mdp) if of_rows else given.family
+    chosen, size = _uncertain(model, uncertain, effective_sample_size, parameters)
+    n = samples or (10_000 if solver_of(model).compiled else 500)
+    how = _work(n_jobs, out)
+    found = psa_of(model, n, rng=seed, uncertain=chosen, policy=policy, **how)
+    report = found.report(given.form or "optimal")
+    return _saved(_report(given, "psa", report, effective_sample_size=size), given, out, seed)
+
+
+def sobol(
+    given: Given,
+    *,
+    samples: int = 1024,
+    parameters: Sequence[str] = (),
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
+    policy: PolicyLike = "optimal",
+    seed: int = 0,
+    n_jobs: int | None = None,
+    out: str | None = None,
+) -> Report:
+    """Compute which parameters decide the value (Sobol indices).
+
+    First-order and total indices of Sobol, of the optimum and of a policy's regret, with intervals.
+    All parameters but the discount vary unless some are named.
+
+    Example:
+
+    exact-mdp sobol tea --samples 256
+
+    Parameters
+    ----------
+    samples : N, 2 to 16777216
+        Points of the sequence, a power of 2.
+    """
+    names = parameters or (() if ranges else usual(given.family))
+    spans, without = _spans(given.family, names, ranges, relative)
+    if not spans:
+        raise ModelError(
+            "every chosen parameter is 0, and a share of 0 gives no range",
+            where=f"sobol of {given.loaded.name}",
+            fix="give a range: --range NAME=LOW:HIGH",
+        )
+    how = _work(n_jobs, out)
+    found = sobol_of(
+        given.family, names=list(spans), ranges=spans, n=samples, rng=seed, policy=policy, **how
+    )
+    start = claimed("start_value", solve(given.mdp).start)
+    report = _report(given, "sobol", found.report(), **start, without_range=without)
+    return _saved(report, given, out, seed)
+
+
+# ---- the worst case ------------------------------------------------------------------------------
+
+
+def robust(
+    given: Given,
+    *,
+    set_kind: str = "interval",
+    radius: str | None = None,
+    parameters: Sequence[str] = (),
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
+    policy: PolicyLike = "optimal",
+) -> Report:
+    """Compute the worst case within sets around the tables.
+
+    And the policy that is best against them, with the price of that where the tables are right.
+    Parameters and ranges are those of a box.
+
+    Example:
+
+    exact-mdp robust tea --set-kind l1 --radius 0.1
+
+    Parameters
+    ----------
+    set_kind : "interval", "absolute", "l1", "kl", "entropy" or "box"
+        What may move: each probability by a share or an absolute amount, each row within a distance
+        (l1, kl, entropy), or the tables' numbers (box).
+    radius : X, optional
+        How far it may move; at most 2 for l1.
+    """
+    if set_kind == BOX:
+        return _box(given, radius, parameters, ranges, relative, policy)
+    if set_kind not in SETS:
+        known = suggest(set_kind, [*SETS, BOX])
+        raise ModelError(f"unknown set {set_kind!r}", where="--set-kind", fix=known)
+    if parameters or ranges or relative:
+        raise ModelError(
+            "parameters and ranges are for a box",
+            where="robust",
+            fix="add --set-kind box, or give --radius instead",
+        )
+    size = _radius(RADII[set_kind] if radius is None else radius)
+    if set_kind == "l1" and size > MOST_APART:
+        raise ModelError(
+            f"an L1 radius of {beside(size, Fraction(MOST_APART))}, "
+            f"but no two distributions are more than {MOST_APART} apart",
+            where="--radius",
+            fix=f"choose one from 0 to {MOST_APART}",
+        )
+    sets_of = ambiguity_of(given.mdp, set_kind, size)
+    found = robust_of(given.mdp, sets_of, policy=policy)
+    meaning = Shown(set_kind, MEANING[set_kind].format(f"{float(size):.4g}"))
+    return _report(given, "robust", found.report(), set_kind=meaning, radius=float(size))
+
+
+def _box(
+    given: Given,
+    radius: str | None,
+    parameters: Sequence[str],
+    ranges: Sequence[str],
+    relative: str | None,
+    policy: PolicyLike,
+) -> Report:
+    """Return the worst point that is found for the policy over one shared box of parameters."""
+    family, named = given.family, bool(parameters or ranges)
+    if (named or relative) and radius is not None:
+        raise ModelError("both a radius and ranges", where="--radius", fix="give one of them")
+    if named or relative:
+        spans, size = _spans(family, parameters, ranges, relative)[0], None
+        chosen = [*spans] if named else usual(family)
+    else:
+        size = _radius(RELATIVE if radius is None else radius)
+        spans = ranges_of(family, relative=size)
+        chosen = [p.name for p in family.parameters if unit_of(p) == "probability"]
+    moving = (name for name in chosen if name in spans)
+    box = Ranges({name: spans[name] for name in moving if spans[name].low < spans[name].high})
+    if not box:
+        raise ModelError(
+            "no parameter moves",
+            where="--set-kind box",
+            fix="give a range (--range NAME=LOW:HIGH), or another kind of set",
+        )
+    report = worst_point(family, policy, box).report()
+    start = claimed("start_value", finite_worth(given.mdp, policy, "today's parameters"))
+    ends = {name: [float(span.low), float(span.high)] for name, span in box.items()}
+    more = {"set_kind": BOX, "radius": None if size is None else float(size), "box": Shown(ends)}
+    return _report(given, "robust", report, **start, **more)
+
+
+def _radius(stated: object) -> Fraction:
+    with located("--radius", instead=True):
+        radius: Fraction = exact(stated)
+        if radius < 0:
+            raise ModelError(f"a radius of {shown(radius)}", fix="choose one from 0 up")
+        if radius > LARGEST:
+            raise ModelError(f"a radius of {shown(radius)}, beyond floats", fix="choose less")
+    return radius
+
+
+# ---- the page ------------------------------------------------------------------------------------
+
+
+def explore(
+    given: Given,
+    policy: PolicyLike | None = None,
+    *,
+    parameters: Sequence[str],
+    html: str,
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
+    points: int = 11,
+) -> Report:
+    """Write a page on which a parameter moves, and the optimum.
+
+    The pieces between the switching points are worked out beforehand, in rational arithmetic, so
+    that the page needs no server and shows exact values; it says which of them are certified.
+
+    Example:
+
+    exact-mdp explore yuan2025 --parameter reward.trial --html page.html
+
+    Parameters
+    ----------
+    parameters : NAME
+        The parameter that moves. A second one moves in steps.
+    html : FILE
+        Write the page: .html.
+    points : N, 2 to 101
+        Values of the second parameter.
+    """
+    check_outputs((html, (".html",)))
+    spans, _ = _spans(given.family, parameters, ranges, relative)
+    found = explorer_of(
+        given.family, *parameters, ranges=spans, policy=policy, said=given.form, n=points
+    )
+    found = replace(found, model=given.loaded.name)
+    words = click.get_current_context().find_root().obj or ()
+    write_atomically(html, found.page(rerun=shlex.join(["exact-mdp", *words])))
+    return given.report(found.report(), written=html)
+
+
+# ---- what the options say ------------------------------------------------------------------------
+
+
+def _report(given: Given, kind: str, found: Report, **more: Any) -> Report:
+    """Return a report with the policy held fixed."""
+    return given.report(found, kind=kind, policy=given.form or "optimal", **more)
+
+
+def _named(parameters: Sequence[str], count: int, kind: str) -> Sequence[str]:
+    if len(parameters) != count:
+        raise ModelError(
+            f"{len(parameters)} parameters, and {kind} varies {count}",
+            where="--parameter",
+            fix=f"give --parameter NAME {'once' if count == 1 else 'twice'}; `exact-mdp gradient "
+            "MODEL` lists the names",
+        )
+    return parameters
+
+
+def _ranges(
+    model: Parametric, parameters: Sequence[str], ranges: Sequence[str], relative: str | None
+) -> Ranges:
+    """Return the range of each parameter that the options ask for."""
+    stated = Ranges()
+    texts = []
+    for each in ranges:
+        if each.lower().endswith(".toml") and "=" not in each:
+            stated.update(load_ranges(model, each))
+        else:
+            texts.append(each)
+    for name, ends in pairs_of(texts, "--range", "NAME=LOW:HIGH").items():
+        low, colon, high = ends.partition(":")
+        if not colon:
+            raise ModelError(f"{ends!r} is not a range", where="--range", fix="write NAME=LOW:HIGH")
+        stated.update(checked(model, {name: (low.strip(), high.strip())}))
+    share: object = relative
+    if relative not in (None, "whole"):
+        with located("--relative", instead=True):
+            share = exact(relative)
+            if share and not FLOAT_RANGE[0] < abs(share) < FLOAT_RANGE[1]:
+                raise ModelError(f"a share of {shown(share)}", fix="choose one nearer to 1")
+    return ranges_of(model, parameters or None, stated, share)
+
+
+def _spans(
+    model: Parametric, parameters: Sequence[str], ranges: Sequence[str], relative: str | None
+) -> tuple[Ranges, list[str]]:
+    """Return the ranges asked for, and the parameters without one: 0 today, so 0 ± 20 %."""
+    every = _ranges(model, parameters, ranges, relative)
+    spans = Ranges({name: span for name, span in every.items() if span.low < span.high})
+    return spans, sorted(set(every) - set(spans))
+
+
+def _uncertain(
+    model: Parametric, path: str | None, size: str | None, names: Sequence[str]
+) -> tuple[Uncertainty, float]:
+    """Return what is drawn, and the sample size of what nothing is stated of."""
+    stated: Mapping[str, Mapping[str, object]] = {}
+    default = None
+    if path is not None:
+        stated, default = load_uncertainty(Path(path))
+    if size is not None:
+        with located("--effective-sample-size", instead=True):
+            default = float(exact(size))
+    default = EFFECTIVE_SAMPLE_SIZE if default is None else default
+    try:
+        return uncertainty(model, stated, default=default, names=list(names) or None), default
+    except ModelError as error:
+        if path is None:
+            raise
+        where = f"{path}, {error.where}" if error.where else path
+        raise ModelError(error.what, where=where, fix=error.fix) from error
+
+
+def _work(n_jobs: int | None, out: str | None) -> dict[str, Any]:
+    if out is not None and not out.strip():
+        raise ModelError("--out is empty", where="--out", fix="name a folder")
+    return {"n_jobs": n_jobs, "folder": out, "progress": True}
+
+
+def _saved(report: Report, given: Given, out: str | None, seed: int) -> Report:
+    """Write the result and the record of its making into the folder of --out."""
+    if out is None:
+        return report
+    kind = report.facts["kind"]
+    paths = [Path(out, f"{kind}.json"), Path(out, "run.json")]
+    report = replace(report, facts={**report.facts, "written": [str(path) for path in paths]})
+    context = click.get_current_context(silent=True)
+    words = (context.find_root().obj or ()) if context is not None else ()
+    record = run_record(given.mdp, model=given.loaded.name, solver=kind, seed=seed, command=words)
+    write_atomically(paths[0], report.json() + "\n")
+    write_atomically(paths[1], json.dumps(record, indent=2) + "\n")
+    return report

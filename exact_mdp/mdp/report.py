@@ -1,0 +1,349 @@
+"""What a result says of itself, once: text, JSON, Markdown and pages are made from it.
+
+A value is shown by its type:
+
+    type                in JSON                                  for people
+    Certified, Bounded  {"value": x, "error_bound": e}           117.07 (bounded, within 2e-12)
+    Estimated           {"value": x, "standard_error": e, ...}   117.1 (estimated, standard error 2)
+    Fraction            "p/q"                                    p/q, where that is short
+    float               as Python's repr, which is exact         ten digits at most
+    NaN, None           null                                     - in a table, no fact
+    infinity            "inf", "-inf"                            inf, -inf
+    bool                true, false                              yes, no
+    dataclass           an object of its fields                  the same
+
+The types of numbers (`exact_mdp.solvers.solution`) are known by their `claim`, and by `error` or
+`standard_error`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from decimal import ROUND_UP, Context
+from fractions import Fraction
+from typing import Any
+
+FORMAT = 2  # of the JSON: another number where a key changes its meaning or goes
+DIGITS = 10  # significant digits of a number in a table
+SHORT = 12  # letters of an exact number; of a longer one, its digits
+SHOWN = 40  # rows of a table
+ON_A_LINE = 6  # entries of a mapping that is a fact, not a table
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A value of the JSON, and what people see instead: nothing unless `text` is given."""
+
+    value: Any
+    text: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """How people see rows.
+
+    Attributes
+    ----------
+    title : str
+    columns : mapping
+        {heading: "key" or "key:format"}, with a format as Python's `format` takes it (".4g", ".1%")
+        and possibly a sign before it ("± .2g"). Numbers stand to the right.
+    rows : DataFrame or sequence of mappings
+        Those of the fact of the same key unless given.
+    first : int
+        Number of rows shown; the title says where there are more.
+    note : str
+        What the columns mean, in a line below the title.
+
+    Examples
+    --------
+    >>> rows = [{"name": "a", "share": 0.25}, {"name": "b", "share": None}]
+    >>> Table(title="shares", rows=rows, columns={"": "name", "share": "share:.1%"}).cells()
+    [['a', '25.0%'], ['b', '-']]
+    """
+
+    title: str
+    columns: Mapping[str, str]
+    rows: Any = ()
+    first: int = SHOWN
+    note: str = ""
+
+    def heading(self) -> str:
+        """Return the title, with the number of rows where not all are shown."""
+        more = f" (the first {self.first:,} of {len(self.rows):,}; --json prints all)"
+        return self.title + (more if len(self.rows) > self.first else "")
+
+    def values(self) -> list[list[Any]]:
+        """Return the values of the rows that are shown."""
+        rows = self.rows[: self.first]
+        rows = rows.to_dict("records") if hasattr(rows, "to_dict") else rows
+        keys = [column.partition(":")[0] for column in self.columns.values()]
+        return [[_scalar(row.get(key)) for key in keys] for row in rows]
+
+    def cells(self) -> list[list[str]]:
+        """Return the texts of the rows that are shown."""
+        forms = [column.partition(":")[2] for column in self.columns.values()]
+        return [[*map(cell, row, forms)] for row in self.values()]
+
+    def numeric(self) -> list[bool]:
+        """Return which columns hold numbers alone."""
+        return [
+            all(value is None or isinstance(value, int | float | Fraction) or _claims(value)
+                for value in column)
+            and any(value is not None and not isinstance(value, bool) for value in column)
+            for column in zip(*self.values(), strict=True)
+        ] or [False] * len(self.columns)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What a result says.
+
+    Attributes
+    ----------
+    title : str
+        One line: what it is.
+    facts : {key: value}
+        The JSON object. People read each as a line, with blanks for the key's underscores; a
+        mapping, or a list of mappings, as a table; None and what is empty not at all.
+    tables : {key: Table}
+        How rows are shown that deserve better; those of a key that is no fact are for people alone.
+    notes : sequence of str
+        What a reader should know beside the result.
+    passed : bool, optional
+        Of a check: the exit status is 1 where it is False.
+    """
+
+    title: str
+    facts: Mapping[str, Any]
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    passed: bool | None = None
+
+    def json(self, **more: Any) -> str:
+        """Return strict JSON, which names its format first."""
+        found = {"format": FORMAT, **self.facts, **more}
+        return json.dumps(plain(found), indent=2, allow_nan=False)
+
+    def lines(self) -> dict[str, str]:
+        """Return the facts that are lines, for people."""
+        return {
+            key.replace("_", " "): fact(value)
+            for key, value in self._seen()
+            if key not in self.tables and not _is_table(value)
+        }
+
+    def shown_tables(self) -> list[Table]:
+        """Return the tables that have rows."""
+        found = []
+        for key, value in self._seen():
+            if key not in self.tables and _is_table(value):
+                found.append(_table(key.replace("_", " "), value))
+        for key, table in self.tables.items():
+            rows = table.rows if len(table.rows) else self.facts.get(key, ())
+            rows = rows.value if isinstance(rows, Shown) else rows
+            if rows is not None and len(rows):
+                rows = _rows(rows) if isinstance(rows, Mapping) else rows
+                found.append(replace(table, rows=rows))
+        return found
+
+    def _seen(self) -> Iterator[tuple[str, Any]]:
+        for key, value in self.facts.items():
+            value = value.text if isinstance(value, Shown) else value
+            if value is not None and not (hasattr(value, "__len__") and not len(value)):
+                yield key, value
+
+
+def _is_table(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return len(value) > ON_A_LINE or any(isinstance(v, Mapping) for v in value.values())
+    return isinstance(value, list | tuple) and bool(value) and isinstance(value[0], Mapping)
+
+
+def _rows(named: Mapping[Any, Any]) -> list[dict[str, Any]]:
+    return [
+        {"": str(name), **(value if isinstance(value, Mapping) else {"value": value})}
+        for name, value in named.items()
+    ]
+
+
+def _table(title: str, value: Any) -> Table:
+    """Return the table of a mapping or of a list of mappings: the columns without nested values."""
+    rows = _rows(value) if isinstance(value, Mapping) else list(value)
+    keys = [*dict.fromkeys(key for row in rows for key in row)]
+    flat = [key for key in keys if not any(_is_nested(row.get(key)) for row in rows)]
+    return Table(title=title, rows=rows, columns={key.replace("_", " "): key for key in flat})
+
+
+def _is_nested(value: Any) -> bool:
+    return isinstance(value, Mapping) or (is_dataclass(value) and not _claims(value))
+
+
+def claimed(key: str, number: Any) -> dict[str, Any]:
+    """Return a number that a result rests on: value, error bound and claim, one key each."""
+    error = {} if hasattr(number, "standard_error") else {"error_bound": Shown(error_of(number))}
+    return {key: Shown(float(number.value), number), **error, "claim": Shown(number.claim)}
+
+
+# ---- one value -----------------------------------------------------------------------------------
+
+
+def _claims(value: Any) -> bool:
+    return hasattr(value, "claim") and hasattr(value, "value")
+
+
+def plain(value: Any) -> Any:
+    """Return the same made of what JSON has; NumPy arrays and numbers have `tolist`."""
+    if isinstance(value, Shown):
+        return plain(value.value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(below) for key, below in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(below) for below in value]
+    if _claims(value) and hasattr(value, "standard_error"):
+        error = value.standard_error
+        return plain({"value": value.value, "standard_error": error, "interval": value.interval})
+    if _claims(value):
+        return plain({"value": float(value.value), "error_bound": error_of(value)})
+    if is_dataclass(value):
+        return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
+    if isinstance(value, Fraction):
+        return ratio(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else f"{value:g}"
+    if not isinstance(value, str) and hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return value
+
+
+def cell(value: Any, form: str = "") -> str:
+    """Return a value as a table shows it.
+
+    Examples
+    --------
+    >>> cell(0.5, "± .2f"), cell(True), cell(["a", "b"]), cell({"a": 1})
+    ('± 0.50', 'yes', 'a, b', 'a 1')
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    if form and not isinstance(value, str):
+        sign, _, form = form.rpartition(" ")
+        shown = format(float(getattr(value, "value", value)), form)
+        return f"{sign} {shown}" if sign else shown
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, Fraction):
+        text = ratio(value)
+        return text if len(text) <= SHORT else number(float(value))
+    if _claims(value) and hasattr(value, "standard_error"):
+        return f"{number(value.value, value.standard_error)} ± {value.standard_error:.1g}"
+    if _claims(value):
+        return number(float(value.value), error_of(value))
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {cell(each)}" for name, each in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(cell(each) for each in value)
+    return str(value)
+
+
+def fact(value: Any) -> str:
+    """Return a value as a fact shows it: a number says what it claims.
+
+    Examples
+    --------
+    >>> from exact_mdp.solvers.solution import Bounded, Certified, Estimated
+    >>> fact(Bounded(value=117.24, error=0.101)), fact(12345), fact(Certified(value=Fraction(1, 4)))
+    ('117.2 (bounded, within 0.11)', '12,345', '0.25 (certified)')
+    >>> fact(Estimated(value=147.63, standard_error=1.14))
+    '147.6 (estimated, standard error 1.1)'
+    """
+    if not _claims(value):
+        return cell(value)
+    if math.isnan(value.value):
+        return "unknown: double precision cannot bound it"
+    if hasattr(value, "standard_error"):
+        error = value.standard_error
+        cut = f", cut off within {at_most(value.cut_off)}" if value.cut_off else ""
+        return f"{number(value.value, error / 10)} ({value.claim}, standard error {error:.2g}{cut})"
+    within = f", within {at_most(value.error)}" if hasattr(value, "error") else ""
+    return f"{cell(value)} ({value.claim}{within})"
+
+
+def between(low: float, high: float, error: float = 0.0) -> str:
+    """Return both ends of an interval, with the digits that an error leaves."""
+    return f"{number(low, error)} to {number(high, error)}"
+
+
+def error_of(claimed: Any) -> float:
+    """Return how far the float of a number may be off, rounded up; 0 where it is exact."""
+    if hasattr(claimed, "error"):
+        return float(claimed.error)
+    if isinstance(claimed.value, float):
+        return 0.0  # infinite, and that is exact
+    lost = abs(claimed.value - Fraction(float(claimed.value)))
+    return math.nextafter(float(lost), math.inf) if lost else 0.0
+
+
+def _scalar(value: Any) -> Any:
+    return value.item() if hasattr(value, "item") and getattr(value, "ndim", 1) == 0 else value
+
+
+def number(value: float | None, error: float = 0.0) -> str:
+    """Return a number with the digits that its error leaves, ten at most; "-" for none."""
+    if value is None or math.isnan(value):
+        return "-"
+    digits = DIGITS
+    if 0 < error < abs(value) < math.inf:
+        places = math.floor(math.log10(abs(value))) - math.floor(math.log10(error)) + 1
+        digits = min(DIGITS, places)
+    # Python writes 1e+02 for 117 at one digit; people read 100 more easily.
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.{DIGITS}g}"
+
+
+def at_most(error: float) -> str:
+    """Return an error bound with two digits, rounded up so that it still holds."""
+    if error == 0 or not math.isfinite(error):
+        return f"{error:g}"
+    return f"{Context(prec=2, rounding=ROUND_UP).create_decimal(error):g}"
+
+
+def ratio(value: Fraction | float) -> str:
+    """Return "p/q", or "p" for an integer, however many digits there are; "inf" or "-inf"."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    top = digits_of(value.numerator)
+    return top if value.denominator == 1 else f"{top}/{digits_of(value.denominator)}"
+
+
+def decimal(value: Fraction | float) -> str:
+    """Return the exact decimal where there is one, otherwise "p/q"; "inf" and "-inf" too."""
+    if not isinstance(value, Fraction):
+        return str(value)
+    twos = (value.denominator & -value.denominator).bit_length() - 1
+    rest, fives = value.denominator >> twos, 0
+    while rest % 5 == 0:
+        rest, fives = rest // 5, fives + 1
+    places = max(twos, fives)
+    if rest != 1 or places == 0:
+        return ratio(value)
+    text = digits_of(abs(value.numerator) * 10**places // value.denominator).zfill(places + 1)
+    return f"{'-' if value < 0 else ''}{text[:-places]}.{text[-places:]}"
+
+
+def digits_of(whole: int) -> str:
+    """Return an integer's decimal digits in pieces: Python refuses over 4,300 at a time."""
+    if whole < 0:
+        return f"-{digits_of(-whole)}"
+    if whole.bit_length() <= 2000:
+        return str(whole)
+    half = whole.bit_length() * 3 // 20
+    high, low = divmod(whole, 10**half)
+    return digits_of(high) + digits_of(low).zfill(half)
