@@ -57,13 +57,13 @@ def read_array(path: str | Path, *, called: str) -> Numbers:
 
 
 def read_arrays(
-    path: str | Path,
+    source: str | Path | bytes,
     *,
     names: Callable[[Collection[str]], None],
     check: Check,
     ratio: int = RATIO,
 ) -> dict[str, Numbers]:
-    """Return all arrays of an `.npz` file by name, as `read_array` does.
+    """Return all arrays of an `.npz` file, or of its bytes, by name, as `read_array` does.
 
     `names` takes the names of all arrays, `check` the name, type and shape of each; they raise
     ModelError for what should not be. A compressed archive may claim `ratio` times its own size.
@@ -77,9 +77,9 @@ def read_arrays(
     dict_keys(['a'])
     {'a': array([0, 1, 2])}
     """
-    where = str(path)
+    where = "" if isinstance(source, bytes) else str(source)
     with (
-        opened(path, most=LARGEST) as file,
+        io.BytesIO(source) if isinstance(source, bytes) else opened(source, most=LARGEST) as file,
         _named(where),
         _archive(file, ratio, names) as members,
     ):

@@ -325,6 +325,11 @@ def save(model: MDP, path: str | Path) -> None:
     ...     load(f"{folder}/small.npz").table.row(0)
     [(Fraction(1, 3), 0, Fraction(1, 7)), (Fraction(2, 3), 1, Fraction(0, 1))]
     """
+    write_atomically(path, packed(model))
+
+
+def packed(model: MDP) -> bytes:
+    """Return the bytes of a model's archive."""
     parts = {name: getattr(model.table, name) for name in FIELDS}
     arrays = {
         "pair_state": model.pair_state,
@@ -345,34 +350,33 @@ def save(model: MDP, path: str | Path) -> None:
     text = json.dumps(as_header(model) | {"arrays": sorted(arrays)}).encode("ascii")
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, header=np.frombuffer(text, dtype=np.uint8), **arrays)
-    write_atomically(path, stream.getvalue())
+    return stream.getvalue()
 
 
 def load(path: str | Path) -> MDP:
     """Read a model that `save` wrote; raises ModelError for a damaged file, or no valid model."""
     with located(str(path)):
-        arrays = read_arrays(path, names=_check_names, check=_check_array)
-        header = json_of(arrays["header"].tobytes(), "header")
-        flags = {name: arrays[name] == 1 for name in FLAGS if name in arrays}
-        for name in flags:
-            if arrays[name].max() > 1:
-                raise ModelError(
-                    "a truth value is neither 0 nor 1", where=name, fix="save it again"
-                )
-        parts = parts_of(header, pairs=len(arrays["pair_state"]), labels=flags.get("labels", ()))
-        parts |= {"goal": flags.get("goal"), "observations": arrays.get("observations")}
-        # One changed byte in an archive's list can hide those of its arrays that a model may lack.
-        listed = header.get("arrays", sorted(arrays.keys() - {"header"}))
-        if listed != sorted(arrays.keys() - {"header"}):
-            raise ModelError(
-                "the archive lacks an array that its header names", fix="save it again"
-            )
-        table = OutcomeTable(
-            **{name: _as_integers(arrays[name]) for name in FIELDS if name in arrays}
-        )
-        state, action = arrays["pair_state"], arrays["pair_action"]
-        known = _components(arrays, len(parts["component_names"]))
-        return MDP(table, state, action, component_table=known, **parts)
+        return unpacked(path)
+
+
+def unpacked(source: str | Path | bytes) -> MDP:
+    """Return the model of an archive, or of its bytes."""
+    arrays = read_arrays(source, names=_check_names, check=_check_array)
+    header = json_of(arrays["header"].tobytes(), "header")
+    flags = {name: arrays[name] == 1 for name in FLAGS if name in arrays}
+    for name in flags:
+        if arrays[name].max() > 1:
+            raise ModelError("a truth value is neither 0 nor 1", where=name, fix="save it again")
+    parts = parts_of(header, pairs=len(arrays["pair_state"]), labels=flags.get("labels", ()))
+    parts |= {"goal": flags.get("goal"), "observations": arrays.get("observations")}
+    # One changed byte in an archive's list can hide those of its arrays that a model may lack.
+    listed = header.get("arrays", sorted(arrays.keys() - {"header"}))
+    if listed != sorted(arrays.keys() - {"header"}):
+        raise ModelError("the archive lacks an array that its header names", fix="save it again")
+    table = OutcomeTable(**{name: _as_integers(arrays[name]) for name in FIELDS if name in arrays})
+    state, action = arrays["pair_state"], arrays["pair_action"]
+    known = _components(arrays, len(parts["component_names"]))
+    return MDP(table, state, action, component_table=known, **parts)
 
 
 def _components(arrays: Mapping[str, Numbers], parts: int) -> ComponentTable | None:

@@ -20,11 +20,9 @@ from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
 from exact_mdp.mdp.io.explicit import (
     INITIAL,
     Explicit,
-    Ratios,
     actions_of,
     model_of,
     named_by,
-    ratios,
 )
 from exact_mdp.mdp.io.files import LARGE, aside, read_bytes
 from exact_mdp.mdp.model import MDP
@@ -114,8 +112,8 @@ def _explicit(model: Any, name: str) -> Explicit:
         name=name,
         state_to_choices=offsets,
         choice_to_branches=np.cumsum([0, *map(len, rows)]),
-        target=np.array([target for target, _ in branches], dtype=np.int64),
-        probability=ratios([chance for _, chance in branches]),
+        target=[target for target, _ in branches],
+        probability=[chance for _, chance in branches],
         actions=actions,
         action_names=action_names,
         initial=flags.pop(INITIAL, np.zeros(len(states), dtype=bool)),
@@ -127,7 +125,7 @@ def _explicit(model: Any, name: str) -> Explicit:
     )  # fmt: skip
 
 
-def _rewards(name: str, model: Any) -> dict[str, Ratios]:
+def _rewards(name: str, model: Any) -> dict[str, list[Fraction]]:
     """Return the rewards of a reward model, of states and of choices."""
     if model.has_transition_rewards:
         raise ModelError(
@@ -143,8 +141,8 @@ def _rewards(name: str, model: Any) -> dict[str, Ratios]:
     return found
 
 
-def _ratios(values: Iterable[Any]) -> Ratios:
-    return ratios([_fraction(value) for value in values])
+def _ratios(values: Iterable[Any]) -> list[Fraction]:
+    return [_fraction(value) for value in values]
 
 
 def _fraction(value: Any) -> Fraction:

@@ -5,13 +5,11 @@ format has no place for is written as annotations of a separate group, `exact-md
 tools skip:
 
     start        the initial distribution (the format itself has a set of initial states)
-    gain         the reward of each branch, where it differs within a choice
-    event        the events of each branch, as the bits of a number
-    observations how often each choice was observed, in a model from data
 
-The description of `start` is the header of `mdp.io.npz` as JSON: discount, columns and names of the
-states, components, events, parameters. So nothing of a model is lost. A file of another program has
-no such header; the caller gives its discount, or it is 1 with a warning. For other tools
+Its description is the whole model as an archive of `mdp.io.npz`, compressed, in base 64, so nothing
+of a model is lost. If another program changed what the format does have, the file is refused. Files
+of other programs have no such description; the caller gives their discount, or it is 1 with a
+warning. For other tools
 
     rewards/reward   is Σ_i p_i r_i for each choice, from which expected totals are the same,
 
@@ -27,42 +25,43 @@ Source of the format: https://pmc-tools.github.io/umb/spec
 
 from __future__ import annotations
 
+import base64
 import gzip
 import io
-import json
 import re
 import tarfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import extra, located, shown_text
-from exact_mdp.mdp.io.explicit import (
-    REWARD,
-    model_of,
-)
+from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
+from exact_mdp.mdp.io import npz
+from exact_mdp.mdp.io.explicit import REWARD, Explicit, identifier, model_of
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.npz import as_header
-from exact_mdp.mdp.io.own import (
-    CARRIER,
-    GROUP,
-    OBSERVED,
-    component_key,
-    label_key,
-    restored,
-)
 from exact_mdp.mdp.io.umb_read import read
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
     Numbers,
 )
 
-TERMINAL = "terminal"
-T = TypeVar("T")
+TERMINAL, COMPONENT = "terminal", "component-"
+GROUP, CARRIER = "exact-mdp", "start"
+WRITTEN = {
+    "state_is_initial": "the initial states",
+    "state_to_choices": "the choices of states",
+    "choice_to_branches": "the branches of choices",
+    "branch_to_target": "where branches lead",
+    "branch_to_probability": "the probabilities",
+    "choice_to_choice_action": "the actions of choices",
+    "choice_action_to_string": "the names of the actions",
+    "annotations": "the rewards or the labels",
+}
+"""What has to be as it was written, where a file is of exact-mdp."""
 
 
 def save(model: MDP, path: str | Path) -> None:
@@ -100,12 +99,41 @@ def load(
     in continuous time, of several players, partially observable, with intervals for probabilities.
     """
     with located(str(path)):
-        content = read(path)
-        if content.header is not None:
-            return restored(content, content.header, reward=reward, discount=discount, start=start)
+        umb, content = read(path)
+        own = (umb.index.annotations or {}).get(GROUP, {}).get(CARRIER)
+        if own is not None and own.description:
+            mdp = _restored(umb, content, own.description, reward)
+            mdp = mdp if discount is None else mdp.with_(discount=discount)
+            return mdp if start is None else mdp.with_(start=start)
         named = replace(content, name=content.name or Path(path).stem)
         where = shown_text(str(path))
         return model_of(named, where, reward=reward, discount=discount, start=start)
+
+
+def _restored(umb: Any, content: Explicit, packed: str, reward: str | None) -> MDP:
+    """Return a model that exact-mdp wrote, with everything that the format has no place for."""
+    where = f"annotations/{GROUP}/{CARRIER}"
+    with located(where):
+        try:
+            archive = zlib.decompress(base64.b64decode(packed, validate=True))
+        except (ValueError, zlib.error) as error:
+            raise ModelError("the description is damaged", fix="save the model again") from error
+        mdp = npz.unpacked(archive)
+    written = _umb_of(mdp)
+    for name, what in WRITTEN.items():
+        if getattr(umb, name) != getattr(written, name):
+            raise ModelError(
+                f"another program changed {what}",
+                where=where,
+                fix=f"drop the annotations of group {GROUP}, which no longer describe the model",
+            )
+    chosen = identifier(content, REWARD if reward is None else reward)
+    if chosen == REWARD or mdp.component_table is None:
+        return mdp
+    gain, below = mdp.component_table.column(int(chosen.removeprefix(COMPONENT)))
+    table = replace(mdp.table, gain=gain, gain_denominator=below)
+    title = content.titles["rewards"][chosen]
+    return replace(mdp, table=table, component_table=None, component_names=(title,))
 
 
 # ---- writing -------------------------------------------------------------------------------------
@@ -177,22 +205,13 @@ def _umb_of(model: MDP) -> Any:
         for number, name in enumerate(model.component_names):
             each = np.arange(model.n_pairs + 1)
             values = _ratios(known.amount[:, number], known.denominator, each)
-            _annotate(umb, "rewards", component_key(number), "choices", values, alias=name)
+            _annotate(umb, "rewards", f"{COMPONENT}{number}", "choices", values, alias=name)
     _annotate(umb, "aps", TERMINAL, "states", model.terminal.tolist())
     for number, (name, states) in enumerate(model.labels.items()):
-        _annotate(umb, "aps", label_key(number), "states", states.tolist(), alias=name)
-    if model.goal is not None:
-        _annotate(umb, GROUP, "goal", "states", model.goal.tolist())
-    if model.observations is not None:
-        _annotate(umb, GROUP, OBSERVED, "choices", model.observations.tolist())
+        _annotate(umb, "aps", f"label-{number}", "states", states.tolist(), alias=name)
     chances = [start.get(state, Fraction(0)) for state in range(model.n_states)]
-    header = json.dumps(as_header(model))
-    _annotate(umb, GROUP, CARRIER, "states", chances, about=header)
-    if len(table.gain) != model.n_pairs:
-        gains = _ratios(table.gain, table.gain_denominator, table.offsets)
-        _annotate(umb, GROUP, "gain", "branches", gains)
-    if table.event is not None:
-        _annotate(umb, GROUP, "event", "branches", table.event.tolist())
+    archive = base64.b64encode(zlib.compress(npz.packed(model))).decode("ascii")
+    _annotate(umb, GROUP, CARRIER, "states", chances, about=archive)
     return umb
 
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import json
 import lzma
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,8 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, extra
-from exact_mdp.mdp.io.explicit import Explicit, actions_of, named_by, ratios
+from exact_mdp.mdp.io.explicit import Explicit, actions_of, named_by
 from exact_mdp.mdp.io.files import LARGEST, read_bytes
-from exact_mdp.mdp.io.own import CARRIER, GROUP
 from exact_mdp.mdp.table import Integers
 
 PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzma.decompress}
@@ -32,8 +30,8 @@ ANY_SIZE = 10**6
 """Numbers of states, choices, branches and actions that need no data in the file to be believed."""
 
 
-def read(path: str | Path) -> Explicit:
-    """Return what a file says of the model; raises ModelError."""
+def read(path: str | Path) -> tuple[Any, Explicit]:
+    """Return a file as umbi decodes it, and what it says of the model; raises ModelError."""
     with extra("models"):
         from umbi import umb as umb_package
         from umbi.umb import umb_to_tar as decoding
@@ -45,7 +43,8 @@ def read(path: str | Path) -> Explicit:
         decoder, found = decoding.UmbDecoder(path), umb_package.ExplicitUmb()
         decoder.read_index_file(found)
         _check_kind(found.index.transition_system, decoder)
-        return _content(decoder.decode())
+        umb = decoder.decode()
+        return umb, _content(umb)
     except ModelError:
         raise
     except NotImplementedError as error:
@@ -70,30 +69,27 @@ def _content(umb: Any) -> Explicit:
     chances: Sequence[Any] = [1] * branches
     if umb.branch_to_probability is not None:
         chances = _sized(umb.branch_to_probability, branches, "branch-to-probability")
-    actions, names, words = _actions(umb, offsets)
-    own = {k: next(iter(v.values())) for k, v in _annotations(umb, GROUP).items() if v}
-    header = _header(about.get(GROUP, {}))
+    actions, names = _actions(umb, offsets)
+    annotated = _annotations(umb, "aps")
+    labels = {key: each["states"] for key, each in annotated.items() if "states" in each}
     return Explicit(
         name=(umb.index.model_data and umb.index.model_data.name) or "",
         state_to_choices=offsets,
         choice_to_branches=_offsets(
             umb.choice_to_branches, "choice-to-branches", choices, branches
         ),
-        target=np.array(target, dtype=np.int64),
+        target=target,
         probability=_numbers(chances, "branch-to-probability"),
         actions=actions,
         action_names=names,
-        listed_actions=words,
         initial=np.array(_sized(umb.state_is_initial, states, "state-is-initial"), dtype=bool),
-        words=named_by((umb.valuations or {}).get("states", ())) if header is None else (),
+        words=named_by((umb.valuations or {}).get("states", ())),
         rewards=_annotations(umb, "rewards"),
-        labels={k: v["states"] for k, v in _annotations(umb, "aps").items() if "states" in v},
+        labels={key: np.array(flags, dtype=bool) for key, flags in labels.items()},
         titles={
             group: {key: each.alias or key for key, each in about.get(group, {}).items()}
             for group in ("rewards", "aps")
         },
-        own=own,
-        header=header,
     )
 
 
@@ -108,16 +104,13 @@ def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
                 raise ModelError(
                     f"an annotation of {over}", where=where, fix=f"give {', '.join(sizes)} values"
                 )
-            kinds = set(map(type, _sized(values, sizes[over], where)))
-            if str not in kinds:
-                truth = kinds == {bool}
-                each = np.array(values, dtype=bool) if truth else _numbers(values, where)
-                found.setdefault(key, {})[over] = each
+            if str not in set(map(type, _sized(values, sizes[over], where))):
+                found.setdefault(key, {})[over] = _numbers(values, where)
     return found
 
 
 def _numbers(values: Sequence[Any], where: str) -> Any:
-    """Return numbers as arrays; raises ModelError for intervals."""
+    """Return numbers; raises ModelError for intervals."""
     with extra("models"):
         from umbi import datatypes
     if any(isinstance(value, datatypes.Interval) for value in values):
@@ -126,11 +119,11 @@ def _numbers(values: Sequence[Any], where: str) -> Any:
             where=where,
             fix="give a model without intervals or parameters",
         )
-    return ratios(values)
+    return values
 
 
-def _actions(umb: Any, offsets: Integers) -> tuple[Integers, tuple[str, ...], tuple[str, ...]]:
-    """Return each choice's action, the names of actions, and these as the file lists them."""
+def _actions(umb: Any, offsets: Integers) -> tuple[Integers, tuple[str, ...]]:
+    """Return each choice's action, and the names of actions."""
     count = umb.index.transition_system.num_choice_actions
     listed = tuple(umb.choice_action_to_string or ())
     names = tuple(name or "unnamed" for name in listed) or tuple(f"a{k}" for k in range(count))
@@ -143,22 +136,7 @@ def _actions(umb: Any, offsets: Integers) -> tuple[Integers, tuple[str, ...], tu
             raise _damaged(
                 f"{len(names)} names for {count} actions, or an action beyond them", "actions"
             )
-    return *actions_of(given, names, offsets), listed
-
-
-def _header(own: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return what exact-mdp wrote of a model besides its numbers; None in files of others."""
-    text = (own[CARRIER].description or "") if CARRIER in own else ""
-    if not text:
-        return None
-    place = f"annotations/{GROUP}/{CARRIER}"
-    try:
-        header = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ModelError("its description is not JSON", where=place, fix="save it again") from error
-    if not isinstance(header, dict):
-        raise ModelError("its description is not a JSON object", where=place, fix="save it again")
-    return header
+    return actions_of(given, names, offsets)
 
 
 # ---- sizes ---------------------------------------------------------------------------------------

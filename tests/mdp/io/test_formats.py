@@ -155,7 +155,7 @@ def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
         (lambda c: c.state_is_initial.__setitem__(0, False), "the initial states"),
         (
             lambda c: c.annotations["rewards"]["reward"]["choices"].__setitem__(0, Fraction(9)),
-            "rewards of branches average",
+            "the rewards or the labels",
         ),
     ):
         save(MODELS["care"], tmp_path / "m.umb")
