@@ -340,6 +340,7 @@ WRONG_TYPES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], labels=ANY and 3),
         "labels",
     ),
+    "constants of a program": (lambda: MDP.load("no.prism", constants=ANY and 3), "constants"),
     "gamma of a file": (lambda: MDP.load("no.npz", gamma=0.9), "MDP"),
     "sets of a file": (lambda: load("yuan2025", sets=ANY and 3), "sets"),
     "a set of a file": (lambda: load("yuan2025", sets=[ANY and 3]), "sets"),

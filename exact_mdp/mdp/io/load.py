@@ -42,27 +42,10 @@ def read_model(
     start: object | None = None,
     constants: str | Mapping[str, object] | None = None,
 ) -> Loaded:
-    """Return the model that `spec` names.
+    """Return the model that `spec` names, see `load`; raises ModelError where there is none.
 
-    Parameters
-    ----------
-    spec : str or path
-        A shipped scenario, a `.toml`, `.npz`, `.json` or `.umb` file (`.umb#NAME` chooses
-        a reward model), a `.prism` or `.jani` file, or `gymnasium:ID`.
-    sets : sequence of "KEY=VALUE"
-        Changes to a scenario, in order; other models have nothing to set.
-    discount : number or "p/q", optional
-        Instead of the model's own; it wins over `sets`. A `.umb` file of another program
-        states none: 1 is taken, with a warning.
-    start : state, {state: probability} or (S,) vector, optional
-        Instead of the model's own; a `.umb` file may have several initial states.
-    constants : {name: number} or "N=4,p=1/3", optional
-        Values of what a `.prism` or `.jani` file leaves open.
-
-    Raises
-    ------
-    ModelError
-        Where there is no such model (the nearest name is suggested), or it is damaged.
+    Of a `.umb` file of another program the discount is 1 unless it is given, with a warning. A
+    discount that is given wins over `sets`.
 
     Examples
     --------

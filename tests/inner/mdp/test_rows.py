@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from strategies import Rows, models
 
 from exact_mdp import MDP, ModelError
-from exact_mdp.mdp import build, rows, table
+from exact_mdp.mdp import rows, table
 from exact_mdp.mdp.exact import bellman_rows
+from exact_mdp.mdp.forms import columns as funnel
 from exact_mdp.mdp.forms.rows import COMPARED
 
 FAULTS = {
@@ -62,7 +63,7 @@ def test_rows_are_taken_as_without_compiled_loops(
     found = []
     for limit in (0, 10**9):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(build, "COMPILED", limit)
+            patch.setattr(funnel, "COMPILED", limit)
             patch.setattr(table, "COMPILED", limit)
             found.append(made(parts if limit == 0 else given_, states))
     one, two = found
@@ -128,41 +129,12 @@ def test_integer_rows_are_the_model(rows: Rows) -> None:
             assert F(int(found.constant[pair]), scale) == earned
 
 
-@pytest.mark.parametrize(
-    ("states", "entries", "wrong"),
-    [
-        *[(40, 7, None), (300, 128, None), (300, 129, None), (70_000, 90, None)],
-        *[(300, 20, "twice"), (200, 200, "twice"), (70_000, 90, "nothing")],
-    ],
-)
-def test_columns_may_stand_in_any_order(
-    states: int, entries: int, wrong: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Compiled loops take rows of any length over as NumPy does."""
-    pairs, rng = 30, np.random.default_rng(entries)
-    columns = np.array([rng.permutation(states)[:entries] for _ in range(pairs)], dtype=np.int32)
-    chances = rng.dirichlet(np.full(entries, 5.0), pairs)
-    if wrong == "twice":
-        columns[7, 3] = columns[7, 5]
-    if wrong == "nothing":
-        chances[7, 3] = 0.0
-        chances[7] /= chances[7].sum()
-    offsets, found = np.arange(0, pairs * entries + 1, entries), []
-    for least in (0, pairs * entries + 1):
-        given = (chances.ravel(), columns.ravel(), offsets)
-        monkeypatch.setattr(build, "COMPILED", least)
-        matrix = sp.csr_array(given, shape=(pairs, states))
-        table = build.from_pairs(range(pairs), [0] * pairs, matrix, np.ones(pairs), "1/2")["table"]
-        found.append([part.tobytes() for part in (table.offsets, table.next, table.weight)])
-    assert found[0] == found[1]
-
-
 @pytest.mark.parametrize("least", [0, 10**9])
 def test_what_a_matrix_remembers_of_its_order_is_not_believed(
     least: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """SciPy keeps what it once found, though indices may be written in place since."""
-    monkeypatch.setattr(build, "COMPILED", least)
+    monkeypatch.setattr(funnel, "COMPILED", least)
     parts = (np.array([1.0, 0.5, 0.5, 1]), np.array([1, 0, 2, 2]), np.array([0, 1, 3, 4]))
     matrix = sp.csr_array(parts, shape=(3, 3))
     assert matrix.has_canonical_format

@@ -146,6 +146,22 @@ def test_programs_that_are_refused(stormpy: Any, tmp_path: Path, text: str, said
         load(tmp_path / "m.prism")
 
 
+def test_constants_by_name_are_exact(stormpy: Any, tmp_path: Path) -> None:
+    text = """mdp
+        const int N; const double p;
+        module walk
+          s : [0..N] init 0;
+          [go] s < N -> p : (s'=s+1) + (1-p) : (s'=s);
+          [stop] s = N -> true;
+        endmodule
+        rewards "steps" [go] true : 1; endrewards"""
+    (tmp_path / "walk.prism").write_text(text, encoding="utf-8")
+    for given in ({"N": 3, "p": Fraction(1, 3)}, {"N": "3", "p": "1/3"}):
+        mdp = MDP.load(tmp_path / "walk.prism", constants=given, discount="1/2")
+        assert mdp.n_states == 4
+        assert mdp.table.row(0) == [(Fraction(2, 3), 0, 1), (Fraction(1, 3), 1, 1)]
+
+
 def test_a_chain_without_names_of_actions(stormpy: Any, tmp_path: Path) -> None:
     (tmp_path / "c.prism").write_text(CHAIN, encoding="utf-8")
     mdp = load(tmp_path / "c.prism", discount="1/2")
