@@ -380,7 +380,7 @@ class _ExactPass:
         if mdp.discount_exact == 1:
             chain.require_end()
         self.rate = rational(mdp.discount_exact)
-        values = exact_policy(chain)
+        values = self.certificate or exact_policy(chain)
         self.value: list[fmpq] = [*map(rational, values.value)]
         self.start = Certified(value=values.start_value)
         stay = rational(0) if self.rate == 1 else 1 / (1 - self.rate)
