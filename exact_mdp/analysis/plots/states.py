@@ -34,6 +34,7 @@ from exact_mdp.analysis.plots.style import (
     cell,
     legend_beside,
     name_rows,
+    narrow,
     picture,
     swatch,
 )
@@ -357,7 +358,8 @@ def _scale(values: Floats) -> Normalize:
 
 def _colours(ax: Axes, scale: Normalize, shades: Colormap, label: str) -> None:
     """Draw the colour bar below the map."""
-    where: Look = {"location": "bottom", "shrink": 0.7, "aspect": 35, "pad": 0.03}
+    side = "right" if narrow(ax) else "bottom"  # the legend is on the other one
+    where: Look = {"location": side, "shrink": 0.7, "aspect": 35, "pad": 0.03}
     bar = ax.figure.colorbar(ScalarMappable(scale, shades), ax=ax, label=label, **where)
     bar.outline.set_visible(False)
 

@@ -32,6 +32,7 @@ PALETTE = ("#FFFFFF", "#F0E442", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#0
 HATCHES = ("", "...", "//", "", "xx", "\\\\", "++", "")
 LINES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
+NARROW = 4.8  # inches
 WHITE, BLUE, ORANGE, BLACK = PALETTE[0], PALETTE[2], PALETTE[3], "#000000"
 INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7], PALETTE[5], "#8C6D1F")
 
@@ -173,8 +174,18 @@ def about(what: str, model: str = "") -> str:
 
 
 def legend_beside(ax: Axes, handles: Sequence[Any] | None = None, title: str = "") -> None:
-    """Draw the legend to the right of the axes."""
-    ax.legend(handles=handles, title=title, loc="upper left", bbox_to_anchor=(1.02, 1.0))
+    """Draw the legend to the right of the axes, or below them where the figure is narrow."""
+    drawn = ax.get_legend_handles_labels()[0] if handles is None else handles
+    columns = 2 if max((len(str(each.get_label())) for each in drawn), default=0) < 20 else 1
+    under: Look = {"bbox_to_anchor": (0.0, -0.25), "ncols": columns, "fontsize": "small"}
+    place: Look = under if narrow(ax) else {"bbox_to_anchor": (1.02, 1.0)}
+    ax.legend(handles=handles, title=title, loc="upper left", **place)
+
+
+def narrow(ax: Axes) -> bool:
+    """Whether there is no room beside the axes."""
+    figure = ax.get_figure(root=True)
+    return figure is not None and float(figure.get_size_inches()[0]) < NARROW
 
 
 def swatch(label: str, drawn: ActionStyle | tuple[str, str]) -> Patch:

@@ -126,6 +126,16 @@ def test_no_text_is_cut_or_covered(draw) -> None:
     assert legend is None or not legend.get_window_extent().overlaps(figure.axes[0].bbox)
 
 
+@pytest.mark.parametrize("wide", [4.2, 9.0])
+def test_a_legend_stands_apart_at_any_width(wide: float) -> None:
+    figure, ax = plt.subplots(figsize=(wide, 3.2), layout="constrained")
+    curve(MAINTENANCE, "discount", policy="random").plot(ax)
+    figure.canvas.draw()
+    legend = ax.get_legend().get_window_extent()
+    assert not legend.overlaps(ax.bbox)
+    assert figure.bbox.x0 <= legend.x0 < legend.x1 <= figure.bbox.x1
+
+
 def test_the_acceptability_curve_is_the_distribution_of_the_regret(draws: Any) -> None:
     ax = draws.plot(tolerances=[0, 0.01, 0.1, 1])
     shares = [(draws.regret() <= t).mean() for t in (0, 0.01, 0.1, 1)]
