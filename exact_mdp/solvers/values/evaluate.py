@@ -6,8 +6,16 @@
 V is the mean return from s and Var its variance. The expectations run over the joint law of reward
 and next state, which a table of expected rewards does not hold. The second equation adds up squares
 and so loses no digits to cancellation (Sobel, The variance of discounted Markov decision processes,
-Journal of Applied Probability 19, 1982). Components are expected visits times what each pair earns.
-Every number comes with a bound on its error that is sound in floating point.
+Journal of Applied Probability 19, 1982). Components are expected visits times what each pair earns,
+
+    d(s') = μ(s') + γ Σ_s d(s) P(s, s')         expected discounted visits
+    τ(s)  = 1 + Σ_s' P(s, s') τ(s')             expected steps until a terminal state
+    h(s)  = Σ p + Σ' p h(s')                    probability that an event ever happens
+
+where the first sum of the last line runs over the outcomes with the event and the second over the
+others (Puterman, Markov Decision Processes, 1994, section 6.9; Kemeny and Snell, Finite Markov
+Chains, 1960, chapter 3). Every number comes with a bound on its error that is sound in floating
+point.
 """
 
 from __future__ import annotations
@@ -15,15 +23,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from math import inf, isfinite, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar, Literal, overload
 
 import numpy as np
+import scipy.sparse as sp
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import ways_out
+from exact_mdp.mdp.graph import closure, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.report import Report, Shown, Table, claimed
@@ -31,14 +41,13 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.average.evaluate import AverageEvaluation
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
 from exact_mdp.solvers.dynamic.modified import closer, wide
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, in_float
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
-from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
+from exact_mdp.solvers.values.policy_chain import Equations, Mask, PolicyChain
 from exact_mdp.solvers.values.returns import return_distribution, times
-from exact_mdp.solvers.values.unending import arrives, average, model_of, rested
-from exact_mdp.solvers.values.visits import ever, pair_visits, steps
+from exact_mdp.solvers.values.unending import Parted, arrives, average, model_of, parted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -200,8 +209,8 @@ class Evaluation(Pictured):
             found = self._discounted
         except SolverError:
             return dict.fromkeys(mdp.component_names, UNKNOWN)
-        used = pair_visits(chain, found)
-        doubt = pair_visits(chain, FixedPoint(value=found.error, error=found.error))
+        used = _pair_visits(chain, found)
+        doubt = _pair_visits(chain, FixedPoint(value=found.error, error=found.error))
         rounding = float(gamma(len(chain.pairs) + chain.roundings + 6))
         size = np.abs(mdp.components)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -362,12 +371,13 @@ class Evaluation(Pictured):
     def _steps(self) -> Bounded:
         if not self.ends:
             return Bounded(value=inf, error=0.0)
-        return _known(lambda: at_start(self.mdp, steps(self.chain)))
+        going = (self.chain.ends & ~self.mdp.terminal).astype(np.float64)
+        return _known(lambda: at_start(self.mdp, self.chain.undiscounted.solve(going)))
 
     @property
     def occupancy(self) -> Floats:
-        """(L,) expected discounted number of uses of each pair; see `values.visits.pair_visits`."""
-        return pair_visits(self.chain, self._discounted)
+        """(L,) expected discounted number of uses of each pair; at discount 1 none at an end."""
+        return _pair_visits(self.chain, self._discounted)
 
     @property
     def occupancy_table(self) -> Floats:
@@ -421,7 +431,35 @@ class Evaluation(Pictured):
         }
 
     def _event(self, happens: Mask) -> Bounded:
-        return _known(lambda: at_start(self.mdp, ever(self.chain, happens)))
+        return _known(lambda: at_start(self.mdp, _ever(self.chain, happens)))
+
+
+def _pair_visits(chain: PolicyChain, found: FixedPoint) -> Floats:
+    """Return (L,) the expected discounted number of uses of each pair, from discounted visits.
+
+    Below discount 1 they sum to 1 / (1 - γ), terminal states included, in which a policy stays for
+    ever. At discount 1 the pairs of terminal states are left at 0.
+    """
+    mdp = chain.mdp
+    stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
+    return (found.value * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
+
+
+def _ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
+    """Return (S,) the probability that one of the marked outcomes (N,) ever happens."""
+    states, source, following = chain.mdp.n_states, chain.source, chain.table.next
+    live = ~chain.mdp.terminal[source]  # nothing happens in an end
+    chance = chain.total(np.where(happens & live, chain.probability, 0.0))
+    # Elsewhere the probability is 0; among these states the equation has a single solution.
+    possible = closure(chain.graph.T.tocsr(), chance > 0)
+    on = ~happens & possible[source] & possible[following] & live
+    entries = (chain.probability[on], (source[on], following[on]))
+    matrix = sp.csr_array(entries, (states, states))
+    roundings = chain.roundings + int(chain.outcomes.max())
+    system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
+    equations = Equations(chain=chain, rate=Fraction(1), live=possible, system=system, left_out=~on)
+    found = equations.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
+    return FixedPoint(value=np.clip(found.value, 0.0, 1.0), error=found.error)
 
 
 def _known(make: Callable[[], Bounded]) -> Bounded:
@@ -501,14 +539,15 @@ def evaluate(
     chain = PolicyChain.of(mdp, policy, kind=kind)
     mdp, given = chain.mdp, chain
     if mdp.discount_exact == 1 and not arrives(chain):
-        try:
-            chain = rested(chain)
-        except ModelError:
+        parts: Parted | None = None
+        with suppress(ModelError):  # the return has no limit, but the mean return has one
+            parts = parted(chain)
+        if parts is None or parts.lost:
             alone = solve(model_of(chain))
             return Evaluation(
                 chain=chain, given=chain, value=alone.value, error=alone.state_error, settled=False
             )
-        mdp = chain.mdp
+        chain, mdp = parts.chain, parts.chain.mdp
     live = ~mdp.terminal
     if mdp.discount_exact == 1:
         live &= chain.ends

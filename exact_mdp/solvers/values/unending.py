@@ -18,7 +18,7 @@ import numpy as np
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.graph import closure, strong_components, ways_out
+from exact_mdp.mdp.graph import strong_components, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
 from exact_mdp.solvers.average.chain import ExactAverages
@@ -33,24 +33,6 @@ def arrives(chain: PolicyChain) -> bool:
     mdp = chain.mdp
     beside = mdp.goal is not None and bool((chain.reached & mdp.terminal & ~mdp.goal).any())
     return chain.ends_from_start and not beside
-
-
-def rested(chain: PolicyChain) -> PolicyChain:
-    """Return the chain with an end where it comes to rest, or itself where every episode ends.
-
-    Raises ModelError where an episode may neither end nor come to rest, or misses a goal.
-    """
-    mdp = chain.mdp
-    if mdp.discount_exact != 1 or arrives(chain):
-        return chain
-    rest = _resting(chain)
-    if mdp.goal is not None or (chain.reached & chain.stuck & ~_surely(chain, rest)).any():
-        raise ModelError(
-            "the policy may go on for ever, and what it earns has no distribution",
-            where=_where(chain),
-            fix=ways_out(mdp, "take evaluate(), whose mean may be infinite"),
-        )
-    return PolicyChain(mdp=ended(mdp, rest), chosen=chain.chosen, policy=chain.policy)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -220,20 +202,6 @@ def recurrent(chain: PolicyChain, busy: Mask | None = None) -> Mask:
     out = np.zeros(int(label.max()) + 1, dtype=bool)
     out[label[source[leaves if busy is None else busy | leaves]]] = True
     return np.asarray(~out[label])
-
-
-def _surely(chain: PolicyChain, rest: Mask) -> Mask:
-    """Return (S,) True where the policy comes to rest, or an end, with probability 1."""
-    back = chain.graph.T.tocsr()
-    lost = ~closure(back, rest | chain.mdp.terminal)
-    return ~closure(back, lost) if lost.any() else ~lost
-
-
-def _where(chain: PolicyChain) -> str:
-    mdp = chain.mdp
-    astray = chain.stuck if mdp.goal is None else chain.stuck | mdp.terminal & ~mdp.goal
-    state = int(np.flatnonzero(chain.reached & astray)[0])
-    return f"policy, state ({chain.mdp.space.label(state)})"
 
 
 def ended(mdp: MDP, rest: Mask) -> MDP:
