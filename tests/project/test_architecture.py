@@ -159,4 +159,4 @@ def test_what_is_used_first_loads_little(code: str, allowed: set[str]) -> None:
 
 
 def test_what_is_loaded_is_found() -> None:
-    assert "numba" in loaded("import exact_mdp.solvers.kernels.tables")
+    assert "numba" in loaded("import exact_mdp.solvers.kernels.learning")

@@ -4,7 +4,6 @@ This package is imported when a loop is first needed; machine code is kept from 
 """
 
 from exact_mdp.solvers.kernels.layered import policy_values
-from exact_mdp.solvers.kernels.learning import learn, rollouts
-from exact_mdp.solvers.kernels.tables import Tables, alias_tables
+from exact_mdp.solvers.kernels.learning import Tables, alias_tables, learn, rollouts
 
 __all__ = ["Tables", "alias_tables", "learn", "policy_values", "rollouts"]
