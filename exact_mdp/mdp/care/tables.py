@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
+from exact_mdp.mdp.errors import ModelError, check_names, check_text, located, suggest
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import as_html
 from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
@@ -211,7 +211,8 @@ class Tables:
                 chosen[reading] = check_reading(reading, value)
             else:
                 position = self._position(name)
-                number = exact_at(f"parameter {name}", value)
+                with located(f"parameter {name}", instead=True):
+                    number = exact(value)
                 numbers[position] = replace(numbers[position], value=number)
         return replace(self, readings=chosen, parameters=tuple(numbers), **parts)
 
@@ -325,11 +326,3 @@ def check_scenario(scenario: Tables) -> None:
             where=where,
             fix="merge statuses",
         )
-
-
-def exact_at(where: str, value: object) -> Fraction:
-    """Return the rational that a number or text stands for; errors say where it is."""
-    try:
-        return exact(value)
-    except ModelError as error:
-        raise ModelError(error.what, where=where, fix=error.fix) from error

@@ -25,13 +25,13 @@ from exact_mdp.mdp.care.tables import (
     as_max_trial,
     as_tasks,
     check_reading,
-    exact_at,
     known,
 )
 from exact_mdp.mdp.errors import LONGEST, ModelError, check_names, shown_text, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
+from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import as_discount
 
 T = TypeVar("T", bound=Tables)
@@ -116,7 +116,8 @@ class Reader:
         try:
             return make(*given)
         except ModelError as error:
-            self.problems.append((key, error))
+            placed = ModelError(error.what, where=error.where or key, fix=error.fix)
+            self.problems.append((key, placed))
             return otherwise
 
     def read(self, kind: type[T], *, default_name: str) -> T | None:
@@ -242,7 +243,7 @@ class Reader:
                 if other:
                     others[parts[1]] = other
             else:
-                flat[prefix] = self.take(prefix, exact_at, prefix, value, otherwise=Fraction(0))
+                flat[prefix] = self.take(prefix, exact, value, otherwise=Fraction(0))
 
         for table in TABLES:
             visit(table, self._table(table))
