@@ -363,7 +363,7 @@ class Evaluation(Pictured):
     def steps(self) -> float:
         """Expected number of timesteps until a terminal state; infinite where it may not come.
 
-        NaN where the end comes, but so late that double precision cannot bound when.
+        NaN where the end comes, but so late that this is beyond the range of floats.
         """
         return self._steps.value
 
@@ -518,7 +518,8 @@ def evaluate(
     ModelError
         At discount 1 where one state of the start is worth +∞ and another -∞.
     SolverError
-        Where double precision cannot bound the error.
+        Where double precision cannot bound the error, and rational arithmetic would take too long
+        (over 4,000 states) or finds a value beyond the range of floats.
 
     Examples
     --------
