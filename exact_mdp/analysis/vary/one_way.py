@@ -14,7 +14,7 @@ of a grid.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -49,24 +49,21 @@ VALUES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Values:
-    """The start values of the optimum and of a policy that is held fixed."""
+class Point:
+    """The start values of the optimum and of a policy held fixed, at a value of a parameter.
+
+    `at` is 0 where none is varied.
+    """
 
     optimal: Bounded
     fixed: Bounded
     sense: str = "max"
+    at: Fraction = Fraction(0)
 
     @property
     def regret(self) -> Bounded:
         """What holding the policy costs; not below 0, whatever rounding says."""
         return regret(self.optimal, self.fixed, self.sense)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Point(Values):
-    """These values at one value of a parameter, `at`."""
-
-    at: Fraction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,12 +97,12 @@ class Tornado(Pictured):
     Attributes
     ----------
     model : str
-    today : Values
+    today : Point
     bars : tuple of Bar
     """
 
     model: str
-    today: Values
+    today: Point
     bars: tuple[Bar, ...]
 
     def __repr__(self) -> str:
@@ -285,8 +282,7 @@ def one_way(
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points)
     found = study(family, {name: values}, [policy])
-    sense = family.at({}).sense
-    every = tuple(_point(found, n, value, sense) for n, value in enumerate(values))
+    every = _points(found, values, family.at({}))
     return Curve(model=family.name, parameter=parameter_of(family, name), points=every)
 
 
@@ -336,29 +332,28 @@ def tornado(
     spans = ranges_of(family, names, ranges, relative)
     solver = solver_of(family)
     held, mdp = solver.base.held(policy), solver.base.mdp
-    ends = [(k, end) for k, span in enumerate(spans.values()) for end in (span.low, span.high)]
-    today = np.array([parameter_of(family, name).value for name in spans], dtype=object)
-    points = np.tile(today, (len(ends), 1))
-    for row, (column, end) in enumerate(ends):
-        points[row, column] = end
-    columns = dict(zip(spans, points.T, strict=True))
-    bars = []
-    if len(spans):
-        found = study(family, columns, [held], solver=solver)
-        for k, (name, span) in enumerate(spans.items()):
-            low, high = (
-                _point(found, 2 * k + end, at, mdp.sense)
-                for end, at in enumerate((span.low, span.high))
-            )
-            bars.append(Bar(parameter=parameter_of(family, name), low=low, high=high))
+    ends = [end for span in spans.values() for end in (span.low, span.high)]
+    parameters = [parameter_of(family, name) for name in spans]
+    columns = {
+        parameter.name: [at if row // 2 == k else parameter.value for row, at in enumerate(ends)]
+        for k, parameter in enumerate(parameters)
+    }
+    points = _points(study(family, columns, [held], solver=solver), ends, mdp) if ends else ()
+    bars = [
+        Bar(parameter=parameter, low=low, high=high)
+        for parameter, low, high in zip(parameters, points[::2], points[1::2], strict=True)
+    ]
     bars.sort(key=lambda bar: -bar.swing)
     fixed = finite_worth(mdp, held, "today's parameters")
-    now = Values(optimal=solver.base.solution.start, fixed=fixed, sense=mdp.sense)
+    now = Point(optimal=solver.base.solution.start, fixed=fixed, sense=mdp.sense)
     return Tornado(model=family.name, today=now, bars=tuple(bars))
 
 
-def _point(found: Study, row: int, at: Fraction, sense: str) -> Point:
-    return Point(at=at, optimal=found.best(row), fixed=found.held(row), sense=sense)
+def _points(found: Study, values: Sequence[Fraction], mdp: MDP) -> tuple[Point, ...]:
+    return tuple(
+        Point(at=at, optimal=found.best(row), fixed=found.held(row), sense=mdp.sense)
+        for row, at in enumerate(values)
+    )
 
 
 def grid(span: Range, points: int) -> list[Fraction]:

@@ -33,7 +33,7 @@ from exact_mdp import (
     solve,
     tornado,
 )
-from exact_mdp.analysis.vary.one_way import Values
+from exact_mdp.analysis.vary.one_way import Point
 from exact_mdp.analysis.vary.ranges import around, spans_of
 from exact_mdp.analysis.vary.study import ModelSolver, Study, study
 from exact_mdp.mdp.care import scenario as care_scenario
@@ -310,7 +310,7 @@ def test_a_bar_of_a_care_model_compiles_and_solves_the_base_alone(monkeypatch) -
 
 def test_the_regret_of_a_point_is_as_uncertain_as_both_values() -> None:
     optimal, fixed = Bounded(value=5.0, error=0.25), Bounded(value=3.0, error=0.5)
-    regret = Values(optimal=optimal, fixed=fixed).regret
+    regret = Point(optimal=optimal, fixed=fixed).regret
     assert regret.value == 2
     assert 0.75 <= regret.error <= 0.76
     low, high = regret.interval
