@@ -208,7 +208,8 @@ def check_trainer(
     """
     wanted, risk = _between("share", share), _between("alpha", alpha)
     if risk == 1:
-        raise ModelError("a risk of 1 proves nothing", where="alpha", fix="choose less: 1/100")
+        what = "a risk of error of 1 proves nothing"
+        raise ModelError(what, where="alpha", fix="choose less: 1/100")
     runs = counted(runs, "runs")
     if not prove:
         _require_runs(runs, wanted, risk)

@@ -222,13 +222,14 @@ def drawn(mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, c
     never[pair, following] = False
     pairs, states = np.nonzero(never)
     weight = rng.gamma(table.weight[seen] + part / rewards[place], size=(count, len(pair)))
-    weight = np.hstack([weight, rng.gamma(part, size=(count, len(pairs)))])
-    pair, following = np.append(pair, pairs), np.append(following, states)
     rows, earned = np.zeros((count, *shape)), np.zeros((count, shape[0]))
     draw = np.arange(count)[:, None]
+    rows[:, pairs, states] = rng.gamma(part, size=(count, len(pairs)))
     np.add.at(rows, (draw, pair, following), weight)
-    np.add.at(earned, (draw, pair), weight * np.append(gain, mdp.reward[pairs]))
+    np.add.at(earned, (draw, pair), weight * (gain - mdp.reward[pair]))
     total = np.where(known, rows.sum(axis=2), 1.0)
+    rows /= total[:, :, None]
+    rows[:, ~known] = mdp.transition[~known].toarray()
     begun = np.tile(mdp.start_distribution, (count, 1))
     if mdp.episodes is not None:
         begun = rng.gamma(begun * mdp.episodes + part)
@@ -237,8 +238,8 @@ def drawn(mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, c
     lost = float(1 - mdp.discount_exact)
     live = ~over | (lost > 0)
     return Batch(
-        rows=np.where(known[:, None], rows / total[:, :, None], mdp.transition.toarray()),
-        reward=np.where(known, earned / total, mdp.reward),
+        rows=rows,
+        reward=mdp.reward + earned / total,
         reward_error=np.zeros((1, 1)),
         rate=np.full(count, mdp.discount),
         leak=np.array([[lost]]),
