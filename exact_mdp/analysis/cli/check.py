@@ -150,16 +150,29 @@ def check(
     report = replace(report, facts={**read_as, **report.facts})
     passed = "passed" if audit.passed else "failed"
     report = replace(report, title=f"{learned[0]} in {given.loaded.name}: {passed}")
-    if junit is not None:
-        told = {"notice": ADVICE} if advice(given.endless) else {}
-        suite = f"exact-mdp check {given.loaded.name}"
-        _junit(junit, suite, report, audit, told, seconds=perf_counter() - started)
-    if html is not None:
-        words = shlex.join(["exact-mdp", *click.get_current_context().find_root().obj])
-        page = audit_page(audit, report, given.loaded.name, learned[0], rerun=words, first=ON_PAGE)
-        write_atomically(html, page)
+    _write(given, audit, report, html, junit, perf_counter() - started)
     _tell(report, audit.message(explain=why is not None))
     return report
+
+
+def _write(
+    given: Given,
+    audit: Audit,
+    report: Report,
+    html: str | None,
+    junit: str | None,
+    seconds: float,
+) -> None:
+    """Write the page and the report of the audit that were asked for."""
+    name = given.loaded.name
+    if junit is not None:
+        told = {"notice": ADVICE} if advice(given.endless) else {}
+        _junit(junit, f"exact-mdp check {name}", report, audit, told, seconds=seconds)
+    if html is not None:
+        words = shlex.join(["exact-mdp", *click.get_current_context().find_root().obj])
+        learned = report.facts["learned"]
+        page = audit_page(audit, report, name, learned, rerun=words, first=ON_PAGE)
+        write_atomically(html, page)
 
 
 def _refuse(options: dict[str, Any], of: str, fix: str) -> None:

@@ -17,7 +17,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.io import transitions
-from exact_mdp.mdp.io.files import SMALL, read_text, write_atomically
+from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model, save
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, ratio
@@ -52,7 +52,7 @@ def lint(file: str) -> Report:
 
     exact-mdp lint mine.toml
     """
-    if Path(file).suffix.lower() != ".toml":
+    if file != STANDARD_INPUT and Path(file).suffix.lower() != ".toml":
         raise ModelError("not a scenario file", where=file, fix="name a .toml file")
     problems = linter.lint(read_text(file, most=SMALL), Path(file).stem)
     rows = [each | {"what": f"{each['severity']}: {each['what']}"} for each in problems]
@@ -179,6 +179,11 @@ def data(
     record = transitions.counted(file, names, progress=True)
     mdp = MDP(**record.parts(discount, unseen))
     save(mdp, out)
+    return _estimated(mdp, record, file, out, rare)
+
+
+def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: int) -> Report:
+    """Return what was counted, and what the records do not tell."""
     seen, ends, never = mdp.observations, entered(mdp), never_taken(mdp)
     assert seen is not None
     few = np.flatnonzero((seen > 0) & (seen < rare))

@@ -98,14 +98,7 @@ def solve(
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
         _refuse(refused | {"--criterion average": average})
-        limited = solve_model(mdp, subject_to=limits_from(subject_to))
-        if faults := limited.violations():
-            raise Contradiction(f"the proof does not hold: {faults[0]}")
-        if policy_out:
-            limited.policy.write(policy_out)
-        if certificate:
-            limited.save(certificate)
-        return given.report(limited_report(limited, [policy_out, certificate]))
+        return _limited(given, subject_to, policy_out, certificate)
     if certificate and not certify and average:
         what = "there are no bounded certificates of an average reward"
         raise ModelError(what, where="--certificate", fix="add --certify")
@@ -137,6 +130,20 @@ def solve(
         write_record(path, record)
     report = found.report()
     return given.report(replace(report, facts={**report.facts, "written": written}))
+
+
+def _limited(
+    given: Given, subject_to: Sequence[str], policy_out: str | None, certificate: str | None
+) -> Report:
+    """Find the optimum under limits."""
+    found = solve_model(given.mdp, subject_to=limits_from(subject_to))
+    if faults := found.violations():
+        raise Contradiction(f"the proof does not hold: {faults[0]}")
+    if policy_out:
+        found.policy.write(policy_out)
+    if certificate:
+        found.save(certificate)
+    return given.report(limited_report(found, [policy_out, certificate]))
 
 
 def _refuse(options: Mapping[str, object]) -> None:

@@ -26,6 +26,7 @@ from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, moved_from, parameter_of, placed
+from exact_mdp.mdp.table import exact, shown
 
 
 class Scenario(Tables):
@@ -119,15 +120,19 @@ class ScenarioFamily:
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
         moved = moved_from(self, values)
-        return self._compiled(self.scenario.with_(parameters=moved)) if moved else self._today
+        if not moved:
+            return self._today
+        one = "".join(f" where {name} is {shown(exact(v))}" for name, v in values.items())
+        where = one if len(values) == 1 else " at other values of its parameters"
+        return self._compiled(self.scenario.with_(parameters=moved), where)
 
     @cached_property
     def _today(self) -> MDP:
         return self._compiled(self.scenario) if self.base is None else self.base
 
-    def _compiled(self, there: Scenario) -> MDP:
+    def _compiled(self, there: Scenario, where: str = "") -> MDP:
         mdp = compile_scenario(there)
-        self._tell(there)
+        self._tell(there, where)
         return mdp
 
     def tell(self, values: Mapping[str, object], *, where: str = "") -> None:

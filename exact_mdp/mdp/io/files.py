@@ -9,6 +9,7 @@ without waiting: a pipe, which has no size and may never end, is refused and not
 from __future__ import annotations
 
 import errno
+import io
 import os
 import stat
 import sys
@@ -20,6 +21,7 @@ from typing import BinaryIO
 
 from exact_mdp.mdp.errors import ModelError
 
+STANDARD_INPUT = "-"
 SMALL = 2**24
 LARGE = 2**28
 LARGEST = 2**32
@@ -53,7 +55,16 @@ INSTEAD = {
 
 @contextmanager
 def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
-    """Open a regular file of at most `most` bytes for reading; raises ModelError for another."""
+    """Open a regular file of at most `most` bytes for reading; raises ModelError for another.
+
+    A path of "-" is standard input.
+    """
+    if str(path) == STANDARD_INPUT:
+        data = sys.stdin.buffer.read(most + 1)
+        if len(data) > most:
+            raise too_large(path, len(data), most)
+        yield io.BytesIO(data)
+        return
     with _open(path) as file:
         try:
             about = os.fstat(file.fileno())

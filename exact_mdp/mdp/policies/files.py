@@ -17,7 +17,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, suggest
 from exact_mdp.mdp.forms.names import Reading, amount_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
-from exact_mdp.mdp.io.files import read_text, write_atomically
+from exact_mdp.mdp.io.files import STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import (
@@ -50,9 +50,9 @@ class Form(NamedTuple):
 
 
 def read(path: str | Path, model: MDP, kind: str = "auto") -> list[Form]:
-    """Return what a `.json` or `.csv` file says; see `Policy.of`."""
+    """Return what a `.json` or `.csv` file says, or JSON in standard input; see `Policy.of`."""
     where, suffix = str(path), Path(path).suffix.lower()
-    if suffix == ".json":
+    if suffix == ".json" or where == STANDARD_INPUT:
         content = json_of(
             read_text(path), where, object_pairs_hook=_once, parse_float=str, parse_int=_digits
         )

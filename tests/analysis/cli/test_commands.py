@@ -1,5 +1,6 @@
 """The commands: what they compute and write, against an independent model; proofs as files."""
 
+import io
 import json
 import re
 import warnings
@@ -333,3 +334,21 @@ def test_a_loose_tolerance_does_not_make_an_optimum_stationary() -> None:
     assert found == [False, False, None]
     usual = run("solve", "yuan2025", "--json").result["stationary"]
     assert usual is True
+
+
+def test_a_file_may_be_standard_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    proof, records, model = (tmp_path / name for name in ("proof.json", "records.csv", "m.npz"))
+    run("solve", "tea", "--certify", "--certificate", proof)
+    records.write_text("episode,state,action,reward,next_state\n0,a,stay,1,\n", "utf-8")
+    policy = json.dumps({f"{status:03b}": "wait" for status in range(8)})
+    for words, text, status in (
+        (("evaluate", "tea", "-"), policy, 0),
+        (("check", "tea", "-"), policy, 1),
+        (("verify", "-", "tea"), proof.read_text("utf-8"), 0),
+        (("data", "-", "--out", model), records.read_text("utf-8"), 0),
+        (("lint", "-"), "tasks = [0]", 1),
+    ):
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
+        done = run(*words, "--json")
+        assert done.status == status, (words, done.err)
+        assert json.loads(done.out)
