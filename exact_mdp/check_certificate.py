@@ -19,7 +19,7 @@ def main(words: Sequence[str] | None = None) -> int:
     def content(model: str) -> Any:
         return model_json.content(load(model))
 
-    return checker.main(words, content)
+    return checker.main(sys.argv[1:] if words is None else words, content)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.exact.certificate import Certificate
-    from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
+    from exact_mdp.solvers.objectives.limits import ConstrainedSolution
 
 Mask = NDArray[np.bool_]
 
@@ -204,7 +204,7 @@ class Optimum:
 
 def limited_report(found: ConstrainedSolution, written: Sequence[str | None]) -> Report:
     """Return what an optimum under limits is, or that no policy keeps them."""
-    mdp, limits = found.mdp, found.limits
+    mdp, limits = found.of.mdp, found.limits
     drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]
     said = ["they can be kept" if found.feasible else "no policy keeps them all (proven)"]
     said += [

@@ -27,12 +27,12 @@ from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
 from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
 from exact_mdp.solvers.endless.total import solve_total
-from exact_mdp.solvers.objectives import constrained
+from exact_mdp.solvers.objectives.limits import solve_under
 from exact_mdp.solvers.solution import Solution, Status, warn_of_precision
 from exact_mdp.solvers.ties import settled
 
 if TYPE_CHECKING:
-    from exact_mdp.solvers.objectives.constrained import ConstrainedSolution
+    from exact_mdp.solvers.objectives.limits import ConstrainedSolution
 
 
 SOLVERS: dict[str, type[Solver]] = {
@@ -192,7 +192,7 @@ def solve(
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)
     if subject_to is not None:
-        return constrained.solve_under(mdp, subject_to)
+        return solve_under(mdp, subject_to)
     if mdp.sense == "min":
         return solve(mdp.maximised, solver, tol=tol, start=opposite(mdp, start)).negated(mdp)
     if endless(mdp):

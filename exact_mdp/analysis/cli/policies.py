@@ -21,6 +21,8 @@ from exact_mdp.analysis.optimum import (
     optimum,
 )
 from exact_mdp.analysis.record import run_record, write_record
+from exact_mdp.analysis.tradeoffs.front import Front
+from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.io.files import write_atomically
@@ -29,8 +31,9 @@ from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
-from exact_mdp.solvers.objectives.file import PROOFS, ObjectivesProof
-from exact_mdp.solvers.solution import Bounded, Certified
+from exact_mdp.solvers.objectives.limits import ConstrainedSolution
+from exact_mdp.solvers.objectives.totals import Proof
+from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import solve as solve_model
 from exact_mdp.solvers.values.evaluate import evaluate as value_of
 from exact_mdp.solvers.values.returns import return_distribution
@@ -40,7 +43,7 @@ KINDS: dict[str, Any] = {
     "total": Certificate,
     "average": Certificate,
     "bounds": BoundedCertificate,
-    **PROOFS,
+    **{proof.kind: proof for proof in (Front, ConstrainedSolution, Rationalization)},
 }
 
 
@@ -195,8 +198,8 @@ def verify(certificate: str, given: Given) -> Report:
     certificate : CERTIFICATE
     """
     kind, proof = codec.load(KINDS, certificate)
-    if not isinstance(proof, ObjectivesProof):
-        proof = replace(proof, mdp=given.mdp, **({} if kind == "bounds" else {"kind": kind}))
+    parts = {"kind": kind} if isinstance(proof, Certificate) else {}
+    proof = replace(proof, mdp=given.mdp, **parts)
     violations = proof.violations(given.mdp)
     said = "does not hold" if violations else f"holds ({proof.claim})"
     facts: dict[str, Any] = {
@@ -205,25 +208,44 @@ def verify(certificate: str, given: Given) -> Report:
         "violations": Shown(violations, [{"what is wrong": each} for each in violations]),
         "claim": Shown(None if violations else proof.claim),
     }
-    if isinstance(proof, ObjectivesProof):
+    if isinstance(proof, Proof):
         facts |= {"kind": kind, "objectives": list(proof.objectives)}
-        facts |= {} if violations else _proven_totals(proof.found(given.mdp))
+        facts |= {} if violations else _proven_totals(proof)
     elif not violations:
         facts |= _proven_start(kind, proof, given)
     return given.report(Report(title="proof", facts=facts, passed=not violations))
 
 
-def _proven_totals(proven: dict[str, Any]) -> dict[str, Any]:
-    """Return what a front or an optimum under limits proves."""
-    if "limits" not in proven:
-        return proven
-    closest = {moved.name: moved.bound for moved in proven["closest"]}
-    start = proven["exact_start_value"]
+def _proven_totals(proof: Proof) -> dict[str, Any]:
+    """Return what a sound proof about totals proves, by their texts: a name may be any."""
+    texts = proof.objectives
+    if isinstance(proof, Front):
+        totals = [dict(zip(texts, point, strict=True)) for point in sorted(proof.vertices)]
+        return {"names": texts, "vertices": len(totals), "totals": totals}
+    if isinstance(proof, Rationalization):
+        alone = [ends and list(ends) for ends in proof.alone.values()]
+        return {
+            "possible": proof.possible,
+            "change": proof.change,
+            "weights": dict(zip(texts, proof.multipliers, strict=True)),
+            "alone": dict(zip(texts, alone, strict=True)),
+        }
+    assert isinstance(proof, ConstrainedSolution)
+    text = dict(zip(proof.of.names, texts, strict=True))
+    limits, moved = (
+        [replace(limit, name=text[limit.name]) for limit in each]
+        for each in (proof.limits, proof.moved)
+    )
+    closest = {limit.name: limit.bound for limit in moved}
     none = "none: no policy keeps the limits (proven)"
-    exact = Shown(start, none if start is None else Certified(value=start))
-    shown = Shown(closest, [moved.text(10) for moved in proven["closest"]])
-    limits = {"limits": [str(limit) for limit in proven["limits"]], "closest": shown}
-    return proven | limits | {"exact_start_value": exact}
+    return {
+        "limits": [str(limit) for limit in limits],
+        "feasible": proof.feasible,
+        "exact_start_value": Shown(proof.start_value, proof.start or none),
+        "totals": {text[name]: total for name, total in proof.totals.items()},
+        "prices": {text[name]: price for name, price in proof.prices.items()},
+        "closest": Shown(closest, [limit.text(10) for limit in moved]),
+    }
 
 
 def _proven_start(kind: str, proof: Any, given: Given) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, shown
-from exact_mdp.solvers.objectives.checker import Limit
+from exact_mdp.solvers.objectives.limits import Limit
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

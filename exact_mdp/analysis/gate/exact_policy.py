@@ -75,7 +75,7 @@ def exact_visits(chain: PolicyChain) -> ExactPolicy:
     """
     mdp = chain.mdp
     rows = mixed_rows(bellman_rows(mdp), chain)
-    visits = visited(rows, chain.reached & ~mdp.terminal, mdp.start)
+    (visits,) = visited(rows, chain.reached & ~mdp.terminal, mdp.start)
     return ExactPolicy(mdp=mdp, h=visits)
 
 

@@ -1,6 +1,6 @@
 """A policy under limits on expected totals: what it has to keep, and what it loses by that.
 
-With r* the optimum under limits c_k ≥ b_k and λ_k their prices (`solvers.objectives.constrained`),
+With r* the optimum under limits c_k ≥ b_k and λ_k their prices (`solvers.objectives.limits`),
 no policy earns more of r + λ c than V, r* = μ V - λ b, and every policy π loses
 
     r* - r(π) = Σ_l x_π(l) gap(l) + λ (c(π) - b),
@@ -29,9 +29,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import LARGEST, common, exact, integers, shown
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.basis import combined
-from exact_mdp.solvers.objectives.checker import Limit, Point
-from exact_mdp.solvers.objectives.constrained import ConstrainedSolution, solve_under
+from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
+from exact_mdp.solvers.objectives.totals import Point
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -59,7 +58,7 @@ class UnderLimits:
         best = solve_under(mdp, subject_to)
         if faults := best.violations():
             raise RuntimeError(f"the proof of an optimum under limits does not hold: {faults[0]}")
-        of = best.objectives
+        of = best.of
         earned, *totals = totals_under(of, policy)
         return cls(
             best=best,
@@ -74,10 +73,10 @@ class UnderLimits:
     @cached_property
     def priced(self) -> MDP:
         """The model that earns r + λ c; the model itself where no policy keeps the limits."""
-        of, best = self.best.objectives, self.best
+        of, best = self.best.of, self.best
         if not best.feasible:
-            return best.mdp
-        whole, below = common(combined(of, best.limits, Fraction(1), best.price))
+            return of.mdp
+        whole, below = common(best.weights)
         scale = of.rows.scale[of.mdp.pair_state].astype(object)
         table = replace(
             of.mdp.table,
@@ -106,7 +105,7 @@ class UnderLimits:
             priced,
             optimal=best,
             learned=Certified(value=self.earned),
-            at_start=Certified(value=self.best.objectives.sign * (best.value - self.earned)),
+            at_start=Certified(value=self.best.of.sign * (best.value - self.earned)),
         )
         if not self.best.feasible:
             lost = replace(lost, by_state=none, optimal_value=none)

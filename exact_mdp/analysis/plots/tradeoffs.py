@@ -48,7 +48,7 @@ def draw_front(
         form: dict[str, Any] = {"ms": 7 + 5 * below, "fillstyle": "none" if below else "full"}
         ax.plot([x], [y], linestyle="", marker=mark, color=ink, label=label, zorder=3, **form)
         if far:
-            sign = found.objectives.sign * far
+            sign = found.of.sign * far
             ax.plot([x, x + sign], [y, y + sign], color=BLACK, linewidth=0.8, linestyle=":")
     ax.set_xlabel(f"expected total of {found.names[0]}")
     ax.set_ylabel(f"expected total of {found.names[1]}")

@@ -18,42 +18,26 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from itertools import combinations
 from math import gcd
 from operator import mul
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import scipy.sparse as sp
 
 from exact_mdp.analysis.gate.limits import totals_under
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Integers, common
+from exact_mdp.solvers.exact.levels import Level, combined
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.checker import (
-    Attained,
-    Point,
-    Rank,
-    Values,
-    best_for,
-    front_violations,
-)
-from exact_mdp.solvers.objectives.file import FrontProof
-from exact_mdp.solvers.objectives.optima import (
-    Losses,
-    attained,
-    extreme,
-    known_optimum,
-    optimum,
-    proposed,
-    rank_of,
-)
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.objectives.totals import Attained, Point, Proof, about, extreme
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -87,20 +71,25 @@ class Edge:
     weights: Point | None = None
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Corner:
+    """Weights of the totals, values that no policy exceeds, and the best vertices, by number."""
+
+    weights: Point
+    dual: Level
+    best: tuple[int, ...]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Front(Pictured):
+class Front(Proof):
     """The exact Pareto front of expected totals from the start, and its proof.
 
     Attributes
     ----------
-    names : tuple of str
     attained : tuple of Attained
         A deterministic policy for each vertex, in rising order of the first total.
-    duals : {weights: Values}
-        For the corners of the weights, values of states that no policy exceeds.
-    rank : (S,) int64, optional
-        Proof that every policy ends, at discount 1.
-    objectives : Objectives
+    corners : tuple of Corner
+        Weights at which the best vertex changes.
 
     Examples
     --------
@@ -113,27 +102,29 @@ class Front(Pictured):
     (['1/2', '4'], [])
     """
 
-    names: tuple[str, ...]
     attained: tuple[Attained, ...]
-    duals: Mapping[Point, Values]
-    rank: Rank
-    objectives: Objectives
+    corners: tuple[Corner, ...]
 
-    claim: ClassVar[Claim] = Claim.CERTIFIED
+    kind: ClassVar[str] = "front"
 
     def __repr__(self) -> str:
         return f"Front({' and '.join(self.names)}: {len(self.attained)} vertices, certified)"
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """What the totals are called."""
+        return self.of.names
+
+    @property
     def vertices(self) -> list[Point]:
         """The totals of each vertex, by name in the order of `names`."""
-        sign = self.objectives.sign
+        sign = self.of.sign
         return [tuple(sign * value for value in a.total) for a in self.attained]
 
     @property
     def policies(self) -> list[Integers]:
         """Action numbers (S,) of the policy of each vertex."""
-        return [self.objectives.mdp.pair_action[a.pairs] for a in self.attained]
+        return [self.of.mdp.pair_action[a.pairs] for a in self.attained]
 
     @property
     def edges(self) -> list[Edge]:
@@ -141,9 +132,9 @@ class Front(Pictured):
         vertices, found = self.vertices, []
         size = len(self.names)
         shared: dict[tuple[int, int], list[Point]] = {}
-        for weights, tight in self._tight.items():
-            for both in combinations(tight, 2):
-                shared.setdefault(both, []).append(weights)
+        for corner in self.corners:
+            for both in combinations(corner.best, 2):
+                shared.setdefault(both, []).append(corner.weights)
         for (i, j), corners in sorted(shared.items()):
             if len(corners) < size - 1:
                 continue
@@ -166,16 +157,11 @@ class Front(Pictured):
     def facets(self) -> list[tuple[Point, tuple[int, ...]]]:
         """Weights, all positive, with the vertices that are optimal for them: one for each name."""
         size = len(self.names)
-        return [(w, tight) for w, tight in self._tight.items() if len(tight) >= size and all(w)]
-
-    @cached_property
-    def _tight(self) -> dict[Point, tuple[int, ...]]:
-        """Which vertices are optimal at each corner."""
-        return best_for(self.duals, [a.total for a in self.attained])
+        return [(c.weights, c.best) for c in self.corners if len(c.best) >= size and all(c.weights)]
 
     def totals(self, policy: PolicyLike) -> Point:
         """Return the exact totals of a policy, mixed ones too, from the start."""
-        of = self.objectives
+        of = self.of
         return tuple(of.sign * value for value in totals_under(of, policy_of(of.mdp, policy)))
 
     def distance(self, policy: PolicyLike) -> Fraction:
@@ -183,9 +169,9 @@ class Front(Pictured):
 
         It is the least (H(w) - w · totals) over the corners w, whose weights sum to 1.
         """
-        of = self.objectives
+        of = self.of
         own = totals_under(of, policy_of(of.mdp, policy))
-        return min(of.at_start(*v) - _worth(w, own) for w, v in self.duals.items())
+        return min(c.dual.mean(of.mdp.start) - _worth(c.weights, own) for c in self.corners)
 
     def report(self, policies: Mapping[str, PolicyLike] | None = None) -> Report:
         """Return vertices, edges and facets; `policies` by name are placed beside the front."""
@@ -193,7 +179,7 @@ class Front(Pictured):
         def named(values: Any) -> dict[str, Fraction]:
             return dict(zip(self.names, values, strict=True))
 
-        mdp = self.objectives.mdp
+        mdp = self.of.mdp
         vertices = [
             {
                 "values": named(vertex),
@@ -266,16 +252,6 @@ class Front(Pictured):
             frame["rate"] = [None, *(edge.rate for edge in self.edges)]
         return frame
 
-    def violations(self) -> list[str]:
-        """Return what does not hold of the front, in words: nothing where it is sound."""
-        of = Objectives.of(self.objectives.mdp, self.objectives.texts)
-        return front_violations(of, self.rank, self.attained, self.duals)
-
-    def save(self, path: str | Path) -> None:
-        """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
-        parts = {"rank": self.rank, "vertices": self.attained, "duals": self.duals}
-        FrontProof.about(self.objectives, **parts).save(path)
-
 
 def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     """Return the exact Pareto front of two or three expected totals from the start.
@@ -315,78 +291,66 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
             fix="name two or three",
         )
     of = Objectives.of(mdp_of(model), names)
-    if of.longest_cycle > LONGEST:
+    own = of.rows.pair_state[of.rows.pair]
+    moves = sp.csr_array((np.ones(len(own)), (own, of.rows.next)), (of.mdp.n_states,) * 2)
+    longest = int(np.bincount(strong_components(moves)).max())
+    if longest > LONGEST:
         raise ModelError(
-            f"{of.longest_cycle:,} states lead to each other, and the fractions of a front are "
-            "very long then",
+            f"{longest:,} states lead to each other, and the fractions of a front are very long "
+            "then",
             where="tradeoff",
             fix="stop after N steps (horizon), or ask for one optimum under limits (subject_to)",
         )
-    vertices, duals = _chain(of) if len(names) == 2 else _cells(of)
-    return Front(
-        names=of.names,
-        attained=tuple(sorted(vertices, key=lambda a: tuple(of.sign * v for v in a.total))),
-        duals={
-            tuple(Fraction(w, sum(corner)) for w in corner): Values(
-                values.top, values.below * sum(corner)
-            )
-            for corner, values in sorted(duals.items())
-        },
-        rank=rank_of(of),
-        objectives=of,
-    )
+    vertices, proven = _chain(of) if len(names) == 2 else _cells(of)
+    order = sorted(vertices, key=lambda a: tuple(of.sign * v for v in a.total))
+    corners = list[Corner]()
+    for weights, best in proven.items():
+        shares = tuple(Fraction(w, sum(weights)) for w in weights)
+        most = _worth(shares, best.total)
+        tight = (i for i, a in enumerate(order) if _worth(shares, a.total) == most)
+        dual = combined(best.values, shares)
+        corners.append(Corner(weights=shares, dual=dual, best=tuple(tight)))
+    corners.sort(key=lambda corner: corner.weights)
+    return Front(attained=tuple(order), corners=tuple(corners), **about(of))
 
 
-def _chain(of: Objectives) -> tuple[list[Attained], dict[Weights, Values]]:
-    """Return the vertices of two totals, and what bounds all policies for each edge's weights.
+def _chain(of: Objectives) -> tuple[list[Attained], dict[Weights, Attained]]:
+    """Return the vertices of two totals, and an optimal policy for each edge's weights.
 
     Between two vertices that are known, the normal of their chord either finds one beyond, or
-    proves the chord an edge (Aneja and Nair, 1979). Floats propose policies; what pairs lose
-    against one, exactly, proves it optimal or not.
+    proves the chord an edge (Aneja and Nair, 1979).
     """
-    duals, ends = dict[Weights, Values](), list[Attained]()
-    for alone in ((0, 1), (1, 0)):
-        own = optimum(of, alone)
-        duals[alone] = own.values
-        ends.append(extreme(of, alone, own))
-    first, last = (Losses(of, end) for end in ends)
-    vertices, open_ = [ends[0]], [] if ends[0].total == ends[1].total else [(first, last)]
+    alone: list[Weights] = [(0, 1), (1, 0)]
+    proven = {weights: extreme(of, weights) for weights in alone}
+    first, last = proven.values()
+    vertices, open_ = [first], [] if first.total == last.total else [(first, last)]
     while open_:
         left, right = open_.pop()
-        a, b = left.policy.total, right.policy.total
+        a, b = left.total, right.total
         ahead, _ = common([a[1] - b[1], b[0] - a[0]])
         weights = tuple(number // gcd(*ahead) for number in ahead)
-        best = left
-        signs = left.signs(weights)
-        if signs.min() < 0:
-            shares = [Fraction(w, sum(weights)) for w in weights]
-            best = Losses(of, attained(of, proposed(of, shares, left.policy.pairs)))
-            signs = best.signs(weights)
-        proven = signs.min() >= 0
-        found = best.optimum(of, weights, signs) if proven else optimum(of, weights)
-        if found.total > _worth(weights, a):
-            unique = proven and len(found.optimal) == of.mdp.n_states
-            new = best if unique else Losses(of, extreme(of, weights, found))
-            open_ += [(new, right), (left, new)]
+        best = left if left.optimal(of, weights) else extreme(of, weights, left.pairs)
+        if _worth(weights, best.total) > _worth(weights, a):
+            open_ += [(best, right), (left, best)]
         else:
-            duals[weights] = found.values
-            vertices.append(right.policy)
-    return vertices, duals
+            proven[weights] = best
+            vertices.append(right)
+    return vertices, proven
 
 
-def _cells(of: Objectives) -> tuple[list[Attained], dict[Weights, Values]]:
-    """Return the vertices of three totals, and what bounds all policies at each facet."""
+def _cells(of: Objectives) -> tuple[list[Attained], dict[Weights, Attained]]:
+    """Return the vertices of three totals, and an optimal policy at each facet."""
     search = _Search(of)
-    while missing := search.corners() - search.duals.keys():
+    while missing := search.corners() - search.best.keys():
         search.look(min(missing))
-    return search.vertices, {corner: search.duals[corner] for corner in search.corners()}
+    return search.vertices, {corner: search.best[corner] for corner in search.corners()}
 
 
 class _Search:
     """The vertices found, and the cell of weights for which each is the best.
 
-    Weights are whole numbers without a common divisor. `duals` has the values that bound the total
-    of all policies, for each of the weights that were looked at.
+    Weights are whole numbers without a common divisor. `best` has an optimal policy for each of the
+    weights that were looked at.
     """
 
     def __init__(self, of: Objectives):
@@ -395,23 +359,22 @@ class _Search:
         self.simplex = [tuple(int(i == k) for i in range(size)) for k in range(size)]
         self.vertices: list[Attained] = []
         self.cells: list[list[Weights]] = []
-        self.duals: dict[Weights, Values] = {}
+        self.best: dict[Weights, Attained] = {}
 
     def corners(self) -> set[Weights]:
         """Return the corners of all cells, to begin with those of all weights."""
         return {w for cell in self.cells for w in cell} or set(self.simplex)
 
     def look(self, weights: Weights) -> None:
-        """Solve for weights: keep what bounds all policies, and a vertex where one is new."""
-        if self.vertices:
-            best = max(self.vertices, key=lambda a: _worth(weights, a.total))
-            if known := known_optimum(self.of, weights, best):
-                self.duals[weights] = known
-                return
-        found = optimum(self.of, weights)
-        self.duals[weights] = found.values
-        if all(_worth(weights, a.total) < found.total for a in self.vertices):
-            self._add(extreme(self.of, weights, found))
+        """Keep an optimal policy for weights, and as a vertex where it is a new one."""
+        known = max(self.vertices, key=lambda a: _worth(weights, a.total), default=None)
+        if known is not None and known.optimal(self.of, weights):
+            self.best[weights] = known
+            return
+        new = extreme(self.of, weights, None if known is None else known.pairs)
+        self.best[weights] = new
+        if known is None or _worth(weights, new.total) > _worth(weights, known.total):
+            self._add(new)
 
     def _add(self, new: Attained) -> None:
         cell = self.simplex

@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import inf
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -33,25 +32,13 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Result
+from exact_mdp.solvers.exact.duals import allowed
 from exact_mdp.solvers.exact.find import visited
-from exact_mdp.solvers.exact.levels import fraction
+from exact_mdp.solvers.exact.levels import Level, fraction
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.checker import (
-    Cut,
-    Flow,
-    Interval,
-    Point,
-    Rank,
-    Values,
-    allowed,
-    totals_of,
-)
-from exact_mdp.solvers.objectives.file import WeightsProof
-from exact_mdp.solvers.objectives.occupancy import visits
-from exact_mdp.solvers.objectives.optima import optimum, rank_of
 from exact_mdp.solvers.objectives.simplex import maximise
-from exact_mdp.solvers.solution import Certified, Claim
+from exact_mdp.solvers.objectives.totals import Flow, Point, Proof, about, optimum
+from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -61,30 +48,52 @@ if TYPE_CHECKING:
 ZERO, ONE = Fraction(0), Fraction(1)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cut:
+    """A policy, by its visits, that is worth at most as much as another one; and a multiplier."""
+
+    flow: Flow
+    multiplier: Fraction
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Interval:
+    """Multipliers of one weight for which a policy is optimal, or None; and what proves it.
+
+    Attributes
+    ----------
+    low, high : Fraction, infinite, or None
+    at_low, at_high : Level, optional
+        What no policy exceeds at the ends; at infinity, of this component alone.
+    cuts : tuple of Flow
+        Visits of policies that are better beyond the ends.
+    """
+
+    low: Fraction | None
+    high: Fraction | float | None
+    at_low: Level | None
+    at_high: Level | None
+    cuts: tuple[Flow, ...]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Rationalization(Result):
+class Rationalization(Proof):
     """The least change of the weights of a reward under which a policy is optimal from the start.
 
     Attributes
     ----------
     change : Fraction
         The greatest relative change of a weight: 1 where nothing less than dropping weights does.
-    weights : {component: Fraction}
-        A multiplier for each component of the reward, 1 today.
-    alone : {component: (low, high) or None}
-        The multipliers of 0 or more of this component, the others unchanged, under which the policy
-        is optimal; None where there are none. `high` may be infinite.
-    flow : {pair: Fraction}
+    multipliers : tuple of Fraction
+        One for each component of the reward, 1 today.
+    flow : Flow
         Expected visits of pairs under the policy.
-    dual : Values
+    dual : Level
         What no policy exceeds under the weights.
     cuts : tuple of Cut
         Policies that nothing less than the change makes worse than this one, with multipliers.
-    intervals : {component: Interval}
-        What proves `alone`.
-    objectives : Objectives
-    rank : (S,) int64, optional
-        Proof that every policy ends, at discount 1.
+    intervals : tuple of Interval
+        The multipliers of each component alone under which the policy is optimal, with proofs.
 
     Examples
     --------
@@ -98,15 +107,13 @@ class Rationalization(Result):
     """
 
     change: Fraction
-    weights: dict[str, Fraction]
+    multipliers: tuple[Fraction, ...]
     flow: Flow
-    dual: Values
+    dual: Level
     cuts: tuple[Cut, ...]
-    intervals: dict[str, Interval]
-    objectives: Objectives
-    rank: Rank
+    intervals: tuple[Interval, ...]
 
-    claim: ClassVar[Claim] = Claim.CERTIFIED
+    kind: ClassVar[str] = "weights"
 
     @property
     def possible(self) -> bool:
@@ -114,9 +121,20 @@ class Rationalization(Result):
         return self.change < 1
 
     @property
+    def weights(self) -> dict[str, Fraction]:
+        """A multiplier for each component of the reward, 1 today."""
+        return dict(zip(self.of.names, self.multipliers, strict=True))
+
+    @property
     def alone(self) -> dict[str, tuple[Fraction, Fraction | float] | None]:
-        """The interval of each multiplier alone; see the class."""
-        return {name: own.ends for name, own in self.intervals.items()}
+        """The multipliers of 0 or more of each component, the others unchanged, that do it, too.
+
+        The upper end may be infinite; None where there are none.
+        """
+        return {
+            name: None if own.low is None or own.high is None else (own.low, own.high)
+            for name, own in zip(self.of.names, self.intervals, strict=True)
+        }
 
     def __repr__(self) -> str:
         done = f"a change of {float(self.change):.6g}" if self.possible else "no change below 1"
@@ -168,28 +186,6 @@ class Rationalization(Result):
         ]
         return pandas.DataFrame(rows, columns=["component", "multiplier", "alone from", "to"])
 
-    def violations(self) -> list[str]:
-        """Return what does not hold of the result, in words: nothing where it is sound."""
-        return self._proof.violations(self.objectives.mdp)
-
-    def save(self, path: str | Path) -> None:
-        """Write the proof as JSON, for `exact-mdp verify`; see `solvers.objectives.file`."""
-        self._proof.save(path)
-
-    @property
-    def _proof(self) -> WeightsProof:
-        proof: WeightsProof = WeightsProof.about(
-            self.objectives,
-            rank=self.rank,
-            weights=tuple(self.weights.values()),
-            change=self.change,
-            flow=self.flow,
-            dual=self.dual,
-            cuts=self.cuts,
-            intervals=tuple(self.intervals.values()),
-        )
-        return proof
-
 
 def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     """Return the least change of the weights of the reward that makes a policy optimal.
@@ -218,31 +214,31 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     mdp = mdp_of(model)
     of = Objectives.of(mdp, mdp.component_names)
     own = _flow(of, policy)
-    search = _Search(of, totals_of(of, own))
-    weights, change, dual, cuts = search.least()
+    search = _Search(of, own.totals(of))
+    multipliers, change, dual, cuts = search.least()
     return Rationalization(
         change=change,
-        weights=dict(zip(of.names, weights, strict=True)),
+        multipliers=tuple(multipliers),
         flow=own,
         dual=dual,
         cuts=cuts,
-        intervals={name: search.alone(k) for k, name in enumerate(of.names)},
-        objectives=of,
-        rank=rank_of(of),
+        intervals=tuple(search.alone(k) for k in range(len(of.names))),
+        **about(of),
     )
 
 
 def _flow(of: Objectives, policy: PolicyLike) -> Flow:
     """Return the expected visits of pairs under any policy."""
     chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
-    states = of.reached(chain.pairs) & ~of.ending.terminal
-    found = visited(mixed_rows(of.rows, chain), states, of.mdp.start)
-    below = found.each_below
-    return {
-        pair: share * fraction(found.top[s], below[s])
-        for s in np.flatnonzero(states).tolist()
-        for pair, share in chain.exact_weights(s).items()
-    }
+    states = chain.reached & ~of.ending.terminal
+    (level,) = visited(mixed_rows(of.rows, chain), states, of.mdp.start)
+    pairs, visits = list[int](), list[Fraction]()
+    for s in np.flatnonzero(states).tolist():
+        if number := fraction(level.top[s], level.below[level.group[s]]):
+            shares = chain.exact_weights(s)
+            pairs += shares
+            visits += [share * number for share in shares.values()]
+    return Flow(pairs=np.array(pairs, dtype=np.int64), visits=Level.of(visits))
 
 
 class _Search:
@@ -252,18 +248,22 @@ class _Search:
         self.of, self.totals = of, totals
         self.found: list[tuple[Flow, Point]] = []
 
-    def beaten(self, weights: Sequence[Fraction]) -> Values | tuple[Flow, Point]:
-        """Return what proves that the policy is optimal for weights, or one that beats it."""
-        best = optimum(self.of, weights)
-        if best.total == sum((w * v for w, v in zip(weights, self.totals, strict=True)), ZERO):
-            return best.values
-        state = self.of.mdp.pair_state[best.optimal]
-        other = visits(self.of, best.optimal[np.flatnonzero(np.diff(state, prepend=-1))])
-        lead = zip(totals_of(self.of, other), self.totals, strict=True)
-        self.found.append((other, tuple(a - b for a, b in lead)))
-        return self.found[-1]
+    def beaten(self, weights: Sequence[Fraction]) -> Level | None:
+        """Return what proves that the policy is optimal for weights; None after one beats it."""
+        pairs, value = optimum(self.of, weights)
+        own = sum((w * v for w, v in zip(weights, self.totals, strict=True)), ZERO)
+        if value.mean(self.of.mdp.start) == own:
+            return value
+        states = ~self.of.rows.terminal
+        (level,) = visited(self.of.rows.of_pairs(pairs), states, self.of.mdp.start)
+        taken = np.flatnonzero([states[s] and top > 0 for s, top in enumerate(level.top)])
+        visits = replace(level, top=[level.top[s] for s in taken], group=level.group[taken])
+        flow = Flow(pairs=pairs[taken], visits=visits)
+        lead = tuple(a - b for a, b in zip(flow.totals(self.of), self.totals, strict=True))
+        self.found.append((flow, lead))
+        return None
 
-    def least(self) -> tuple[list[Fraction], Fraction, Values, tuple[Cut, ...]]:
+    def least(self) -> tuple[list[Fraction], Fraction, Level, tuple[Cut, ...]]:
         """Return weights, the change, the proof of optimality and that of the change."""
         size = len(self.totals)
         unit = [[Fraction(i == k) for i in range(size)] for k in range(size)]
@@ -273,32 +273,29 @@ class _Search:
             columns = bounds + [[*(-x for x in lead), ZERO] for _, lead in self.found]
             solved = maximise([*worth, *[ZERO] * len(self.found)], columns, [*[ZERO] * size, ONE])
             *weights, change = solved.y
-            found = self.beaten(weights)
-            if isinstance(found, Values):
-                multipliers = solved.x[2 * size :]
-                cuts = tuple(
-                    Cut(flow=other, multiplier=x)
-                    for (other, _), x in zip(self.found, multipliers, strict=True)
-                    if x
-                )
-                return weights, change, found, cuts
+            dual = self.beaten(weights)
+            if dual is not None:
+                each = zip(self.found, solved.x[2 * size :], strict=False)
+                cuts = tuple(Cut(flow=other, multiplier=x) for (other, _), x in each if x)
+                return weights, change, dual, cuts
 
     def alone(self, k: int) -> Interval:
         """Return the multipliers of one component under which the policy is optimal."""
         size = len(self.totals)
 
-        def beaten(x: Fraction | float) -> Values | None:
-            rest = ONE if x < inf else ZERO
-            weights = [rest] * size
+        def beaten(x: Fraction | float) -> Level | None:
+            weights = [Fraction(x != inf)] * size
             weights[k] = ONE if isinstance(x, float) else x
-            found = self.beaten(weights)
-            return found if isinstance(found, Values) else None
+            return self.beaten(weights)
 
         beaten(inf)
         while True:
-            low, high, cuts = allowed(
-                [(other, lead[k], sum(lead) - lead[k]) for other, lead in self.found]
-            )
+            lines = [(lead[k], sum(lead) - lead[k]) for _, lead in self.found]
+            low, high = allowed(lines)
+            each = [allowed([line]) for line in lines]
+            binding = [i for i, own in enumerate(each) if low > 0 and own[0] == low][:1]
+            binding += [i for i, own in enumerate(each) if high < inf and own[1] == high][:1]
+            cuts = tuple(self.found[i][0] for i in sorted({*binding}))
             if low > high:
                 return Interval(low=None, high=None, at_low=None, at_high=None, cuts=cuts)
             at_low = beaten(low)

@@ -127,7 +127,7 @@ def certify(
 def _alone(mdp: MDP) -> Certificate:
     """Return the proof of values that are the one solution of their equations."""
     rows = exact_rows(mdp)
-    _, value, sign = best(rows, nearly(rows, mdp.pair_offsets[:-1]))
+    _, (value,), sign = best(rows, nearly(rows, mdp.pair_offsets[:-1]))
     optimal = sign == 0
     rank = termination(mdp).rank if mdp.discount_exact == 1 else None
     return certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)

@@ -2,15 +2,13 @@
 
     python checker.py model.json certificate.json    exit status 0: it holds, 1: it does not, 2: bad
 
-With d(x) = Σ p(s') x(s') - x(s), for rewards that are maximised, all pairs of a state and an action
-have d(g) ≤ 0; where that is 0, r - g + d(h) ≤ 0; where that is 0, too, d(w) - h ≤ 0; and those of
-the policy all three as equations. So g is the greatest average reward per step and h the greatest
-bias (Puterman, Markov Decision Processes, 1994, sections 9.1 and 10.2). Discounted values are
-g / (1 - γ) + h and what vanishes as γ tends to 1: the total reward, their limit, is +∞ where g > 0,
--∞ where g < 0, and else h.
-
-V = max r + γ P V alone will do, as h, below discount 1, and where a rank that each pair may lower
-shows that every run ends. For goals see `reaching`; for the files docs/reference/certificates.md.
+With d(x) = Σ p(s') x(s') - x(s), for rewards that are maximised, all pairs have d(g) ≤ 0; where
+that is 0, r - g + d(h) ≤ 0; where that is 0, too, d(w) - h ≤ 0; and those of the policy all three
+as equations. So g is the greatest average reward per step and h the greatest bias (Puterman, Markov
+Decision Processes, 1994, sections 9.1 and 10.2). Discounted values tend to g / (1 - γ) + h: the
+total reward, their limit, is +∞ where g > 0, -∞ where g < 0, and else h. Below discount 1, and
+where a rank that each pair may lower shows that every run ends, V = max r + γ P V alone will do, as
+h. For goals see `reaching`; for files docs/reference/certificates.md.
 """
 
 from __future__ import annotations
@@ -47,9 +45,7 @@ def wanted(condition: object, what: str) -> None:
 
 def ratio(given: object, what: str) -> Fraction:
     """Read an integer, or a text such as "-7", "0x1f" or "1/3"."""
-    if type(given) is int:
-        return Fraction(given)
-    found = NUMBER.fullmatch(given) if isinstance(given, str) else None
+    found = NUMBER.fullmatch(str(given)) if type(given) in (int, str) else None
     try:
         return Fraction(int(found[1], 0), int(found[3] or "1", 0)) if found else Fraction("")
     except (ValueError, ZeroDivisionError) as error:  # 007, 1/0, or digits beyond Python's limit
@@ -68,6 +64,13 @@ def headed(given: Any, kind: str) -> None:
     """Raise Unreadable unless content is of a kind and of version 2."""
     head = [given.get(key) for key in ("format", "version")] if type(given) is dict else None
     wanted(head == [f"exact-mdp {kind}", 2], f"no {kind}: format and version are {str(head)[:80]}")
+
+
+def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of a JSON file; raises Unreadable for a key that is written twice."""
+    keys = [key for key, _ in pairs]
+    wanted(len({*keys}) == len(keys), f"{max(keys, key=keys.count, default='')!r} is written twice")
+    return dict(pairs)
 
 
 class Level:
@@ -312,8 +315,7 @@ class Check:
         best: list[list[list[int]]] = [[] for _ in range(self.model.states)]
         for pair, state in enumerate(self.model.state):
             best[state] += [self.model.next[pair]] if self.optimal[pair] else []
-        waiting = [state for state, _ in self.model.start]
-        seen = {*waiting}
+        seen = {*(waiting := [state for state, _ in self.model.start])}
         for state in waiting:
             if len(best[state]) != 1 and state not in self.model.ends:
                 return False
@@ -329,15 +331,14 @@ def violations(model: object, certificate: object) -> list[str]:
 
 def read(path: str) -> Any:
     """Return the content of a JSON file."""
-    return json.loads(Path(path).read_text("utf-8-sig"))
+    return json.loads(Path(path).read_text("utf-8-sig"), object_pairs_hook=once)
 
 
-def main(words: Sequence[str] | None = None, load: Callable[[str], Any] = read) -> int:
+def main(words: Sequence[str], load: Callable[[str], Any] = read) -> int:
     """Check a certificate file against a model file, and say what does not hold."""
-    asked = sys.argv[1:] if words is None else words
     try:
-        wanted(len(asked) == 2, "give two files: model.json certificate.json")
-        wrong = violations(load(asked[0]), read(asked[1]))
+        wanted(len(words) == 2, "give two files: model.json certificate.json")
+        wrong = violations(load(words[0]), read(words[1]))
     except (ValueError, OSError, RecursionError) as error:
         print(f"not checked: {error}", file=sys.stderr)
         return 2
@@ -346,4 +347,4 @@ def main(words: Sequence[str] | None = None, load: Callable[[str], Any] = read) 
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

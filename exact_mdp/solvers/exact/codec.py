@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
 from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.exact.checker import Unreadable, once
 from exact_mdp.solvers.exact.levels import fraction
 
 T = TypeVar("T")
@@ -141,11 +142,13 @@ def load(kinds: Mapping[str, type[T]], path: str | Path) -> tuple[str, T]:
     """Read a certificate of one of some kinds; raises ModelError for another file."""
     where = str(path)
     try:
-        data = json.loads(read_bytes(path, most=LARGEST))
+        data = json.loads(read_bytes(path, most=LARGEST), object_pairs_hook=once)
     except (ValueError, RecursionError) as error:
         if isinstance(error, ModelError):
             raise
-        raise _damaged("not a certificate, which is JSON text", where) from error
+        twice = isinstance(error, Unreadable)
+        what = str(error) if twice else "not a certificate, which is JSON text"
+        raise _damaged(what, where) from error
     data = data if isinstance(data, dict) else {}
     head: dict[str, list[Any]] = {"format": [FORMAT], "version": [VERSION], "kind": [*kinds]}
     for key, known in head.items():

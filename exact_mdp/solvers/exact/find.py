@@ -152,7 +152,7 @@ def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifica
     order = graph.distance(label >= 0, every)
     finite = order < 0
     part, number = _closed(rows, finite)
-    _, values, sign = best(part, nearly(part, part.pair_offsets[:-1]))
+    _, (values,), sign = best(part, nearly(part, part.pair_offsets[:-1]))
     optimal = np.zeros(mdp.n_pairs, dtype=bool)
     optimal[number[sign == 0]] = True
     optimal[~finite[state]] = (staying | _falling(graph, order))[~finite[state]]
@@ -195,7 +195,7 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifi
     shape = (mdp.n_states, mdp.n_states)
     moves = sp.csr_array((np.ones(len(chain.next)), chain.next, chain.offsets), shape)
     ends = closure(moves.T.tocsr(), part.terminal.copy()).all()
-    own, values, _ = best(part, own if ends else first)
+    own, (values,), _ = best(part, own if ends else first)
     policy = np.where(finite, number[own], policy)
     used = np.zeros(mdp.n_pairs, dtype=bool)
     used[policy[finite]] = True
@@ -288,36 +288,58 @@ def evaluated(rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = (
     return solve_all(equations(rows.of_pairs(pairs)), sides)
 
 
-def visited(rows: BellmanRows, states: Flags, start: Sequence[tuple[int, Fraction]]) -> Level:
-    """Return how often each state is visited from a start, for rows of one pair in each state.
+def visited(
+    rows: BellmanRows, states: Flags, *starts: Sequence[tuple[int, Fraction]]
+) -> list[Level]:
+    """Return how often each state is visited from each start, for rows of one pair in each state.
 
     x(t) = μ(t) + Σ x(s) γ P(s, t) over some states s; the others count arrivals.
     """
-    side, (first, unit) = [0] * len(rows.scale), common([share for _, share in start])
-    for (state, _), number in zip(start, first, strict=True):
-        side[state] += number
-    (level,) = solve_all(equations(rows, states).transposed, [side])
-    top = [number * scale for number, scale in zip(level.top, rows.scale.tolist(), strict=True)]
-    return replace(level, top=top, below=[unit * below for below in level.below])
+    sides, units = list[list[int]](), list[int]()
+    for start in starts:
+        first, unit = common([share for _, share in start])
+        side = [0] * len(rows.scale)
+        for (state, _), number in zip(start, first, strict=True):
+            side[state] += number
+        sides.append(side)
+        units.append(unit)
+    scale, levels = rows.scale.tolist(), solve_all(equations(rows, states).transposed, sides)
+    return [
+        replace(
+            level,
+            top=[number * own for number, own in zip(level.top, scale, strict=True)],
+            below=[unit * below for below in level.below],
+        )
+        for level, unit in zip(levels, units, strict=True)
+    ]
 
 
-def best(rows: BellmanRows, pairs: Integers) -> tuple[Integers, Level, Integers]:
+def best(
+    rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()
+) -> tuple[Integers, list[Level], Integers]:
     """Return optimal pairs (S,), their values, and the sign (L,) of what each pair gains.
 
-    Every policy on the way from the first one ends, since no class of states gains anything for
-    ever: a pair takes the place of another only if it is better.
+    With several amounts (L,), one after the other settles ties of those before. Every policy on the
+    way from the first one ends, since no class of states gains anything for ever: a pair takes the
+    place of another only if it is better.
     """
+    each = [replace(rows, constant=own) for own in amounts or [rows.constant]]
     while True:
-        (value,) = evaluated(rows, pairs)
-        sign = signs(rows, value, pairs)
+        values = evaluated(rows, pairs, amounts)
+        sign = np.zeros(len(rows.constant), dtype=np.int64)
+        for own, value in zip(each, values, strict=True):
+            sign = np.where(sign == 0, signs(own, value, pairs), sign)
         gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
         if not len(gaining):
-            return pairs, value, sign
-        ((tops, belows),) = surplus(rows, value, pairs=gaining)
-        pairs, most = pairs.copy(), dict[int, Fraction]()
-        for pair, top, below in zip(gaining.tolist(), tops, belows, strict=True):
-            state, gain = int(rows.pair_state[pair]), fraction(top, below)
-            if gain > most.get(state, 0):
+            return pairs, values, sign
+        columns = [
+            [fraction(*gain) for gain in zip(*surplus(own, value, pairs=gaining)[0], strict=True)]
+            for own, value in zip(each, values, strict=True)
+        ]
+        pairs, most = pairs.copy(), dict[int, tuple[Fraction, ...]]()
+        for pair, gain in zip(gaining.tolist(), zip(*columns, strict=True), strict=True):
+            state = int(rows.pair_state[pair])
+            if state not in most or gain > most[state]:
                 most[state], pairs[state] = gain, pair
 
 

@@ -28,23 +28,22 @@ from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.graph import (
     SHOWN,
-    Mask,
     components,
     reachable,
-    strong_components,
     termination,
     ways_out,
 )
+from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers, Numbers, exact, integers, multiply, ones, spans
+from exact_mdp.mdp.table import Numbers, exact, integers, multiply, ones
+from exact_mdp.solvers.exact.checker import Model
+from exact_mdp.solvers.exact.duals import Totals
 
-SHORT = 40  # states on a cycle, which are solved fast whatever is asked
 REWARD, STEPS = "reward", "steps"
 Column = tuple[Numbers, Numbers]
 
@@ -123,65 +122,17 @@ class Objectives:
         """1, or -1 where rewards are costs."""
         return 1 if self.mdp.sense == "max" else -1
 
-    @cached_property
-    def longest_cycle(self) -> int:
-        """The largest number of states that lead to each other, or 0: fractions are as long."""
-        own = self.rows.pair_state[self.rows.pair]
-        moves = (np.ones(len(own)), (own, self.rows.next))
-        _, size = np.unique(
-            strong_components(sp.csr_array(moves, (self.mdp.n_states,) * 2)), return_counts=True
-        )
-        return int(size.max()) * bool(size.max() > 1)
-
-    @property
-    def cyclic(self) -> bool:
-        """Whether many states lead to each other, so that fractions are long."""
-        return self.longest_cycle > SHORT
-
-    @cached_property
-    def in_floats(self) -> tuple[sp.csr_array, Floats]:
-        """(L, S) discounted transitions and (K, L) amounts as floats, none of terminal states.
-
-        An OverflowError is raised where there are none.
-        """
-        rows, state = self.rows, self.mdp.pair_state
-        live, scale = ~rows.terminal[state], rows.scale[state].astype(object)
-        share = live[rows.pair] * (rows.weight / scale[rows.pair]).astype(np.float64)
-        moves = sp.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(rows.scale)))
-        earned = [live * (own / scale).astype(np.float64) for own in self.amounts]
-        return moves, np.array(earned)
-
     def weighted(self, weights: Sequence[int]) -> Numbers:
         """Return (L,) the amounts added up, with weights."""
         total = sum(w * own.astype(object) for w, own in zip(weights, self.amounts, strict=True))
         return integers(np.asarray(total).tolist())
 
-    def restricted(self, chosen: Integers, constant: Numbers) -> BellmanRows:
-        """Return the equations of some pairs (K,), in rising order, at least one of each state."""
-        rows, first = self.rows, self.rows.offsets[chosen]
-        last = rows.offsets[chosen + 1]
-        entries = spans(first, last)
-        counts = np.bincount(rows.pair_state[chosen], minlength=len(rows.scale))
-        return replace(
-            rows,
-            pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
-            offsets=np.concatenate([[0], np.cumsum(last - first)]),
-            constant=constant[chosen],
-            next=rows.next[entries],
-            weight=rows.weight[entries],
-        )
-
-    def reached(self, pairs: Integers, first: Sequence[int] | None = None) -> Mask:
-        """Return (S,) True for states that count from the start, or from the `first` ones.
-
-        At discount 0 no later ones do.
-        """
-        return reachable(self.mdp, first, pairs if self.mdp.discount_exact else pairs[:0])
-
-    def at_start(self, values: Sequence[int], below: int) -> Fraction:
-        """Return the mean over the start distribution of values (S,) over one denominator."""
-        total = sum((weight * values[state] for state, weight in self.mdp.start), Fraction(0))
-        return total / below
+    def counted(self) -> Totals:
+        """Return what the checker of proofs looks at."""
+        model, scale = Model(model_json.content(self.mdp)), self.rows.scale[self.mdp.pair_state]
+        each = [zip(own.tolist(), scale.tolist(), strict=True) for own in self.amounts]
+        amounts = [[Fraction(top, below) for top, below in own] for own in each]
+        return Totals(model, self.names, amounts)
 
     def _require_finite(self) -> None:
         """Raise ModelError, naming an objective, where a policy need not end at discount 1."""

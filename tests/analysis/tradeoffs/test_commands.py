@@ -32,7 +32,7 @@ def test_a_front_as_json(tmp_path: Path) -> None:
         (n, n + 1) for n in range(len(got) - 1)
     ]
     assert [Fraction(e["rate"]) for e in found["edges"]] == [e.rate for e in front.edges]
-    mdp = front.objectives.mdp
+    mdp = front.mdp
     for vertex, point in zip(found["vertices"], front.vertices, strict=True):
         assert front.totals(as_read(mdp, tmp_path, vertex["policy"])) == point
     assert Fraction(found["policies"][0]["distance"]) == front.distance("random") > 0
@@ -161,5 +161,5 @@ def test_commands_write_proofs(tmp_path: Path) -> None:
     assert (found["feasible"], found["closest"]) == (False, wanted["closest"])
     assert "anger >= 0" in run("verify", limits, "yuan2025", *SMALL).out
     assert run("verify", limits, "yuan2025").status == 1
-    front.write_text(front.read_text().replace('"duals"', '"dual"'))
+    front.write_text(front.read_text().replace('"corners"', '"corner"'))
     assert run("verify", front, "yuan2025", *SMALL).status == 2

@@ -7,7 +7,6 @@ import random
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
-from operator import mul
 from typing import Any
 
 import numpy as np
@@ -79,7 +78,7 @@ def test_three_totals_bound_all_policies_and_are_attained(mdp: MDP, data: Any) -
     number = every.index(point)
     policy = list(product(*(mdp.pairs_of(s) for s in range(mdp.n_states))))[number]
     far = front.distance(mdp.pair_action[list(policy)])
-    assert far == min((best(w, vertices) - best(w, [point])) / sum(w) for w in front.duals)
+    assert far == min((best(c.weights, vertices) - best(c.weights, [point])) for c in front.corners)
 
 
 def best(weights: Any, points: list[Point]) -> Fraction:
@@ -196,7 +195,7 @@ def test_a_run_that_misses_the_goal_has_no_finite_total() -> None:
         (["anger", "x=2*angry-trial"], "called 'angry'"),
         (["anger", "anger"], "'anger' is named twice"),
         (["anger"], "front of 1 totals"),
-        ("anger", "front of anger totals"),
+        ("anger", "front of 'anger' totals"),
         (["anger", "x="], "names nothing to count"),
         (["anger", "x=1/0*trial"], "not a finite rational"),
         (["anger", "x=2 trial"], "nothing to count"),
@@ -213,12 +212,12 @@ def test_the_checker_notices() -> None:
     front = tradeoff(Scenario.load("yuan2025").with_(tasks=[1]), ["anger", "subtask-complete"])
     assert len(front.vertices) > 3
     one = front.attained[1]
-    low = {w: type(d)([v - 1 for v in d.top], d.below) for w, d in front.duals.items()}
+    low = [replace(c, dual=replace(c.dual, top=[v - 1 for v in c.dual.top])) for c in front.corners]
     for broken in (
         replace(front, attained=front.attained[1:]),
         replace(front, attained=(*front.attained[:1], *front.attained[2:])),
-        replace(front, duals=dict(list(front.duals.items())[1:])),
-        replace(front, duals=low),
+        replace(front, corners=front.corners[1:]),
+        replace(front, corners=tuple(low)),
         replace(front, attained=(replace(one, total=(F(0), F(0))), *front.attained)),
         replace(front, attained=(replace(one, pairs=one.pairs[:-1]), *front.attained[1:])),
         replace(front, attained=(*front.attained, one)),
@@ -236,12 +235,11 @@ def test_a_vertex_written_twice_does_not_count_twice(third: dict[str, list[int]]
     assert len(front.attained) > 1
     for vertex in front.attained:
         copies = {n: [vertex] * n for n in range(2, 7)}
-        own = {
-            w: d
-            for w, d in front.duals.items()
-            if front.objectives.at_start(*d) == sum(map(mul, w, vertex.total))
-        }
-        forged = [replace(front, attained=tuple(some), duals=own) for some in copies.values()]
+        number = front.attained.index(vertex)
+        own = [replace(c, best=(0, 1)) for c in front.corners if number in c.best]
+        forged = [
+            replace(front, attained=tuple(some), corners=tuple(own)) for some in copies.values()
+        ]
         forged.append(replace(front, attained=(*front.attained, vertex)))
         assert all("written twice" in " ".join(each.violations()) for each in forged)
 

@@ -52,7 +52,7 @@ def test_deep_sea_treasure(discount: Fraction) -> None:
     assert worth == {(w, max(a + w * b for a, b in published)) for w in (0, 1, 2)}
     edge = front.edges[-1]  # half-way along it, the price of the limit is that of its slope
     middle = (front.vertices[-2][0] + front.vertices[-1][0]) / 2
-    held = solve(front.objectives.mdp, subject_to={"treasure": f">= {middle}"})
+    held = solve(front.mdp, subject_to={"treasure": f">= {middle}"})
     assert (held.totals["treasure"], held.prices["treasure"]) == (middle, edge.rate - 1)
 
 
@@ -100,7 +100,10 @@ def test_resource_gathering() -> None:
     assert front.violations() == []
     mine = [tuple(g * value for value in vertex) for vertex in front.vertices]
     for point in listed:
-        assert all(dot(w, point) <= max(dot(w, v) for v in mine) for w in front.duals)
+        assert all(
+            dot(w, point) <= max(dot(w, v) for v in mine)
+            for w in (c.weights for c in front.corners)
+        )
     assert set(mine) <= set(listed)
 
 

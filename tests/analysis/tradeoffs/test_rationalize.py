@@ -81,18 +81,24 @@ def test_the_checker_notices() -> None:
     assert found.violations() == []
     assert 0 < found.change < 1
     best = rationalize(scenario, "optimal")
-    name, own = next((name, own) for name, own in best.intervals.items() if own.low)
+    place, own = next((k, own) for k, own in enumerate(best.intervals) if own.low)
     assert own.low is not None
+
+    def other(**part: Any) -> Any:
+        intervals = [*best.intervals]
+        intervals[place] = replace(own, **part)
+        return replace(best, intervals=tuple(intervals))
+
     for broken in (
         replace(found, change=found.change / 2),
-        replace(found, weights=dict.fromkeys(found.weights, F(1))),
+        replace(found, multipliers=(F(1),) * len(found.multipliers)),
         replace(found, cuts=()),
         replace(found, cuts=found.cuts[:-1]),
-        replace(found, dual=type(found.dual)([v - 1 for v in found.dual.top], found.dual.below)),
+        replace(found, dual=replace(found.dual, top=[v - 1 for v in found.dual.top])),
         replace(found, flow=best.flow),
-        replace(best, intervals={**best.intervals, name: replace(own, low=own.low / 2)}),
-        replace(best, intervals={**best.intervals, name: replace(own, low=None)}),
-        replace(best, intervals={**best.intervals, name: replace(own, cuts=())}),
+        other(low=own.low / 2),
+        other(low=None),
+        other(cuts=()),
     ):
         assert broken.violations()
 

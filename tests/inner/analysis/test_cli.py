@@ -18,21 +18,13 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import MDP, ModelError, Policy, Scenario, rationalize, solve, tradeoff
+from exact_mdp import MDP, ModelError, Policy, Scenario
 from exact_mdp.analysis.gate.junit import Case, junit, write_junit
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.mdp.report import Report, at_most, decimal, digits_of, number, ratio
 from exact_mdp.mdp.table import beside
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
-from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.checker import totals_of
-from exact_mdp.solvers.objectives.file import (
-    FrontProof,
-    LimitsProof,
-    ObjectivesProof,
-    WeightsProof,
-)
 from exact_mdp.solvers.parallel import write_piece
 
 
@@ -282,86 +274,3 @@ def test_a_policy_by_status_is_one_that_reads_nothing_else(tmp_path: Path) -> No
         assert (found.keys() == {f"{n:04b}" for n in range(16)}) is by_status
         again = as_read(mdp, tmp_path, found)
         assert (again.weights(mdp) == Policy.from_choices(mdp, numbers).weights(mdp)).all()
-
-
-PARTS = {"a": [0, 5, 1, 7, 2, 3], "b": [4, 1, 6, 2, 5, 5]}
-CYCLE = [
-    (s, a, [("1/2", (s + 1) % 3, PARTS["a"][2 * s + a]), ("1/2", a, PARTS["a"][2 * s + a])])
-    for s in range(3)
-    for a in (0, 1)
-]
-THREE = MDP.from_outcomes(CYCLE, "3/4", components=PARTS)
-
-
-def proofs(folder: Path) -> dict[str, Path]:
-    """One proof of each kind about totals, as files."""
-    made = {
-        "front": tradeoff(THREE, ["a", "b"]),
-        "limits": solve(THREE, subject_to={"b": ">= 15"}),
-        "weights": rationalize(THREE, "always:0"),
-        "infeasible": solve(THREE, subject_to={"b": ">= 600"}),
-    }
-    THREE.save(folder / "three.npz")
-    assert made["limits"].randomises
-    for name, found in made.items():
-        found.save(folder / f"{name}.json")
-    return {name: folder / f"{name}.json" for name in made}
-
-
-def changed(content: object) -> list[object]:
-    """The same with one number in it changed: each in turn."""
-    if isinstance(content, dict):
-        items, build = list(content.items()), dict
-        found = []
-        for n, (key, value) in enumerate(items):
-            found += [build([*items[:n], (key, new), *items[n + 1 :]]) for new in changed(value)]
-        return found
-    if isinstance(content, list):
-        return [
-            [*content[:n], new, *content[n + 1 :]]
-            for n, value in enumerate(content)
-            for new in changed(value)
-        ]
-    if isinstance(content, int):
-        return [content + 1]
-    if not isinstance(content, str) or not content.lstrip("-").startswith("0x"):
-        return []
-    top, over, below = content.partition("/")
-    return [f"{hex(int(top, 16) + 1)}{over}{below}"]
-
-
-def said(proof: ObjectivesProof) -> list[object]:
-    """What a proof proves, as numbers."""
-    if isinstance(proof, FrontProof):
-        return [vertex.total for vertex in proof.vertices]
-    if isinstance(proof, WeightsProof):
-        return [proof.found(THREE)]
-    assert isinstance(proof, LimitsProof)
-    of = Objectives.of(THREE, proof.objectives)
-    return [proof.found(THREE), proof.shift, proof.price, totals_of(of, proof.flow)]
-
-
-def test_proofs_about_totals_are_files_that_are_checked(tmp_path: Path) -> None:
-    """Each holds for its model, for no other one; with a number changed it proves nothing else."""
-    other = THREE.with_(components={"a": PARTS["b"], "b": PARTS["a"]})
-    for name, path in proofs(tmp_path).items():
-        found = run("verify", path, tmp_path / "three.npz", "--json")
-        assert (found.status, found.result["holds"], found.result["claim"]) == (
-            0, True, "certified",
-        )  # fmt: skip
-        content = json.loads(path.read_text())
-        assert ObjectivesProof.load(path).violations(other)
-        assert ObjectivesProof.load(path).violations(THREE.with_(discount="1/2"))
-        parts = content.keys() - {"format", "version", "kind", "model", "objectives"}
-        proven, refused = said(ObjectivesProof.load(path)), list[bool]()
-        for part in parts:
-            for new in changed(content[part]):
-                path.write_text(json.dumps(content | {part: new}))
-                try:
-                    forged = ObjectivesProof.load(path)
-                except ModelError:
-                    continue
-                refused.append(bool(forged.violations(THREE)))
-                assert refused[-1] or said(forged) == proven, (name, part, new)
-        assert sum(refused) > 0.3 * len(refused)
-    assert found.result["feasible"] is False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from copy import deepcopy
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exact_mdp import MDP, Certificate, certify
+from exact_mdp import MDP, Certificate, ModelError, certify, rationalize, solve, tradeoff
+from exact_mdp.analysis.cli.policies import KINDS
 from exact_mdp.mdp.io import model_json
-from exact_mdp.solvers.exact import checker
+from exact_mdp.solvers.exact import checker, codec
 
 LOOP = [
     (0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]),
@@ -116,8 +118,8 @@ def changes(value: Any) -> Iterator[Any]:
         yield from (value[:-1], [*value, *value[-1:]], value[::-1], None)
         if value and isinstance(value[0], int):
             yield from ([0] * len(value), [each + 1 for each in value])
-        elif value:
-            yield [hex(2 * int(each, 16)) for each in value]
+        elif value and isinstance(value[0], str) and value[0].lstrip("-").startswith("0x"):
+            yield [hex(2 * int(each.partition("/")[0], 16)) for each in value]
     elif isinstance(value, dict):
         for key, each in value.items():
             for other in changes(each):
@@ -188,6 +190,88 @@ def under(mdp: MDP, policy: list[int]) -> MDP:
         pair_state=mdp.pair_state[wanted],
         pair_action=mdp.pair_action[wanted],
     )
+
+
+PARTS = {"a": [0, 5, 1, 7, 2, 3], "b": [4, 1, 6, 2, 5, 5], "c": [1, 0, 2, 2, 0, 1]}
+THREE = MDP.from_outcomes(
+    [
+        (s, a, [("1/2", (s + 1) % 3, PARTS["a"][2 * s + a]), ("1/2", a, PARTS["a"][2 * s + a])])
+        for s in range(3)
+        for a in (0, 1)
+    ],
+    "3/4",
+    components={"a": PARTS["a"], "b": PARTS["b"]},
+)
+ENDING = MDP.from_outcomes(
+    [(0, 0, [(1, 1, 5)]), (0, 1, [("1/2", 1, 3), ("1/2", 2, 3)]), (1, 0, [(1, 2, 1)]),
+     (1, 1, [(1, 2, 2)]), (2, 0, [(1, 2, 0)])],
+    components={"a": [5, 3, 1, 2, 0], "b": [0, 1, 4, 1, 0], "c": [1, 2, 0, 1, 0]}, sense="min",
+)  # fmt: skip
+TOTALS: dict[str, Any] = {
+    "front": lambda: tradeoff(THREE, ["a", "b"]),
+    "front of costs": lambda: tradeoff(ENDING, ["a", "b", "c"]),
+    "limits": lambda: solve(THREE, subject_to={"b": ">= 15"}),
+    "limits of costs": lambda: solve(ENDING, subject_to={"b": "<= 3", "c": ">= 1"}),
+    "infeasible": lambda: solve(THREE, subject_to={"b": ">= 600"}),
+    "weights": lambda: rationalize(THREE, "always:0"),
+    "weights of costs": lambda: rationalize(ENDING, {"0": "1", "1": "0", "2": "0"}),
+}
+
+
+def proven(proof: Any) -> list[Any]:
+    """What a proof about totals proves."""
+    if proof.kind == "front":
+        return [proof.vertices, proof.edges, sorted(proof.facets)]
+    if proof.kind == "weights":
+        earned = dict(zip(proof.of.names, proof.flow.totals(proof.of), strict=True))
+        return [proof.change, proof.weights, proof.alone, earned]
+    return [proof.start_value, proof.totals, proof.prices, proof.closest]
+
+
+def truth(proof: Any, made: Any) -> list[Any]:
+    """What is true of what a proof is about: a limit may be changed, too."""
+    if proof.kind == "limits":
+        named = {limit.name: str(limit).removeprefix(limit.name) for limit in proof.limits}
+        made = solve(made.mdp, subject_to=named)
+    return proven(made)
+
+
+@pytest.mark.parametrize("name", TOTALS)
+def test_no_change_of_a_proof_about_totals_is_accepted_that_makes_it_false(
+    name: str, tmp_path: Path
+) -> None:
+    made = TOTALS[name]()
+    made.save(path := tmp_path / "proof.json")
+    content, refused, tried = json.loads(path.read_text("utf-8")), 0, 0
+    other = {"discount": "1/2"} if made.mdp is THREE else {"sense": "max"}
+    assert made.violations() == []
+    assert made.violations(made.mdp.with_(**other))
+    for key, value in content.items():
+        for changed in changes(value):
+            if changed == value:
+                continue
+            path.write_text(json.dumps(content | {key: changed}), "utf-8")
+            tried += 1
+            try:
+                found = replace(codec.load(KINDS, path)[1], mdp=made.mdp)
+                wrong = found.violations()
+            except ModelError:
+                refused += 1
+                continue
+            refused += bool(wrong)
+            assert wrong or proven(found) == truth(found, made), (key, changed)
+    assert refused > 0.5 * tried > 50
+
+
+def test_a_key_that_is_written_twice_is_refused(tmp_path: Path) -> None:
+    TOTALS["limits"]().save(path := tmp_path / "proof.json")
+    text = path.read_text("utf-8")
+    path.write_text(text.replace('"shift":', '"shift": "0x1/0x1", "shift":'), "utf-8")
+    with pytest.raises(ModelError, match="'shift' is written twice"):
+        codec.load(KINDS, path)
+    (tmp_path / "model.json").write_text('{"states": 1, "states": 2}', "utf-8")
+    with pytest.raises(checker.Unreadable, match="'states' is written twice"):
+        checker.read(str(tmp_path / "model.json"))
 
 
 @pytest.mark.parametrize("name", MODELS)

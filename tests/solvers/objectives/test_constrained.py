@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import garnet_rows
 from objective_models import LIMITS, sound, totals, with_components
 
 from exact_mdp import MDP, ModelError, Scenario, certify, solve
@@ -105,3 +110,85 @@ def test_what_is_no_limit(limits: Any, message: str) -> None:
         solve(Scenario.load("yuan2025"), subject_to=limits)
     with pytest.raises(ModelError, match="have one solver"):
         solve(MDP.from_arrays([[[1]]], [0]), "value-iteration", subject_to={"steps": "<= 1"})
+
+
+def ring(constant: bool = False) -> MDP:
+    """A random model of 60 states on one cycle, of three totals."""
+    rows, draw = garnet_rows(60, rng=1), np.random.default_rng(2)
+    if constant:
+        rows = [(s, a, [(p, n, F(7, 1000)) for p, n, _ in own]) for s, a, own in rows]
+    parts = {name: draw.integers(0, 64, len(rows)).tolist() for name in "ab"}
+    return MDP.from_outcomes(rows, "19/20", components=parts)
+
+
+@pytest.mark.parametrize(
+    "limits, draws",
+    [
+        ({"a": ">= 900"}, 1),
+        ({"a": ">= 900", "b": ">= 900"}, 2),
+        ({"a": [">= 600", "<= 700"]}, 1),
+        ({"a": ">= 1000", "b": ">= 1000"}, None),
+        ({"a": ">= 2000"}, None),
+    ],
+)
+@pytest.mark.parametrize("constant", [False, True])
+def test_states_on_a_cycle(limits: Any, draws: int | None, constant: bool) -> None:
+    """Also where all policies have the same return."""
+    mdp = ring(constant)
+    found = solve(mdp, subject_to=limits)
+    assert found.violations() == []
+    assert found.feasible is (draws is not None)
+    assert len(found.randomises) <= (draws or 2)
+    if constant and draws:
+        assert set(found.prices.values()) == {F(0)}
+
+
+def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
+    """Names in a file may stand for any sum: the reward is checked, and sums are written out."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2", components={"help": [0, 4, 0], "calm": [5, 0, 0]})
+    held = solve(mdp, subject_to={"calm=2*calm": ">= 5"})
+    held.save(path := tmp_path / "held.json")
+    mdp.save(tmp_path / "model.npz")
+    found = run("verify", path, tmp_path / "model.npz", "--json").result
+    assert (found["holds"], found["limits"]) == (True, ["calm=2*calm >= 5"])
+    twice = replace(held, objectives=("return=2*reward", *held.objectives[1:]))
+    dual = replace(held.dual, top=[2 * v for v in held.dual.top])
+    assert replace(twice, dual=dual, price=(2 * held.price[0],)).violations() == [
+        "what is maximised is not the reward"
+    ]
+
+
+@pytest.mark.parametrize("bound", [0, 1])
+def test_a_file_may_say_that_nothing_is_visited(bound: int, tmp_path: Path) -> None:
+    """All has ended at the start."""
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2", components={"a": [1, 4, 0]}, start=1)
+    held = solve(mdp, subject_to={"a": f">= {bound}"})
+    assert held.violations() == []
+    held.save(path := tmp_path / "held.json")
+    mdp.save(tmp_path / "model.npz")
+    found = run("verify", path, tmp_path / "model.npz", "--json").result
+    assert (found["holds"], found["feasible"]) == (True, not bound)
+
+
+def test_the_checker_notices() -> None:
+    scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    held = solve(scenario, subject_to={"anger": ">= -1/10"})
+    none = solve(scenario, subject_to={"anger": ">= 1/3"})
+    visits = held.flow.visits
+    more = replace(visits, top=[visits.top[0] + 1, *visits.top[1:]])
+    assert held.violations() == none.violations() == []
+    for broken in (
+        replace(held, price=(held.price[0] + 1,)),
+        replace(held, price=(-held.price[0],)),
+        replace(held, flow=replace(held.flow, visits=more)),
+        replace(held, flow=solve(scenario, subject_to={"anger": ">= -9"}).flow),
+        replace(held, dual=replace(held.dual, top=[v - 1 for v in held.dual.top])),
+        replace(held, feasible=False),
+        replace(held, shift=F(1)),
+        replace(none, feasible=True, shift=F(0)),
+        replace(none, shift=none.shift / 2),
+        replace(none, price=(F(0),)),
+    ):
+        assert broken.violations()

@@ -1,0 +1,172 @@
+"""Policies by several totals at once, exactly: the best for weights, their visits, their proofs.
+
+    V_w(s) = max over pairs l of s of  w · c(l) + γ Σ_s' P(l, s') V_w(s')
+
+Ties are settled by further weights, one after another. Where the weights span all directions, one
+vector of totals is left: an extreme point of what policies attain (lexicographic optima: Isermann,
+OR Spektrum 4, 1982). A mixed policy is a flow, its expected visits x of pairs from the start; x(l)
+over the visits of the state is the probability of a pair (Altman, Constrained Markov Decision
+Processes, 1999, chapter 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.graph import termination
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import Integers, common
+from exact_mdp.solvers.exact import codec, duals
+from exact_mdp.solvers.exact.certificate import model_of
+from exact_mdp.solvers.exact.find import best, evaluated, first_of, nearly
+from exact_mdp.solvers.exact.levels import Level, combined, fraction, signs
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.solution import Claim
+
+Point = tuple[Fraction, ...]
+Weights = Sequence[int] | Sequence[Fraction]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flow:
+    """Expected visits from the start: of pairs (K,), all above 0; none of other pairs."""
+
+    pairs: Integers
+    visits: Level
+
+    def chances(self, of: Objectives) -> dict[int, dict[int, Fraction]]:
+        """Return the probability of each pair {state: {pair: probability}} in states visited."""
+        taken: dict[int, dict[int, int]] = {}
+        top, _ = self.visits.over_one(range(len(self.pairs)), self.visits.group.tolist())
+        for pair, number in sorted(zip(self.pairs.tolist(), top, strict=True)):
+            taken.setdefault(int(of.mdp.pair_state[pair]), {})[pair] = number
+        return {
+            state: {pair: fraction(n, sum(own.values())) for pair, n in own.items()}
+            for state, own in sorted(taken.items())
+        }
+
+    def totals(self, of: Objectives) -> Point:
+        """Return what the pairs earn of each objective; more is better."""
+        top, below = self.visits.over_one(range(len(self.pairs)), self.visits.group.tolist())
+        scale = of.rows.scale[of.mdp.pair_state[self.pairs]].tolist()
+        each, unit = common([Fraction(1, number) for number in scale])
+        return tuple(
+            fraction(
+                sum(n * k * a for n, k, a in zip(top, each, own[self.pairs].tolist(), strict=True)),
+                below * unit,
+            )
+            for own in of.amounts
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attained:
+    """A deterministic policy, the values of each objective under it, and its totals at the start.
+
+    More is better in all of them: those of a model of costs are negated.
+    """
+
+    pairs: Integers
+    values: tuple[Level, ...]
+    total: Point
+
+    def gains(self, of: Objectives, weights: Weights) -> Integers:
+        """Return (L,) the sign of what each pair gains on the weighted values."""
+        whole, _ = common([Fraction(w) for w in weights])
+        rows = replace(of.rows, constant=of.weighted(whole))
+        return signs(rows, combined(self.values, whole), self.pairs)
+
+    def optimal(self, of: Objectives, weights: Weights) -> bool:
+        """Return whether no pair gains: then no policy exceeds the weighted values, in no state."""
+        return not (self.gains(of, weights) > 0).any()
+
+
+def attained(of: Objectives, pairs: Integers) -> Attained:
+    """Return the totals of the policy that takes one pair (S,) of each state."""
+    values = tuple(evaluated(of.rows, pairs, of.amounts))
+    return Attained(
+        pairs=pairs, values=values, total=tuple(value.mean(of.mdp.start) for value in values)
+    )
+
+
+def optimum(of: Objectives, weights: Weights) -> tuple[Integers, Level]:
+    """Return pairs (S,) that are optimal for weights of at least 0, and the weighted values."""
+    whole, unit = common([Fraction(w) for w in weights])
+    rows = replace(of.rows, constant=of.weighted(whole))
+    _, (value,), sign = best(rows, nearly(rows, of.mdp.pair_offsets[:-1]))
+    return first_of(of.mdp, sign == 0), combined([value], [Fraction(1, unit)])
+
+
+def extreme(of: Objectives, weights: Weights, first: Integers | None = None) -> Attained:
+    """Return a policy that is optimal for weights of at least 0, in every state.
+
+    No others dominate its totals or mix to them. The search begins with the pairs `first` (S,).
+    """
+    size = len(weights)
+    ties = [[1] * size, *([int(i == k) for i in range(size)] for k in range(size))]
+    whole, _ = common([Fraction(w) for w in weights])
+    amounts = [of.weighted(each) for each in (whole, *ties)]
+    rows = replace(of.rows, constant=amounts[0])
+    pairs = nearly(rows, of.mdp.pair_offsets[:-1] if first is None else first)
+    _, _, sign = best(rows, pairs, amounts)
+    return attained(of, first_of(of.mdp, sign == 0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Proof(Pictured):
+    """What is proven about totals of a model; `violations` needs the model alone.
+
+    Attributes
+    ----------
+    model : str
+        `fingerprint(mdp)`, a hash of the model.
+    objectives : tuple of str
+        What is counted, as `solvers.objectives.amounts` reads it.
+    rank : (S,) int64, optional
+        Proof that every policy ends, at discount 1.
+    mdp : MDP, optional
+        The model, unless the proof was read from a file.
+    """
+
+    model: str
+    objectives: tuple[str, ...]
+    rank: Integers | None
+    mdp: MDP | None = None
+
+    kind: ClassVar[str]
+    claim: ClassVar[Claim] = Claim.CERTIFIED
+
+    @cached_property
+    def of(self) -> Objectives:
+        """What is counted."""
+        return Objectives.of(model_of(None, self.mdp, self.kind), self.objectives)
+
+    def violations(self, model: MDP | None = None) -> list[str]:
+        """Return what does not hold, in words: nothing where the proof is sound.
+
+        Parameters
+        ----------
+        model : MDP, optional
+            Needed where the proof was read from a file.
+        """
+        mdp = model_of(model, self.mdp)
+        if self.model != fingerprint(mdp):
+            return ["the certificate is of another model"]
+        return duals.violations(Objectives.of(mdp, self.objectives).counted(), self)
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON, for `exact-mdp verify`; docs/reference/certificates.md."""
+        codec.save(self.kind, self, path)
+
+
+def about(of: Objectives) -> dict[str, Any]:
+    """Return the fields that all proofs about totals have."""
+    rank = termination(of.ending).rank if of.mdp.discount_exact == 1 else None
+    return {"model": fingerprint(of.mdp), "objectives": of.texts, "rank": rank, "mdp": of.mdp}
