@@ -248,7 +248,8 @@ def given(
             head = {"read_as": Shown(taken.read_as, taken.source or None)} | head
             head["policy"] = policy
     if "perception" in has:
-        head |= {"perception": perception}
+        said = perception and f"{perception}, which the policy acts on"
+        head |= {"perception": Shown(perception, said)}
     head |= {"discount": mdp.discount}
     if "horizon" in has:
         head["horizon"] = Shown(horizon, None if horizon is None else f"{horizon:,} steps")

@@ -103,6 +103,8 @@ def tornado(
     """
     spans, without = _spans(given.family, parameters, ranges, relative)
     found = tornado_of(given.family, policy=policy, names=list(spans), ranges=spans)
+    if given.perception is not None:  # the question is what it does to the policy held fixed
+        found = replace(found, bars=tuple(sorted(found.bars, key=lambda b: -b.fixed_swing)))
     return _report(given, "tornado", found.report(), without_range=without)
 
 
