@@ -70,12 +70,12 @@ from exact_mdp.mdp.space import Column as Column
 from exact_mdp.mdp.space import StateSpace as StateSpace
 from exact_mdp.solvers.average.solve import AverageSolution as AverageSolution
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction as BackwardInduction
-from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel as GaussSeidel
+from exact_mdp.solvers.dynamic.iterate import Solver as Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram as LinearProgram
-from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration as ModifiedPolicyIteration
-from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration as PolicyIteration
-from exact_mdp.solvers.dynamic.stopping import Solver as Solver
-from exact_mdp.solvers.dynamic.value_iteration import ValueIteration as ValueIteration
+from exact_mdp.solvers.dynamic.methods import GaussSeidel as GaussSeidel
+from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration as ModifiedPolicyIteration
+from exact_mdp.solvers.dynamic.methods import PolicyIteration as PolicyIteration
+from exact_mdp.solvers.dynamic.methods import ValueIteration as ValueIteration
 from exact_mdp.solvers.exact.certificate import BoundedCertificate as BoundedCertificate
 from exact_mdp.solvers.exact.certificate import Certificate as Certificate
 from exact_mdp.solvers.exact.certify import certify as certify

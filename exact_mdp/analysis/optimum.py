@@ -27,7 +27,7 @@ from exact_mdp.mdp.report import Report, Shown, Table, ratio
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.average.solve import AverageSolution
-from exact_mdp.solvers.dynamic.stopping import Solver
+from exact_mdp.solvers.dynamic.iterate import Solver
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.solution import (
     Bounded,

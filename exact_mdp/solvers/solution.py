@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
@@ -337,10 +337,6 @@ class Solution(Pictured):
         Expected discounted number of uses of each pair from the start; from a linear program.
     program : ProgramRun, optional
         What a linear program took, and the bounds that its two sides give.
-    stats : {str: int}
-        Of modified policy iteration: how many policies were evaluated, and by what: sweeps while
-        these are quick, then equations by a band, factors or iteration, whichever costs least; and
-        how many were left at one sweep, as that was cheaper than to evaluate them.
 
     Examples
     --------
@@ -366,7 +362,6 @@ class Solution(Pictured):
     gaps: Floats | None = None
     occupancy: Floats | None = None
     program: ProgramRun | None = None
-    stats: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for array in (self.value, self.pairs, self.state_error, self.gaps, self.occupancy):

@@ -19,13 +19,15 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import AverageSolution, solve_average
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
-from exact_mdp.solvers.dynamic.gauss_seidel import GaussSeidel
+from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.known import opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
-from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
-from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
-from exact_mdp.solvers.dynamic.stopping import Solver, check_tolerance
-from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
+from exact_mdp.solvers.dynamic.methods import (
+    GaussSeidel,
+    ModifiedPolicyIteration,
+    PolicyIteration,
+    ValueIteration,
+)
 from exact_mdp.solvers.endless.total import solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
 from exact_mdp.solvers.solution import Solution, Status, warn_of_precision

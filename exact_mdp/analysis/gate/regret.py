@@ -33,10 +33,10 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.bounds.bounds import Bounds, bounds, lower, margin_weights
+from exact_mdp.solvers.bounds.bounds import Bounds, lower, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
-from exact_mdp.solvers.dynamic.policy_iteration import improved
+from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
 from exact_mdp.solvers.exact.levels import Level
@@ -376,11 +376,11 @@ def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
 def _optimum(mdp: MDP) -> Bounds:
     """Return bounds around the optimal values, as narrow as double precision allows."""
     solved = solve(mdp)
-    found = bounds(mdp, solved.value)
+    found = verify(mdp, solved.value)
     if found.error <= CLOSE * float(np.abs(found.value).max()):
         return found
     # A solver may stop at its tolerance; the values of a policy have no error but rounding.
-    better, _, _ = improved(mdp, solved.pairs, IMPROVEMENTS)
+    better = verify(mdp, PolicyIteration(start=solved).solve(mdp).value)
     return better if better.error <= found.error else found
 
 

@@ -161,7 +161,7 @@ class Relaxations:
         self._layers = None if levels(mdp) is None else Layers(mdp)
         weights = margin_weights(mdp)
         self._reach = float(mdp.start_distribution @ weights.value) * SLACK
-        self._margin = float(weights.least[self._live].min(initial=np.inf))
+        self._margin = weights.smallest
         self._gain = float(np.abs(mdp.table.gains()).max())
         self._terms = int(np.diff(mdp.table.offsets).max())
 

@@ -48,10 +48,14 @@ def block_ends(
     return [0, *sorted({int(i) for i in inner} - {0, len(work) - 1}), len(work) - 1]
 
 
-def run_blocks(ends: Sequence[int], work: Callable[[int, int, int], None]) -> None:
-    """Call `work(number, first, last)` for each block; more than one run on all `cores`."""
-    if len(ends) == 2:
-        return work(0, ends[0], ends[1])
+def run_blocks(
+    ends: Sequence[int], work: Callable[[int, int, int], None], size: int = 2 * SMALLEST
+) -> None:
+    """Call `work(number, first, last)` for each block; on all `cores` where the `size` pays."""
+    if len(ends) == 2 or size < 2 * SMALLEST:
+        for number, (first, last) in enumerate(pairwise(ends)):
+            work(number, first, last)
+        return
     blocks = enumerate(pairwise(ends))
     failures: list[BaseException] = []
 

@@ -22,8 +22,8 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.average.evaluate import averages_of, bounded_gain
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
-from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE
+from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE
+from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
 from exact_mdp.solvers.solution import PrecisionWarning, SolverError, Status
 
 MOST = 1000  # policies

@@ -31,10 +31,9 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.average.evaluate import evaluated
 from exact_mdp.solvers.average.iteration import Improved, improved
 from exact_mdp.solvers.bounds.gains import SLACK, gains, greedy
+from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import AGREEMENT, LinearProgram, optimised
-from exact_mdp.solvers.dynamic.policy_iteration import PolicyIteration
-from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, Solver
-from exact_mdp.solvers.dynamic.value_iteration import ValueIteration
+from exact_mdp.solvers.dynamic.methods import PolicyIteration, ValueIteration
 from exact_mdp.solvers.endless.derived import derived
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision

@@ -22,7 +22,7 @@ and the margins are verified. Every d and m comes with a bound on its rounding e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,10 +38,10 @@ from exact_mdp.solvers.bounds.gains import (
     Weights,
     gains,
     gamma,
+    greedy,
     rounding_facts,
 )
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
-from exact_mdp.solvers.bounds.sweeps import sweeps_of
 from exact_mdp.solvers.solution import SolverError, Status
 
 WEIGHT_ITERATIONS = 1000
@@ -75,23 +75,41 @@ class Bounds:
         """V* - V^π is at most this in every state."""
         return float((self.high - self.low) * self.weight.max() * SLACK)
 
+    def centred(self) -> Bounds:
+        """Return the same bounds around their middle, which is rounded three times."""
+        weight, centre = self.weight, self.low / 2 + self.high / 2
+        middle, live = self.value + centre * weight, weight > 0
+        lost = 2 * UNIT * (np.abs(middle) + 2 * abs(centre) * weight)[live] / weight[live]
+        rounding = float(lost.max(initial=0.0)) + 8 * UNIT * abs(centre)
+        return replace(
+            self,
+            value=middle,
+            low=(self.low - centre) * SLACK - rounding,
+            high=(self.high - centre) * SLACK + rounding,
+        )
+
 
 @np.errstate(over="ignore", invalid="ignore")
-def bounds(mdp: MDP, value: Floats) -> Bounds:
-    """Return bounds on V* and on the values of a greedy policy, around `value`."""
-    weights = margin_weights(mdp)
-    live = ~mdp.terminal
+def verify(mdp: MDP, value: Floats, *, strict: bool = False) -> Bounds:
+    """Return bounds on V* and on the values of a greedy policy, around any `value` (S,).
+
+    Each state takes the first pair that no other beats by more than rounding; where `strict`, that
+    of d alone, otherwise that of the values too, so that actions that are as good show as such.
+    """
+    weights, live = margin_weights(mdp), ~mdp.terminal
     if np.any(value[~live]):
         raise ValueError("terminal states are worth 0")
-    found = sweeps_of(mdp, weights).judge(value)
-    low, high = found.low, found.high
-    return Bounds(
-        value=value,
-        weight=weights.value,
-        pairs=found.pairs,
-        low=low - 4 * UNIT * abs(low),  # outward by more than a few roundings
-        high=high + 4 * UNIT * abs(high),
-    )
+    gain = gains(mdp, value)
+    pairs = greedy(mdp, replace(gain, noise=gain.error) if strict else gain)
+    low, high = 0.0, 0.0
+    if live.any():
+        above = weights.ratio(gain.value + gain.error)
+        high = float(above.max(where=live[mdp.pair_state], initial=-np.inf))
+        low = lower(mdp, gain, pairs)
+    if not np.isfinite(high - low):
+        raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+    high += 4 * UNIT * abs(high)  # outward by more than a few roundings
+    return Bounds(value=value, weight=weights.value, pairs=pairs, low=low, high=high)
 
 
 def lower(mdp: MDP, gain: Gain, pairs: Integers) -> float:
@@ -170,25 +188,33 @@ def _expected_steps(mdp: MDP) -> Floats:
 
 
 def _margins(mdp: MDP, weight: Floats) -> tuple[Floats, float]:
-    """Return the margins (L,) w - γ P w, 1 for pairs of terminal states, and their error."""
-    if (weight == 1.0).all():
+    """Return the margins w - γ P w, as `Weights` holds them, and their error."""
+    open_pairs = ~mdp.terminal[mdp.pair_state]
+    if mdp.discount < 1 and _closed(mdp, weight):
         facts = rounding_facts(mdp)
         error = float((gamma(4) * facts.leak + facts.leak_error + TINY) * SLACK)
-        return np.full(mdp.n_pairs, facts.leak), error
+        return np.array([facts.leak]), error
     margin = gains(mdp, weight, reward=np.zeros(mdp.n_pairs))
-    open_pairs = ~mdp.terminal[mdp.pair_state]
-    error = margin.error[open_pairs].max(initial=0.0)
+    error = margin.error.max(where=open_pairs, initial=0.0)
     return np.where(open_pairs, -margin.value, 1.0), float(error)
+
+
+def _closed(mdp: MDP, weight: Floats) -> bool:
+    """Return whether weights are 1 in all states but the terminal ones, and no way leads there."""
+    if (weight == 1).all():
+        return True
+    matrix, ended = mdp.transition, mdp.terminal
+    if ended.all() or not (weight[~ended] == 1).all():
+        return False
+    leading = np.logical_or.reduceat(ended[matrix.indices], matrix.indptr[:-1])
+    return not leading[~ended[mdp.pair_state]].any()
 
 
 def _verified(mdp: MDP, weight: Floats) -> Weights:
     margin, error = _margins(mdp, weight)
     found = Weights(value=weight, margin=margin, error=error)
-    if not (
-        np.all(np.isfinite(weight))
-        and (weight[~mdp.terminal] > 0).all()
-        and found.extremes[0] - error > 0
-    ):
+    sound = np.isfinite(weight).all() and (weight[~mdp.terminal] > 0).all()
+    if not (sound and found.smallest > 0):
         raise SolverError(Status.NO_BOUND, _why_not(mdp, weight))
     return found
 

@@ -23,7 +23,7 @@ Numerical Algorithms, SIAM 2002, section 3.1).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,12 +45,7 @@ def gamma(terms: Integers | int) -> Floats:
     return np.asarray(count / (1 - count) * (1 + 4 * UNIT))
 
 
-@lru_cache(maxsize=16)
-def roundings(most: int) -> Floats:
-    """Return γ(n + 8) of rows of n roundings, from 0 to `most`."""
-    found = gamma(np.arange(most + 1) + 8)
-    found.setflags(write=False)
-    return found
+FEW = float(gamma(4))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,30 +59,30 @@ class Gain:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Weights:
-    """Weights with their verified margins."""
+    """Weights w with their verified margins m(l) = w(s) - γ P_l w."""
 
-    value: Floats  # (S,) The weights w
-    margin: Floats  # (L,) The margins m, rounded; 1 for pairs of terminal states
+    value: Floats  # (S,) w
+    margin: Floats  # (L,) m, rounded; 1 for pairs of terminal states; (1,) where all are 1 - γ
     error: float  # The greatest error of any of them
 
-    @cached_property
-    def extremes(self) -> tuple[float, float]:
-        """The least and the greatest margin, as computed."""
-        return float(self.margin.min()), float(self.margin.max())
+    @property
+    def uniform(self) -> bool:
+        """Whether w is 1 and no way leads to an end: all values may rise alike by c w."""
+        return len(self.margin) == 1
 
     @property
     def least(self) -> Floats:
-        """(L,) lower bounds of the margins."""
+        """Lower bounds of the margins."""
         return np.asarray(self.margin - self.error)
 
-    @property
-    def most(self) -> Floats:
-        """(L,) upper bounds of the margins."""
-        return np.asarray(self.margin + self.error)
+    @cached_property
+    def smallest(self) -> float:
+        """The least of the lower bounds."""
+        return float(self.least.min())
 
     def ratio(self, gain: Floats) -> Floats:
         """Return (L,) the least c that is sure to satisfy gain ≤ c · margin."""
-        return np.asarray(gain / np.where(gain > 0, self.least, self.most))
+        return np.asarray(gain / np.where(gain > 0, self.least, self.margin + self.error))
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -106,7 +101,7 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
         earned_error = facts.reward_errors(mdp, first, last) if reward is None else 0.0
         leak, terms = facts.leak * own, facts.terms(mdp, first, last)
         size = np.abs(earned) + np.abs(leak)
-        error = gamma(terms + 8) * flow + gamma(4) * size
+        error = gamma(terms + 8) * flow + FEW * size
         error += facts.leak_error * np.abs(own) + tiny * (terms + 1)
         error = (error + earned_error) * SLACK
         found[0, here] = earned + (steps - leak)
@@ -115,7 +110,8 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
 
     # In parts that stay in the cache: what is worked with on the way takes no memory to speak of.
     with np.errstate(over="ignore", invalid="ignore"):
-        threads.run_blocks(threads.block_ends(mdp.transition.indptr, most=threads.IN_CACHE), work)
+        ends = threads.block_ends(mdp.transition.indptr, most=threads.IN_CACHE)
+        threads.run_blocks(ends, work, mdp.n_transitions)
     if not (np.all(np.isfinite(value)) and np.isfinite(found[2].max())):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
     return Gain(value=found[0], error=found[1], noise=found[2])
@@ -138,8 +134,20 @@ def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
             taken = np.where(good[kept - begin[0]], kept, taken)
         chosen[first:last] = taken
 
-    threads.run_blocks(threads.block_ends(offsets, most=threads.IN_CACHE), work)
+    threads.run_blocks(threads.block_ends(offsets, most=threads.IN_CACHE), work, mdp.n_transitions)
     return chosen
+
+
+def largest_error(mdp: MDP, low: float, high: float) -> float:
+    """Return a bound on the error of any pair's d, for values from `low` to `high`.
+
+    No row of floats sums up to 1.001.
+    """
+    facts, size = rounding_facts(mdp), max(abs(low), abs(high))
+    error = facts.rounding * 1.001 * mdp.discount * (high - low)
+    error += FEW * (facts.size + facts.leak * size) + facts.leak_error * size
+    error += facts.most_reward_error + TINY * (1 + size) * (facts.most + 1)
+    return error * SLACK
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,6 +163,9 @@ class RoundingFacts:
     leak: float  # 1 - γ
     leak_error: float  # the error of `leak`
     size: float  # the greatest |reward|
+    most: int  # the most roundings in a row
+    rounding: float  # γ(most + 8)
+    most_reward_error: float
 
     def terms(self, mdp: MDP, first: int, last: int) -> Integers:
         """Return the number of roundings in a row of pairs first … last-1."""
@@ -170,27 +181,27 @@ class RoundingFacts:
         earning = _earning(mdp, first, last)
         return np.asarray(UNIT * np.abs(mdp.reward[first:last]) + TINY * earning)
 
-    @property
-    def reward_error_bound(self) -> float:
-        """Return the greatest of them, or a little more."""
-        if len(self.reward_error):
-            return float(self.reward_error.max())
-        return UNIT * self.size + TINY
-
 
 @once
 def rounding_facts(mdp: MDP) -> RoundingFacts:
     """Return the facts, computed once for each model."""
     leak = float(1 - mdp.discount_exact)
     merged = np.empty(0, dtype=np.int32)
+    most = int(np.diff(mdp.transition.indptr).max())
     if mdp.table.weight.dtype == np.float64 and mdp.n_transitions < len(mdp.table.next):
         merged = (2 * np.diff(mdp.table.offsets)).astype(np.int32)
+        most = int(merged.max())
+    size = max(-float(mdp.reward.min()), float(mdp.reward.max()))
+    error = _reward_error(mdp)
     return RoundingFacts(
         merged=merged,
-        reward_error=_reward_error(mdp),
+        reward_error=error,
         leak=leak,
         leak_error=leak * UNIT,
-        size=max(-float(mdp.reward.min()), float(mdp.reward.max())),
+        size=size,
+        most=most,
+        rounding=float(gamma(most + 8)),
+        most_reward_error=float(error.max()) if len(error) else UNIT * size + TINY,
     )
 
 

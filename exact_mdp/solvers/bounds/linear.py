@@ -30,10 +30,9 @@ J. Sci. Stat. Comput. 7, 1986).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -229,18 +228,14 @@ class LinearSystem(ByFields):
         return self._iteration(constant, rtol) if self._direct is None else self._direct(constant)
 
     @property
-    def method(self) -> str:
-        """The word for what is done."""
-        if self.order is not None:
-            return "substitution"
-        if self.work:
-            return "band"
-        return "factors" if self.transition.shape[0] <= DIRECT_STATES else "iteration"
-
-    @property
     def work(self) -> float:
         """The multiplications of elimination within a band, where that is what is done; else 0."""
         return self._band[1]
+
+    @property
+    def work_as_numbered(self) -> float:
+        """The same in the order that the states are numbered in."""
+        return self._as_numbered[1]
 
     @cached_property
     def _as_numbered(self) -> tuple[tuple[int, int], float]:
@@ -327,39 +322,8 @@ def _work(states: int, entries: int, within: tuple[int, int]) -> float:
     return work if narrow or work <= CHEAP else 0.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Banded:
-    """As a `LinearSystem` that is eliminated within a band, of rows that loops hold side by side.
-
-    The same numbers come to the same places, so that the same bits come out.
-    """
-
-    discount: float
-    work: float
-    roughly: Solve
-    method: ClassVar[str] = "band"
-
-    @classmethod
-    def of(cls, rows: Any, ended: NDArray[np.bool_], discount: float) -> Banded | None:
-        """Return the equations of a policy's `rows` (`solvers.kernels.bellman.Known`).
-
-        None where a band does not pay. The rows of states that have `ended` (S,) count as empty.
-        """
-        places, states = (rows.slots, rows.ends, rows.indices), len(ended)
-        from exact_mdp.solvers.kernels import linear as loops
-
-        lower, upper, entries = loops.reach(*places, ended)
-        work = _work(states, entries, (lower, upper))
-        if not work:
-            return None
-        matrix = np.zeros((2 * lower + upper + 1, states), order="F")
-        loops.banded(*places, rows.data, ended, discount, lower + upper, matrix)
-        solve = elimination.factored(matrix, (lower, upper))
-        return cls(discount=discount, work=work, roughly=solve)
-
-
-def relatively(system: LinearSystem, leak: Floats) -> Callable[[Floats], tuple[Floats, float]]:
-    """Return what finds about h (S,) and k with h + k = c + γ P (h + k), for any c (S,).
+def relatively(system: LinearSystem, leak: Floats) -> Solve:
+    """Return what finds about h (S,), for any c (S,), with h + k = c + γ P (h + k) for some k.
 
     h is 0 in a state often visited. Values may be as large as 1 / (1 - γ), h is only as large as
     they differ: what leads to that state is left out, and k times the `leak` (S,) of each row,
@@ -369,10 +333,9 @@ def relatively(system: LinearSystem, leak: Floats) -> Callable[[Floats], tuple[F
     often, others = system.without_one
     leaked = others.approximate(leak)
 
-    def found(constant: Floats) -> tuple[Floats, float]:
+    def found(constant: Floats) -> Floats:
         earned = others.roughly(constant)
-        level = float(earned[often] / leaked[often])
-        return earned - level * leaked, level
+        return np.asarray(earned - earned[often] / leaked[often] * leaked)
 
     return found
 

@@ -34,9 +34,9 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import numbered_in_order, runs_in_order
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
-from exact_mdp.solvers.bounds.bounds import bounds, ladder, levels
+from exact_mdp.solvers.bounds.bounds import ladder, levels, verify
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
-from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
+from exact_mdp.solvers.dynamic.iterate import conclude, of_costs
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 # NumPy takes as long as loading the compiled loop for four million transitions of the care model;
@@ -60,7 +60,6 @@ class BackwardInduction:
 
     name: ClassVar[str] = "backward-induction"
 
-    @np.errstate(over="ignore", invalid="ignore")
     @of_costs
     def solve(self, model: MDP) -> Solution:
         """Return the optimum; raises ModelError where states come back to themselves."""
@@ -77,7 +76,7 @@ class BackwardInduction:
         # Where expected rewards were themselves added up in floats, their error is counted there.
         table = model.table
         summed = table.joint and np.float64 in (table.weight.dtype, table.gain.dtype)
-        found = bounds(model, done.value) if summed else done.bounded(model)
+        found = verify(model, done.value) if summed else done.bounded(model)
         depth = len(done.above) - 1
         return conclude(model, self, found, status=Status.DIRECT, iterations=depth, started=started)
 

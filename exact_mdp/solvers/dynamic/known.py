@@ -16,7 +16,6 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels
-from exact_mdp.solvers.bounds.gains import gains, greedy
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Solution
 
@@ -32,17 +31,6 @@ def pairs_of(mdp: MDP, start: Any) -> Integers:
             "each state",
         )
     return np.flatnonzero(policy.weights(mdp))
-
-
-def greedy_of(mdp: MDP, start: Any) -> Integers:
-    """Return (S,) the pairs of a known policy, or of the greedy one for values (S,), 0 by default.
-
-    Of a solution that is its policy.
-    """
-    value = np.zeros(mdp.n_states) if start is None else given_values(mdp, start)
-    if value is None or isinstance(start, Solution):
-        return pairs_of(mdp, start)
-    return greedy(mdp, gains(mdp, value))
 
 
 def values_of(mdp: MDP, start: Any) -> Floats:

@@ -24,7 +24,7 @@ Both sides are worked out apart, each with its rounding errors: see `Solution.pr
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any, ClassVar
 
@@ -34,15 +34,14 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError, extra, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.bounds import Bounds, levels, margin_weights
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma, greedy, rounding_facts
+from exact_mdp.solvers.bounds.bounds import levels, margin_weights
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
-from exact_mdp.solvers.dynamic.policy_iteration import improved
-from exact_mdp.solvers.dynamic.stopping import conclude, of_costs
+from exact_mdp.solvers.dynamic.iterate import of_costs
+from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
-IMPROVEMENTS = 1000
 AGREEMENT = 1e-5
 
 
@@ -72,27 +71,27 @@ class LinearProgram:
             fix = suggest(str(self.solver), OPTIMISERS)
             raise ModelError(f"unknown solver {self.solver!r}", where="LinearProgram", fix=fix)
 
-    @np.errstate(over="ignore", invalid="ignore")
     @of_costs
     def solve(self, model: MDP) -> Solution:
         """Return the optimum up to rounding, with `gaps`, `occupancy` and `program`."""
         started = perf_counter()
         margin_weights(model)
-        pairs, objective, steps = self._optimised(model)
-        found, improvements, stable = improved(model, pairs, IMPROVEMENTS)
+        start, objective, steps = self._optimised(model)
+        if not np.isfinite(start).all():
+            raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+        found = PolicyIteration(start=start).solve(model)
         if objective is not None:
             self._check(objective, model, found.value)
         met, residual = visits(model, found.pairs)
         lower, upper = _sides(model, found, met, residual)
         occupancy = np.zeros(model.n_pairs)
         occupancy[found.pairs] = met
-        return conclude(
-            model,
-            self,
+        return replace(
             found,
-            status=Status.DIRECT if stable else Status.ITERATION_LIMIT,
-            iterations=steps + improvements,
-            started=started,
+            method=self.name,
+            solver=repr(self),
+            iterations=steps + found.iterations,
+            seconds=perf_counter() - started,
             gaps=0.0 - gains(model, found.value).value,
             occupancy=occupancy,
             program=ProgramRun(
@@ -105,13 +104,13 @@ class LinearProgram:
             ),
         )
 
-    def _optimised(self, mdp: MDP) -> tuple[Integers, float | None, int]:
-        """Return the pairs (S,) that the optimiser's values imply, their mean, and its steps."""
+    def _optimised(self, mdp: MDP) -> tuple[Floats, float | None, int]:
+        """Return the optimiser's values (S,), their mean, and its steps."""
         with extra("lp"):
             import cvxpy
         live, scale = ~mdp.terminal, float(np.abs(mdp.reward).max())
         if scale == 0.0:
-            return mdp.pair_offsets[:-1], None, 0
+            return np.zeros(mdp.n_states), None, 0
         open_pairs = live[mdp.pair_state]
         own = sp.csr_array(
             (np.ones(mdp.n_pairs), mdp.pair_state, np.arange(mdp.n_pairs + 1)), mdp.transition.shape
@@ -123,7 +122,7 @@ class LinearProgram:
         steps = optimised(problem, self.solver)
         found = np.zeros(mdp.n_states)
         found[live] = np.asarray(value.value) * scale
-        return greedy(mdp, gains(mdp, found)), float(problem.value) * scale, steps
+        return found, float(problem.value) * scale, steps
 
     def _check(self, objective: float, mdp: MDP, value: Floats) -> None:
         """Raise SolverError where the optimiser's mean is not that of the values (S,) reached."""
@@ -166,7 +165,7 @@ def visits(mdp: MDP, pairs: Integers) -> tuple[Floats, Floats]:
     return value * live, (residual * SLACK + tiny) * live
 
 
-def _sides(mdp: MDP, found: Bounds, met: Floats, residual: Floats) -> tuple[float, float]:
+def _sides(mdp: MDP, found: Solution, met: Floats, residual: Floats) -> tuple[float, float]:
     """Return lower and upper bound on the optimal start value, from visits and from values.
 
     With f = α - y + γ Pᵀ y, the start value of the policy is r y + f V^π.
@@ -180,6 +179,6 @@ def _sides(mdp: MDP, found: Bounds, met: Floats, residual: Floats) -> tuple[floa
     doubt += float(terms @ np.abs(met))
     alpha = mdp.start_distribution
     top = float(alpha @ found.value)
-    above = float(alpha @ (max(found.high, 0.0) * found.weight))
+    above = float(alpha @ found.state_error)
     above += float(gamma(mdp.n_states + 4)) * float(alpha @ np.abs(found.value))
     return below - doubt * SLACK - UNIT * abs(below), top + above * SLACK + UNIT * abs(top)

@@ -19,7 +19,7 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
-from exact_mdp.solvers.dynamic.modified import ModifiedPolicyIteration
+from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
 from exact_mdp.solvers.endless.derived import Derived, derived
 from exact_mdp.solvers.endless.graph import Mask
 from exact_mdp.solvers.exact.certificate import exact_rows

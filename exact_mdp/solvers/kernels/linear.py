@@ -45,29 +45,6 @@ def reach(slots: Numbers, ends: Numbers, indices: Numbers, ended: Numbers) -> tu
 
 
 @compiled
-def banded(
-    slots: Numbers,
-    ends: Numbers,
-    indices: Numbers,
-    data: Floats,
-    ended: Numbers,
-    discount: float,
-    middle: int,
-    places: Floats,
-) -> None:
-    """Add I - γ P to `places`, which are 0: the entry of row r and column c to [middle + r - c, c].
-
-    This is where LAPACK looks for it, `middle` being the width of the band less 1.
-    """
-    for state in range(len(ended)):
-        if not ended[state]:
-            for i in span(slots[state], ends[state]):
-                column = np.int64(indices[i])
-                places[middle + state - column, column] = -discount * data[i]
-        places[middle, state] += 1.0
-
-
-@compiled
 def applied(
     rows: Rows,
     discount: float,

@@ -42,7 +42,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
-from exact_mdp.solvers.dynamic.stopping import RELATIVE_TOLERANCE, check_counts
+from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts
 from exact_mdp.solvers.robust.sets import Ambiguity, Block, Inner, blocks_of, entries, inner
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, warn_of_precision
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -20,6 +20,7 @@ point.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -42,8 +43,9 @@ from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.average.evaluate import AverageEvaluation
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
-from exact_mdp.solvers.dynamic.modified import closer, wide
-from exact_mdp.solvers.solution import Bounded, Claim, SolverError, in_float
+from exact_mdp.solvers.dynamic.iterate import NEARLY_ONE, RELATIVE_TOLERANCE
+from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
+from exact_mdp.solvers.solution import Bounded, Claim, PrecisionWarning, SolverError, in_float
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
 from exact_mdp.solvers.values.policy_chain import Equations, Mask, PolicyChain
 from exact_mdp.solvers.values.returns import return_distribution, times
@@ -572,17 +574,20 @@ def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
     Rounds are of models: those that a mixed policy leaves are put together exactly.
     """
     mdp, plain, doubt = chain.mdp, None, inf
+    near = mdp.discount > NEARLY_ONE and mdp.discount_exact != 1
     try:
         plain = chain.discounted.solve(reward, error)
         doubt = float(plain.error.max(initial=0.0))
-        if not wide(mdp, plain.value, doubt):
+        enough = RELATIVE_TOLERANCE * float(np.abs(plain.value).max(initial=1.0))
+        if not near or doubt <= enough:
             return plain
     except SolverError:
-        if not wide(mdp, reward, doubt):
+        if not near:
             raise
     if len(chain.pairs) == mdp.n_states or mdp.n_transitions < COMPILED:
-        with suppress(ModelError):
-            alone = closer(model_of(chain), None if plain is None else plain.value, doubt)
-            if alone is not None:
+        with suppress(ModelError, SolverError), warnings.catch_warnings():
+            warnings.simplefilter("ignore", PrecisionWarning)
+            alone = ModifiedPolicyIteration(start=plain and plain.value).solve(model_of(chain))
+            if alone.error_bound < doubt:
                 return FixedPoint(value=np.array(alone.value), error=np.array(alone.state_error))
     return chain.discounted.solve(reward, error) if plain is None else plain

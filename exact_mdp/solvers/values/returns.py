@@ -34,7 +34,7 @@ from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
-from exact_mdp.solvers.dynamic.stopping import check_counts
+from exact_mdp.solvers.dynamic.iterate import check_counts
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -17,7 +17,7 @@ from strategies import DISCOUNTS, Rows, exact_gains, exact_values, model_of, mod
 
 from exact_mdp import MDP, SolverError
 from exact_mdp.mdp.forms import threads
-from exact_mdp.solvers.bounds.bounds import Bounds, bounds, lower, margin_weights
+from exact_mdp.solvers.bounds.bounds import Bounds, lower, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import gains, greedy
 
 NUMBERS = st.one_of(
@@ -51,7 +51,7 @@ def test_bounds_are_proven_by_exact_inequalities(
 ) -> None:
     mdp = rows.model(floats=floats)
     value = any_value(mdp, data)
-    found = bounds(mdp, value)
+    found = verify(mdp, value)
     assert proves(mdp, found)
     picked = np.array([data.draw(st.sampled_from(mdp.pairs_of(s))) for s in range(mdp.n_states)])
     low = lower(mdp, gains(mdp, value), picked)
@@ -63,8 +63,8 @@ def test_optimal_values_lie_within_the_bounds(rows: Rows, data: st.DataObject) -
     mdp = rows.model()
     exact, _ = solve_exact(rows.n_states, rows.pairs, rows.discount)
     for found in (
-        bounds(mdp, np.array([float(x) for x in exact])),
-        bounds(mdp, any_value(mdp, data)),
+        verify(mdp, np.array([float(x) for x in exact])),
+        verify(mdp, any_value(mdp, data)),
     ):
         errors = zip(exact, exact_values(found.value), found.state_error, strict=True)
         assert all(abs(x - v) <= F(float(e)) for x, v, e in errors)
@@ -74,7 +74,7 @@ def test_optimal_values_lie_within_the_bounds(rows: Rows, data: st.DataObject) -
 def test_bounds_around_the_optimum_are_tight(rows: Rows) -> None:
     exact, optimal = solve_exact(rows.n_states, rows.pairs, rows.discount)
     mdp = rows.model()
-    found = bounds(mdp, np.array([float(x) for x in exact]))
+    found = verify(mdp, np.array([float(x) for x in exact]))
     size = float(max(map(abs, exact)) + max(abs(r) for _, _, r, _ in rows.pairs))
     assert found.error <= 1e-14 * size * found.weight.max() * _worst(mdp)
     assert found.regret <= 2 * found.error * (1 + 1e-6)
@@ -110,24 +110,27 @@ def test_margins_lie_where_they_were_verified(rows: Rows, floats: bool) -> None:
     mdp = rows.model(floats=floats)
     weights = margin_weights(mdp)
     weight = exact_values(weights.value)
-    for pair, (least, most) in enumerate(zip(weights.least, weights.most, strict=True)):
+    margins = np.broadcast_to(weights.margin, mdp.n_pairs)
+    for pair, (least, most) in enumerate(
+        zip(margins - weights.error, margins + weights.error, strict=True)
+    ):
         state = int(mdp.pair_state[pair])
         if mdp.terminal[state]:
             assert weight[state] == 0
             continue
         later = sum((p * weight[t] for p, t, _ in mdp.table.row(pair)), F(0))
-        margin = weight[state] - mdp.discount_exact * later
-        assert 0 < F(float(least)) <= margin <= F(float(most))
+        exact = weight[state] - mdp.discount_exact * later
+        assert 0 < F(float(least)) <= exact <= F(float(most))
 
 
 def test_float_rows_need_not_sum_to_one() -> None:
     """They mean a row that does, whatever the discount."""
     row = [0.1, 0.2, 0.7 + 9e-10]
     mdp = MDP.from_arrays([[row, row, [0.0, 0.0, 1.0]]], np.array([1.0, 2.0, 3.0]), "999/1000")
-    found = bounds(mdp, np.array([1e6, -3.0, 7.0]))
+    found = verify(mdp, np.array([1e6, -3.0, 7.0]))
     assert proves(mdp, found)
     near = mdp.with_(discount=1 - F(1, 10**12))
-    assert proves(near, bounds(near, np.zeros(3)))
+    assert proves(near, verify(near, np.zeros(3)))
 
 
 def test_weights_are_the_smaller_of_levels_and_horizon() -> None:
@@ -143,7 +146,7 @@ def test_weights_are_the_smaller_of_levels_and_horizon() -> None:
 
 @pytest.mark.parametrize("discount", DISCOUNTS)
 def test_a_model_that_has_ended(discount: F) -> None:
-    found = bounds(model_of(1, [(0, 0, F(0), {0: F(1)})], discount), np.zeros(1))
+    found = verify(model_of(1, [(0, 0, F(0), {0: F(1)})], discount), np.zeros(1))
     assert (found.error, found.regret) == (0, 0)
 
 
@@ -151,7 +154,7 @@ def test_an_end_too_far_away_is_refused() -> None:
     case = BY_NAME["reset-chain-100-7/10-steps"]
     mdp = model_of(case.n_states, case.pairs, case.discount)
     with pytest.raises(SolverError, match="certify"):
-        bounds(mdp, np.zeros(case.n_states))
+        verify(mdp, np.zeros(case.n_states))
 
 
 def test_many_transitions_are_taken_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,7 +187,7 @@ def test_rewards_that_cancel_are_known_no_better_than_their_sum() -> None:
     exact = sum(F(p) * F(reward) for p, _, reward in outcomes)
     assert abs(F(float(mdp.reward[0])) - exact) > F(1, 1000)
     for value in (mdp.reward * 1.0, np.array([1.0, 0.0])):
-        found = bounds(mdp, np.where(mdp.terminal, 0.0, value))
+        found = verify(mdp, np.where(mdp.terminal, 0.0, value))
         low, high = (F(found.value[0]) + F(c) * F(found.weight[0]) for c in (found.low, found.high))
         assert low <= exact <= high
     gain = gains(mdp, np.zeros(2))

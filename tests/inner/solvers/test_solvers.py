@@ -18,16 +18,10 @@ from exact_mdp import MDP, SOLVERS, LinearProgram, SolverError, Status, solve
 @contextmanager
 def compiled_always() -> Iterator[None]:
     """Have models of any size solved in compiled loops."""
-    names = (
-        "bounds.elimination",
-        "bounds.gains",
-        "bounds.linear",
-        "bounds.sweeps",
-        "dynamic.stopping",
-    )
     with pytest.MonkeyPatch.context() as patch:
-        for name in names:
-            patch.setattr(import_module(f"exact_mdp.solvers.{name}"), "COMPILED", 0)
+        for name in ("elimination", "gains", "linear"):
+            patch.setattr(import_module(f"exact_mdp.solvers.bounds.{name}"), "COMPILED", 0)
+        patch.setattr(import_module("exact_mdp.solvers.dynamic.iterate"), "LOOPS", 0)
         yield
 
 

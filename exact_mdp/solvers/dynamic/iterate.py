@@ -1,0 +1,455 @@
+"""The one loop of all solvers that improve values, and what brings values nearer to the optimum.
+
+    repeat:  a pass over all pairs: T V - V, a greedy policy, bounds; then a step of the solver
+
+A pass over values h finds low and high with h + low w ≤ V^π ≤ V* ≤ h + high w, rounding apart
+(`solvers.bounds.bounds`). Once these are near enough, they are proven: widened by the greatest
+rounding error of any pair, or where that is too coarse by `verify`, which counts it pair by pair.
+Where no way leads to an end (w = 1), h need be right only up to what all values have in common, the
+`level`: d(h) = level, rather than 0 (relative value iteration, White, J. Math. Anal. Appl. 6, 1963;
+bounds by MacQueen, J. Math. Anal. Appl. 14, 1966), so that h is as small as values differ and
+loses no digits next to discount 1.
+
+Steps are
+
+    take       h ← T h
+    settle     h ← T_π h, until the error within the policy falls to a goal: where chains mix soon
+    relax      h(s) ← (T h)(s), one state after another, upward and downward in turn: carries values
+               along a whole chain of states at once (Gauss-Seidel)
+    correct    h ← h + (I - γ P_π)⁻¹ (T_π h - h), iterative refinement: however slowly chains mix
+
+Where sweeps of a policy were too slow, each round relaxes, and as much is spent on that as the
+equations of a policy cost before these are solved: most policies on the way are soon improved upon.
+One that no longer changes, while bounds hardly fall, is solved for at once.
+
+Passes over large models leave out pairs that are beaten, as values have not risen enough since they
+were looked at to make up for it (MacQueen, Operations Research 15, 1967; Hastings and van Nunen,
+in Markov Decision Theory, 1977). Small models are passed over in NumPy, and policies solved for
+directly, as loading compiled loops takes longer than solving them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from functools import cached_property, wraps
+from numbers import Real
+from time import perf_counter
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.forms.threads import block_ends, run_blocks
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import counted
+from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights, verify
+from exact_mdp.solvers.bounds.gains import UNIT, gains, greedy, largest_error, rounding_facts
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, relatively
+from exact_mdp.solvers.dynamic.known import values_of
+from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
+
+RELATIVE_TOLERANCE = 1e-9
+LOOPS = 2_000  # transitions from which compiled loops pay, once they are loaded
+NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
+CORRECTIONS = 30
+SWEEPS, TRIED = 100, 6  # for one policy, at most; after which to ask how fast errors fall
+PRICE = 2000  # sweeps in whose time a policy's equations are solved, where no band tells it
+PATIENCE, LONG = 20, 200  # passes without progress: near rounding errors, and anywhere
+FEW, MANY = 100, 10_000  # passes that bring too little, whatever is done between them
+S = TypeVar("S")
+
+
+class Solver(Protocol):
+    """Settings of an algorithm, and the one verb."""
+
+    @property
+    def name(self) -> str:
+        """Name of the algorithm, as in `SOLVERS`."""
+
+    def solve(self, model: MDP) -> Solution:
+        """Return values, a policy and their error bounds."""
+
+
+def of_costs(solve: Callable[[S, MDP], Solution]) -> Callable[[S, MDP], Solution]:
+    """Return a solver's method that takes models of costs too, whose negation it maximises."""
+
+    @wraps(solve)
+    def door(self: S, model: MDP) -> Solution:
+        if isinstance(model, MDP) and model.sense == "min":
+            return solve(self, model.maximised).negated(model)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return solve(self, model)
+
+    return door
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pass:
+    """What one pass over all pairs found around h, but for rounding errors."""
+
+    step: Floats  # (S,) T h - h
+    low: float  # h + low · w ≤ V^π ≤ V* ≤ h + high · w, for the greedy policy π
+    high: float
+
+    @property
+    def half(self) -> float:
+        """Half of the gap between the bounds, in units of w."""
+        return (self.high - self.low) / 2
+
+
+class Values:
+    """Values h on their way to V*, and the greedy policy of the last pass."""
+
+    def __init__(self, mdp: MDP, value: Floats) -> None:
+        """Begin with `value` (S,)."""
+        self.mdp, self.value, self.weights = mdp, value, margin_weights(mdp)
+        self.facts, self.live = rounding_facts(mdp), ~mdp.terminal
+        self.pairs: Integers = np.full(mdp.n_states, -1)
+        self.best, self.idle, self.stable = np.inf, 0, False
+        self.passes, self.level, self.relaxed = 0, 0.0, False
+        self.large = mdp.n_transitions >= LOOPS
+        self.slow = not self.large  # whether sweeps are too slow, or equations cost less
+        self.price, self.spent = PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states, 0.0
+        self._error, self._rise, self._before = 0.0, 0.0, np.zeros(mdp.n_states)
+
+    # ---- passes over all pairs -----------------------------------------------------------------
+
+    def improve(self, *, keep: bool = False) -> Pass:
+        """Return a pass over all pairs.
+
+        To `keep` a pair of the policy before is to leave it only for what is better by more than
+        rounding; compiled loops leave it for what is better as computed.
+        """
+        mdp, step = self.mdp, np.empty(self.mdp.n_states)
+        before = self.pairs
+        if self.weights.uniform and self.live.any():
+            self._centre()
+        if self.large:
+            from exact_mdp.solvers.kernels import bellman
+
+            self.pairs = before.copy()
+            climb = mdp.discount * float((self.value - self._before).max())
+            self._rise += climb + 4 * UNIT * (abs(climb) + abs(self._rise))
+            self._before = self.value.copy()
+            bottom, top = float(self.value.min()), float(self.value.max())
+            self._error = largest_error(mdp, bottom, top)
+            size = 2 * (top - bottom) + max(-bottom, top) + self.facts.size
+            slack = self._error + 16 * UNIT * (abs(self._rise) + size)
+            known = self.pairs, self._ceilings, self._rise, slack
+            low, high = self._blocks(bellman.improve, self.value, *known, step)
+        else:
+            gain = gains(mdp, self.value)
+            self._error = float(gain.error.max())
+            self.pairs = greedy(mdp, gain, keep=before if keep and self.passes else None)
+            step[:] = np.maximum.reduceat(gain.value, mdp.pair_offsets[:-1])
+            step[mdp.terminal] = 0.0
+            ratio = gain.value / self.weights.margin
+            low = float(ratio[self.pairs[self.live]].min(initial=np.inf))
+            high = float(ratio.max(where=self.live[mdp.pair_state], initial=-np.inf))
+        if not self.live.any():
+            low = high = 0.0
+        if not np.isfinite(high - low):
+            raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
+        self.passes, self.spent = self.passes + 1, self.spent + 2 * mdp.n_transitions
+        self.stable = bool((self.pairs == before).all())
+        half = (high - low) / 2
+        self.best, self.idle = (half, 0) if half < 0.9 * self.best else (self.best, self.idle + 1)
+        return Pass(step=step, low=low, high=high)
+
+    def _centre(self) -> None:
+        """Leave out what all values have in common, which would cost digits."""
+        values = self.value[self.live] if self.mdp.terminal.any() else self.value
+        span, middle = float(np.ptp(values)), float(values.max() + values.min()) / 2
+        if abs(middle) > span:
+            self.value = self.live * (self.value - middle)
+            self.level += self.facts.leak * middle
+
+    def relative(self, found: Pass) -> float:
+        """Return the tolerance where none is asked for: a part of the greatest value."""
+        centre = found.low / 2 + found.high / 2
+        largest = float(np.abs(self.value + centre * self.weights.value).max())
+        return RELATIVE_TOLERANCE * max(1.0, largest)
+
+    def floor(self, found: Pass) -> float:
+        """Return how far rounding may have moved the bounds of a pass, at most."""
+        weights, large = self.weights, max(abs(found.low), abs(found.high))
+        return (self._error + large * (weights.error + 8 * UNIT)) / weights.smallest
+
+    def proven(self, found: Pass) -> Bounds:
+        """Return the bounds of a pass, wider by all that rounding may have done to them."""
+        value, weight, wide = self.value, self.weights.value, self.floor(found)
+        low, high = found.low - wide, found.high + wide
+        return Bounds(value=value, weight=weight, pairs=self.pairs, low=low, high=high).centred()
+
+    def follow(self, level: float = 0.0) -> tuple[Floats, float, float]:
+        """Return h + d - level (S,) of the policy, and the least and the greatest d / m."""
+        if self.large:
+            from exact_mdp.solvers.kernels import bellman
+
+            after = np.empty(self.mdp.n_states)
+            return after, *self._blocks(bellman.follow, self.value, self.pairs, level, after)
+        gain = gains(self.mdp, self.value).value
+        ratio = (gain / self.weights.margin)[self.pairs[self.live]]
+        after = np.where(self.live, self.value + (gain[self.pairs] - level), 0.0)
+        return after, float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
+
+    # ---- steps ---------------------------------------------------------------------------------
+
+    def take(self, found: Pass) -> None:
+        """Move on to T h, at the level between the bounds.
+
+        Once states were improved one by one, errors differ, and a change of level could bring back
+        more than a sweep removes.
+        """
+        if not self.relaxed:
+            self._between(found.low, found.high)
+        self.value = self.value + self.live * (found.step - self.level)
+
+    def settle(self, goal: float) -> bool:
+        """Sweep for the policy until the error within it is at most `goal`; False if too slow."""
+        from exact_mdp.solvers.kernels import bellman
+
+        done, self.level = bellman.settle(
+            self._model, self.pairs, self._rows, self.weights.value, self.value,
+            self.level, goal, SWEEPS, TRIED, np.empty(self.mdp.n_states),
+        )  # fmt: skip
+        return bool(done)
+
+    def relax(self) -> None:
+        """Improve each state in turn by what others have become."""
+        from exact_mdp.solvers.kernels import bellman
+
+        for backward in (False, True):
+            bellman.relax(backward, self._model, self.value, self.level)
+        self.relaxed, self.spent = True, self.spent + 4 * self.mdp.n_transitions
+
+    def evaluate(self, goal: float) -> None:
+        """Bring values near to those of the policy, or nearer to V* for less than that costs."""
+        if not self.slow and self.settle(goal):
+            return
+        if not self.slow:
+            system = LinearSystem(self._chain(), self.mdp.discount)
+            self.price = system.work_as_numbered or self.price
+            self.slow = True
+        due = self.spent >= self.price or (self.stable and self.idle) or goal == 0
+        if due or not self.large:
+            self.correct(goal)
+        if self.large and not (due and self.stable):
+            self.relax()
+
+    def correct(self, goal: float) -> None:
+        """Solve the equations of the policy until the error within it is at most `goal`."""
+        mdp, uniform = self.mdp, self.weights.uniform
+        near, solved = uniform and mdp.discount > NEARLY_ONE, None
+        error, kept = np.inf, self.value
+        margin = self.weights.margin if uniform else self.weights.margin[self.pairs]
+        for _ in range(CORRECTIONS if self.large or near else 1):
+            after, low, high = self.follow()
+            before, error = error, (high - low) / 2 if uniform else max(-low, high)
+            if not error <= before:  # it went astray
+                self.value = kept
+                break
+            self._between(low, high)
+            if error <= goal or error > before / 2:
+                break
+            if solved is None:
+                system = LinearSystem(self._chain(), mdp.discount)
+                leak = np.where(self.live, margin, 0.0)
+                solved = relatively(system, leak) if near else system.roughly
+                self.price = system.work or self.price
+            kept = self.value
+            more = solved(after - kept - self.level)
+            if uniform:  # what all values have in common is left out
+                more -= (more.max() + more.min()) / 2
+            self.value = kept + self.live * more
+        self.spent = 0.0
+
+    def _between(self, low: float, high: float) -> None:
+        """Set the level to the middle between two d / m, where there is one."""
+        if self.weights.uniform:
+            self.level = (low / 2 + high / 2) * float(self.weights.margin[0])
+
+    def _chain(self) -> sp.csr_array:
+        """Return the transitions of the policy, (S, S)."""
+        if not self.large:
+            return policy_chain(self.mdp, self.pairs)[0]
+        from exact_mdp.solvers.kernels import bellman
+
+        rows, states = self._rows, self.mdp.n_states
+        count = bellman.take_rows(self._model, self.pairs, rows)
+        parts = rows.data[:count].copy(), rows.indices[:count].copy(), rows.indptr.copy()
+        return sp.csr_array(parts, shape=(states, states))
+
+    # ---- what compiled loops take --------------------------------------------------------------
+
+    def _blocks(self, work: Any, *what: Any) -> tuple[float, float]:
+        """Run `work` on all blocks of states; return the least and the greatest ratio."""
+        ends, model = self._ends, self._model
+        extremes = np.empty((len(ends) - 1, 2))
+        if len(ends) == 2:
+            work(0, ends[1], model, *what, extremes[0])
+        else:
+            run_blocks(ends, lambda n, first, last: work(first, last, model, *what, extremes[n]))
+        low, high = zip(*extremes.tolist(), strict=True)
+        return min(low), max(high)
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        return block_ends(self.mdp.transition.indptr[self.mdp.pair_offsets])
+
+    @cached_property
+    def _rows(self) -> Any:
+        """Room for the rows of any policy."""
+        from exact_mdp.solvers.kernels.linear import Rows
+
+        mdp, matrix = self.mdp, self.mdp.transition
+        most = np.maximum.reduceat(np.diff(matrix.indptr), mdp.pair_offsets[:-1]).sum()
+        indptr = np.zeros(mdp.n_states + 1, dtype=matrix.indptr.dtype)
+        return Rows(indptr, np.empty(most, dtype=matrix.indices.dtype), np.empty(most))
+
+    @cached_property
+    def _ceilings(self) -> Floats:
+        return np.asarray(self.mdp.reward + 2 * self.facts.most_reward_error)
+
+    @cached_property
+    def _model(self) -> Any:
+        from exact_mdp.solvers.kernels import bellman
+
+        mdp, matrix = self.mdp, self.mdp.transition
+        return bellman.Model(
+            offsets=mdp.pair_offsets,
+            indptr=matrix.indptr,
+            indices=matrix.indices,
+            data=matrix.data,
+            reward=mdp.reward,
+            margin=self.weights.margin,
+            ended=mdp.terminal,
+            discount=mdp.discount,
+            leak=self.facts.leak,
+        )
+
+
+def iterate(
+    mdp: MDP,
+    solver: Any,
+    step: Callable[[Values, Pass, float], None],
+    *,
+    tol: float | None = None,
+    evaluates: bool = False,
+    exact: bool = False,
+) -> Solution:
+    """Return the optimum within `tol`: passes, and a `step` of the solver after each.
+
+    `step` gets the values, the last pass, and how near values of a policy should come: a tenth of
+    the least error yet, and ever less where that has not fallen for some passes. Where it
+    `evaluates` policies and no tolerance is asked for, values are brought as near as floats can be
+    at last, so that ties show as ties. Where it does so in `exact` steps, a policy that comes back
+    ends it, once that brings its values no nearer.
+
+    Bounds of the size of rounding errors that fall no longer say that double precision is at its
+    limit; bounds that stay large say nothing for as many passes as there are states, as values are
+    carried on by one transition in each. Where steps do not evaluate policies and `FEW` passes
+    bring nothing, or `MANY` were too few, each is followed by an evaluation of its policy.
+    """
+    started, status = perf_counter(), None
+    values = Values(mdp, values_of(mdp, solver.start))
+    weight = float(values.weights.value.max(initial=0.0))
+    doubt, hurried, seen = 1.0, False, set[bytes]()
+    polished = evaluates and not exact and tol is None
+    ready = not polished
+    for iteration in range(1, solver.max_iterations + 1):
+        found = values.improve(keep=exact or values.idle >= 5)
+        half, floor, idle = found.half * weight, values.floor(found) * weight, values.idle
+        limit = values.relative(found) if tol is None else tol
+        stalled = idle >= PATIENCE and half <= 4 * floor
+        close = doubt * half <= limit or stalled
+        if exact:
+            again = values.pairs.tobytes()
+            close = again in seen and (close or idle >= 5)
+            seen.add(again)
+        if close and (stalled or (ready and (values.stable or not polished))):
+            reached = values.proven(found) if tol is not None else None
+            if reached is None or reached.error > limit:
+                reached = verify(mdp, values.value, strict=tol is not None).centred()
+            if exact:
+                status = Status.DIRECT
+            elif reached.error <= limit:
+                status = Status.CONVERGED
+            elif stalled and reached.error <= 8 * floor:
+                status = Status.PRECISION
+            # What fell short of the proven error is not to be taken for the whole of it again.
+            doubt = reached.error / half if half > 0 else 1.0
+        elif idle >= LONG + 2 * mdp.n_states:
+            status = Status.NO_BOUND
+        if status is not None:
+            break
+        part = 10.0 ** min(max(1, idle - 3), 12)
+        goal = 0.0 if close else max(values.best / part, limit / 2 / (weight or 1.0))
+        ready = ready or close
+        step(values, found, goal)
+        hurried = hurried or (not evaluates and (idle >= FEW or iteration >= MANY))
+        if hurried:
+            with suppress(SolverError):
+                values.correct(goal)
+    if status in (None, Status.NO_BOUND):
+        status = status or Status.ITERATION_LIMIT
+        reached = verify(mdp, values.value).centred()
+    return conclude(mdp, solver, reached, status=status, iterations=iteration, started=started)
+
+
+def conclude(
+    mdp: MDP, solver: Solver, found: Any, *, status: Status, iterations: int, started: float
+) -> Solution:
+    """Return the solution; warns where its tolerance is beyond double precision.
+
+    `found` are Bounds, or what has a value, pairs, state_error and regret, too;
+    `started` is the `perf_counter()` at which the solver began.
+    """
+    solution = Solution(
+        mdp=mdp,
+        value=np.array(found.value),
+        pairs=found.pairs,
+        state_error=found.state_error,
+        regret_bound=found.regret,
+        status=status,
+        method=solver.name,
+        solver=repr(solver),
+        iterations=iterations,
+        seconds=perf_counter() - started,
+    )
+    if status is Status.PRECISION:
+        message = f"the error bound is {solution.error_bound:.2g}: {status}"
+        warn_of_precision(message)
+    if status in (Status.ITERATION_LIMIT, Status.NO_BOUND):
+        detail = f"{solution.error_bound:.2g} is the error bound after {iterations} iterations"
+        raise SolverError(status, detail, solution)
+    return solution
+
+
+def check_settings(solver: Any) -> None:
+    """Raise ModelError for a `tol` that is not positive, or another number below 1."""
+    name = type(solver).__name__
+    settings = {
+        field.name: getattr(solver, field.name) for field in fields(solver) if field.name != "start"
+    }
+    check_tolerance(name, settings.pop("tol", None))
+    check_counts(name, **settings)
+
+
+def check_tolerance(where: str, tol: Any) -> None:
+    """Raise ModelError for a tolerance that is no positive number; True is none."""
+    number = isinstance(tol, Real) and not isinstance(tol, bool)
+    if tol is not None and not (number and 0 < tol < np.inf):
+        shown = tol if number else repr(tol)
+        raise ModelError(f"tol is {shown}", where=where, fix="choose a positive number, or None")
+
+
+def check_counts(where: str, **counts: Any) -> None:
+    """Raise ModelError for what is not a whole number from 1 up; True is none."""
+    with located(where):
+        for key, count in counts.items():
+            counted(count, key)

@@ -1,0 +1,186 @@
+"""Four ways to improve values until their error bound is small: one step each.
+
+    value iteration              V ← T V,   (T V)(s) = max over pairs l of s of r(l) + γ P_l V
+    Gauss-Seidel                 the same, state after state, upward and downward in number by turns
+    modified policy iteration    π greedy for V,   V ← (T_π)^m V
+    policy iteration             π greedy for V,   V ← (I - γ P_π)⁻¹ r_π
+
+`solvers.dynamic.iterate` has the loop: it stops by two-sided bounds, never because a step changed
+little (Haddad and Monmege, Theoretical Computer Science 735, 2018), and answers with the middle
+between them. Sources: Puterman, Markov Decision Processes, 1994, sections 6.3 to 6.5; Puterman and
+Shin, Management Science 24, 1978; Howard, Dynamic Programming and Markov Processes, 1960.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from exact_mdp.mdp.model import MDP
+from exact_mdp.solvers.dynamic.iterate import Pass, Values, check_settings, iterate, of_costs
+from exact_mdp.solvers.solution import Solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValueIteration:
+    """Improve the values sweep by sweep until their error bound is at most `tol`.
+
+    Once a hundred sweeps do not bring the bounds closer by a tenth, or after 10,000, each is
+    followed by the linear equations of its policy, so that chains that mix slowly end, too.
+
+    Parameters
+    ----------
+    tol : float, optional
+        Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
+    max_iterations : int
+        Sweeps after which to give up, with a SolverError.
+    start : (S,) floats or PolicyLike, optional
+        Values to begin with, or a policy whose values are meant; 0 unless given.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[1]]], [1], discount="9/10")
+    >>> round(ValueIteration(tol=1e-6).solve(mdp).start_value, 6)
+    10.0
+    """
+
+    tol: float | None = None
+    max_iterations: int = 1_000_000
+    start: Any = field(default=None, repr=False, compare=False)
+
+    name: ClassVar[str] = "value-iteration"
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @of_costs
+    def solve(self, model: MDP) -> Solution:
+        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
+        return iterate(model, self, lambda values, found, goal: values.take(found), tol=self.tol)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussSeidel:
+    """Improve the values state by state until their error bound is at most `tol`.
+
+    Before each such sweep an ordinary one gives the bounds; see `ValueIteration` for the rest.
+
+    Parameters
+    ----------
+    tol : float, optional
+        Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
+    max_iterations : int
+        Pairs of sweeps after which to give up, with a SolverError.
+    start : (S,) floats or PolicyLike, optional
+        Values to begin with, or a policy whose values are meant; 0 unless given.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[1]]], [1], discount="9/10")
+    >>> round(GaussSeidel(tol=1e-6).solve(mdp).start_value, 6)
+    10.0
+    """
+
+    tol: float | None = None
+    max_iterations: int = 1_000_000
+    start: Any = field(default=None, repr=False, compare=False)
+
+    name: ClassVar[str] = "gauss-seidel"
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @of_costs
+    def solve(self, model: MDP) -> Solution:
+        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
+
+        def step(values: Values, found: Pass, goal: float) -> None:
+            values.take(found)
+            values.relax()
+
+        return iterate(model, self, step, tol=self.tol)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModifiedPolicyIteration:
+    """Policy iteration with evaluation by sweeps, until the error bound is at most `tol`.
+
+    A sweep for one policy costs the A-th part of a full one. Sweeps go on until the error within
+    the policy is a tenth of what was left; see `Values.evaluate` for chains that mix slowly.
+
+    Parameters
+    ----------
+    tol : float, optional
+        Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
+    max_iterations : int
+        Policies to improve before giving up, with a SolverError.
+    start : (S,) floats or PolicyLike, optional
+        Values to begin with, or a policy whose values are meant; 0 unless given.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[1]]], [1], discount="9/10")
+    >>> round(ModifiedPolicyIteration().solve(mdp).start_value, 9)
+    10.0
+    """
+
+    tol: float | None = None
+    max_iterations: int = 10_000
+    start: Any = field(default=None, repr=False, compare=False)
+
+    name: ClassVar[str] = "modified-policy-iteration"
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @of_costs
+    def solve(self, model: MDP) -> Solution:
+        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
+
+        def step(values: Values, found: Pass, goal: float) -> None:
+            values.take(found)
+            if values.passes > 1:  # the first policy is greedy for the next reward alone
+                values.evaluate(goal)
+
+        return iterate(model, self, step, tol=self.tol, evaluates=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyIteration:
+    """Howard's policy iteration; the error bound is what rounding leaves.
+
+    A pair is kept unless another beats it by more than rounding, and a policy that comes back ends
+    it. The number of iterations does not depend on how fast the chain mixes.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Policies to evaluate before giving up, with a SolverError.
+    start : PolicyLike or (S,) floats, optional
+        The policy to improve first, or values whose greedy policy is meant.
+
+    Examples
+    --------
+    >>> stay, go = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
+    >>> mdp = MDP.from_arrays([stay, go], [[1, 0], [2, 2]], discount="1/2")
+    >>> solution = PolicyIteration().solve(mdp)
+    >>> solution.value.tolist(), solution.policy.tolist()
+    ([2.0, 4.0], [0, 0])
+    """
+
+    max_iterations: int = 1000
+    start: Any = field(default=None, repr=False, compare=False)
+
+    name: ClassVar[str] = "policy-iteration"
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @of_costs
+    def solve(self, model: MDP) -> Solution:
+        """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
+
+        def step(values: Values, found: Pass, goal: float) -> None:
+            values.correct(0.0)
+
+        return iterate(model, self, step, evaluates=True, exact=True)
