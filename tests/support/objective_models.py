@@ -181,6 +181,7 @@ LIMITS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(0), F(1, 7), F(1), F(5, 2)])
 
 def sound(found: ConstrainedSolution, binding: int) -> None:
     """What holds of every solution: the proof, the totals of its policy, few randomised states."""
+    assert found.mdp is not None
     assert found.violations() == []
     assert sum(len(own) - 1 for own in found.randomises.values()) <= binding
     measured = evaluate(found.mdp, found.policy)
