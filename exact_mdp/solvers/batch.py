@@ -117,7 +117,7 @@ class Batch:
         return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, side)[:, :, 0])
 
     def improved(self, reward: Floats) -> tuple[Floats, Integers] | None:
-        """Return values (D, S) and pairs (D, S) that no pair improves by more than rounding."""
+        """Return values (D, S) and pairs (D, S), which few pairs or none improve."""
         draw, pairs = np.arange(len(self.rows))[:, None], np.tile(self.first, (len(self.rows), 1))
         number = np.arange(len(self.state))
         for _ in range(IMPROVEMENTS):
@@ -129,12 +129,13 @@ class Batch:
                 return None
             gain, noise = self.gains(value, reward)
             best = np.maximum.reduceat(gain, self.first, axis=1)
-            better = best > 2 * np.maximum.reduceat(noise, self.first, axis=1)
+            noise = 2 * np.maximum.reduceat(noise, self.first, axis=1)
+            better = best - gain[draw, pairs] > noise
             if not better.any():
-                return value, pairs
+                break
             there = np.where(gain == best[:, self.state], number, len(number))
             pairs = np.where(better, np.minimum.reduceat(there, self.first, axis=1), pairs)
-        return None
+        return value, pairs  # where ties alternate to the last, the bounds are a little wider
 
     @cached_property
     def weights(self) -> tuple[Floats, Floats] | None:

@@ -190,7 +190,7 @@ def difference(one: Certified | Bounded, other: Certified | Bounded) -> Certifie
 
     Examples
     --------
-    >>> print(difference(Bounded(value=1.5, error=0.25), Certified(value=Fraction(1, 2))))
+    >>> print(difference(Bounded(value=1.5, error=0.2), Certified(value=Fraction(1, 2))))
     1 ± 0.2 (bounded)
     """
     if isinstance(one, Certified) and isinstance(other, Certified):

@@ -201,7 +201,7 @@ def plot_thresholds(
     >>> small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     >>> ax = plot_thresholds(thresholds(small, "reward.anger"))
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
-    ['the optimal policy stays', 'today']
+    ['today', 'the optimal policy stays']
     """
     every = [*changes.values()] if isinstance(changes, Mapping) else [changes]
     names = [_axis(each.parameter) for each in every]

@@ -148,11 +148,11 @@ def plot_states(
     Examples
     --------
     >>> model = MDP.from_arrays([np.eye(6)], np.zeros(6), 0.9)
-    >>> (
+    >>> (  # six cells, and the mark of the start on a grid
     ...     len(plot_states(model, np.arange(6), shape=(2, 3)).patches),
     ...     len(plot_states(model, range(6)).patches),
     ... )
-    (6, 6)
+    (7, 6)
     """
     given = np.asarray(values, dtype=np.float64)
     if given.shape != (model.n_states,):

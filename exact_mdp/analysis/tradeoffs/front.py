@@ -34,6 +34,7 @@ from exact_mdp.mdp.graph import strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
+from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.exact.levels import Level, combined
 from exact_mdp.solvers.objectives.amounts import Objectives
@@ -81,7 +82,7 @@ class Corner:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Front(Proof):
+class Front(Proof, Pictured):
     """The exact Pareto front of expected totals from the start, and its proof.
 
     Attributes

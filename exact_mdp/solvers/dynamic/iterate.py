@@ -53,7 +53,7 @@ from exact_mdp.solvers.dynamic.known import values_of
 from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
 
 RELATIVE_TOLERANCE = 1e-9
-LOOPS = 2_000  # transitions from which compiled loops pay, once they are loaded
+LOOPS = 10_000  # transitions: from here on compiled loops are worth the third of a second to load
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 CORRECTIONS = 30
 SWEEPS, TRIED = 100, 6  # for one policy, at most; after which to ask how fast errors fall

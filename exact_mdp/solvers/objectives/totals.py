@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import model_of
@@ -120,7 +120,7 @@ def extreme(of: Objectives, weights: Weights, first: Integers | None = None) -> 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Proof(Pictured):
+class Proof(Result):
     """What is proven about totals of a model; `violations` needs the model alone.
 
     Attributes
