@@ -85,7 +85,7 @@ from exact_mdp.solvers.learning.schedules import Constant as Constant
 from exact_mdp.solvers.learning.schedules import Exponential as Exponential
 from exact_mdp.solvers.learning.training import train as train
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution as ConstrainedSolution
-from exact_mdp.solvers.risk.tail import best_cvar as best_cvar
+from exact_mdp.solvers.risk import best_cvar as best_cvar
 from exact_mdp.solvers.robust.robust import solve_robust as solve_robust
 from exact_mdp.solvers.robust.sets import Intervals as Intervals
 from exact_mdp.solvers.solution import Bounded as Bounded

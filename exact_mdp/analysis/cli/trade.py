@@ -22,7 +22,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown, Table, at_most, between
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.risk.lattice import share_of
+from exact_mdp.solvers.risk import share_of
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import policy_of
 

@@ -1,7 +1,7 @@
 """The mean of all episodes against the mean of the worst: best policies, and others beside them.
 
 For weights v of the mean, policies with the most of (1 - v) CVaR + v E Z, exact points of the
-trade-off (`solvers.risk.tail`). They are best for their weight among all policies, those with a
+trade-off (`solvers.risk`). They are best for their weight among all policies, those with a
 memory included. Between two of them nothing is claimed.
 """
 
@@ -19,8 +19,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import shown
-from exact_mdp.solvers.risk.lattice import share_of, tail_mean
-from exact_mdp.solvers.risk.tail import CVaROptimum, best_cvar
+from exact_mdp.solvers.risk import CVaROptimum, best_cvar, share_of, tail_mean
 from exact_mdp.solvers.solution import Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.returns import return_distribution
@@ -188,5 +187,5 @@ def point_of(mdp: MDP, level: Fraction, policy: PolicyLike) -> tuple[Fraction, F
     assert found.exact is not None
     sign = 1 if mdp.sense == "max" else -1
     both = sorted((sign * value, p) for value, p in zip(found.values, found.exact, strict=True))
-    worst, _ = tail_mean([value for value, _ in both], [p for _, p in both], level)
-    return sign * sum((value * p for value, p in both), Fraction(0)), sign * worst
+    mean = sum((value * p for value, p in both), Fraction(0))
+    return sign * mean, sign * tail_mean(both, level)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exact_mdp import MDP, Certificate, ModelError, certify, rationalize, solve, tradeoff
+from exact_mdp import MDP, Certificate, ModelError, best_cvar, certify, rationalize, solve, tradeoff
 from exact_mdp.analysis.cli.policies import KINDS
 from exact_mdp.mdp.io import model_json
 from exact_mdp.solvers.exact import checker, codec
@@ -79,6 +79,10 @@ MODELS: dict[str, tuple[MDP, dict[str, Any]]] = {
     ),
     "reaching": (of(LOOP, labels={"goal": [False, True, False]}).reaching("goal"), {}),
     "within": (of(LOOP).within(2), {}),
+    "the worst episodes": (best_cvar(of(TIES, start=["1/2", "1/2", 0]), "1/2").certificate.mdp, {}),
+    "the worst episodes of costs": (
+        best_cvar(of(LOOP, sense="min"), "1/3", weight="1/4", horizon=1).certificate.mdp, {},
+    ),
     "bounds": (of(LOOP, discount="1/2"), {"bounded": True}),
     "bounds of costs": (of(TIES, sense="min"), {"bounded": True}),
 }  # fmt: skip

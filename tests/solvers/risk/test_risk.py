@@ -90,6 +90,9 @@ def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight
     assert own in every
     assert (worst(own, level), mean(own)) == (found.value, found.mean)
     assert found.violations() == []
+    proof = found.certificate
+    assert proof.mdp is not None
+    assert certify(proof.mdp).value.tolist() == proof.value.tolist()
     costs = [(s, a, [(p, to, -gain) for p, to, gain in each]) for s, a, each in rows]
     turned = best_cvar(model(costs, "min"), level, weight=weight)
     assert (turned.value, turned.mean) == (-found.value, -found.mean)
@@ -145,11 +148,16 @@ def test_what_is_false_is_found() -> None:
         {"threshold": F(1, 2)},
     ):
         assert replace(found, **change).violations()
-    own = found.shortages
-    less = [own.lack[0] * 0, *own.lack[1:]]
-    bold = [np.zeros_like(own.choice[0]), *own.choice[1:]]
-    for broken in (replace(own, lack=less), replace(own, choice=bold)):
-        assert replace(found, shortages=broken).violations()
+    more = replace(found.values, top=[top + 1 for top in found.values.top])
+    for change in ({"values": more}, {"pairs": np.zeros_like(found.pairs)}):
+        assert replace(found, **change).violations()
+
+
+def test_huge_rewards_that_differ_by_little() -> None:
+    rows = [(0, 0, [("1/2", 1, 10**30), ("1/2", 1, 10**30 + 3)]), (0, 1, [(1, 1, 10**30 + 1)])]
+    rows = [*rows, (1, 0, [(1, 1, 0)])]
+    found = best_cvar(MDP.from_outcomes(rows), "3/4")
+    assert (found.value, found.violations()) == (10**30 + 1, [])
 
 
 def test_the_model_of_the_paper() -> None:

@@ -1,0 +1,456 @@
+"""The best policy for the mean of the worst share α of all episodes (CVaR of the return Z).
+
+    CVaR_α(Z) = max over η of  η - E (η - Z)⁺ / α
+
+(Rockafellar and Uryasev, Journal of Risk 2, 2000). A policy that is best for a threshold η has to
+know the state and what is still wanted of the return, η less the reward so far (Bäuerle and Ott,
+Mathematical Methods of Operations Research 74, 2011). `with_budget` writes this into the states,
+and what results is a model of a total reward. It has no cycles, and `Certificate` proves its values
+for all thresholds at once.
+
+A weight v of the mean asks for the most of (1 - v) CVaR + v E Z = (1 - v) (η + V_η / α), where V_η
+is the greatest λ E Z - E (η - Z)⁺, with λ = α v / (1 - v). Of equal values the greater mean is
+taken. All numbers are integers over one denominator for each state.
+
+>>> from exact_mdp import MDP
+>>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
+>>> best_cvar(MDP.from_outcomes(rows), "1/2").value
+Fraction(4, 1)
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cache, cached_property, partial
+from itertools import groupby
+from math import gcd, lcm
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.graph import termination
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.questions import NO_DATA, ONE_COMPONENT
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import (
+    Integers,
+    Numbers,
+    OutcomeTable,
+    exact,
+    integers,
+    multiply,
+    ones,
+    shown,
+    spans,
+)
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.exact.certificate import Certificate
+from exact_mdp.solvers.exact.find import certificate
+from exact_mdp.solvers.exact.levels import Level
+from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solver import mdp_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+CELLS = 20_000_000  # outcomes times returns
+WHERE = "risk of the return"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Budgeted:
+    """A model whose states hold what is still wanted of the return: see `with_budget`."""
+
+    mdp: MDP  # without budgets, maximised
+    trade: Fraction  # λ
+    unit: Fraction
+    table: OutcomeTable  # of `mdp`, with rewards in units
+    order: list[int]  # states that are not terminal, from the end on
+    low: Numbers  # (S,)
+    high: Numbers  # (S,)
+
+    @cached_property
+    def first(self) -> Integers:
+        """(S+1,) the number of (s, low(s)) among the states of the new model."""
+        return np.append(0, np.cumsum(self.high - self.low + 1)).astype(np.int64)
+
+    def outcomes(self, state: int) -> slice:
+        """Return the outcomes of all pairs of a state."""
+        pairs = self.mdp.pairs_of(state)
+        return slice(int(self.table.offsets[pairs.start]), int(self.table.offsets[pairs.stop]))
+
+    def after(self, state: int) -> tuple[Integers, Numbers]:
+        """Return (budgets, outcomes) the new states, and q times what is earned (λ = p / q)."""
+        here, top, below = self.outcomes(state), self.trade.numerator, self.trade.denominator
+        to, gain = self.table.next[here], self.table.gain[here]
+        shift = (self.low[state] - gain - self.low[to]).astype(np.int64)
+        budget = np.arange(self.high[state] - self.low[state] + 1)[:, None] + shift
+        within = np.clip(budget, 0, self.first[to + 1] - self.first[to] - 1)
+        lacking = multiply(np.maximum(budget - within, 0), integers([below]), terms=2)
+        return self.first[to] + within, multiply(gain, integers([top]), terms=2) - lacking
+
+    def place(self, state: int, wanted: int) -> int:
+        """Return the new state for a state and what is wanted."""
+        low, high = int(self.low[state]), int(self.high[state])
+        return int(self.first[state]) + min(max(wanted, low), high) - low
+
+    @property
+    def thresholds(self) -> range:
+        """The returns from the start, of which one is the best threshold."""
+        begins = [state for state, _ in self.mdp.start]
+        return range(int(min(self.low[begins])), int(max(self.high[begins])) + 1)
+
+    def start(self, threshold: int) -> tuple[tuple[int, Fraction], ...]:
+        """Return the new states in which episodes start, with their probabilities."""
+        return tuple((self.place(s, threshold), p) for s, p in self.mdp.start)
+
+    def worth(self, values: Level, threshold: int, level: Fraction) -> Fraction:
+        """Return (1 - v) CVaR + v E Z of the best policy for a threshold."""
+        lacking = sum(p * max(threshold - int(self.high[s]), 0) for s, p in self.mdp.start)
+        best = values.mean(self.start(threshold)) - lacking
+        return (level * threshold + best) / (level + self.trade)
+
+    def model(self, threshold: int) -> MDP:
+        """Return the new model, with the start for a threshold."""
+        old, each = self.mdp, [self.after(state) for state in range(self.mdp.n_states)]
+        state = np.repeat(np.arange(old.n_states), np.diff(self.first))
+        pairs = spans(old.pair_offsets[state], old.pair_offsets[state + 1])
+        parts: dict[str, Any] = {
+            "table": replace(
+                self.table.of_pairs(pairs),
+                next=np.concatenate([to.ravel() for to, _ in each]),
+                gain=np.concatenate([earned.ravel() for _, earned in each]),
+                gain_denominator=np.repeat(integers([self.trade.denominator]), len(pairs)),
+            ),
+            "pair_state": np.repeat(np.arange(len(state)), np.diff(old.pair_offsets)[state]),
+            "pair_action": old.pair_action[pairs],
+            "space": StateSpace.plain(len(state)),
+            "start": self.start(threshold),
+            "time_limit": None,
+            "labels": {},
+            "goal": None,
+            **ONE_COMPONENT,
+            **NO_DATA,
+        }
+        return replace(old, **parts)
+
+
+def with_budget(model: MDP, trade: Fraction) -> Budgeted:
+    """Return the model of λ E Z - E (η - Z)⁺, whose states hold what is still wanted.
+
+    Rewards are multiples k of a unit, and returns from a state s lie between low(s) and high(s),
+
+        low(s) = min over pairs l, outcomes (p, s', k) of l:  k + low(s').
+
+    From (s, w) an outcome leads to (s', w - k) and earns λ k. Where less than low(s') is wanted
+    there is no shortage, whatever is done: the budget is low(s'). Where more than high(s') is
+    wanted, the surplus is lacking whatever is done: it is paid at once, and the budget is high(s').
+    """
+    mdp = model.maximised
+    if mdp.discount_exact != 1:
+        raise ModelError(
+            f"the discount is {shown(mdp.discount_exact)}, and risks are found at discount 1",
+            where=WHERE,
+            fix="choose discount 1: then the reward so far says all that matters of the past",
+        )
+    ends = mdp.terminal
+    if mdp.goal is not None and (ends & ~mdp.goal).any():
+        raise ModelError(
+            "episodes may end without the goal, at an infinite cost",
+            where=WHERE,
+            fix="state a model of rewards or costs, without a question of a goal",
+        )
+    level = levels(mdp)
+    if level is None:
+        raise ModelError(
+            "states lead back to each other, so that returns have no end",
+            where=WHERE,
+            fix="give a horizon, or a model without cycles",
+        )
+    table, pair = mdp.table, mdp.table.pair
+    (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
+    gain = gain[pair] if len(gain) == table.pairs else gain
+    shared = lcm(*below.tolist())
+    whole = [g * (shared // b) for g, b in zip(gain.tolist(), below[pair].tolist(), strict=True)]
+    size = gcd(*whole) or shared
+    gain = integers(g // size for g in whole)
+    sort = np.lexsort((-gain, table.next, pair))  # new states rise within a pair
+    table = replace(
+        table,
+        weight=weight[sort],
+        denominator=denominator,
+        gain=gain[sort],
+        gain_denominator=ones(table.pairs),
+        event=None,
+    )
+    order = [int(s) for s in np.argsort(level, kind="stable") if not ends[s]]
+    low, high = np.zeros((2, mdp.n_states), dtype=object)
+    unit = Fraction(size, shared)
+    of = Budgeted(mdp=mdp, trade=trade, unit=unit, table=table, order=order, low=low, high=high)
+    cells = 0
+    for state in order:
+        here = of.outcomes(state)
+        to, gains = table.next[here], table.gain[here]
+        low[state], high[state] = min(gains + low[to]), max(gains + high[to])
+        cells += len(to) * (high[state] - low[state] + 1)
+    if cells > CELLS:
+        raise ModelError(
+            f"{cells:,} pairs of an outcome and a return, in steps of {shown(unit)}",
+            where=WHERE,
+            fix=f"use a model with at most {CELLS:,}: fewer states, or rounder rewards",
+        )
+    return of
+
+
+def _optimum(of: Budgeted) -> tuple[Integers, Level, Level]:
+    """Return pairs of the old model for the new states, their values, and the means of returns."""
+    first, table = of.first, of.table
+    denominator = np.repeat(table.denominator, np.diff(table.offsets))
+    value, mean = np.zeros((2, int(first[-1])), dtype=object)
+    below = np.ones(of.mdp.n_states, dtype=object)
+    pairs = np.repeat(of.mdp.pair_offsets[:-1], np.diff(first))
+    for state in of.order:
+        here, (after, earned) = of.outcomes(state), of.after(state)
+        own, to = of.mdp.pairs_of(state), table.next[here]
+        scale = below[to] * denominator[here]
+        below[state] = lcm(*scale.tolist())
+        times = table.weight[here] * (below[state] // scale)
+        starts = table.offsets[own.start : own.stop] - here.start
+        totals, means = (
+            np.add.reduceat(times * (x[after] + below[to] * gains), starts, axis=1)
+            for x, gains in ((value, earned), (mean, table.gain[here]))
+        )
+        most = totals.max(axis=1)
+        means = np.where(totals == most[:, None], means, means.min() - 1)
+        new = slice(int(first[state]), int(first[state + 1]))
+        value[new], mean[new] = most, means.max(axis=1)
+        pairs[new] = own.start + means.argmax(axis=1)
+    group = np.repeat(np.arange(of.mdp.n_states), np.diff(first))
+    paid = [of.trade.denominator * each for each in below.tolist()]
+    return (
+        pairs,
+        Level(top=value.tolist(), below=paid, group=group),
+        Level(top=mean.tolist(), below=below.tolist(), group=group),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CVaROptimum(Result):
+    """A policy with the greatest mean of the worst share of episodes.
+
+    With a horizon, `mdp` is the model with the time in its states. The `threshold` is the return η
+    from which the policy has the least expected shortage. In each state of `budgeted` it takes a
+    pair of `mdp`; these have certain `values`, for rewards that are maximised.
+    """
+
+    mdp: MDP
+    level: Fraction
+    weight: Fraction
+    value: Fraction
+    mean: Fraction
+    threshold: Fraction
+    pairs: Integers
+    values: Level
+
+    claim = Claim.CERTIFIED
+
+    def __repr__(self) -> str:
+        return (
+            f"CVaROptimum(worst {shown(self.level)}: {float(self.value):.6g}, "
+            f"mean {float(self.mean):.6g}; certified)"
+        )
+
+    @cached_property
+    def budgeted(self) -> Budgeted:
+        """The model whose states hold what is still wanted of the return."""
+        return with_budget(self.mdp, self.level * self.weight / (1 - self.weight))
+
+    @property
+    def _unit(self) -> Fraction:
+        return self.budgeted.unit if self.mdp.sense == "max" else -self.budgeted.unit
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The proof of the values of `budgeted`, for all thresholds."""
+        of = self.budgeted
+        model = of.model(int(self.threshold / self._unit))
+        first = np.repeat(of.mdp.pair_offsets[:-1], np.diff(of.first))
+        pairs = model.pair_offsets[:-1] + self.pairs - first
+        return certificate(model, pairs, h=self.values, rank=termination(model).rank)
+
+    def _pair(self, state: int, wanted: int) -> int:
+        return int(self.pairs[self.budgeted.place(state, wanted)])
+
+    def action(self, state: int, so_far: object = 0) -> str:
+        """Return what the policy does in a state after a reward of so much."""
+        wanted = (self.threshold - exact(so_far)) / self._unit
+        if wanted.denominator != 1:
+            raise ModelError(
+                f"no reward so far can be {shown(exact(so_far))}",
+                where=WHERE,
+                fix=f"rewards are multiples of {shown(self.budgeted.unit)}",
+            )
+        return str(self.mdp.actions[self.mdp.pair_action[self._pair(state, int(wanted))]])
+
+    def _met(self) -> dict[int, dict[Fraction, Fraction]]:
+        """Return how likely each reward so far is in each state under the policy."""
+        of, aim = self.budgeted, int(self.threshold / self._unit)
+        met: defaultdict[int, defaultdict[int, Fraction]] = defaultdict(
+            lambda: defaultdict(Fraction)
+        )
+        for state, weight in of.mdp.start:
+            met[state][0] += weight
+        row = cache(of.table.row)
+        for state in reversed(of.order):
+            for so_far, mass in met.get(state, {}).items():
+                for p, to, k in row(self._pair(state, aim - so_far)):
+                    met[to][so_far + int(k)] += mass * p
+        return {
+            state: dict(sorted((self._unit * k, mass) for k, mass in met[state].items()))
+            for state in sorted(met)
+        }
+
+    def rules(self) -> list[tuple[int, Fraction, Fraction, str]]:
+        """Return the policy as (state, from, to, action), for rewards so far within two ends.
+
+        These are all that it meets from the start, in the states that leave a choice.
+        """
+        rules = list[tuple[int, Fraction, Fraction, str]]()
+        for state, so_far in self._met().items():
+            if self.mdp.asked[state]:
+                for action, group in groupby(so_far, partial(self.action, state)):
+                    own = [*group]
+                    rules.append((state, own[0], own[-1], action))
+        return rules
+
+    def distribution(self) -> dict[Fraction, Fraction]:
+        """Return the exact probability of every return under the policy, in rising order."""
+        total: defaultdict[Fraction, Fraction] = defaultdict(Fraction)
+        for state, masses in self._met().items():
+            if self.mdp.terminal[state]:
+                for value, mass in masses.items():
+                    total[value] += mass
+        return dict(sorted(total.items()))
+
+    def violations(self) -> list[str]:
+        """Return what does not hold, in words: nothing where the policy is the best."""
+        of = self.budgeted
+        value, mean, threshold = (z / self._unit for z in (self.value, self.mean, self.threshold))
+        if threshold not in of.thresholds:
+            return ["the threshold is no possible return"]
+        wrong = self.certificate.violations()
+        worth = {k: of.worth(self.values, k, self.level) for k in of.thresholds}
+        claimed = (1 - self.weight) * value + self.weight * mean
+        if not worth[int(threshold)] == claimed == max(worth.values()):
+            wrong.append("another threshold gives more")
+        returns = sorted((z / self._unit, p) for z, p in self.distribution().items())
+        if tail_mean(returns, self.level) != value:
+            wrong.append("the worst episodes of the policy have another mean")
+        if sum(z * p for z, p in returns) != mean:
+            wrong.append("the policy has another mean")
+        return wrong
+
+    def frame(self) -> DataFrame:
+        """Return the distribution of the return."""
+        import pandas
+
+        returns = self.distribution()
+        return pandas.DataFrame(
+            {"return": map(float, returns), "probability": map(float, returns.values())}
+        )
+
+
+def best_cvar(
+    model: MDP | Scenario, level: object, *, weight: object = 0, horizon: int | None = None
+) -> CVaROptimum:
+    """Return a policy with the greatest mean return of the worst episodes, exactly.
+
+    In a model of costs, the least mean cost of the worst episodes. The policy remembers the reward
+    so far.
+
+    Parameters
+    ----------
+    model : MDP or Scenario
+        With discount 1 and without cycles, or with a horizon.
+    level : number or "p/q"
+        The share of the worst episodes, above 0; at 1 that is the mean of all.
+    weight : number or "p/q"
+        Of the mean, below 1: (1 - weight) CVaR + weight · mean is greatest.
+    horizon : int, optional
+        Stop after so many steps.
+
+    Returns
+    -------
+    CVaROptimum
+
+    Raises
+    ------
+    ModelError
+        For other discounts, cycles, too many returns, and numbers out of range.
+
+    Examples
+    --------
+    >>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
+    >>> found = best_cvar(MDP.from_outcomes(rows), "1/2")
+    >>> str(found.value), str(found.mean), found.action(0)
+    ('4', '4', '1')
+    """
+    mdp, share, part = mdp_of(model), share_of(level), exact(weight)
+    if not 0 <= part < 1:
+        raise ModelError(
+            f"the weight of the mean is {shown(part)}",
+            where="weight of the mean",
+            fix="choose 0 or more, below 1",
+        )
+    mdp = mdp if horizon is None else mdp.within(horizon)
+    of = with_budget(mdp, share * part / (1 - part))
+    pairs, values, means = _optimum(of)
+    worth, mean, least = max(
+        (of.worth(values, k, share), means.mean(of.start(k)), -k) for k in of.thresholds
+    )
+    unit = of.unit if mdp.sense == "max" else -of.unit
+    return CVaROptimum(
+        mdp=mdp,
+        level=share,
+        weight=part,
+        value=unit * (worth - part * mean) / (1 - part),
+        mean=unit * mean,
+        threshold=unit * -least,
+        pairs=pairs,
+        values=values,
+    )
+
+
+def share_of(level: object) -> Fraction:
+    """Return the share of the worst episodes that counts."""
+    share = exact(level)
+    if not 0 < share <= 1:
+        raise ModelError(
+            f"the level is {shown(share)}",
+            where="conditional value at risk",
+            fix="choose the share of the worst episodes: above 0, at most 1",
+        )
+    return share
+
+
+def tail_mean(returns: Iterable[tuple[Fraction, Fraction]], level: Fraction) -> Fraction:
+    """Return the mean of the worst share of returns, which rise, with their probabilities.
+
+    >>> str(
+    ...     tail_mean(
+    ...         [(Fraction(0), Fraction(1, 4)), (Fraction(4), Fraction(3, 4))], Fraction(1, 2)
+    ...     )
+    ... )
+    '2'
+    """
+    left, total = level, Fraction(0)
+    for value, probability in returns:
+        part = min(left, probability)
+        total, left = total + part * value, left - part
+    return total / level
