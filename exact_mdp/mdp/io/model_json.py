@@ -31,6 +31,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from fractions import Fraction
+from functools import lru_cache
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Numbers, OutcomeTable, common, integers, over_groups
+from exact_mdp.mdp.table import Numbers, OutcomeTable, common, integers, magnitude, over_groups
 
 FORMAT, VERSION = "exact-mdp model", 2
 SAFE = 2**53
@@ -54,26 +55,19 @@ PAIR = ("state", "action", "reward", "denominator", "next", "weight")
 
 def content(mdp: MDP) -> dict[str, Any]:
     """Return what the file of a model contains."""
-    table, offsets = mdp.table, mdp.table.offsets.tolist()
-    weight, _ = table.integer_weights()
-    gain, under = (part.tolist() for part in table.integer_gains())
-    below = np.add.reduceat(weight.astype(object), table.offsets[:-1]).tolist()
-    weights, following = list(map(_integer, weight.tolist())), table.next.tolist()
-    by_pair = len(table.gain) == table.pairs
-
-    def reward(pair: int, here: slice) -> object:
-        if by_pair:
-            return _text(gain[pair], under[pair])
-        earned = [_text(number, under[pair]) for number in gain[here]]
-        return earned[0] if len({*earned}) == 1 else earned
-
-    rows = enumerate(map(slice, offsets[:-1], offsets[1:]))
-    pairs = [
-        (state, action, reward(pair, here), _integer(total), following[here], weights[here])
-        for (pair, here), state, action, total in zip(
-            rows, mdp.pair_state.tolist(), mdp.pair_action.tolist(), below, strict=True
-        )
-    ]
+    table, offsets = mdp.table, mdp.table.offsets
+    (weight, below), (gain, under) = table.integer_weights(), table.integer_gains()
+    by_pair = len(gain) == table.pairs
+    each_under = under if by_pair else np.repeat(under, np.diff(offsets))
+    rewards: list[Any] = list(map(_text, gain.tolist(), each_under.tolist()))
+    rows = list(map(slice, offsets[:-1].tolist(), offsets[1:].tolist()))
+    if not by_pair:
+        of_pairs = map(rewards.__getitem__, rows)
+        rewards = [own if len({*own}) > 1 else own[0] for own in of_pairs]
+    columns = (
+        *(mdp.pair_state.tolist(), mdp.pair_action.tolist(), rewards, _integers(below)),
+        *(map(each.__getitem__, rows) for each in (table.next.tolist(), _integers(weight))),
+    )
     named = mdp.space != StateSpace.plain(mdp.n_states)
     amounts = {name: mdp.component(name) for name in mdp.component_names}
     return {
@@ -97,14 +91,20 @@ def content(mdp: MDP) -> dict[str, Any]:
         else {},
         "action_names": list(mdp.actions),
         "state_names": list(mdp.space.labels(range(mdp.n_states))) if named else None,
-        "pairs": [dict(zip(PAIR, pair, strict=True)) for pair in pairs],
+        "pairs": [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)],
     }
+
+
+def _integers(array: Numbers) -> list[int | str]:
+    numbers = array.tolist()
+    return numbers if magnitude(array) < SAFE else list(map(_integer, numbers))
 
 
 def _integer(number: int) -> int | str:
     return number if -SAFE < number < SAFE else hex(number)
 
 
+@lru_cache
 def _text(top: int, below: int) -> int | str:
     return _integer(top) if below == 1 else _ratio(Fraction(top, below))
 

@@ -54,7 +54,7 @@ def violations_of(kind: str, record: Any, mdp: MDP) -> list[str]:
     """Return what does not hold of a certificate, in words."""
     try:
         content = {"format": codec.FORMAT, "version": codec.VERSION, "kind": kind}
-        return checker.violations(model_json.content(mdp), content | codec.encode(record))
+        return checker.violations(model_json.content(mdp), content | codec.encode(record, int))
     except (checker.Unreadable, TypeError) as error:
         return [str(error)]
 

@@ -55,9 +55,9 @@ def ratio(given: object, what: str) -> Fraction:
 def integers(given: Any, what: str, length: int | None = None) -> list[int]:
     """Read a list of integers, of a length if one is given."""
     wanted(type(given) is list and length in (None, len(given)), f"{what}: no list, or its length")
-    numbers = [each if type(each) is int else ratio(each, what) for each in given]
-    wanted({number.denominator for number in numbers} <= {1}, f"{what}: not all are integers")
-    return [number.numerator for number in numbers]
+    read = given if {*map(type, given)} <= {int} else [ratio(each, what) for each in given]
+    wanted(read is given or {x.denominator for x in read} <= {1}, f"{what}: not all are integers")
+    return [*map(int, read)]
 
 
 def headed(given: Any, kind: str) -> None:
@@ -89,18 +89,19 @@ class Level:
         """Return the number of a state."""
         return Fraction(self.top[state], self.below[self.group[state]])
 
-    def over_one(self, *states: int) -> tuple[list[int], int]:
-        """Return the numbers of some states over a common denominator."""
-        groups = frozenset([self.group[s] for s in states])
-        if groups not in self._times:
-            unit = lcm(*(self.below[each] for each in groups))
-            self._times[groups] = unit, {each: unit // self.below[each] for each in groups}
-        unit, times = self._times[groups]
-        return [self.top[s] * times[self.group[s]] for s in states], unit
+    def weighted(self, weight: Sequence[int], states: Sequence[int]) -> tuple[int, int]:
+        """Return the weighted sum of the numbers of some states: top and below."""
+        groups = [*map(self.group.__getitem__, states)]
+        if (key := frozenset(groups)) not in self._times:
+            unit = lcm(*(self.below[each] for each in key))
+            self._times[key] = unit, {each: unit // self.below[each] for each in key}
+        unit, times = self._times[key]
+        factors, numbers = map(times.__getitem__, groups), map(self.top.__getitem__, states)
+        return sum(map(mul, map(mul, weight, factors), numbers)), unit
 
 
 class Model:
-    """States and actions of pairs; expected rewards top / below; rows weight / denominator."""
+    """States and actions of pairs; expected rewards top / below; rows weight / under."""
 
     def __init__(self, given: Any) -> None:
         headed(given, "model")
@@ -114,12 +115,12 @@ class Model:
         self.start = sorted(x for x in zip(integers([*start], "start"), odds, strict=True) if x[1])
         fits = all(0 <= state < self.states <= len(pairs) for state, _ in self.start)
         wanted(fits and sum(odds) == 1 and min(odds) >= 0, "start: no distribution of states")
-        rows = sorted(map(self._row, pairs), key=lambda row: row[:2])
-        columns: Any = [list(column) for column in zip(*rows, strict=True)]
-        self.state, self.action, self.top, self.below, *columns = columns or [[]] * 7
-        self.denominator, self.next, self.weight = columns
+        fits = all(type(pair) is dict and {*pair} == {*PAIR} for pair in pairs)
+        wanted(fits, f"a pair's keys are not {PAIR}")
+        rows = map(list, zip(*sorted(map(self._row, pairs)), strict=True))
+        self.state, self.action, self.top, self.below, self.under, self.next, self.weight = rows
         self.pair = {key: l for l, key in enumerate(zip(self.state, self.action, strict=True))}
-        wanted(len(self.pair) == len(rows), "two pairs have the same state and action")
+        wanted(len(self.pair) == len(pairs), "two pairs have the same state and action")
         wanted({*self.state} == {*range(self.states)}, "a state has no pair, or a pair no state")
         moving = zip(self.state, self.top, self.next, strict=True)
         self.ends = {*range(self.states)} - {s for s, top, after in moving if top or after != [s]}
@@ -129,31 +130,30 @@ class Model:
         wanted(fits and self.missing in ("inf", "-inf"), "the goal, or what missing it is worth")
 
     def _row(self, given: Any) -> tuple[Any, ...]:
-        wanted(type(given) is dict and given.keys() == {*PAIR}, f"a pair's keys are not {PAIR}")
         state, action, below = integers([given[key] for key in PAIR[:3]], "a pair")
         where = f"state {state}, action {action}"
-        after, weight = (integers(given[key], where) for key in PAIR[3:5])
+        after, weight = integers(given["next"], where), integers(given["weight"], where)
         wanted(len(after) == len(weight) and min(weight, default=0) > 0, f"{where}: the weights")
         wanted(sum(weight) == below, f"{where}: the weights do not add up to the denominator")
         wanted(min(after) >= 0 and max(after) < self.states, f"{where}: a next state is none")
         reward = given["reward"]
-        each = reward if type(reward) is list else [reward] * len(weight)
-        wanted(len(each) == len(weight), f"{where}: the number of rewards")
+        each, shares = (reward, weight) if type(reward) is list else ([reward], [below])
+        wanted(len(each) == len(shares), f"{where}: the number of rewards")
         earned = [x if type(x) is int else ratio(x, where) for x in each]
-        mean = Fraction(sum(map(mul, weight, earned))) / below
+        mean = Fraction(sum(map(mul, shares, earned)), below)
         total = dict.fromkeys(sorted(after), 0)
         for s, w in zip(after, weight, strict=True):
             total[s] += w
         shared = gcd(below, *total.values())
         row = [w // shared for w in total.values()]
-        return state, action, mean.numerator, mean.denominator, below // shared, list(total), row
+        return state, action, mean.numerator, mean.denominator, below // shared, [*total], row
 
     def digest(self) -> str:
         """Return the SHA-256 of all that counts: lines of integers in hexadecimal."""
         lines: list[Iterable[int]] = [
             [self.states, self.discount.numerator, self.discount.denominator],
             [n for s, p in self.start for n in (s, p.numerator, p.denominator)],
-            *(self.state, self.action, self.top, self.below, self.denominator),
+            *(self.state, self.action, self.top, self.below, self.under),
             *(map(len, self.next), chain(*self.next), chain(*self.weight)),
         ]
         aim = "" if self.goal is None else f" {self.missing} {sorted(self.goal)}"
@@ -223,10 +223,10 @@ class Check:
         """Return r + γ Σ p(s') x(s') - x(s), times a positive integer; r may be something else."""
         model, rate = self.model, self.discount
         top, below = earned or (self.sign * model.top[pair], model.below[pair])
-        values, unit = x.over_one(*model.next[pair], model.state[pair])
-        scale = rate.denominator * model.denominator[pair]
-        flow: int = rate.numerator * sum(map(mul, model.weight[pair], values))
-        return int(top * scale * unit + below * (flow - scale * values[-1]))
+        scale = rate.denominator * model.under[pair]
+        weight = [*map(rate.numerator.__mul__, model.weight[pair]), -scale]
+        change, unit = x.weighted(weight, [*model.next[pair], model.state[pair]])
+        return int(top * scale * unit + below * change)
 
     def falls(self, pair: int, rank: Sequence[int], inside: Container[int]) -> bool:
         """Return whether a pair may lead to a state inside, of a lower rank than its own."""
@@ -253,7 +253,7 @@ class Check:
     def expansion(self, pair: int, state: int, taken: bool) -> str:
         """Check g, h and w: the first level that is not 0 is negative; all are 0 for the policy."""
         top, below = self.sign * self.model.top[pair], self.model.below[pair]
-        ([mean], under), ([bias], over) = self.g.over_one(state), self.h.over_one(state)
+        (mean, under), (bias, over) = (x.weighted([1], [state]) for x in (self.g, self.h))
         earned = ((0, 1), (top * under - below * mean, below * under), (-bias, over))
         levels = zip("ghw", (self.g, self.h, self.w), earned, strict=True)
         gains = ((name, self.gain(pair, x, each)) for name, x, each in levels)

@@ -18,10 +18,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -42,10 +42,11 @@ FORMAT, VERSION = "exact-mdp certificate", 2
 INTEGER = re.compile(r"-?0x(0|[1-9a-f][0-9a-f]*)")
 
 
-def encode(value: Any) -> Any:
-    """Return a record, or a value of a field, as JSON has it."""
+def encode(value: Any, integer: Callable[[int], object] = hex) -> Any:
+    """Return a record, or a value of a field, as JSON has it, with integers as texts."""
+    inner = partial(encode, integer=integer)
     if is_dataclass(value) or hasattr(value, "_fields"):
-        return {name: encode(getattr(value, name)) for name in _types(cast(Any, type(value)))}
+        return {name: inner(getattr(value, name)) for name in _types(cast(Any, type(value)))}
     if isinstance(value, np.ndarray):
         if value.dtype == bool:
             return "".join(np.where(value, "1", "0"))
@@ -53,16 +54,16 @@ def encode(value: Any) -> Any:
     if isinstance(value, bool | str | NoneType):
         return value
     if isinstance(value, int):
-        return hex(value)
+        return integer(value)
     if isinstance(value, Fraction):
         return f"{hex(value.numerator)}/{hex(value.denominator)}"
     if isinstance(value, float):
         return str(value)
     if isinstance(value, Mapping):
-        return [[encode(key), encode(each)] for key, each in value.items()]
+        return [[inner(key), inner(each)] for key, each in value.items()]
     if not isinstance(value, list | tuple):
         raise TypeError(f"{value!r} is of type {type(value).__name__}, which no file holds")
-    return [encode(each) for each in value]
+    return [inner(each) for each in value]
 
 
 def decode(kind: Any, value: Any) -> Any:

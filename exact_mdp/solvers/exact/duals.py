@@ -19,8 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from itertools import pairwise
-from math import inf
-from operator import mul
+from math import inf, lcm
 from typing import Any
 
 from exact_mdp.solvers.exact.checker import Level, Model, Unreadable, wanted
@@ -60,11 +59,10 @@ class Totals:
         each = zip(weights, self.amounts, strict=True)
         earned = sum((w * own[pair] for w, own in each), Fraction())
         model, rate = self.model, self.model.discount
-        values, unit = value.over_one(*model.next[pair], state)
-        scale = rate.denominator * model.denominator[pair]
-        flow = rate.numerator * sum(map(mul, model.weight[pair], values))
-        top = earned.numerator * scale * unit
-        return int(top + earned.denominator * (flow - scale * values[-1]))
+        scale = rate.denominator * model.under[pair]
+        weight = [*map(rate.numerator.__mul__, model.weight[pair]), -scale]
+        change, unit = value.weighted(weight, [*model.next[pair], state])
+        return int(earned.numerator * scale * unit + earned.denominator * change)
 
     def bounds(self, weights: Point, given: Any, most: Fraction) -> bool:
         """Return whether values prove that no policy has a weighted total above `most`."""
@@ -96,13 +94,14 @@ class Totals:
         visits = _level(flow.visits, len(pairs))
         wanted({*pairs} <= {*range(len(model.state))}, "a pair is none of the model")
         wanted(len({*pairs}) == len(pairs) and min(visits.top, default=1) > 0, "visits are not > 0")
-        top, unit = visits.over_one(*range(len(pairs)))
+        unit = lcm(*visits.below)
+        top = [n * (unit // visits.below[k]) for n, k in zip(visits.top, visits.group, strict=True)]
         left = [Counter[int]() for _ in range(model.states)]  # by denominator
         for state, share in model.start:
             left[state][share.denominator] += share.numerator * unit
         for pair, number in zip(pairs, top, strict=True):
             left[model.state[pair]][1] -= number
-            below = model.discount.denominator * model.denominator[pair]
+            below = model.discount.denominator * model.under[pair]
             for state, weight in zip(model.next[pair], model.weight[pair], strict=True):
                 left[state][below] += model.discount.numerator * weight * number
         for state, parts in enumerate(left):

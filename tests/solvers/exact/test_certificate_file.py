@@ -230,3 +230,21 @@ def test_files_that_are_none_are_not_checked(tmp_path: Path) -> None:
         (tmp_path / "proof.json").write_text(content, "utf-8")
         status, said = alone(tmp_path / "model.json", tmp_path / "proof.json")
         assert (status, said.startswith("not checked: ")) == (2, True)
+
+
+def test_numbers_of_any_length_are_checked_alike_in_memory_and_in_files(tmp_path: Path) -> None:
+    """Rewards of one pair differ, as fractions; a state comes twice; integers are beyond 2^53."""
+    few = F(1, 2**60 + 1)
+    mdp = MDP.from_outcomes(
+        [
+            (0, 0, [("1/3", 1, "1/7"), ("1/3", 0, f"{2**70}/3"), ("1/3", 0, "2/7")]),
+            (1, 0, [(1 - few, 1, 0.1), (few, 0, "5/7")]),
+        ],
+        "1/2",
+    )
+    certificate, path = certify(mdp), tmp_path / "model.json"
+    mdp.save(path)
+    certificate.save(tmp_path / "proof.json")
+    assert fingerprint(MDP.load(path)) == fingerprint(mdp)
+    assert certificate.violations() == certificate.violations(MDP.load(path)) == []
+    assert Certificate.load(tmp_path / "proof.json").violations(mdp) == []
