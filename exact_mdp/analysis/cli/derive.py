@@ -26,7 +26,7 @@ from functools import cache
 from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -87,7 +87,13 @@ def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
-class Whole(click.ParamType[int]):
+if TYPE_CHECKING:
+    Converter = click.ParamType[int]
+else:  # older versions of click have no parameter here
+    Converter = click.ParamType
+
+
+class Whole(Converter):
     """A whole number within limits, which the docstring's type states: "N, 1 to 100"."""
 
     name = "whole number"

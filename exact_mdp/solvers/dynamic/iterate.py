@@ -247,7 +247,7 @@ class Values:
         near, solved = uniform and mdp.discount > NEARLY_ONE, None
         error, kept = np.inf, self.value
         margin = self.weights.margin if uniform else self.weights.margin[self.pairs]
-        for _ in range(CORRECTIONS if self.large or near else 1):
+        for _ in range(CORRECTIONS):
             after, low, high = self.follow()
             before, error = error, (high - low) / 2 if uniform else max(-low, high)
             if not error <= before:  # it went astray
