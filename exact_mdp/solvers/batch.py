@@ -117,7 +117,7 @@ class Batch:
         return np.asarray(np.linalg.solve(np.eye(rows.shape[1]) - rows, side)[:, :, 0])
 
     def improved(self, reward: Floats) -> tuple[Floats, Integers] | None:
-        """Return values (D, S) and pairs (D, S), which few pairs or none improve."""
+        """Return values (D, S) and pairs (D, S), that no pair improves by more than rounding."""
         draw, pairs = np.arange(len(self.rows))[:, None], np.tile(self.first, (len(self.rows), 1))
         number = np.arange(len(self.state))
         for _ in range(IMPROVEMENTS):
@@ -132,10 +132,10 @@ class Batch:
             noise = 2 * np.maximum.reduceat(noise, self.first, axis=1)
             better = best - gain[draw, pairs] > noise
             if not better.any():
-                break
+                return value, pairs
             there = np.where(gain == best[:, self.state], number, len(number))
             pairs = np.where(better, np.minimum.reduceat(there, self.first, axis=1), pairs)
-        return value, pairs  # where ties alternate to the last, the bounds are a little wider
+        return None
 
     @cached_property
     def weights(self) -> tuple[Floats, Floats] | None:
