@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from math import ulp
 from typing import Any
 
@@ -32,19 +31,14 @@ from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution
-from exact_mdp.solvers.objectives.totals import Proof
-from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.objectives.totals import TotalsProof
 from exact_mdp.solvers.solver import solve as solve_model
 from exact_mdp.solvers.values.evaluate import evaluate as value_of
 from exact_mdp.solvers.values.returns import return_distribution
 from exact_mdp.solvers.values.simulate import simulate as sample
 
-KINDS: dict[str, Any] = {
-    "total": Certificate,
-    "average": Certificate,
-    "bounds": BoundedCertificate,
-    **{proof.kind: proof for proof in (Front, ConstrainedSolution, Rationalization)},
-}
+PROOFS = (Certificate, BoundedCertificate, Front, ConstrainedSolution, Rationalization)
+KINDS: dict[str, Any] = {kind: proof for proof in PROOFS for kind in proof.kinds}
 
 
 # ---- the optimum ---------------------------------------------------------------------------------
@@ -197,9 +191,7 @@ def verify(certificate: str, given: Given) -> Report:
     ----------
     certificate : CERTIFICATE
     """
-    kind, proof = codec.load(KINDS, certificate)
-    parts = {"kind": kind} if isinstance(proof, Certificate) else {}
-    proof = replace(proof, mdp=given.mdp, **parts)
+    proof = replace(codec.load(KINDS, certificate), mdp=given.mdp)
     violations = proof.violations(given.mdp)
     said = "does not hold" if violations else f"holds ({proof.claim})"
     facts: dict[str, Any] = {
@@ -208,15 +200,15 @@ def verify(certificate: str, given: Given) -> Report:
         "violations": Shown(violations, [{"what is wrong": each} for each in violations]),
         "claim": Shown(None if violations else proof.claim),
     }
-    if isinstance(proof, Proof):
-        facts |= {"kind": kind, "objectives": list(proof.objectives)}
+    if isinstance(proof, TotalsProof):
+        facts |= {"kind": proof.kind, "objectives": list(proof.objectives)}
         facts |= {} if violations else _proven_totals(proof)
     elif not violations:
-        facts |= _proven_start(kind, proof, given)
+        facts |= _proven_start(proof)
     return given.report(Report(title="proof", facts=facts, passed=not violations))
 
 
-def _proven_totals(proof: Proof) -> dict[str, Any]:
+def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
     """Return what a sound proof about totals proves, by their texts: a name may be any."""
     texts = proof.objectives
     if isinstance(proof, Front):
@@ -248,17 +240,15 @@ def _proven_totals(proof: Proof) -> dict[str, Any]:
     }
 
 
-def _proven_start(kind: str, proof: Any, given: Given) -> dict[str, Any]:
+def _proven_start(proof: Certificate | BoundedCertificate) -> dict[str, Any]:
     """Return what a sound certificate proves of the start value."""
+    value = float(proof.start.value)
+    error = ulp(value) if isinstance(proof, Certificate) else proof.start.error
+    facts = {"start_value": Shown(value, proof.start), "error_bound": Shown(error)}
     if isinstance(proof, BoundedCertificate):
-        weights = ((weight, float(proof.value[state])) for state, weight in given.mdp.start)
-        value = float(sum(weight * Fraction(middle) for weight, middle in weights))
-        start = Bounded(value=value, error=proof.error_bound + ulp(value))
-        return {"start_value": Shown(value, start), "error_bound": Shown(start.error)}
-    value = float(proof.start_value)
-    exact = {"start_value": Shown(value, proof.start), "error_bound": Shown(ulp(value))}
-    more = {"criterion": "average"} if kind == "average" else {"unique": proof.unique}
-    return exact | {"exact_start_value": Shown(proof.start_value)} | more
+        return facts
+    more = {"criterion": "average"} if proof.kind == "average" else {"unique": proof.unique}
+    return facts | {"exact_start_value": Shown(proof.start_value)} | more
 
 
 # ---- one policy ----------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.exact.levels import Level, combined
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.objectives.totals import Attained, Point, Proof, about, extreme
+from exact_mdp.solvers.objectives.totals import Attained, Point, TotalsProof, about, extreme
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -82,7 +82,7 @@ class Corner:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Front(Proof, Pictured):
+class Front(TotalsProof, Pictured):
     """The exact Pareto front of expected totals from the start, and its proof.
 
     Attributes
@@ -106,7 +106,7 @@ class Front(Proof, Pictured):
     attained: tuple[Attained, ...]
     corners: tuple[Corner, ...]
 
-    kind: ClassVar[str] = "front"
+    kinds: ClassVar[tuple[str, ...]] = ("front",)
 
     def __repr__(self) -> str:
         return f"Front({' and '.join(self.names)}: {len(self.attained)} vertices, certified)"
@@ -312,7 +312,7 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
         dual = combined(best.values, shares)
         corners.append(Corner(weights=shares, dual=dual, best=tuple(tight)))
     corners.sort(key=lambda corner: corner.weights)
-    return Front(attained=tuple(order), corners=tuple(corners), **about(of))
+    return Front(attained=tuple(order), corners=tuple(corners), **about(of, "front"))
 
 
 def _chain(of: Objectives) -> tuple[list[Attained], dict[Weights, Attained]]:

@@ -37,7 +37,7 @@ from exact_mdp.solvers.exact.find import visited
 from exact_mdp.solvers.exact.levels import Level, fraction
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.simplex import maximise
-from exact_mdp.solvers.objectives.totals import Flow, Point, Proof, about, optimum
+from exact_mdp.solvers.objectives.totals import Flow, Point, TotalsProof, about, optimum
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -77,7 +77,7 @@ class Interval:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Rationalization(Proof):
+class Rationalization(TotalsProof):
     """The least change of the weights of a reward under which a policy is optimal from the start.
 
     Attributes
@@ -113,7 +113,7 @@ class Rationalization(Proof):
     cuts: tuple[Cut, ...]
     intervals: tuple[Interval, ...]
 
-    kind: ClassVar[str] = "weights"
+    kinds: ClassVar[tuple[str, ...]] = ("weights",)
 
     @property
     def possible(self) -> bool:
@@ -223,7 +223,7 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
         dual=dual,
         cuts=cuts,
         intervals=tuple(search.alone(k) for k in range(len(of.names))),
-        **about(of),
+        **about(of, "weights"),
     )
 
 

@@ -14,9 +14,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from math import inf
+from math import inf, ulp
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,11 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers, divide
 from exact_mdp.solvers.exact import checker, codec
 from exact_mdp.solvers.exact.levels import Level, fraction, surplus
-from exact_mdp.solvers.solution import Certified, Claim, by_state, in_decimals, in_float
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, by_state, in_decimals, in_float
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -50,15 +50,6 @@ def model_of(given: MDP | None, own: MDP | None, where: str = "violations") -> M
     return mdp
 
 
-def violations_of(kind: str, record: Any, mdp: MDP) -> list[str]:
-    """Return what does not hold of a certificate, in words."""
-    try:
-        content = {"format": codec.FORMAT, "version": codec.VERSION, "kind": kind}
-        return checker.violations(model_json.content(mdp), content | codec.encode(record, int))
-    except (checker.Unreadable, TypeError) as error:
-        return [str(error)]
-
-
 def _listed(numbers: Iterable[Fraction | None]) -> Numbers:
     listed = list(numbers)
     found = np.empty(len(listed), dtype=object)
@@ -76,13 +67,81 @@ def exact_rows(mdp: MDP, *, average: bool = False, pairs: Integers | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Certificate(Pictured):
+class Proof(Result):
+    """A claim about a model that a checker can read: an optimum, bounds, or what totals allow.
+
+    Attributes
+    ----------
+    kind : str
+        What is claimed, as files call it.
+    model : str
+        `fingerprint(mdp)`, a hash of the model.
+    mdp : MDP, optional
+        The model, unless the proof was read from a file.
+    """
+
+    kind: str
+    model: str
+    mdp: MDP | None = None
+
+    claim: ClassVar[Claim] = Claim.CERTIFIED
+    kinds: ClassVar[tuple[str, ...]]
+
+    def violations(self, model: MDP | None = None) -> list[str]:
+        """Return what does not hold, in words: nothing where the proof is sound.
+
+        Parameters
+        ----------
+        model : MDP, optional
+            Needed where the proof was read from a file.
+        """
+        return self._wrong(model_of(model, self.mdp))
+
+    def _wrong(self, mdp: MDP) -> list[str]:
+        try:
+            return checker.violations(model_json.content(mdp), codec.content(self, int))
+        except (checker.Unreadable, TypeError) as error:
+            return [str(error)]
+
+    def save(self, path: str | Path) -> None:
+        """Write the proof as JSON, for `exact-mdp verify`; docs/reference/certificates.md."""
+        codec.save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, model: MDP | None = None) -> Self:
+        """Read a proof of this class from a file.
+
+        Parameters
+        ----------
+        path : str or path
+        model : MDP, optional
+            The model that it is of, for what the file alone does not say: optimal actions, gaps.
+
+        Raises
+        ------
+        ModelError
+            Where the file is none, or proves something else.
+
+        Examples
+        --------
+        >>> from tempfile import TemporaryDirectory
+        >>> from exact_mdp.solvers import certify
+        >>> mdp = MDP.from_arrays([[[1]]], [1], "1/2")
+        >>> with TemporaryDirectory() as folder:
+        ...     certify(mdp).save(f"{folder}/proof.json")
+        ...     Certificate.load(f"{folder}/proof.json").value
+        array([Fraction(2, 1)], dtype=object)
+        """
+        return replace(codec.load(dict.fromkeys(cls.kinds, cls), path), mdp=model)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Certificate(Proof, Pictured):
     """The optimum of a total or an average reward, and what proves it.
 
     Attributes
     ----------
-    model : str
-        `fingerprint(mdp)`, a hash of the model.
+    kind : "total" or "average"
     sense : "max" or "min"
         Whether the numbers of the model are rewards or costs.
     policy : (S,) int64
@@ -101,9 +160,8 @@ class Certificate(Pictured):
     unique : bool
         Whether every state that optimal actions reach from the start has only one optimal action,
         ends aside, in which it does not matter what is done.
-    kind : "total" or "average"
-    mdp : MDP, optional
-        The model, unless the certificate was read from a file.
+    model, mdp
+        See `Proof`.
 
     Examples
     --------
@@ -117,7 +175,6 @@ class Certificate(Pictured):
     (Fraction(5, 2), [Fraction(-1, 4), Fraction(1, 4)], [])
     """
 
-    model: str
     sense: str
     policy: Integers
     g: Level | None
@@ -128,10 +185,8 @@ class Certificate(Pictured):
     order: Integers | None
     start_value: Fraction | float
     unique: bool
-    kind: str = "total"
-    mdp: MDP | None = None
 
-    claim: ClassVar[Claim] = Claim.CERTIFIED
+    kinds: ClassVar[tuple[str, ...]] = ("total", "average")
 
     def __post_init__(self) -> None:
         for array in (self.policy, self.rank, self.infinite, self.order):
@@ -341,61 +396,15 @@ class Certificate(Pictured):
         }
         return by_state(self.mdp, columns | {"exact": self.value})
 
-    def violations(self, model: MDP | None = None) -> list[str]:
-        """Return what does not hold of this certificate, in words: nothing where it is sound.
-
-        Parameters
-        ----------
-        model : MDP, optional
-            Needed where the certificate was read from a file.
-        """
-        return violations_of(self.kind, self, model_of(model, self.mdp))
-
-    def save(self, path: str | Path) -> None:
-        """Write the certificate as JSON; docs/reference/certificates.md describes the format."""
-        codec.save(self.kind, self, path)
-
-    @classmethod
-    def load(cls, path: str | Path, model: MDP | None = None) -> Certificate:
-        """Read a certificate from a file.
-
-        Parameters
-        ----------
-        path : str or path
-        model : MDP, optional
-            The model that it is of, for what the file alone does not say: optimal actions, gaps.
-
-        Returns
-        -------
-        Certificate
-
-        Raises
-        ------
-        ModelError
-            Where the file is not an exact certificate.
-
-        Examples
-        --------
-        >>> from tempfile import TemporaryDirectory
-        >>> from exact_mdp.solvers import certify
-        >>> mdp = MDP.from_arrays([[[1]]], [1], "1/2")
-        >>> with TemporaryDirectory() as folder:
-        ...     certify(mdp).save(f"{folder}/proof.json")
-        ...     Certificate.load(f"{folder}/proof.json").value
-        array([Fraction(2, 1)], dtype=object)
-        """
-        kind, found = codec.load({"total": cls, "average": cls}, path)
-        return replace(found, kind=kind, mdp=model)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class BoundedCertificate(Pictured):
+class BoundedCertificate(Proof, Pictured):
     """Floats that the optimal values, and those of a policy, are proven to lie between.
 
     Attributes
     ----------
-    model : str
-        `fingerprint(mdp)`, a hash of the model.
+    kind, model, mdp
+        See `Proof`.
     sense : "max" or "min"
         Whether the numbers of the model are rewards or costs.
     policy : (S,) int64
@@ -405,8 +414,6 @@ class BoundedCertificate(Pictured):
         maximised: of costs, -upper and -lower.
     rank : (S,) int64, optional
         Proof that every policy ends, at discount 1.
-    mdp : MDP, optional
-        The model, unless the certificate was read from a file.
 
     Examples
     --------
@@ -415,15 +422,14 @@ class BoundedCertificate(Pictured):
     ['state', 'value', 'lower', 'upper', 'action']
     """
 
-    model: str
     sense: str
     policy: Integers
     low: Level
     high: Level
     rank: Integers | None
-    mdp: MDP | None = None
 
     claim: ClassVar[Claim] = Claim.BOUNDED
+    kinds: ClassVar[tuple[str, ...]] = ("bounds",)
 
     def __repr__(self) -> str:
         return f"BoundedCertificate({len(self.policy)} states, error ≤ {self.error_bound:.2g})"
@@ -468,47 +474,14 @@ class BoundedCertificate(Pictured):
         """(S,) |value - V| and |value - V^π| are at most this."""
         return (self.upper - self.lower) / 2 * (1 + 1e-12) + 2.0**-51 * self._largest
 
+    @property
+    def start(self) -> Bounded:
+        """The value of the start distribution, with its bound."""
+        mdp = model_of(None, self.mdp, "start")
+        middle = float(sum(weight * Fraction(float(self.value[s])) for s, weight in mdp.start))
+        return Bounded(value=middle, error=self.error_bound + ulp(middle))
+
     def frame(self) -> DataFrame:
         """Return the value of each state, its bounds and its action."""
         columns = {"value": self.value, "lower": self.lower, "upper": self.upper}
         return by_state(self.mdp, columns | {"action": self.policy})
-
-    def violations(self, model: MDP | None = None) -> list[str]:
-        """Return what does not hold of this certificate, in words: nothing where it is sound."""
-        return violations_of("bounds", self, model_of(model, self.mdp))
-
-    def save(self, path: str | Path) -> None:
-        """Write the certificate as JSON; docs/reference/certificates.md describes the format."""
-        codec.save("bounds", self, path)
-
-    @classmethod
-    def load(cls, path: str | Path, model: MDP | None = None) -> BoundedCertificate:
-        """Read a certificate from a file.
-
-        Parameters
-        ----------
-        path : str or path
-        model : MDP, optional
-            The model that it is of.
-
-        Returns
-        -------
-        BoundedCertificate
-
-        Raises
-        ------
-        ModelError
-            Where the file is not a certificate of bounds.
-
-        Examples
-        --------
-        >>> from tempfile import TemporaryDirectory
-        >>> from exact_mdp.solvers import certify
-        >>> mdp = MDP.from_arrays([[[1]]], [1], "1/2")
-        >>> with TemporaryDirectory() as folder:
-        ...     certify(mdp, bounded=True).save(f"{folder}/bounds.json")
-        ...     BoundedCertificate.load(f"{folder}/bounds.json").violations(mdp)
-        []
-        """
-        _, found = codec.load({"bounds": cls}, path)
-        return replace(found, mdp=model)

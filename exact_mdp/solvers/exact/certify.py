@@ -169,6 +169,7 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
 
     live = ~mdp.terminal
     found = BoundedCertificate(
+        kind="bounds",
         mdp=mdp,
         model=fingerprint(mdp),
         sense=mdp.sense,

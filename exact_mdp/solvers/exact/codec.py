@@ -9,9 +9,10 @@
     a record             an object with the keys of its fields
     what may be None     null, or the other type
 
-A file has the keys `format` ("exact-mdp certificate"), `version` (2) and `kind` as well as those of
-its record. Python refuses to read or write over 4,300 decimal digits; hexadecimal is quick, too.
-What is read is checked for its form; whether its claims hold is for `violations` to say.
+A file has the keys `format` ("exact-mdp certificate") and `version` (2) as well as those of its
+record, of which `kind` says what it proves. Python refuses to read or write over 4,300 decimal
+digits; hexadecimal is quick, too. What is read is checked for its form; whether its claims hold is
+for `violations` to say.
 """
 
 from __future__ import annotations
@@ -132,14 +133,19 @@ def _types(kind: Any) -> dict[str, Any]:
     return {name: hints[name] for name in names}
 
 
-def save(kind: str, record: Any, path: str | Path) -> None:
-    """Write a record as a certificate of some kind, whole or not at all."""
-    content = {"format": FORMAT, "version": VERSION, "kind": kind} | encode(record)
-    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()]
+def content(proof: Any, integer: Callable[[int], object] = hex) -> dict[str, Any]:
+    """Return what the file of a proof has."""
+    return {"format": FORMAT, "version": VERSION, **encode(proof, integer)}
+
+
+def save(proof: Any, path: str | Path) -> None:
+    """Write a proof as a file, whole or not at all."""
+    each = content(proof).items()
+    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in each]
     write_atomically(path, "{" + ",\n ".join(lines) + "}\n")
 
 
-def load(kinds: Mapping[str, type[T]], path: str | Path) -> tuple[str, T]:
+def load(kinds: Mapping[str, type[T]], path: str | Path) -> T:
     """Read a certificate of one of some kinds; raises ModelError for another file."""
     where = str(path)
     try:
@@ -151,23 +157,24 @@ def load(kinds: Mapping[str, type[T]], path: str | Path) -> tuple[str, T]:
         what = str(error) if twice else "not a certificate, which is JSON text"
         raise _damaged(what, where) from error
     data = data if isinstance(data, dict) else {}
+    kind: Any = data.get("kind")
     head: dict[str, list[Any]] = {"format": [FORMAT], "version": [VERSION], "kind": [*kinds]}
     for key, known in head.items():
-        if (own := data.pop(key, None)) not in known or isinstance(own, bool):
+        if (own := data.get(key)) not in known or isinstance(own, bool):
             wanted = " or ".join(map(repr, known))
             raise _damaged(f"{key} is {str(own)[:40]!r}, not {wanted}", where)
-        kind = own
+    data = {key: data[key] for key in data.keys() - {"format", "version"}}
     types = _types(cast(Any, kinds[kind]))
     if data.keys() != types.keys():
         keys = ", ".join(sorted(data.keys() ^ types.keys()))[:80]
         raise _damaged(f"keys that are missing, or too many: {keys}", where)
-    found = {}
+    read = {}
     for name, each in types.items():
         try:
-            found[name] = decode(each, data[name])
+            read[name] = decode(each, data[name])
         except (ValueError, TypeError, AttributeError, OverflowError) as error:
             raise _damaged(f"{name} is damaged", where) from error
-    return kind, kinds[kind](**found)
+    return kinds[kind](**read)
 
 
 def _damaged(what: str, where: str) -> ModelError:

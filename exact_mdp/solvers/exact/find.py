@@ -45,7 +45,12 @@ NOISE = 2.0**-40  # of the numbers added up: what floats take for no gain
 
 
 def certificate(
-    mdp: MDP, pairs: Integers, optimal: Flags | None = None, **parts: Any
+    mdp: MDP,
+    pairs: Integers,
+    optimal: Flags | None = None,
+    *,
+    kind: str = "total",
+    **parts: Any,
 ) -> Certificate:
     """Return a certificate with the start value that its levels make, and whether it is unique."""
     none: dict[str, Any] = dict.fromkeys(("g", "w", "rank", "infinite", "order"))
@@ -56,6 +61,7 @@ def certificate(
         policy=mdp.pair_action[pairs],
         start_value=Fraction(0),
         unique=True,
+        kind=kind,
         **none | parts,
     )
     optimal = found.optimal_pairs if optimal is None else optimal

@@ -48,7 +48,7 @@ from exact_mdp.solvers.objectives.totals import (
     Attained,
     Flow,
     Point,
-    Proof,
+    TotalsProof,
     about,
     attained,
     extreme,
@@ -81,7 +81,7 @@ class Limit:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ConstrainedSolution(Proof):
+class ConstrainedSolution(TotalsProof):
     """The optimum under limits and its proof, or a proof that no policy keeps them.
 
     Attributes
@@ -122,7 +122,7 @@ class ConstrainedSolution(Proof):
     dual: Level
     shift: Fraction
 
-    kind: ClassVar[str] = "limits"
+    kinds: ClassVar[tuple[str, ...]] = ("limits",)
 
     def __repr__(self) -> str:
         kept = ", ".join(map(str, self.limits))
@@ -254,7 +254,7 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         price=vertex.price[1:],
         dual=combined(vertex.policy.values, _weights(of, limits, vertex.price)),
         shift=vertex.shift[0],
-        **about(of),
+        **about(of, "limits"),
     )
 
 

@@ -15,20 +15,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, common
-from exact_mdp.solvers.exact import codec, duals
-from exact_mdp.solvers.exact.certificate import model_of
+from exact_mdp.solvers.exact import duals
+from exact_mdp.solvers.exact.certificate import Proof, model_of
 from exact_mdp.solvers.exact.find import best, evaluated, first_of, nearly
 from exact_mdp.solvers.exact.levels import Level, combined, fraction, signs
 from exact_mdp.solvers.objectives.amounts import Objectives
-from exact_mdp.solvers.solution import Claim
 
 Point = tuple[Fraction, ...]
 Weights = Sequence[int] | Sequence[Fraction]
@@ -120,53 +117,33 @@ def extreme(of: Objectives, weights: Weights, first: Integers | None = None) -> 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Proof(Result):
-    """What is proven about totals of a model; `violations` needs the model alone.
+class TotalsProof(Proof):
+    """What is proven about totals of a model.
 
     Attributes
     ----------
-    model : str
-        `fingerprint(mdp)`, a hash of the model.
     objectives : tuple of str
         What is counted, as `solvers.objectives.amounts` reads it.
     rank : (S,) int64, optional
         Proof that every policy ends, at discount 1.
-    mdp : MDP, optional
-        The model, unless the proof was read from a file.
     """
 
-    model: str
     objectives: tuple[str, ...]
     rank: Integers | None
-    mdp: MDP | None = None
-
-    kind: ClassVar[str]
-    claim: ClassVar[Claim] = Claim.CERTIFIED
 
     @cached_property
     def of(self) -> Objectives:
         """What is counted."""
         return Objectives.of(model_of(None, self.mdp, self.kind), self.objectives)
 
-    def violations(self, model: MDP | None = None) -> list[str]:
-        """Return what does not hold, in words: nothing where the proof is sound.
-
-        Parameters
-        ----------
-        model : MDP, optional
-            Needed where the proof was read from a file.
-        """
-        mdp = model_of(model, self.mdp)
+    def _wrong(self, mdp: MDP) -> list[str]:
         if self.model != fingerprint(mdp):
             return ["the certificate is of another model"]
         return duals.violations(Objectives.of(mdp, self.objectives).counted(), self)
 
-    def save(self, path: str | Path) -> None:
-        """Write the proof as JSON, for `exact-mdp verify`; docs/reference/certificates.md."""
-        codec.save(self.kind, self, path)
 
-
-def about(of: Objectives) -> dict[str, Any]:
+def about(of: Objectives, kind: str) -> dict[str, Any]:
     """Return the fields that all proofs about totals have."""
     rank = termination(of.ending).rank if of.mdp.discount_exact == 1 else None
-    return {"model": fingerprint(of.mdp), "objectives": of.texts, "rank": rank, "mdp": of.mdp}
+    parts = {"kind": kind, "model": fingerprint(of.mdp), "mdp": of.mdp}
+    return parts | {"objectives": of.texts, "rank": rank}
