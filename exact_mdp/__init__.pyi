@@ -8,7 +8,7 @@ from exact_mdp.analysis import plots as plots
 from exact_mdp.analysis.gate.audit import Audit as Audit
 from exact_mdp.analysis.gate.check import assert_policy_optimal as assert_policy_optimal
 from exact_mdp.analysis.gate.check import check as check
-from exact_mdp.analysis.gate.column_policies import best_policy as best_policy
+from exact_mdp.analysis.gate.columns import best_policy as best_policy
 from exact_mdp.analysis.gate.comparison import compare as compare
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy as OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior as Posterior

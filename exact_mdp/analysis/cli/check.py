@@ -17,12 +17,12 @@ from exact_mdp.analysis.cli.given import Given, advice, check_outputs, limits_fr
 from exact_mdp.analysis.cli.render import markdown
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import UNEXPLAINED, Audit, share_of
+from exact_mdp.analysis.gate.columns import Representation
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior, PosteriorInterval
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.disagreements import Disagreement, either
 from exact_mdp.analysis.gate.junit import Case, write_junit
-from exact_mdp.analysis.gate.reasons import Representation
 from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import ADVICE

@@ -12,17 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from exact_mdp.analysis.gate.columns import Representation
 from exact_mdp.analysis.gate.data.interval import RegretInterval
 from exact_mdp.analysis.gate.data.posterior import PosteriorInterval
 from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, either
 from exact_mdp.analysis.gate.limits import UnderLimits
-from exact_mdp.analysis.gate.reasons import (
-    QError,
-    Representation,
-    pair_values,
-    q_error,
-    representation,
-)
+from exact_mdp.analysis.gate.q_error import QError, q_error
 from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -336,11 +331,10 @@ class Audit(Pictured):
         """How wrong the Q-table is; None for a policy, and under limits."""
         if self.policy.values is None or not self._of_totals:
             return None
-        said = pair_values(self.mdp, self.policy, self.policy.values)
         gap = self.regret.gap if self.mdp.sense == "max" else -self.regret.gap
         optimal = self.regret.optimal_value[self.mdp.pair_state] - gap
         visited = np.where(self.chain.weights > 0, self.visits[self.mdp.pair_state], 0.0)
-        return q_error(self.mdp, said, optimal, visited * self.chain.weights)
+        return q_error(self.mdp, self.policy, optimal, visited * self.chain.weights)
 
     @cached_property
     def representation(self) -> Representation | None:
@@ -352,7 +346,7 @@ class Audit(Pictured):
         if not self._partial:
             return None
         try:
-            return representation(self.mdp, self.policy, self.regret)
+            return Representation.of(self.mdp, self.policy, self.regret)
         except (SolverError, ModelError):
             return None
 

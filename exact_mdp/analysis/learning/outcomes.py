@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.gate.column_policies import BestPolicy, best_policy
+from exact_mdp.analysis.gate.columns import BestPolicy, best_policy
 from exact_mdp.analysis.vary.intervals import wilson
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.model import MDP

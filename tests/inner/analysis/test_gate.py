@@ -1,4 +1,4 @@
-"""Parts of an audit: relaxations, ties of floats, exact visits, words of a verdict."""
+"""Parts of an audit: ties of floats, exact visits, words of a verdict."""
 
 from dataclasses import replace
 from fractions import Fraction as F
@@ -6,16 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from strategies import tables
 
-from exact_mdp import MDP, Claim, Policy, SolverError, assert_policy_optimal, check, evaluate
+from exact_mdp import MDP, Claim, SolverError, assert_policy_optimal, check, evaluate
 from exact_mdp.analysis.gate import disagreements
 from exact_mdp.analysis.gate import regret as regret_module
 from exact_mdp.analysis.gate.exact_policy import exact_visits
-from exact_mdp.analysis.gate.relaxation import Relaxations, one_hot
-from exact_mdp.analysis.gate.relaxation import Rows as TableRows
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 
@@ -34,30 +29,6 @@ def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.Monke
     assert audit.plot() is not None
     with pytest.raises(AssertionError, match="the regret is"):
         assert_policy_optimal(mdp, [0, 1, 0])
-
-
-@settings(max_examples=30)
-@given(tables(), st.integers(0, 2**32))
-def test_no_policy_that_a_relaxation_allows_is_worth_more(mdp: MDP, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    rows = TableRows.of(mdp, ("row",))
-    allowed = random.random((8, *rows.available.shape)) < 0.6
-    allowed |= one_hot(random.integers(mdp.n_actions, size=allowed.shape[:2]), mdp.n_actions)
-    found = Relaxations(rows).expand(allowed)
-    assert found.kept.tolist() == list(range(8))
-    for n in range(8):
-        mixed = random.random(rows.available.shape) * allowed[n]
-        policy = Policy.by(mdp, ("row",), mixed / mixed.sum(axis=1, keepdims=True))
-        worth = evaluate(mdp, policy)
-        assert worth.mean - worth.start.error <= found.upper[n]
-        own = evaluate(mdp, rows.policy(found.choice[n])).mean
-        assert own == pytest.approx(found.value[n], abs=1e-9)
-        assert allowed[n][np.arange(allowed.shape[1]), found.choice[n]].all()
-        assert found.loss[n].sum() == pytest.approx(found.upper[n] - own, abs=1e-8)
-    values, errors = Relaxations(rows).evaluate(found.choice)
-    for value, error, choice in zip(values, errors, found.choice, strict=True):
-        truth = evaluate(mdp, rows.policy(choice))
-        assert abs(truth.mean - value) <= error + truth.start.error
 
 
 Row = tuple[int, int, list[tuple[Any, int, Any]]]

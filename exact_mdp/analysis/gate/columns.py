@@ -1,0 +1,488 @@
+"""The best policy that reads some columns of the state only, with a proof that it is the best.
+
+A policy over the statuses cannot act differently in different trials. What is lost by that alone,
+whatever the learning, is V*(start) less the greatest V^π(start) of the policies that read the same
+columns, a combinatorial problem (NP-hard: Littman, Memoryless policies, From Animals to Animats 3,
+1994). All states in which these columns agree form a *row*, in which a policy takes one action.
+
+A relaxation allows a set of actions in each row, and every state chooses among them knowing the
+full state. Its value is at most V + c w, where r + γ P V - V ≤ c m for every allowed pair, with the
+weights w and margins m of `solvers.bounds.bounds`, rounding included; no policy that takes allowed
+actions is worth more, mixed ones included. Branch and bound (Land and Doig, Econometrica 28, 1960)
+splits the relaxation of the greatest bound at the row in which any single action costs most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from heapq import heappop, heappush
+from itertools import count
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+import tqdm
+
+from exact_mdp.analysis.gate.regret import Regret, policy_regret
+from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import ModelError, listed
+from exact_mdp.mdp.graph import reachable
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import Flags, counted
+from exact_mdp.solvers.bounds.bounds import levels, margin_weights
+from exact_mdp.solvers.bounds.gains import SLACK, gamma
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.exact.find import first_of
+from exact_mdp.solvers.solution import Bounded, Certified, difference
+from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.layers import Layers
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+WORK = 2**25  # transitions times relaxations, unless a limit is given
+PROVEN = 1e-9  # of |value|
+ROWS_TRIED = 64  # rows that one step of the ascent tries to change
+ITERATIONS = 1000
+CELLS = 2**21  # pairs times relaxations solved at once
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BestPolicy(Result):
+    """The best policy found that reads some columns, and how good any other can be.
+
+    Attributes
+    ----------
+    columns : tuple of str
+    policy : Policy
+    value : Bounded
+        Its value at the start.
+    upper_bound : float
+        No deterministic policy that reads these columns has a higher value at the start; of costs,
+        none has a lower one.
+    mixed_upper_bound : float
+        No policy at all has a higher value: the optimal value, which bounds mixed ones, too.
+    proven : bool
+        Whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding.
+    nodes : int
+        Relaxations solved.
+    """
+
+    columns: tuple[str, ...]
+    policy: Policy
+    value: Bounded
+    upper_bound: float
+    mixed_upper_bound: float
+    proven: bool
+    nodes: int
+
+    @property
+    def error(self) -> float:
+        """How far the value may be off."""
+        return self.value.error
+
+    @property
+    def actions(self) -> dict[str, str]:
+        """The action in each row that has a choice."""
+        space, names = self.policy.space, self.policy.actions
+        return {
+            space.label(row) or "all states": names[int(chances.argmax())]
+            for row, chances in enumerate(self.policy.table)
+            if chances.max() > 0
+        }
+
+    def frame(self) -> DataFrame:
+        """Return the policy, one row for each combination of values of the columns."""
+        import pandas
+
+        return pandas.DataFrame([*self.actions.items()], columns=["row", "action"])
+
+
+def best_policy(
+    model: MDP | Scenario,
+    columns: Sequence[str] = ("status",),
+    *,
+    start: Policy | None = None,
+    node_limit: int | None = None,
+) -> BestPolicy:
+    """Return the best deterministic policy that reads `columns`, and an upper bound on all.
+
+    Parameters
+    ----------
+    model : MDP or Scenario
+    columns : names of columns of the model's states; none for one action throughout
+    start : Policy, optional
+        A policy that reads these columns, to begin from as well.
+    node_limit : int, optional
+        Relaxations to solve at most; by the model's size unless given, from 100 to 5,000. Where the
+        search ends there, the upper bound is sound all the same, and `proven` is false.
+
+    Returns
+    -------
+    BestPolicy
+
+    Raises
+    ------
+    ModelError
+        For an unknown column, where states that look alike have no action in common, and at
+        discount 1 where not every policy ends.
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> best = best_policy(Scenario.load("yuan2025").compile(), ("status",))
+    >>> best.proven, round(best.value.value, 6), best.mixed_upper_bound < 146.2359
+    (True, 146.235871, True)
+    """
+    mdp = mdp_of(model)
+    if node_limit is None:
+        node_limit = max(100, min(5000, WORK // mdp.n_transitions))
+    limit = counted(node_limit, "node_limit")
+    rows = Rows(mdp.maximised, listed(columns, "columns"))
+    search = _Search(rows)
+    if start is not None:
+        search.offer(rows.choices(start)[None])
+    search.begin()
+    mixed = search.upper
+    search.split(limit)
+    value = Bounded(value=search.value, error=search.error)
+    upper = max(search.upper, value.interval[0])
+    # Small rewards are rewards: beside a value of 0 alone the error counts.
+    left, size = upper - (value.value - value.error), abs(value.value)
+    found = BestPolicy(
+        columns=rows.space.names,
+        policy=rows.policy(search.choice),
+        value=value,
+        upper_bound=upper,
+        mixed_upper_bound=mixed,
+        proven=left <= PROVEN * max(1.0, size) and left <= max(PROVEN * size, 8 * value.error),
+        nodes=search.nodes,
+    )
+    if mdp.sense == "max":
+        return found
+    return replace(found, value=-value, upper_bound=0.0 - upper, mixed_upper_bound=0.0 - mixed)
+
+
+class Rows:
+    """The K rows that some columns make of a model's states, and relaxations over its A actions.
+
+    Attributes
+    ----------
+    mdp : MDP
+    space : StateSpace
+        The columns; where these are all, the model's states, each with a row of its own.
+    asked : (K,) bool
+        Whether a state of the row has a choice and can be reached from the start.
+    available : (K, A) bool
+        Actions that all states of the row with a choice offer.
+    batch : int
+        Relaxations to solve at once.
+    """
+
+    def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
+        space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
+        row = mdp.space.rows(space.columns)
+        if set(space.columns) == set(mdp.space.columns):
+            space, row = mdp.space, np.arange(mdp.n_states)
+        free, met = ~mdp.forced, reachable(mdp)
+        entry, size = row[mdp.pair_state] * mdp.n_actions + mdp.pair_action, space.size
+        offers = np.bincount(entry[free[mdp.pair_state]], minlength=size * mdp.n_actions)
+        states = np.bincount(row[free], minlength=size)[:, None]
+        self.available = (offers.reshape(size, -1) == states) & (states > 0)
+        without = (states[:, 0] > 0) & ~self.available.any(axis=1)
+        if without.any():
+            raise ModelError(
+                "no action is available in all states that the policy cannot tell apart",
+                where=space.label(int(np.flatnonzero(without)[0])) or "all states",
+                fix="let the policy read more columns",
+            )
+        self.mdp, self.space, self.row = mdp, space, row
+        self.asked = np.bincount(row[free & met], minlength=size) > 0
+        # Pairs of states that have no choice, or are never reached, are always allowed.
+        choosing = (free & met & ~mdp.terminal)[mdp.pair_state]
+        self._entry = np.where(choosing, entry, offers.size)
+        used = np.flatnonzero(choosing)
+        shape = (offers.size, mdp.n_pairs)
+        self._sums = sp.csr_array((np.ones(len(used)), (entry[used], used)), shape)
+        self._passes = Cycles(mdp) if levels(mdp) is None else Layers(mdp)
+        self.batch: int = max(1, min(256, CELLS // mdp.n_pairs))
+        weights = margin_weights(mdp)
+        self._reach = float(mdp.start_distribution @ weights.value) * SLACK / weights.smallest
+        self._gain = float(np.abs(mdp.table.gains()).max())
+        self._terms = int(np.diff(mdp.table.offsets).max())
+
+    def policy(self, choice: Integers) -> Policy:
+        """Return the policy of one action number (K,) a row, silent where there is no choice."""
+        table = np.eye(self.mdp.n_actions)[choice]
+        table[~self.available.any(axis=1)] = np.nan
+        return Policy(space=self.space, actions=self.mdp.actions, rule=table)
+
+    def choices(self, policy: Policy) -> Integers:
+        """Return the likeliest action numbers (K,) of a policy that reads nothing else."""
+        taken: Integers = self.available.argmax(axis=1)
+        free = np.flatnonzero(~self.mdp.forced)
+        taken[self.row[free]] = policy.choices(self.mdp)[free]
+        return taken
+
+    def relaxed(self, allowed: Flags) -> tuple[Floats, Integers, Floats]:
+        """Return upper bounds (N,) of relaxations (N, K, A), and a policy for each, (N, K).
+
+        Its action in a row is the one that loses least at the visits of the relaxation's own
+        policy; how much that is comes third, (N, K).
+        """
+        mdp, (value, q, best, upper, error) = self.mdp, self._solved(allowed)
+        number = np.where(q >= best[mdp.pair_state], np.arange(mdp.n_pairs)[:, None], mdp.n_pairs)
+        first = np.minimum.reduceat(number, mdp.pair_offsets[:-1])
+        visits = self._passes.visits(number == first[mdp.pair_state])
+        gap = np.where(np.isinf(q), 0.0, value[mdp.pair_state] - q)
+        lost = visits[mdp.pair_state] * gap
+        lost = np.asarray((self._sums @ lost).T).reshape(allowed.shape)
+        # What rounding leaves is not a loss: of equal actions, the lowest number is taken.
+        lost[lost <= self._rounding(value)[:, None, None]] = 0.0
+        lost[~allowed] = np.inf
+        return upper + error, lost.argmin(axis=2), lost.min(axis=2)
+
+    def values(self, choices: Integers) -> tuple[Floats, Floats]:
+        """Return values (N,) of any number of policies (N, K) at the start, and error bounds."""
+        alone = np.eye(self.mdp.n_actions, dtype=bool)
+        parts = [
+            self._solved(alone[choices[first : first + self.batch]])[3:]
+            for first in range(0, len(choices), self.batch)
+        ]
+        values, errors = zip(*parts, strict=True)
+        return np.concatenate(values), np.concatenate(errors)
+
+    def _solved(self, allowed: Flags) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Return V (S, N), Q (L, N), max Q over the pairs allowed, start values (N,), errors (N,).
+
+        Q is -inf of pairs that are not allowed.
+        """
+        mdp, flat = self.mdp, allowed.reshape(len(allowed), -1)
+        pairs = np.concatenate([flat, np.ones((len(flat), 1), dtype=bool)], axis=1).T[self._entry]
+        value, q = self._passes.best(pairs)
+        q = np.where(pairs, q, -np.inf)
+        best = np.maximum.reduceat(q, mdp.pair_offsets[:-1])
+        off = (np.abs(best - value).max(axis=0) + self._rounding(value)) * self._reach
+        summing = gamma(len(mdp.start) + 2) * np.abs(value).max(axis=0)
+        return value, q, best, mdp.start_distribution @ value, (off + summing) * SLACK
+
+    def _rounding(self, value: Floats) -> Floats:
+        """Return (N,) how far a computed r + γPV - V may be from the exact one."""
+        size = np.abs(value).max(axis=0)
+        return np.asarray(gamma(self._terms + 8) * (self._gain + 2 * size))
+
+
+class Cycles:
+    """What `Layers` is for models without cycles, of any model: one column after the other."""
+
+    def __init__(self, mdp: MDP) -> None:
+        self.mdp = mdp
+
+    def best(self, allowed: Flags) -> tuple[Floats, Floats]:
+        """Return the optimal values (S, N) and action values (L, N) of the pairs allowed (L, N)."""
+        mdp, first = self.mdp, self.mdp.pair_offsets[:-1]
+        values, actions = np.empty((mdp.n_states, allowed.shape[1])), np.empty(allowed.shape)
+        pairs = first
+        for column, mask in enumerate(allowed.T):
+            pairs = np.where(mask[pairs], pairs, first_of(mdp, mask))  # the one before is near
+            for _ in range(ITERATIONS):
+                chain, reward = policy_chain(mdp, pairs)
+                value = LinearSystem(chain, mdp.discount).approximate(reward)
+                q = mdp.reward + mdp.discount * (mdp.transition @ value)
+                best = np.maximum.reduceat(np.where(mask, q, -np.inf), first)
+                noise = 2.0**-44 * (np.abs(mdp.reward).max() + np.abs(value).max())
+                better = best > q[pairs] + noise
+                if not better.any():
+                    break
+                pairs = np.where(better, first_of(mdp, mask & (q == best[mdp.pair_state])), pairs)
+            values[:, column], actions[:, column] = value, q
+        return values, actions
+
+    def visits(self, taken: Flags) -> Floats:
+        """Return (S, N) discounted visits from the start where the pairs (L, N) are taken."""
+        found = []
+        for mask in taken.T:
+            chain, _ = policy_chain(self.mdp, first_of(self.mdp, mask))
+            system = LinearSystem(chain.T.tocsr(), self.mdp.discount)
+            found.append(system.approximate(self.mdp.start_distribution))
+        return np.stack(found, axis=1)
+
+
+class _Search:
+    """Branch and bound over the rows.
+
+    Attributes
+    ----------
+    value, error, choice
+        The best policy so far: value at the start, bound on its error, actions (K,).
+    upper : float
+        No policy has a higher value.
+    nodes : int
+        Relaxations solved.
+    """
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows, self.nodes, self.number = rows, 0, count()
+        self.heap: list[tuple[float, int, Flags, int]] = []
+        self.value, self.error, self.upper = -np.inf, 0.0, np.inf
+        self.choice: Integers = rows.available.argmax(axis=1)
+
+    def begin(self) -> None:
+        """Bound all policies; then change one of the rows that cost most, as long as that helps."""
+        available, asked = self.rows.available, self.rows.asked[:, None]
+        root = np.where(asked, available, np.eye(available.shape[1], dtype=bool)[self.choice])
+        lost = self._expand(root[None])[0]
+        self.upper = -self.heap[0][0]
+        tried = np.argsort(-lost, kind="stable")[:ROWS_TRIED]
+        place, action = np.nonzero(root[tried])
+        better = self.upper > self.enough
+        while better:
+            choices = np.repeat(self.choice[None], len(place), axis=0)
+            choices[np.arange(len(place)), tried[place]] = action
+            better = self.offer(choices)
+
+    def split(self, limit: int) -> None:
+        """Split the nodes that may hold a better policy, until `limit` relaxations are solved."""
+        alone, size = -np.inf, self.rows.batch  # the greatest bound of a node of one policy
+        words = {"desc": "policies", "unit": " nodes", "delay": 1, "disable": None, "leave": False}
+        with tqdm.tqdm(**words) as bar:
+            while self.heap:
+                children = list[Flags]()
+                while self.heap and len(children) < size and self.nodes + len(children) < limit:
+                    if -self.heap[0][0] <= self.enough:
+                        break
+                    bound, _, node, row = heappop(self.heap)
+                    if node[row].sum() == 1:
+                        alone = max(alone, -bound)
+                        continue
+                    for action in np.flatnonzero(node[row]):
+                        children.append(node.copy())
+                        children[-1][row] = np.arange(node.shape[1]) == action
+                if not children:
+                    break
+                for first in range(0, len(children), size):
+                    self._expand(np.array(children[first : first + size]))
+                bar.update(len(children))
+        self.upper = min(self.upper, max(alone, *(-node[0] for node in self.heap[:1]), -np.inf))
+
+    @property
+    def enough(self) -> float:
+        """What a bound must exceed for its node to be worth splitting."""
+        return self.value + 4 * self.error + 1e-13 * abs(self.value)
+
+    def _expand(self, nodes: Flags) -> Floats:
+        """Bound some nodes (N, K, A) and keep them; return (N, K) what their rows cost."""
+        upper, choice, lost = self.rows.relaxed(nodes)
+        self.nodes += len(nodes)
+        self.offer(choice)
+        rows = np.where(nodes.sum(axis=2) > 1, lost, -1.0).argmax(axis=1)
+        for bound, node, row in zip(upper.tolist(), nodes, rows.tolist(), strict=True):
+            heappush(self.heap, (-bound, next(self.number), node, row))
+        return lost
+
+    def offer(self, choices: Integers) -> bool:
+        """Keep the best of some policies (N, K) if it beats the present one beyond rounding."""
+        values, errors = self.rows.values(choices)
+        best = int(np.argmax(values))
+        better = bool(values[best] > self.value + errors[best] + self.error)
+        if better:
+            self.value, self.error = float(values[best]), float(errors[best])
+            self.choice = choices[best]
+        return better
+
+
+# ---- what it means for one policy ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowChange:
+    """A row of a policy's table, changed alone to the action that gains most at the start."""
+
+    row: str
+    learned: str
+    best: str
+    gain: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Representation:
+    """What the columns that a policy reads allow, and what was learned wrongly on top.
+
+        V*(start) - V^π(start) = [V*(start) - best] + [best - V^π(start)]
+
+    Attributes
+    ----------
+    best : BestPolicy
+        For the columns that the policy reads.
+    loss : Certified or Bounded
+        The first bracket: what no learner that reads these columns can avoid. Where the search for
+        the best policy did not end, it may be smaller, by up to `uncertainty`.
+    learning_error : Certified or Bounded
+        The second, which then is larger by as much; below 0 where the policy mixes and gains by it.
+    """
+
+    mdp: MDP
+    policy: Policy
+    best: BestPolicy
+    loss: Certified | Bounded
+    learning_error: Certified | Bounded
+
+    @classmethod
+    def of(cls, mdp: MDP, policy: Policy, lost: Regret) -> Representation:
+        """Return how much of a policy's regret `lost` its columns explain."""
+        best = best_policy(mdp, _columns(mdp, policy), start=policy)
+        chain = PolicyChain.of(mdp, best.policy)
+        loss = policy_regret(mdp, chain, optimum=lost.optimum).at_start
+        rest = difference(lost.at_start, loss)
+        return cls(mdp=mdp, policy=policy, best=best, loss=loss, learning_error=rest)
+
+    @property
+    def uncertainty(self) -> float:
+        """How much more than the best policy found another one may be worth."""
+        return 0.0 if self.best.proven else abs(self.best.upper_bound - self.best.value.value)
+
+    def __str__(self) -> str:
+        best = self.best
+        beyond = "above" if self.mdp.sense == "max" else "below"
+        proof = "proven" if best.proven else f"no other has one {beyond} {best.upper_bound:.10g}"
+        return (
+            f"the best policy that reads {', '.join(best.columns) or 'nothing'} alone has the value"
+            f" {best.value.value:.10g} ({proof}); of the regret, {float(self.loss.value):.6g} is"
+            f" due to what the policy reads and {float(self.learning_error.value):.6g} to what was"
+            " learned"
+        )
+
+    @cached_property
+    def rows(self) -> tuple[RowChange, ...]:
+        """The rows of a deterministic policy's table whose change alone gains, the most first."""
+        if not self.policy.deterministic:
+            return ()
+        mdp = self.mdp.maximised
+        rows = Rows(mdp, _columns(mdp, self.policy))
+        own, numbers = rows.choices(self.policy), np.arange(mdp.n_actions)
+        other = rows.available & rows.asked[:, None] & (own[:, None] != numbers)
+        row, action = np.nonzero(other)
+        choices = np.repeat(own[None], len(row) + 1, axis=0)
+        choices[np.arange(len(row)), row] = action
+        values, errors = rows.values(choices)
+        gain = values[:-1] - values[-1]
+        changes = {}  # by rising gain: the best of each row comes last, of equals the first action
+        for k in np.lexsort((-action, gain)).tolist():
+            if gain[k] > 2 * errors.max():
+                label = rows.space.label(int(row[k])) or "all states"
+                names = {"learned": mdp.actions[own[row[k]]], "best": mdp.actions[action[k]]}
+                changes[label] = RowChange(row=label, gain=float(gain[k]), **names)
+        return tuple(sorted(changes.values(), key=lambda change: -change.gain))
+
+
+def _columns(mdp: MDP, policy: Policy) -> tuple[str, ...]:
+    """Return the columns that a policy reads, in the model's order."""
+    return tuple(name for name in mdp.space.names if name in policy.columns)
