@@ -457,7 +457,7 @@ def explore(
 
     Example:
 
-    exact-mdp explore yuan2025 --parameter reward.trial --html page.html
+    exact-mdp explore yuan2025 --parameter base.anger --range base.anger=0:0.3 --html page.html
 
     Parameters
     ----------
