@@ -345,9 +345,9 @@ class CVaROptimum(Result):
         if threshold not in of.thresholds:
             return ["the threshold is no possible return"]
         wrong = self.certificate.violations()
-        worth = {k: of.worth(self.values, k, self.level) for k in of.thresholds}
+        objective = {k: of.worth(self.values, k, self.level) for k in of.thresholds}
         claimed = (1 - self.weight) * value + self.weight * mean
-        if not worth[int(threshold)] == claimed == max(worth.values()):
+        if not objective[int(threshold)] == claimed == max(objective.values()):
             wrong.append("another threshold gives more")
         returns = sorted((z / self._unit, p) for z, p in self.distribution().items())
         if tail_mean(returns, self.level) != value:
@@ -397,8 +397,8 @@ def best_cvar(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
-    >>> found = best_cvar(MDP.from_outcomes(rows), "1/2")
-    >>> str(found.value), str(found.mean), found.action(0)
+    >>> best = best_cvar(MDP.from_outcomes(rows), "1/2")
+    >>> str(best.value), str(best.mean), best.action(0)
     ('4', '4', '1')
     """
     mdp, share, part = mdp_of(model), share_of(level), exact(weight)
@@ -411,7 +411,7 @@ def best_cvar(
     mdp = mdp if horizon is None else mdp.within(horizon)
     of = with_budget(mdp, share * part / (1 - part))
     pairs, values, means = _optimum(of)
-    worth, mean, least = max(
+    objective, mean, least = max(
         (of.worth(values, k, share), means.mean(of.start(k)), -k) for k in of.thresholds
     )
     unit = of.unit if mdp.sense == "max" else -of.unit
@@ -419,7 +419,7 @@ def best_cvar(
         mdp=mdp,
         level=share,
         weight=part,
-        value=unit * (worth - part * mean) / (1 - part),
+        value=unit * (objective - part * mean) / (1 - part),
         mean=unit * mean,
         threshold=unit * -least,
         pairs=pairs,

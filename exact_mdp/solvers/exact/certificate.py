@@ -52,10 +52,10 @@ def model_of(given: MDP | None, own: MDP | None, where: str = "violations") -> M
 
 def _listed(numbers: Iterable[Fraction | None]) -> Numbers:
     listed = list(numbers)
-    found = np.empty(len(listed), dtype=object)
-    found[:] = listed
-    found.setflags(write=False)
-    return found
+    column = np.empty(len(listed), dtype=object)
+    column[:] = listed
+    column.setflags(write=False)
+    return column
 
 
 def exact_rows(mdp: MDP, *, average: bool = False, pairs: Integers | None = None) -> BellmanRows:
@@ -166,12 +166,12 @@ class Certificate(Proof, Pictured):
     Examples
     --------
     >>> from exact_mdp.solvers import certify
-    >>> found = certify(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
-    >>> found.frame().iloc[0].to_dict()
+    >>> proof = certify(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
+    >>> proof.frame().iloc[0].to_dict()
     {'state': 'state 0', 'value': 3.0, 'action': '1', 'gap': 2.0, 'exact': Fraction(3, 1)}
     >>> mdp = MDP.from_arrays([[[0, 1], [1, 0]], [[1, 0], [0, 1]]], [[2, 0], [3, "1/2"]])
-    >>> found = certify(mdp, criterion="average")
-    >>> found.start_value, found.bias.tolist(), found.violations()
+    >>> proof = certify(mdp, criterion="average")
+    >>> proof.start_value, proof.bias.tolist(), proof.violations()
     (Fraction(5, 2), [Fraction(-1, 4), Fraction(1, 4)], [])
     """
 
@@ -228,18 +228,18 @@ class Certificate(Proof, Pictured):
         """(S,) the optimal values as Fractions, `math.inf` or `-math.inf`; of averages the gain."""
         if self.kind == "average":
             return self._average(self.g).fractions(self.sign)
-        found: Numbers = self._with_infinite(self.h.fractions(self.sign))
-        return found
+        values: Numbers = self._with_infinite(self.h.fractions(self.sign))
+        return values
 
     def _with_infinite(self, values: Any) -> Any:
         infinite = self.infinite_sign
         if not infinite.any():
             return values
-        found = values.copy()
+        extended = values.copy()
         for sign in (1, -1):
-            found[infinite == sign] = self.sign * sign * inf
-        found.setflags(write=False)
-        return found
+            extended[infinite == sign] = self.sign * sign * inf
+        extended.setflags(write=False)
+        return extended
 
     @cached_property
     def value_float(self) -> Floats:
@@ -249,8 +249,8 @@ class Certificate(Proof, Pictured):
         """
         level = self._average(self.g) if self.kind == "average" else self.h
         top, below = np.array(level.top, object), np.array(level.each_below, object)
-        found: Floats = self._with_infinite(divide(self.sign * top, below))
-        return found
+        values: Floats = self._with_infinite(divide(self.sign * top, below))
+        return values
 
     def _average(self, level: Level | None) -> Level:
         if level is None or self.kind != "average":
@@ -307,19 +307,19 @@ class Certificate(Proof, Pictured):
         Raises ModelError where the certificate was read from a file, which lacks the model.
         """
         mdp = model_of(None, self.mdp, "optimal_pairs")
-        found = np.logical_and.reduce([[not top for top in tops] for tops, _ in self._gains])
+        best = np.logical_and.reduce([[not top for top in tops] for tops, _ in self._gains])
         infinite = self.infinite_sign
         if not infinite.any():
-            return np.asarray(found)
+            return np.asarray(best)
         own, after, first = infinite[mdp.pair_state], infinite[mdp.table.next], mdp.table.offsets
         if self.g is None:
             least, most = (f.reduceat(after, first[:-1]) for f in (np.minimum, np.maximum))
-            found &= (least == 0) & (most == 0)
+            best &= (least == 0) & (most == 0)
             above = (least >= 0) & (most > 0)
         else:  # the pairs after which the mean reward still is positive
             (tops, belows), g = self._gains[0], self.g.fractions()[mdp.pair_state]
             above = np.array([x * b + t > 0 for x, t, b in zip(g, tops, belows, strict=True)])
-        return np.asarray(np.where(own == 0, found, (own < 0) | above), dtype=bool)
+        return np.asarray(np.where(own == 0, best, (own < 0) | above), dtype=bool)
 
     @cached_property
     def gaps(self) -> Numbers:
@@ -437,13 +437,13 @@ class BoundedCertificate(Proof, Pictured):
     @cached_property
     def _bounds(self) -> tuple[Floats, Floats]:
         sign = 1 if self.sense == "max" else -1
-        found = [
+        bounds = [
             divide(sign * np.array(level.top, object), np.array(level.each_below, object))
             for level in (self.low, self.high)[::sign]
         ]
-        for bound in found:
+        for bound in bounds:
             bound.setflags(write=False)
-        return found[0], found[1]
+        return bounds[0], bounds[1]
 
     @property
     def lower(self) -> Floats:

@@ -142,8 +142,8 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
     """Return bounds that floats prove."""
     if mdp.sense == "min":
         known = None if solution is None else solution.negated(mdp.maximised)
-        found = _bounded(mdp.maximised, tol, known)
-        return replace(found, mdp=mdp, model=fingerprint(mdp), sense="min")
+        proof = _bounded(mdp.maximised, tol, known)
+        return replace(proof, mdp=mdp, model=fingerprint(mdp), sense="min")
     if solution is None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say what was reached
@@ -168,7 +168,7 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
         raise SolverError(Status.NO_BOUND)
 
     live = ~mdp.terminal
-    found = BoundedCertificate(
+    proof = BoundedCertificate(
         kind="bounds",
         mdp=mdp,
         model=fingerprint(mdp),
@@ -178,6 +178,6 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
         high=widen(np.flatnonzero(live[mdp.pair_state]), 1),
         rank=termination(mdp).rank if mdp.discount_exact == 1 else None,
     )
-    if tol is not None and not found.error_bound <= tol:
-        raise SolverError(Status.PRECISION, f"{found.error_bound:.2g} is the error bound")
-    return found
+    if tol is not None and not proof.error_bound <= tol:
+        raise SolverError(Status.PRECISION, f"{proof.error_bound:.2g} is the error bound")
+    return proof

@@ -45,9 +45,9 @@ def wanted(condition: object, what: str) -> None:
 
 def ratio(given: object, what: str) -> Fraction:
     """Read an integer, or a text such as "-7", "0x1f" or "1/3"."""
-    found = NUMBER.fullmatch(str(given)) if type(given) in (int, str) else None
+    match = NUMBER.fullmatch(str(given)) if type(given) in (int, str) else None
     try:
-        return Fraction(int(found[1], 0), int(found[3] or "1", 0)) if found else Fraction("")
+        return Fraction(int(match[1], 0), int(match[3] or "1", 0)) if match else Fraction("")
     except (ValueError, ZeroDivisionError) as error:  # 007, 1/0, or digits beyond Python's limit
         raise Unreadable(f"{what}: {str(given)[:40]!r} is no number; long ones as 0x…") from error
 

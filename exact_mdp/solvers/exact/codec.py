@@ -104,8 +104,8 @@ def decode(kind: Any, value: Any) -> Any:
         return dict(pairs)
     if origin is tuple and of[-1] is not Ellipsis:
         return tuple(decode(each, part) for each, part in zip(of, value, strict=True))
-    found = [decode(of[0], each) for each in value]
-    return tuple(found) if origin is tuple else found
+    items = [decode(of[0], each) for each in value]
+    return tuple(items) if origin is tuple else items
 
 
 def _either(of: Sequence[Any], value: Any) -> Any:

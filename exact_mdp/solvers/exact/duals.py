@@ -136,9 +136,9 @@ def front(totals: Totals, proof: Any) -> Iterator[str]:
     cells: list[list[Point]] = [[] for _ in vertices]
     for corner in proof.corners:
         wanted(len(corner.weights) == size, "not one weight for each objective")
-        worth = [_mixed(corner.weights, vertex.total) for vertex in vertices]
-        most = max(worth, default=Fraction())
-        tight = [number for number, own in enumerate(worth) if own == most]
+        totals_of = [_mixed(corner.weights, vertex.total) for vertex in vertices]
+        most = max(totals_of, default=Fraction())
+        tight = [number for number, own in enumerate(totals_of) if own == most]
         for number in tight:
             cells[number].append(corner.weights)
         fits = sum(corner.weights) == 1 and min(corner.weights) >= 0 and [*corner.best] == tight

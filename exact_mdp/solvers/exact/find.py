@@ -54,7 +54,7 @@ def certificate(
 ) -> Certificate:
     """Return a certificate with the start value that its levels make, and whether it is unique."""
     none: dict[str, Any] = dict.fromkeys(("g", "w", "rank", "infinite", "order"))
-    found = Certificate(
+    draft = Certificate(
         mdp=mdp,
         model=fingerprint(mdp),
         sense=mdp.sense,
@@ -64,23 +64,23 @@ def certificate(
         kind=kind,
         **none | parts,
     )
-    optimal = found.optimal_pairs if optimal is None else optimal
-    start = found.sign * _at_start(found, [(state, p) for state, p in mdp.start if p])
-    return replace(found, start_value=start, unique=one_optimum(mdp, optimal))
+    optimal = draft.optimal_pairs if optimal is None else optimal
+    start = draft.sign * _at_start(draft, [(state, p) for state, p in mdp.start if p])
+    return replace(draft, start_value=start, unique=one_optimum(mdp, optimal))
 
 
-def _at_start(found: Certificate, start: Sequence[tuple[int, Fraction]]) -> Fraction | float:
-    if found.kind == "average":
-        assert found.g is not None
-        return found.g.mean(start)
-    infinite = {int(found.infinite_sign[state]) for state, _ in start} - {0}
+def _at_start(draft: Certificate, start: Sequence[tuple[int, Fraction]]) -> Fraction | float:
+    if draft.kind == "average":
+        assert draft.g is not None
+        return draft.g.mean(start)
+    infinite = {int(draft.infinite_sign[state]) for state, _ in start} - {0}
     if len(infinite) > 1:
         raise ModelError(
             "the value is +∞ from one state of the start and -∞ from another",
             where="start",
             fix="start in one state: --start, or mdp.with_(start=…)",
         )
-    return inf * infinite.pop() if infinite else found.h.mean(start)
+    return inf * infinite.pop() if infinite else draft.h.mean(start)
 
 
 def one_optimum(mdp: MDP, optimal: Flags) -> bool:
@@ -146,9 +146,9 @@ def _greatest(rows: BellmanRows, columns: Sequence[Column], keep: Integers) -> I
 
 def reaching(mdp: MDP) -> Certificate:
     """Return the proof of a total until a goal that some policy never reaches."""
-    found = _missed if mdp.maximised.unreached == inf else _required
+    prove = _missed if mdp.maximised.unreached == inf else _required
     assert mdp.goal is not None
-    return found(mdp, exact_rows(mdp), Graph.of(mdp), mdp.goal)
+    return prove(mdp, exact_rows(mdp), Graph.of(mdp), mdp.goal)
 
 
 def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certificate:
@@ -190,10 +190,10 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifi
         raise falling_costs(mdp, bad)
     finite = arriving & ~above
     part, number = _closed(rows, finite)
-    kept = np.zeros(mdp.n_pairs, dtype=bool)
-    kept[number] = finite[state[number]]
-    far = graph.distance(goal, kept)
-    nearer = kept & _falling(graph, far)
+    inside_finite = np.zeros(mdp.n_pairs, dtype=bool)
+    inside_finite[number] = finite[state[number]]
+    far = graph.distance(goal, inside_finite)
+    nearer = inside_finite & _falling(graph, far)
     nearer[mdp.pair_offsets[:-1][~finite | goal]] = True
     first = np.searchsorted(number, first_of(mdp, nearer & np.isin(np.arange(mdp.n_pairs), number)))
     own = nearly(part, first)
@@ -240,9 +240,9 @@ def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
     Pairs that lead elsewhere are left out; another state has its first pair, and stays for nothing.
     """
     owner, first = rows.pair_state, rows.pair_offsets[:-1]
-    kept = states[owner] & np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
-    kept[first[~states]] = True
-    number = np.flatnonzero(kept)
+    stays = states[owner] & np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
+    stays[first[~states]] = True
+    number = np.flatnonzero(stays)
     own = owner[number]
     inside = states[own]
     lengths = np.where(inside, np.diff(rows.offsets)[number], 1)

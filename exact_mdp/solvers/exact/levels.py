@@ -90,10 +90,10 @@ class Level:
 
     def fractions(self, sign: int = 1) -> Numbers:
         """Return (S,) the numbers as Fractions, times a sign."""
-        found = np.empty(len(self.top), dtype=object)
-        found[:] = [fraction(sign * a, b) for a, b in zip(self.top, self.each_below, strict=True)]
-        found.setflags(write=False)
-        return found
+        numbers = np.empty(len(self.top), dtype=object)
+        numbers[:] = [fraction(sign * a, b) for a, b in zip(self.top, self.each_below, strict=True)]
+        numbers.setflags(write=False)
+        return numbers
 
     def over_one(self, states: Sequence[int], group: Sequence[int]) -> tuple[list[int], int]:
         """Return the numbers of some states over a common denominator; `group` is the list."""
@@ -192,14 +192,14 @@ def signs(rows: BellmanRows, value: Level, own: Integers | None = None) -> Integ
     up, down = max(0, BITS - longest), max(0, longest - BITS)
     near = [(top << up) // (below << down) for top, below in listed]
     offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
-    scale, constant, found = rows.scale.tolist(), rows.constant.tolist(), list[int]()
+    scale, constant, listed_signs = rows.scale.tolist(), rows.constant.tolist(), list[int]()
     first = 0
     for state, earned, last in zip(rows.pair_state.tolist(), constant, offsets[1:], strict=True):
         flow = sum(map(mul, weight[first:last], map(near.__getitem__, following[first:last])))
         gain = ((earned << up) >> down) + flow - scale[state] * near[state]
-        found.append((gain > 0) - (gain < 0) if abs(gain) > 4 * scale[state] + 1 else 2)
+        listed_signs.append((gain > 0) - (gain < 0) if abs(gain) > 4 * scale[state] + 1 else 2)
         first = last
-    sign = np.array(found, dtype=np.int64)
+    sign = np.array(listed_signs, dtype=np.int64)
     if own is not None:
         sign[own] = 0
     open_ = np.flatnonzero(sign == 2)

@@ -124,9 +124,9 @@ class Lifting:
         `rows` are those of the matrix, to check it; `known` is a denominator to be tried first.
         """
         while self.width:
-            found = self._solved(side, rows, known)
-            if found is not None:
-                return found
+            solution = self._solved(side, rows, known)
+            if solution is not None:
+                return solution
             self._narrow()
         return None
 
@@ -159,9 +159,9 @@ class Lifting:
                 digits = np.concatenate(parts)
                 for few in sorted({min(count, enough(below)), count}):
                     numbers = _joined(digits[:few], width)
-                    found = over_one_denominator(numbers, width * (few - lead), below)
-                    if found is not None and _solves(rows, side, *found):
-                        return found
+                    candidate = over_one_denominator(numbers, width * (few - lead), below)
+                    if candidate is not None and _solves(rows, side, *candidate):
+                        return candidate
             if count >= most:
                 return None
             below, taken, count = None, count, min(most, int(count * GROWTH) + 1)
@@ -200,9 +200,9 @@ class Lifting:
     def _taken(self, digits: Iterator[Integers], count: int) -> Integers | None:
         """Return the next digits (count, K); None where they are too large, as floats fail."""
         with np.errstate(all="ignore"):
-            found = np.array(list(islice(digits, count)))
+            listed = np.array(list(islice(digits, count)))
         limit = 1 << self.width
-        return None if found.max() > limit or found.min() < -limit else found
+        return None if listed.max() > limit or listed.min() < -limit else listed
 
 
 def _factored(matrix: sp.csc_array) -> Any:
@@ -219,18 +219,18 @@ def _digits_of(numbers: Sequence[Any], width: int, count: int) -> Iterator[Integ
     data = b"".join(int(each).to_bytes(count * size, "little", signed=True) for each in numbers)
     digits = np.zeros((len(numbers), count, 8), dtype=np.uint8)
     digits[:, :, :size] = np.frombuffer(data, dtype=np.uint8).reshape(len(numbers), count, size)
-    found = digits.view(np.int64)[:, ::-1, 0].T
-    found[0] -= found[0] >> (width - 1) << width
-    return iter(found)
+    ordered = digits.view(np.int64)[:, ::-1, 0].T
+    ordered[0] -= ordered[0] >> (width - 1) << width
+    return iter(ordered)
 
 
 def _joined(digits: Integers, width: int) -> list[int]:
     """Return the numbers whose digits (T, K) to the base 2^width are given, the highest first."""
     low, mask = np.empty_like(digits), (1 << width) - 1
     carry = np.zeros(digits.shape[1], dtype=np.int64)
-    for own, found in zip(digits[::-1], low, strict=True):
+    for own, lowest in zip(digits[::-1], low, strict=True):
         total = own + carry
-        np.bitwise_and(total, mask, out=found)
+        np.bitwise_and(total, mask, out=lowest)
         carry = total >> width
     numbers, tops, size = list[int](), carry.tolist(), len(digits) * width // 8
     for first in range(0, len(tops), CHUNK):

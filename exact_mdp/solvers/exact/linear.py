@@ -106,7 +106,7 @@ class Matrix:
         order = np.lexsort((label, single, level))
         apart = ~single[order][1:] & (np.diff(label[order]) != 0)
         apart |= (np.diff(level[order]) != 0) | np.diff(single[order])
-        found = list[tuple[list[int], Matrix | None]]()
+        parts = list[tuple[list[int], Matrix | None]]()
         for states in np.split(order, np.flatnonzero(apart) + 1):
             block = None
             if not single[states[0]]:
@@ -114,8 +114,8 @@ class Matrix:
                 entries = entries[label[self.column[entries]] == label[states[0]]]
                 row, column = np.searchsorted(states, [self.row[entries], self.column[entries]])
                 block = Matrix.of(len(states), row, column, self.entry[entries])
-            found.append((states.tolist(), block))
-        return found
+            parts.append((states.tolist(), block))
+        return parts
 
     @cached_property
     def lifting(self) -> Lifting:
@@ -206,27 +206,27 @@ class _Solution:
     def _by_base(self, states: Sequence[int]) -> dict[fmpz, list[int]]:
         """Return unknowns by the common denominator of those that they lead to."""
         bases: dict[frozenset[int], fmpz] = {}
-        found: dict[fmpz, list[int]] = {}
+        groups: dict[fmpz, list[int]] = {}
         for s in states:
             met = frozenset([self.group[t] for t in self._rows[s][0]])
             if met not in bases:
                 bases[met] = _lcm(self.below[group] for group in met)
-            found.setdefault(bases[met], []).append(s)
-        return found
+            groups.setdefault(bases[met], []).append(s)
+        return groups
 
     def _right_sides(self, base: fmpz, states: Sequence[int]) -> list[list[fmpz]]:
         """Return b less what is known of A x, times `base`, for each right side."""
         ahead = {t for s in states for t in self._rows[s][0]}
         times = {group: base // self.below[group] for group in {self.group[t] for t in ahead}}
-        found = []
+        reduced = []
         for side, top in zip(self.sides, self.tops, strict=True):
             known = {t: top[t] * times[self.group[t]] if top[t] else top[t] for t in ahead}
             flow = (
                 sum(map(mul, map(known.__getitem__, x), a))
                 for x, a in map(self._rows.__getitem__, states)
             )
-            found.append([base * side[s] - own for s, own in zip(states, flow, strict=True)])
-        return found
+            reduced.append([base * side[s] - own for s, own in zip(states, flow, strict=True)])
+        return reduced
 
     def _substitute(self, base: fmpz, states: Sequence[int]) -> None:
         """Solve for unknowns that do not lead to each other."""
@@ -272,10 +272,10 @@ class _Solution:
 
 
 def _lcm(numbers: Iterable[fmpz]) -> fmpz:
-    found = flint.fmpz(1)
+    multiple = flint.fmpz(1)
     for number in numbers:
-        found = number if found == 1 else found.lcm(number)
-    return found if found > 0 else -found
+        multiple = number if multiple == 1 else multiple.lcm(number)
+    return multiple if multiple > 0 else -multiple
 
 
 def _solve_component(
@@ -289,11 +289,11 @@ def _solve_component(
         )
     if matrix.size <= FEW:
         return _dense(matrix, side)
-    found = matrix.lifting.solve(side, matrix.listed, known.get(first))
-    if found is None:
+    solution = matrix.lifting.solve(side, matrix.listed, known.get(first))
+    if solution is None:
         return _by_change(matrix, side)
-    known[first] = found[1]
-    return found
+    known[first] = solution[1]
+    return solution
 
 
 def _by_change(matrix: Matrix, side: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
@@ -335,8 +335,8 @@ def _dense(matrix: Matrix, side: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
     dense[matrix.row, matrix.column] = matrix.entry
     system = flint.fmpz_mat(size, size, dense.ravel().tolist())
     try:
-        found: Any = system.solve(flint.fmpz_mat(size, 1, list(side)))
+        solution: Any = system.solve(flint.fmpz_mat(size, 1, list(side)))
     except ZeroDivisionError:
         raise ZeroDivisionError("the matrix is singular") from None
-    top, below = found.numer_denom()
+    top, below = solution.numer_denom()
     return top.entries(), below

@@ -98,7 +98,7 @@ class Objectives:
             scale = np.lcm(scale, np.lcm.reduceat(bottom.astype(object), first))
         factor = np.repeat((scale // old)[mdp.pair_state], np.diff(rows.offsets))
         own = scale[mdp.pair_state]
-        found = cls(
+        objectives = cls(
             mdp=mdp,
             texts=tuple(texts),
             names=names,
@@ -114,8 +114,8 @@ class Objectives:
             ),
             ending=ending,
         )
-        found._require_finite()
-        return found
+        objectives._require_finite()
+        return objectives
 
     @cached_property
     def sign(self) -> int:
@@ -138,8 +138,8 @@ class Objectives:
         """Raise ModelError, naming an objective, where a policy need not end at discount 1."""
         if self.mdp.discount_exact < 1:
             return
-        found, mdp = termination(self.ending), self.mdp
-        if found.proven:
+        ending, mdp = termination(self.ending), self.mdp
+        if ending.proven:
             if mdp.goal is not None and (beside := reachable(mdp) & mdp.terminal & ~mdp.goal).any():
                 raise ModelError(
                     "no total is finite: a policy may end beside the goal",
@@ -148,7 +148,7 @@ class Objectives:
                 )
             return
         inside = np.zeros(mdp.n_states, dtype=bool)
-        inside[found.trapped] = True
+        inside[ending.trapped] = True
         (_, label), then = components(mdp), self.rows.next
         back = inside[then] & (label[then] == label[mdp.pair_state[self.rows.pair]])
         stays = np.logical_and.reduceat(back, self.rows.offsets[:-1]) & inside[mdp.pair_state]
@@ -157,12 +157,12 @@ class Objectives:
             for name, amount in zip(self.names, self.amounts, strict=True)
             if (amount[stays] != 0).any()
         ]
-        shown = ", ".join(f"({mdp.space.label(s)})" for s in found.trapped[:SHOWN].tolist())
+        shown = ", ".join(f"({mdp.space.label(s)})" for s in ending.trapped[:SHOWN].tolist())
         raise ModelError(
             f"{endless[0]!r} has no finite total: a policy need not end, and counts it for ever"
             if endless
             else "discount 1 needs every policy to end, and one does not",
-            where=f"states {shown}" + (" and more" if len(found.trapped) > SHOWN else ""),
+            where=f"states {shown}" + (" and more" if len(ending.trapped) > SHOWN else ""),
             fix=ways_out(mdp, "count what is 0 in these states"),
         )
 
@@ -187,10 +187,10 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
         start = sign.match(body, at)
         assert start is not None
         place = start.end()
-        found = next(
+        amount = next(
             (n for n in names if body.startswith(n, place) and _ends(body, place + len(n))), None
         )
-        if found is None or (terms and start[1] is None):
+        if amount is None or (terms and start[1] is None):
             part = re.split(r"[-+*]", body[place:])[0].strip() or body
             raise ModelError(
                 f"nothing to count is called {part!r}",
@@ -198,8 +198,8 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
                 fix=f"{suggest(part, known)}; a sum is written name=2*a-b",
             )
         factor = exact(start[2] or "1")
-        terms.append((-factor if start[1] == "-" else factor, found))
-        at = place + len(found)
+        terms.append((-factor if start[1] == "-" else factor, amount))
+        at = place + len(amount)
         at += len(body[at:]) - len(body[at:].lstrip())
     if not terms:
         raise ModelError(

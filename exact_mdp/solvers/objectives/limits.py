@@ -108,10 +108,10 @@ class ConstrainedSolution(TotalsProof):
     >>> from exact_mdp import solve
     >>> rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
     >>> mdp = MDP.from_outcomes(rows, components={"cost": [3, 1, 0]})
-    >>> found = solve(mdp, subject_to={"cost": "<= 3/2"})
-    >>> found.start_value, found.prices, found.randomises
+    >>> best = solve(mdp, subject_to={"cost": "<= 3/2"})
+    >>> best.start_value, best.prices, best.randomises
     (Fraction(2, 1), {'cost': Fraction(2, 1)}, {0: {'0': Fraction(1, 4), '1': Fraction(3, 4)}})
-    >>> found.violations(), solve(mdp, subject_to={"cost": "<= 1/2"}).closest
+    >>> best.violations(), solve(mdp, subject_to={"cost": "<= 1/2"}).closest
     ([], {'cost': Fraction(1, 1)})
     """
 
@@ -125,10 +125,10 @@ class ConstrainedSolution(TotalsProof):
     kinds: ClassVar[tuple[str, ...]] = ("limits",)
 
     def __repr__(self) -> str:
-        kept = ", ".join(map(str, self.limits))
+        limits = ", ".join(map(str, self.limits))
         if self.start_value is None:
-            return f"ConstrainedSolution(no policy keeps {kept}; certified)"
-        return f"ConstrainedSolution({float(self.start_value):.12g} with {kept}; certified)"
+            return f"ConstrainedSolution(no policy keeps {limits}; certified)"
+        return f"ConstrainedSolution({float(self.start_value):.12g} with {limits}; certified)"
 
     @cached_property
     def totals(self) -> dict[str, Fraction]:
@@ -152,10 +152,10 @@ class ConstrainedSolution(TotalsProof):
     @property
     def prices(self) -> dict[str, Fraction]:
         """The price of each limit by name; of two limits on one name, both together."""
-        found = dict.fromkeys(self.of.names[1:], ZERO)
+        total = dict.fromkeys(self.of.names[1:], ZERO)
         for limit, price in zip(self.limits, self.price, strict=True):
-            found[limit.name] += price
-        return found
+            total[limit.name] += price
+        return total
 
     @property
     def closest(self) -> dict[str, Fraction]:
@@ -225,7 +225,7 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
             where="subject_to",
             fix='give {name: ">= -1/2"}, or "<= …"',
         )
-    found = []
+    limits = []
     for name, texts in subject_to.items():
         for text in texts if isinstance(texts, list | tuple) else [texts]:
             parts = LIMIT.match(str(text))
@@ -236,8 +236,8 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
                     fix='write a text with >= or <=, such as ">= -1/2" or "<= 1/20"',
                 )
             sign = 1 if parts[1] == ">=" else -1
-            found.append(Limit(name=str(name), sign=sign, bound=exact(parts[2])))
-    return tuple(found)
+            limits.append(Limit(name=str(name), sign=sign, bound=exact(parts[2])))
+    return tuple(limits)
 
 
 def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
@@ -401,14 +401,14 @@ class _Program:
 
     def _sources(self, taken: Mapping[int, Fraction], own: Integers) -> list[tuple[int, Fraction]]:
         """Return what comes into each state where pairs are taken in place of the states' own."""
-        rows, found = self.of.rows, list[tuple[int, Fraction]]()
+        rows, arrivals = self.of.rows, list[tuple[int, Fraction]]()
         for pair, times in taken.items():
             state = int(rows.pair_state[pair])
             part = slice(rows.offsets[pair], rows.offsets[pair + 1])
             ahead = zip(rows.next[part].tolist(), rows.weight[part].tolist(), strict=True)
             unit = int(rows.scale[state])
-            found += [(state, -times), *((t, times * Fraction(w, unit)) for t, w in ahead)]
-        return found
+            arrivals += [(state, -times), *((t, times * Fraction(w, unit)) for t, w in ahead)]
+        return arrivals
 
     def _number(self, vertex: _Vertex, state: int) -> Number:
         """Return how often a state's own pair is taken."""
@@ -503,7 +503,7 @@ class _Program:
         for s, chance in of.mdp.start:
             start[s] = float(chance)
         limited = np.array([s * each[k] for k, s in zip(self.amount, self.sign, strict=True)])
-        found = optimize.linprog(
+        program = optimize.linprog(
             np.append(-each[0] * (not short), float(short)),
             A_eq=sp.hstack([(stays - moves.T).tocsr()[inside], sp.csr_array((len(inside), 1))]),
             b_eq=start[inside],
@@ -513,9 +513,9 @@ class _Program:
             method="highs-ds",
             options={"maxiter": PIVOTS * size},
         )
-        if found.status != 0:
+        if program.status != 0:
             return None
-        visits, price = found.x[:-1] * live, np.abs(found.ineqlin.marginals)
+        visits, price = program.x[:-1] * live, np.abs(program.ineqlin.marginals)
         exactly = [Fraction(not short), *map(Fraction, price.tolist())]
         whole, _ = common(_weights(of, self.limits, exactly))
         weighted = replace(rows, constant=of.weighted(whole))

@@ -70,12 +70,12 @@ def _improve(table: list[list[fmpq]], basis: list[int], c: list[fmpq], size: int
     """Pivot until no column is worth more than it costs."""
     rows = len(table)
     while True:
-        worth = [c[number] for number in basis]
+        price = [c[number] for number in basis]
         entering = next(
             (
                 j
                 for j in range(size)
-                if c[j] > sum((worth[i] * table[i][j] for i in range(rows)), flint.fmpq(0))
+                if c[j] > sum((price[i] * table[i][j] for i in range(rows)), flint.fmpq(0))
             ),
             None,
         )
