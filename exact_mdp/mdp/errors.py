@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import Any, TypeVar
+from functools import wraps
+from inspect import signature
+from typing import Any, TypeVar, cast
 
 CONTROL = "\\x00-\\x1f\\x7f-\\x9f"
 SEPARATORS = "\\u2028\\u2029"
@@ -25,6 +27,7 @@ NEVER_CHARACTERS = "\\ufffe\\uffff"
 UNSAFE = re.compile(f"[{CONTROL}{SEPARATORS}{SURROGATES}{DIRECTIONS}{INVISIBLE}{NEVER_CHARACTERS}]")
 
 T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
 
 LONGEST = 1000  # characters of a name, and of what a message quotes
 LONGEST_TEXT = 20_000  # of a text of several lines, such as a source
@@ -194,6 +197,43 @@ def suggest(name: str, known: Iterable[str]) -> str:
     if len(options) <= 12:
         return f"choose one of {', '.join(options)}"
     return f"choose one of the {len(options)} known names, such as {', '.join(options[:4])}"
+
+
+def no_option(name: str, known: Iterable[str], where: str) -> ModelError:
+    """Return the error to raise for an option that a function does not have."""
+    options = list(known)
+    fix = suggest(name, options)
+    if name in ("gamma", "γ", "discount"):
+        fix = "the discount belongs to the model: say mdp.with_(discount=0.95)"
+        fix = "say discount=" if "discount" in options else fix
+    return ModelError(f"there is no option {name}=", where=where, fix=fix)
+
+
+def named_options(function: F) -> F:
+    """Let a function refuse an option that it does not have as it refuses any bad input.
+
+    Examples
+    --------
+    >>> from exact_mdp import solve
+    >>> solve("yuan2025", gamma=0.9)
+    Traceback (most recent call last):
+    exact_mdp.mdp.errors.ModelError: there is no option gamma=
+      where: solve
+      fix:   the discount belongs to the model: say mdp.with_(discount=0.95)
+    """
+
+    @wraps(function)
+    def asked(*given: Any, **options: Any) -> Any:
+        try:
+            return function(*given, **options)
+        except TypeError as error:
+            for name in options:
+                if f"unexpected keyword argument '{name}'" in str(error):
+                    known = signature(function).parameters
+                    raise no_option(name, known, function.__name__) from error
+            raise
+
+    return cast("F", asked)
 
 
 def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:

@@ -24,7 +24,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp import questions
 from exact_mdp.mdp.components import named_components, wrong_rows
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, suggest, words_of
+from exact_mdp.mdp.errors import (
+    ModelError,
+    ShapeError,
+    located,
+    named_options,
+    of_type,
+    suggest,
+    words_of,
+)
 from exact_mdp.mdp.forms.explore import FromFunction
 from exact_mdp.mdp.forms.names import Names, Told, object_key, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
@@ -602,6 +610,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return self.negated()
 
     @classmethod
+    @named_options
     def load(
         cls,
         path: str | Path,
@@ -609,7 +618,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         discount: object | None = None,
         start: object | None = None,
         constants: Mapping[str, object] | None = None,
-        **others: Any,
     ) -> MDP:
         """Read a model from a file that `save` wrote, or another program.
 
@@ -623,8 +631,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             Likewise.
         constants : {name: number}, optional
             Values of what a `.prism` or `.jani` file leaves open.
-        **others
-            There are none: a misspelt option is refused.
 
         Returns
         -------
@@ -645,7 +651,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         """
         import exact_mdp
 
-        check_options(others, known=("discount", "start", "constants"))
         return exact_mdp.load(path, discount=discount, start=start, constants=constants)
 
     def save(self, path: str | Path) -> None:

@@ -21,6 +21,7 @@ from exact_mdp.mdp.errors import (
     ShapeError,
     check_names,
     located,
+    no_option,
     no_such,
     of_type,
     suggest,
@@ -101,12 +102,8 @@ OPTIONS = ("discount", "start", "states", "actions", "components", "labels", "se
 KNOWN = {*OPTIONS, *(part.name for part in fields(Parts))}
 
 
-def check_options(
-    names: Iterable[str], *, told: Iterable[str] = (), known: Iterable[str] = ()
-) -> None:
+def check_options(names: Iterable[str], *, told: Iterable[str] = ()) -> None:
     """Raise ModelError for a name that is none of a model's parts, or that records tell.
-
-    Where options are `known`, these are all that there are.
 
     Examples
     --------
@@ -117,11 +114,11 @@ def check_options(
       fix:   say discount=
     """
     for name in names:
-        if name not in (known or KNOWN) or name in told:
-            options = list(known or OPTIONS)
-            fix = "say discount=" if name in ("gamma", "γ") else suggest(name, options)
-            fix = "leave it out: the records say it" if name in told else fix
+        if name in told:
+            fix = "leave it out: the records say it"
             raise ModelError(f"there is no option {name}=", where="MDP", fix=fix)
+        if name not in KNOWN:
+            raise no_option(name, OPTIONS, "MDP")
 
 
 KINDS: dict[str, Any] = {

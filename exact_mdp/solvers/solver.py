@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, named_options, suggest
 from exact_mdp.mdp.graph import endless, numbered_in_order
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import AverageSolution, solve_average
@@ -102,6 +102,7 @@ def solve(
     terminal_value: Any = ...,
     subject_to: Mapping[str, Any],
 ) -> ConstrainedSolution: ...
+@named_options
 def solve(
     model: MDP | Scenario,
     solver: Any = "auto",

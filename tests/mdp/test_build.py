@@ -8,6 +8,7 @@ from __future__ import annotations
 import pickle
 from collections import defaultdict
 from fractions import Fraction
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import laws
 
-from exact_mdp import MDP, DistributionError, ModelError, NegativeError, ShapeError, StateSpace
+import exact_mdp
+from exact_mdp import (
+    MDP,
+    DistributionError,
+    ModelError,
+    NegativeError,
+    Scenario,
+    ShapeError,
+    StateSpace,
+)
 
 HALF = Fraction(1, 2)
 P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])
@@ -548,3 +558,24 @@ def test_repr_says_the_sizes() -> None:
     assert repr(MDP.from_arrays(P, R_PAIR, "9/10", name="three")) == (
         "MDP(three: 3 states, 2 actions, 6 pairs, 9 transitions, discount 9/10)"
     )
+
+
+TAKES_MODEL = (
+    "solve certify evaluate check assert_policy_optimal return_distribution simulate train tradeoff"
+    " rationalize curve thresholds tornado one_way two_way gradient robust"
+)
+
+
+@pytest.mark.parametrize("name", TAKES_MODEL.split())
+def test_an_option_that_there_is_not_is_refused(name: str) -> None:
+    """Python's own TypeError said neither that the model has the discount nor how to change it."""
+    function = getattr(exact_mdp, name)
+    care = Scenario.load("yuan2025")
+    given = (care, "random") if "policy" in signature(function).parameters else (care,)
+    with pytest.raises(ModelError, match="no option gamma=") as caught:
+        function(*given, gamma=0.9)
+    assert caught.value.where
+    assert "say mdp.with_(discount=" in caught.value.fix
+    with pytest.raises(ModelError, match="no option discuont=") as caught:
+        MDP.load("m.npz", discuont=0.9)  # type: ignore[call-arg]
+    assert caught.value.fix == "did you mean discount?"

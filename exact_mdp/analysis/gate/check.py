@@ -31,7 +31,7 @@ from exact_mdp.analysis.gate.disagreements import Loss, total_loss
 from exact_mdp.analysis.gate.limits import UnderLimits, limit_of
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, cheap
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, named_options, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.solvers.bounds.bounds import Bounds
@@ -43,6 +43,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 EVIDENCE: dict[str, Any] = {"robust": Robust, "posterior": Posterior, "off-policy": OffPolicy}
 
 
+@named_options
 def check(
     model: MDP | Scenario,
     policy: PolicyLike,
@@ -214,6 +215,7 @@ def _evidence(by: object) -> Evidence:
     return by
 
 
+@named_options
 def assert_policy_optimal(
     model: MDP | Scenario,
     policy: PolicyLike,

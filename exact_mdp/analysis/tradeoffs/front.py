@@ -29,7 +29,7 @@ import scipy.sparse as sp
 from exact_mdp.analysis.gate.limits import totals_under
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -254,6 +254,7 @@ class Front(TotalsProof, Pictured):
         return frame
 
 
+@named_options
 def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     """Return the exact Pareto front of two or three expected totals from the start.
 

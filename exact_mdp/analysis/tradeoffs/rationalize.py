@@ -29,6 +29,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import mixed_rows
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
@@ -187,6 +188,7 @@ class Rationalization(TotalsProof):
         return pandas.DataFrame(rows, columns=["component", "multiplier", "alone from", "to"])
 
 
+@named_options
 def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     """Return the least change of the weights of the reward that makes a policy optimal.
 

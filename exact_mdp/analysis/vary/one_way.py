@@ -25,7 +25,7 @@ from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.ranges import Range, range_of, ranges_of, unit_of
 from exact_mdp.analysis.vary.study import Study, solver_of, study
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -238,6 +238,7 @@ class Curve(Pictured):
         )
 
 
+@named_options
 def one_way(
     model: Scenario | MDP | Parametric,
     name: str,
@@ -286,6 +287,7 @@ def one_way(
     return Curve(model=family.name, parameter=parameter_of(family, name), points=every)
 
 
+@named_options
 def tornado(
     model: Scenario | MDP | Parametric,
     *,
@@ -436,6 +438,7 @@ class TwoWay(Pictured):
         return self.choices[:, :, state]
 
 
+@named_options
 def two_way(
     model: Scenario | MDP | Parametric,
     x: str,

@@ -45,7 +45,7 @@ from exact_mdp.analysis.vary.intervals import (
 )
 from exact_mdp.analysis.vary.study import DrawSolver, merged, run, solver_of, tell_cut
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
@@ -467,6 +467,7 @@ def drawn(
     return chosen, [sample[at : min(at + block, n)] for at in range(0, n, block)], rest
 
 
+@named_options
 def psa(
     model: Scenario | MDP | Parametric,
     n: int | None = None,

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_worth
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, named_options, suggest
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -229,6 +229,7 @@ def ambiguity_of(mdp: MDP, kind: str, radius: object) -> Ambiguity:
     return SETS[kind](mdp, radius)
 
 
+@named_options
 def robust(
     model: MDP,
     ambiguity: Ambiguity | None = None,

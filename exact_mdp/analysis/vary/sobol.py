@@ -32,7 +32,7 @@ from numpy.random import default_rng
 from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
 from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
@@ -224,6 +224,7 @@ class Sobol(Pictured):
         return table
 
 
+@named_options
 def sobol(
     model: Scenario | MDP | Parametric,
     *,

@@ -16,7 +16,7 @@ from typing import Literal, overload
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import endless, termination, where_endless
 from exact_mdp.mdp.model import MDP
@@ -49,6 +49,7 @@ def certify(
     tol: float | None = ...,
     solution: Solution | None = ...,
 ) -> BoundedCertificate: ...
+@named_options
 def certify(
     model: MDP | Scenario,
     *,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers
@@ -29,6 +29,7 @@ ARRAYS = ("q", "policies", "snapshots", "last", "returns")
 NUMBERS = ("steps", "cut_short")
 
 
+@named_options
 def train(
     model: MDP,
     settings: QLearning,

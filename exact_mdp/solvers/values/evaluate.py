@@ -33,7 +33,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import closure, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
@@ -485,6 +485,7 @@ def evaluate(
 def evaluate(
     model: MDP | Scenario, policy: PolicyLike, *, kind: str = ..., criterion: Literal["average"]
 ) -> AverageEvaluation: ...
+@named_options
 def evaluate(
     model: MDP | Scenario,
     policy: PolicyLike,

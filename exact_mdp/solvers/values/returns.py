@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
@@ -233,6 +233,7 @@ def times(number: float, power: int) -> float:
         return float(np.ldexp(number, power))
 
 
+@named_options
 def return_distribution(
     model: MDP | Scenario,
     policy: PolicyLike,

@@ -18,7 +18,7 @@ import tqdm
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, between, number
@@ -175,6 +175,7 @@ class Simulation(Pictured):
         return f"Simulation({self.episodes} episodes, mean {self.value})"
 
 
+@named_options
 def simulate(
     model: MDP | Scenario,
     policy: PolicyLike,

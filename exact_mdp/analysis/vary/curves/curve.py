@@ -32,7 +32,7 @@ from exact_mdp.analysis.vary.curves.regret_limits import Interval, kept
 from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, Sweep, below_one, pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -275,6 +275,7 @@ def _actions(mdp: MDP, optimal: np.ndarray) -> list[str]:
     return [mdp.actions[action] for action in mdp.pair_action[first]]
 
 
+@named_options
 def curve(
     model: Scenario | MDP | Parametric,
     name: str,

@@ -31,7 +31,7 @@ from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.vary.base_case import unending
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, listed
+from exact_mdp.mdp.errors import ModelError, listed, named_options
 from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.graph import endless, is_acyclic, reachable
 from exact_mdp.mdp.model import MDP
@@ -254,6 +254,7 @@ def _float(number: Slope | None) -> float:
     return np.nan if number is None else in_float(number.value)
 
 
+@named_options
 def gradient(
     model: Scenario | MDP | Parametric,
     *,

@@ -21,6 +21,7 @@ from exact_mdp.analysis.vary.curves.curve import ValueFunction, curve
 from exact_mdp.analysis.vary.curves.walk import Mask
 from exact_mdp.analysis.vary.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -258,6 +259,7 @@ def report_of(found: Mapping[str, Thresholds]) -> Report:
     )
 
 
+@named_options
 def thresholds(
     model: Scenario | MDP | Parametric,
     name: str,
