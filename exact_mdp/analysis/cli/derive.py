@@ -26,11 +26,11 @@ from functools import cache
 from importlib import import_module
 from inspect import cleandoc
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.analysis.cli.words import Whole
 from exact_mdp.mdp.io.files import aside
 
 PACKAGE = Path(__file__).resolve().parents[2]
@@ -85,34 +85,6 @@ class Parameter:
 
 def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
-
-
-if TYPE_CHECKING:
-    Converter = click.ParamType[int]
-else:  # older versions of click have no parameter here
-    Converter = click.ParamType
-
-
-class Whole(Converter):
-    """A whole number within limits, which the docstring's type states: "N, 1 to 100"."""
-
-    name = "whole number"
-
-    def __init__(self, form: str) -> None:
-        limits = re.search(r"(\d+) to (\d+)", form)
-        self.least, self.most = map(int, limits.groups()) if limits else (0, 10**18)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return the number that a text states."""
-        text = str(value)
-        digits = text.isascii() and text.isdigit() and len(text) <= 40
-        if digits and self.least <= int(text) <= self.most:
-            return int(text)
-        raise ModelError(
-            f"{text!r} is not a whole number from {self.least} to {self.most:,}",
-            where=param.opts[-1] if param else "",
-            fix="choose one in that range",
-        )
 
 
 def singular(name: str) -> str:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from exact_mdp.analysis.pages.page import ADVICE
@@ -18,7 +16,6 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, Posed, parametric
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown
-from exact_mdp.mdp.table import exact
 from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -270,62 +267,3 @@ def advice(loaded: Loaded) -> tuple[str, ...]:
     """Return the note on models of care, and on models from records; nothing on others."""
     care = loaded.scenario is not None or loaded.name.startswith(OF_CARE)
     return (ADVICE,) * (care or loaded.mdp.observations is not None)
-
-
-def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
-    """Return what --subject-to says, as `solve` takes it."""
-    found: dict[str, list[str]] = {}
-    for text in texts:
-        name, *limit = re.split("(>=|<=)", text, maxsplit=1)
-        if not limit:
-            raise ModelError(
-                f"{text!r} is no limit",
-                where="--subject-to",
-                fix='write "NAME >= -1/2" or "NAME <= 1/20"',
-            )
-        found.setdefault(name.strip(), []).append("".join(limit))
-    return found
-
-
-def number_of(text: str, option: str, *, positive: bool = False) -> float:
-    """Return the number that an option states, as a float."""
-    try:
-        found = float(exact(text))
-    except ModelError as error:
-        raise ModelError(error.what, where=option, fix=error.fix) from error
-    except OverflowError as error:
-        raise ModelError("too large for a float", where=option, fix="choose less") from error
-    if positive and not found > 0:
-        raise ModelError(f"{text} is not positive", where=option, fix="give more than 0")
-    return found
-
-
-def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
-    """Return what NAME=VALUE texts say."""
-    found = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals or not value.strip():
-            raise ModelError(f"{text!r} is not {form}", where=option, fix=f"write {form}")
-        found[name.strip()] = value.strip()
-    return found
-
-
-def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
-    """Raise ModelError, before any work, where a file (path, allowed endings) cannot be written."""
-    taken = []
-    for name, endings in files:
-        if name is None:
-            continue
-        path = Path(name)
-        if path.suffix.lower() not in endings:
-            raise ModelError(
-                f"cannot write {path.suffix or 'a file without ending'} here",
-                where=name,
-                fix=f"name it {' or '.join(endings)}",
-            )
-        if not path.parent.is_dir():
-            raise ModelError("there is no such folder", where=str(path.parent), fix="make it first")
-        if path.resolve() in taken:
-            raise ModelError("two results go to one file", where=name, fix="name another file")
-        taken.append(path.resolve())

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.cli.given import Given, advice, check_outputs, pairs_of
+from exact_mdp.analysis.cli.given import Given, advice
+from exact_mdp.analysis.cli.words import check_outputs, pairs_of
 from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter

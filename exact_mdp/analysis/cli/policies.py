@@ -11,7 +11,8 @@ from typing import Any
 import click
 import numpy as np
 
-from exact_mdp.analysis.cli.given import Given, check_outputs, limits_from, number_of
+from exact_mdp.analysis.cli.given import Given
+from exact_mdp.analysis.cli.words import check_outputs, limits_from, number_of
 from exact_mdp.analysis.optimum import (
     LISTED,
     Contradiction,

@@ -8,7 +8,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from exact_mdp.analysis.cli.given import Given, check_outputs, number_of
+from exact_mdp.analysis.cli.given import Given
+from exact_mdp.analysis.cli.words import check_outputs, number_of
 from exact_mdp.analysis.perception.accuracy import confusion_at
 from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
 from exact_mdp.analysis.perception.values import value_under_counts

@@ -5,14 +5,15 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from exact_mdp.analysis.cli.given import Given, number_of, pairs_of
+from exact_mdp.analysis.cli.given import Given
+from exact_mdp.analysis.cli.words import number_of, settings_of
 from exact_mdp.analysis.learning.outcomes import (
     CANDIDATES,
     QUANTILES,
@@ -21,12 +22,11 @@ from exact_mdp.analysis.learning.outcomes import (
     outcomes,
 )
 from exact_mdp.analysis.record import run_record
-from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.errors import located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, number
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.mdp.validate import as_discount
 from exact_mdp.solvers.learning import training
 from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
 from exact_mdp.solvers.learning.sampler import as_policy
@@ -38,8 +38,6 @@ from exact_mdp.solvers.values.policy_values import policy_values
 LISTED_ROWS = 1000  # policies over more rows are left to the files of --out
 SHOWN = 10  # policies in the table
 SCHEDULES: dict[str, Schedule] = {"constant": PAPER_CONSTANT, "decaying": PAPER_DECAYING}
-WHOLE = ("epochs", "episodes", "max_steps", "snapshot_episode", "last")
-NUMBERS = ("rate", "rate_power", "initial")
 
 
 def train(
@@ -87,37 +85,10 @@ def train(
 
 def _settings(mdp: MDP, epsilon: str, learner: Sequence[str]) -> QLearning:
     """Return the learner that the options describe."""
-    stated: dict[str, Any] = {}
-    known = [each.name for each in fields(QLearning) if each.name != "exploration"]
-    for name, text in pairs_of(learner, "--learner").items():
-        where = f"--learner {name}"
-        if name not in known:
-            fix = suggest(name, known)
-            raise ModelError(f"unknown setting {name!r}", where="--learner", fix=fix)
-        if name == "columns":
-            every = text == "all"
-            stated[name] = mdp.space.names if every else tuple(x.strip() for x in text.split(","))
-        elif name in NUMBERS:
-            stated[name] = number_of(text, where)
-        elif name in WHOLE:
-            if not (text.isascii() and text.isdigit() and 0 < len(text) < 10):
-                what = f"{text!r} is not a whole number below a thousand million"
-                raise ModelError(what, where=where, fix="choose one in that range")
-            stated[name] = int(text)
-        elif name == "discount":
-            with located(where, instead=True):
-                stated[name] = as_discount(text)
-        elif name == "bootstrap_end":
-            if text not in ("true", "false"):
-                raise ModelError(f"{text!r} is no truth value", where=where, fix="write true")
-            stated[name] = text == "true"
-        else:
-            stated[name] = text
-    exploration = SCHEDULES.get(epsilon)
-    if exploration is None:
-        stated["exploration"] = number_of(epsilon, "--epsilon")
-    else:
-        stated["exploration"] = exploration
+    stated = settings_of(QLearning, learner, "--learner")
+    if stated.get("columns") == ("all",):
+        stated["columns"] = mdp.space.names
+    stated["exploration"] = SCHEDULES.get(epsilon) or number_of(epsilon, "--epsilon")
     stated.setdefault("snapshot_episode", min(10, stated.get("episodes", 10)))
     with located("--learner"):
         return QLearning(**stated)

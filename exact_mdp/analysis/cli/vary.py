@@ -13,7 +13,8 @@ from typing import Any
 import click
 from tqdm import tqdm
 
-from exact_mdp.analysis.cli.given import Given, check_outputs, pairs_of
+from exact_mdp.analysis.cli.given import Given
+from exact_mdp.analysis.cli.words import check_outputs, pairs_of
 from exact_mdp.analysis.pages.explorer import explore as explorer_of
 from exact_mdp.analysis.record import run_record
 from exact_mdp.analysis.vary.base_case import finite_worth

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
-from math import inf, isfinite, isinf, isnan, nan
-from typing import TYPE_CHECKING
+from math import inf, isfinite, isinf, isnan, nan, nextafter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from exact_mdp.analysis.gate.columns import Representation
 from exact_mdp.analysis.gate.data.interval import RegretInterval
-from exact_mdp.analysis.gate.data.posterior import PosteriorInterval
 from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, either
 from exact_mdp.analysis.gate.limits import UnderLimits
 from exact_mdp.analysis.gate.q_error import QError, q_error
 from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.analysis.gate.verdicts import UNDECIDED, Verdict, number, share_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, shown
-from exact_mdp.solvers.objectives.limits import Limit
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -34,53 +34,13 @@ if TYPE_CHECKING:
 
 SHOWN = 5  # states that `message` names
 AT_A_GLANCE = 3  # of them in `print(audit)`
+IN_TABLE = 10  # and in the table for people
+LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
 UNEXPLAINED = "not known: whether a policy that reads the same columns could do better"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """One thing that was checked, such as "the regret" "at most 1/2", and what was found.
-
-    Attributes
-    ----------
-    subject, limit : str
-    decision : bool or None
-        Whether it holds; None where bounds or records leave that open, which does not pass.
-    text : str
-        What was found.
-
-    Examples
-    --------
-    >>> found = Verdict(subject="the regret", limit="zero", decision=False, text="it is 2")
-    >>> found.name, found.passed, found.told
-    ('the regret is zero', False, 'the regret is not zero: it is 2')
-    """
-
-    subject: str
-    limit: str
-    decision: bool | None
-    text: str
-
-    @property
-    def name(self) -> str:
-        """What was checked."""
-        return f"{self.subject} is {self.limit}"
-
-    @property
-    def passed(self) -> bool:
-        """Whether it holds."""
-        return self.decision is True
-
-    @property
-    def undecided(self) -> bool:
-        """Whether bounds or records leave it open."""
-        return self.decision is None
-
-    @property
-    def told(self) -> str:
-        """What was found, as a sentence: the name of a check that fails is not what was found."""
-        holds = {True: "is", False: "is not", None: "is not known to be"}[self.decision]
-        return f"{self.subject} {holds} {self.limit}: {self.text}"
+COLUMNS = (
+    "yours: what the policy does; optimal: what it should do; value lost: expected visits times "
+    "what each loses; share: of all that is lost"
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -164,13 +124,7 @@ class Audit(Pictured):
     @property
     def relative_regret(self) -> float | None:
         """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
-        best, lost = self.regret.optimal, float(self.value.value)
-        if not (np.isfinite(float(best.value)) and np.isfinite(lost)):
-            return lost if np.isfinite(float(best.value)) and best.value else None
-        low, high = (best.value, best.value) if isinstance(best, Certified) else best.interval
-        if low <= 0 <= high:
-            return None
-        return float(Fraction(self.value.value) / abs(Fraction(best.value)))
+        return share_of(self.value, self.regret.optimal)
 
     @property
     def regret_interval(self) -> tuple[float, float] | None:
@@ -239,21 +193,73 @@ class Audit(Pictured):
         """Return the disagreements, by the number of the state; `full` adds expected visits."""
         import pandas
 
-        lost = sum(each.cost for each in self.disagreements)
-        names = ["label", "learned", "optimal", "cost", "share", "gap"]
+        names = ["state", "label", "learned", "optimal", "cost", "share", "gap"]
+        names += ["expected_visits"] * full
         rows = [
+            row | {"state": row["number"], "label": row["state"]}
+            | {"optimal": " or ".join(row["optimal_actions"])}
+            for row in self._rows()
+        ]  # fmt: skip
+        return pandas.DataFrame(rows, columns=names).set_index("state")
+
+    def _rows(self) -> list[dict[str, Any]]:
+        """Return each disagreement with its share of all that is lost, where that is finite."""
+        lost = sum(each.cost for each in self.disagreements)
+        return [
             {
-                name: getattr(each, name)
-                for name in ("state", *names, "expected_visits")
-                if name != "share"
+                "state": each.label,
+                "number": each.state,
+                "columns": self.mdp.space.as_dict(each.state),
+                "learned": each.learned,
+                "optimal": each.optimal[0],
+                "optimal_actions": each.optimal,
+                "gap": each.gap,
+                "expected_visits": each.expected_visits,
+                "cost": each.cost,
+                "share": each.cost / lost if 0 < lost < inf else None,
             }
-            | {"optimal": " or ".join(each.optimal), "share": share_of(each.cost, lost)}
             for each in self.disagreements
         ]
-        names += ["expected_visits"] * full
-        return pandas.DataFrame(rows, columns=["state", *names]).set_index("state")
 
     # ---- verdicts ----------------------------------------------------------------------------
+
+    @cached_property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """What was checked: each limit given, or that the regret is zero."""
+        if self.interval is not None:
+            return (self.interval.verdict(self.max_regret, self.forgiven, self.value),)
+        return tuple(self._of_model())
+
+    def _of_model(self) -> Iterator[Verdict]:
+        """Yield the verdict on each limit given; without one, on whether the regret is zero."""
+        regret, limits, share = self.regret, self.limits, self.max_relative_regret
+        text = f"it is {number(regret.at_start)}"
+        if limits is not None:
+            yield from limits.verdicts()
+            if not limits.best.feasible:
+                return
+            text += ", against the best policy that keeps the limits"
+        if self.max_regret is None and share is None:
+            name = "zero" if limits is None else "at most 0"
+            if regret.forgiven:
+                below = Context(prec=2, rounding=ROUND_DOWN)
+                moved = below.create_decimal(Decimal(float(regret.forgiven)))
+                name += " up to the rounding of the given floats"
+                text += f"; rounding can move it by up to {moved:g}"
+            yield _decided("the regret", name, regret.zero, text)
+        if self.max_regret is not None:
+            name = f"at most {shown(self.max_regret, 10)}"
+            yield _decided("the regret", name, regret.decided(self.max_regret), text)
+        if share is not None:
+            ratio, best = self.relative_regret, regret.optimal
+            decision: bool | None = False
+            text = "it is undefined, because the optimal value is, or may be, 0"
+            if ratio is not None:
+                ends = (best.value, best.value) if isinstance(best, Certified) else best.interval
+                low, high = sorted(share * abs(Fraction(end)) for end in ends)
+                decision = regret.decided(low) or (False if regret.decided(high) is False else None)
+                text = f"it is {ratio:.6g} ({regret.claim})"
+            yield _decided("the relative regret", f"at most {shown(share, 10)}", decision, text)
 
     @property
     def passed(self) -> bool:
@@ -262,62 +268,8 @@ class Audit(Pictured):
 
     @property
     def undecided(self) -> bool:
-        """Whether the bounds leave a verdict open, which then does not pass."""
-        return any(each.undecided for each in self.verdicts)
-
-    @cached_property
-    def verdicts(self) -> tuple[Verdict, ...]:
-        """What was checked: each limit given, or that the regret is zero."""
-        if self.interval is not None:
-            return (self._of_process(self.interval),)
-        found = [] if self.limits is None else _kept(self.limits)
-        if not self.feasible:
-            return tuple(found)
-        limit, relative, text = self.max_regret, self.max_relative_regret, f"it is {self._regret}"
-        if self.limits is not None:
-            text += ", against the best policy that keeps the limits"
-        if limit is None and relative is None:
-            decision, name = self.regret.zero, "zero" if self.limits is None else "at most 0"
-            if self.forgiven:
-                name += " up to the rounding of the given floats"
-                text += f"; rounding can move it by {_below(self.forgiven)}"
-            found.append(_verdict("the regret", name, decision, text))
-        if limit is not None:
-            name = f"at most {shown(limit, 10)}"
-            found.append(_verdict("the regret", name, self.regret.decided(limit), text))
-        if relative is not None:
-            name = f"at most {shown(relative, 10)}"
-            found.append(_verdict("the relative regret", name, *self._relative(relative)))
-        return tuple(found)
-
-    @property
-    def _regret(self) -> str:
-        return _number(self.value)
-
-    def _of_process(self, interval: RegretInterval) -> Verdict:
-        """Return what the interval decides, never the estimate."""
-        limit = self.max_regret
-        name = "zero" if limit is None else f"at most {shown(limit, 10)}"
-        decision = interval.decided(self.forgiven if limit is None else limit)
-        text = f"it is in {interval}; {self._regret} in the estimated model"
-        if decision is None and isinstance(interval, PosteriorInterval):
-            share = interval.within(limit or Fraction(0)).value
-            text += f", {OPEN}: it is kept with probability {share:.3g} by the posterior"
-        elif decision is None:
-            text += f", {OPEN}: more records may decide it, or give a limit above the interval"
-        return Verdict(subject="the regret", limit=name, decision=decision, text=text)
-
-    def _relative(self, limit: Fraction) -> tuple[bool | None, str]:
-        """Return whether the relative regret keeps a limit, and what it is."""
-        if self.relative_regret is None:
-            return False, "it is undefined, because the optimal value is, or may be, 0"
-        best = self.regret.optimal
-        ends = (best.value, best.value) if isinstance(best, Certified) else best.interval
-        low, high = sorted(limit * abs(Fraction(end)) for end in ends)
-        decision = False if self.regret.decided(high) is False else None
-        if self.regret.decided(low):
-            decision = True
-        return decision, f"it is {self.relative_regret:.6g} ({self.claim})"
+        """Whether bounds or records leave a verdict open, which then does not pass."""
+        return any(each.decision is None for each in self.verdicts)
 
     # ---- reasons -----------------------------------------------------------------------------
 
@@ -379,9 +331,9 @@ class Audit(Pictured):
     def _outcome(self) -> str:
         if self.limits is not None and not self.feasible:
             return f"failed: no policy keeps {', '.join(map(str, self.limits.best.limits))}"
-        lost = f"regret {self._regret}"
+        lost = f"regret {number(self.value)}"
         if self.interval is not None:
-            lost = f"regret in {self.interval}; estimated {self._regret}"
+            lost = f"regret in {self.interval}; estimated {number(self.value)}"
         word = "passed" if self.passed else "failed, left open" if self.undecided else "failed"
         best = float(self.regret.optimal.value)
         return f"{word}: {lost} of {best:.6g}, {len(self.disagreements)} disagreements"
@@ -394,11 +346,8 @@ class Audit(Pictured):
 
         With `explain` also what the policy's columns cannot express, which takes a search.
         """
-        lines = [self.question]
-        lines += [f"{'passed' if each.passed else 'failed'}: {each.told}" for each in self.verdicts]
-        best, own = (
-            f"{float(each.value):.10g}" for each in (self.regret.optimal, self.regret.learned)
-        )
+        lines = [self.question, *map(str, self.verdicts)]
+        best, own = (f"{float(x.value):.10g}" for x in (self.regret.optimal, self.regret.learned))
         if not self.feasible:
             return "\n".join([*lines, f"there is no optimum to compare with; learned {own}"])
         lines.append(
@@ -408,10 +357,8 @@ class Audit(Pictured):
         if self.unclear:
             lines.append(f"in {self.unclear} more the bounds leave it open")
         lines += self._costliest(SHOWN)
-        if explain and self.representation is not None:
-            lines.append(str(self.representation))
-        elif explain and self.unexplained:
-            lines.append(UNEXPLAINED)
+        if explain and self._partial:
+            lines.append(UNEXPLAINED if self.unexplained else str(self.representation))
         return "\n".join(lines)
 
     def _costliest(self, most: int) -> list[str]:
@@ -428,40 +375,82 @@ class Audit(Pictured):
             lines.append(f"  and {self.never_reached} that it never visits, which cost nothing")
         return lines
 
+    def report(self, *, explain: bool = True) -> Report:
+        """Return the verdicts, what is lost, where, and why; `explain` as in `message`."""
+        mdp, lost, by_visits = self.mdp, self.regret, self.agreement_by_visits
+        why = self.representation if explain else None
+        by_state = zip(mdp.space.labels(range(mdp.n_states)), lost.by_state.tolist(), strict=True)
+        infinite = "infinite" if isinf(lost.optimal.value) else "0, or may be"
+        undefined = f"undefined: the optimal value is {infinite}"
+        ratio, forgiven = self.relative_regret, float(self.forgiven)
+        agree = f"{self.agreement:.1%} of the states with a choice, "
+        agree += "an unknown share" if isnan(by_visits) else f"{by_visits:.1%}"
+        agree += " of the visits to them" + (
+            f"; {self.never_reached} wrong states are never reached from {self.begins}, and cost "
+            "nothing: --start STATE begins elsewhere"
+        ) * bool(self.never_reached)
 
-UNDECIDED = (
-    "which the bounds do not decide: give a limit that they keep (--max-regret,"
-    " max_regret=…), or ask for exact values (--certify, exact_values=True)"
-)
+        def claimed(value: Certified | Bounded) -> Shown:
+            return Shown(float(value.value), value if self.feasible else None)
 
-OPEN = "which leaves the limit open"
-
-
-def share_of(cost: float, lost: float) -> float | None:
-    """Return a cost as a share of all that is lost; None where that is 0 or infinite."""
-    return cost / lost if 0 < lost < inf else None
-
-
-def _verdict(subject: str, limit: str, decision: bool | None, text: str) -> Verdict:
-    if decision is None:
-        text = f"{text}, {UNDECIDED}"
-    return Verdict(subject=subject, limit=limit, decision=decision, text=text)
-
-
-def _kept(limits: UnderLimits) -> list[Verdict]:
-    """Return what is checked of limits."""
-    found = [_within(limits, limit) for limit in limits.best.limits]
-    if not limits.best.feasible:
-        near = ", ".join(limit.text(10) for limit in limits.best.moved)
-        text = f"none does (proven); the closest that can be kept: {near}"
-        found.append(_verdict("there", "a policy that keeps all limits", False, text))
-    return found
-
-
-def _within(limits: UnderLimits, limit: Limit) -> Verdict:
-    total = _number(Certified(value=limits.totals[limit.name]))
-    name = f"within the limit {limit}"
-    return _verdict("the policy", name, limits.keeps(limit), f"its total is {total}")
+        checks = [{"name": v.name, "passed": v.passed, "text": v.text} for v in self.verdicts]
+        facts: dict[str, Any] = {
+            "passed": Shown(self.passed, "yes" if self.passed else "FAILED"),
+            "checks": Shown(checks, "; ".join(each.told for each in self.verdicts)),
+            **(self.interval.facts(self.max_regret) if self.interval is not None else {}),
+            "claim": Shown(self.claim),
+            "regret_claim": Shown(self.value.claim),
+            "regret": claimed(self.value),
+            "exact_regret": Shown(self.value.value if isinstance(self.value, Certified) else None),
+            "error_bound": Shown(self.error),
+            "forgiven": Shown(  # rounded down
+                forgiven if forgiven <= self.forgiven else nextafter(forgiven, -inf)
+            ),
+            "relative_regret": Shown(
+                ratio, (undefined if ratio is None else ratio) if self.feasible else None
+            ),
+            "optimal_value": claimed(lost.optimal),
+            "learned_value": Shown(float(lost.learned.value), lost.learned),
+            "max_regret": Shown(self.max_regret),
+            "max_relative_regret": Shown(self.max_relative_regret),
+            "agreement": Shown(self.agreement, agree),
+            "agreement_by_visits": Shown(by_visits),
+            "unclear": Shown(self.unclear, self.unclear or None),
+            "disagreements": self._rows(),
+            "regret_by_state": Shown(dict(by_state) if mdp.n_states <= LISTED_STATES else None),
+            **UnderLimits.facts(self.limits),
+            **Representation.facts(why),
+            "q_error": Shown(self.q_error, self.q_error and str(self.q_error)),
+        }
+        columns = {"state": "state", "yours": "learned", "optimal": "optimal"}
+        numbers = {"value lost": "cost:.6g", "visits": "expected_visits:.6g", "share": "share:.1%"}
+        wrong = Table(
+            title="where it is not optimal, the costliest first",
+            note=COLUMNS,
+            rows=[
+                row | {"optimal": either(row["optimal_actions"])}
+                for row in facts["disagreements"]
+                if row["expected_visits"] != 0
+            ],
+            columns=columns | numbers,
+            first=IN_TABLE,
+        )
+        changes = Table(
+            title="rows of the policy, each changed alone",
+            rows=[vars(change) for change in why.rows] if why else (),
+            columns={"row": "row", "yours": "learned", "better": "best", "gain": "gain"},
+        )
+        tables = {} if self.limits is None else {"limits of the policy": self.limits.table()}
+        notes = [UNEXPLAINED] if explain and self.unexplained else []
+        if self.interval is not None:
+            notes += [f"assumed: {each}" for each in self.interval.assumptions]
+        return Report(
+            title="audit",
+            facts=facts,
+            tables=tables | {"disagreements": wrong, "rows of the policy": changes},
+            notes=notes,
+            passed=self.passed,
+        )
 
 
 def _lost(each: Disagreement) -> str:
@@ -473,14 +462,5 @@ def _lost(each: Disagreement) -> str:
     return f"loses {each.gap:.6g} x {each.expected_visits:.6g} visits = {each.cost:.6g}"
 
 
-def _number(value: Certified | Bounded) -> str:
-    """Return a number with its claim; an exact one may have thousands of digits, and is rounded."""
-    if isinstance(value, Certified):
-        return f"{float(value.value):.10g} ({value.claim})"
-    return str(value)
-
-
-def _below(number: Fraction) -> str:
-    """Return a number of two digits that is not above the given one."""
-    rounded = Context(prec=2, rounding=ROUND_DOWN).create_decimal(Decimal(float(number)))
-    return f"up to {rounded:g}"
+def _decided(subject: str, limit: str, decision: bool | None, text: str) -> Verdict:
+    return Verdict(subject, limit, decision, text + f", {UNDECIDED}" * (decision is None))

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from heapq import heappop, heappush
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,6 +31,7 @@ from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.report import Shown, cell
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
@@ -459,6 +460,32 @@ class Representation:
             f" due to what the policy reads and {float(self.learning_error.value):.6g} to what was"
             " learned"
         )
+
+    @staticmethod
+    def facts(why: Representation | None) -> dict[str, Any]:
+        """Return what a report says of it; null where there is nothing to say."""
+        if why is None:
+            return {"representation": None, "rows": None}
+        best = why.best
+        details = {
+            "columns": best.columns,
+            "best_value": best.value.value,
+            "error_bound": best.error,
+            "upper_bound": best.upper_bound,
+            "mixed_upper_bound": best.mixed_upper_bound,
+            "proven": best.proven,
+            "loss": float(why.loss.value),
+            "learning_error": float(why.learning_error.value),
+            "uncertainty": why.uncertainty,
+            "policy": best.actions,
+        }
+        proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
+        text = (
+            f"the best policy that reads {', '.join(best.columns) or 'nothing'} has "
+            f"{cell(best.value)} ({proof}): {cell(why.loss)} is lost because of what it reads, "
+            f"{cell(why.learning_error)} by learning"
+        )
+        return {"representation": Shown(details, text), "rows": Shown(why.rows)}
 
     @cached_property
     def rows(self) -> tuple[RowChange, ...]:

@@ -13,7 +13,7 @@ that π leaves under its limits. A policy that breaks them may earn more than r*
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -24,9 +24,11 @@ import numpy as np
 
 from exact_mdp.analysis.gate.disagreements import Loss, total_loss
 from exact_mdp.analysis.gate.exact_policy import exact_policy
+from exact_mdp.analysis.gate.verdicts import Verdict, number
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import LARGEST, common, exact, integers, shown
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
@@ -69,6 +71,56 @@ class UnderLimits:
     def keeps(self, limit: Limit) -> bool:
         """Return whether the policy keeps a limit."""
         return limit.sign * (self.totals[limit.name] - limit.bound) >= 0
+
+    def verdicts(self) -> Iterator[Verdict]:
+        """Yield the verdict on each limit, and on whether any policy keeps them all."""
+        for limit in self.best.limits:
+            total = number(Certified(value=self.totals[limit.name]))
+            name = f"within the limit {limit}"
+            yield Verdict("the policy", name, self.keeps(limit), f"its total is {total}")
+        if not self.best.feasible:
+            near = ", ".join(limit.text(10) for limit in self.best.moved)
+            text = f"none does (proven); the closest that can be kept: {near}"
+            yield Verdict("there", "a policy that keeps all limits", False, text)
+
+    @staticmethod
+    def facts(under: UnderLimits | None) -> dict[str, Any]:
+        """Return what a report says of limits; null without them."""
+        names = ("feasible", "limits", "kept", "totals", "prices", "closest", "room")
+        if under is None:
+            return dict.fromkeys(names)
+        best = under.best
+        room = f"{cell(under.room)}: the value of the room left under the limits"
+        values = (
+            best.feasible,
+            [str(limit) for limit in best.limits],
+            Shown([under.keeps(limit) for limit in best.limits]),
+            Shown(dict(under.totals)),
+            Shown(best.prices if best.feasible else None),
+            Shown(best.closest),
+            Shown(under.room, room) if best.feasible else None,
+        )
+        return dict(zip(names, values, strict=True))
+
+    def table(self) -> Table:
+        """Return each limit with the policy's total, and its price or the closest to be kept."""
+        best = self.best
+        rows = [
+            {
+                "limit": str(limit),
+                "total": float(self.totals[limit.name]),
+                "kept": "yes" if self.keeps(limit) else "NO",
+                "price": float(price),
+                "closest": moved.text(10),
+            }
+            for limit, price, moved in zip(best.limits, best.price, best.moved, strict=True)
+        ]
+        last = {"price": "price:.6g"} if best.feasible else {"closest": "closest"}
+        note = "closest: all moved by the same step, the least with which a policy keeps them"
+        if best.feasible:
+            note = "price: what the optimum gains for one point by which the limit is moved"
+        columns = {"limit": "limit", "yours": "total:.10g", "kept": "kept", **last}
+        return Table(title="limits", rows=rows, columns=columns, note=note)
 
     @cached_property
     def priced(self) -> MDP:

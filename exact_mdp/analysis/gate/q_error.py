@@ -18,6 +18,7 @@ from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import by_time, rows_read
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.report import cell
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.solution import in_float
 
@@ -47,6 +48,13 @@ class QError:
     root_mean_square: float
     visited: float
     promised: float
+
+    def __str__(self) -> str:
+        return (
+            f"promises {cell(self.promised)} at the start; its error: mean {cell(self.mean)}, "
+            f"root mean square {cell(self.root_mean_square)} ({cell(self.visited)} by visits), at "
+            f"most {cell(self.largest)} in {self.where}"
+        )
 
 
 def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError | None:

@@ -17,7 +17,7 @@ open are refused: what cannot fail is no gate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
@@ -27,11 +27,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from exact_mdp.analysis.exit_status import answering
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.check import check
+from exact_mdp.analysis.gate.verdicts import Verdict
 from exact_mdp.analysis.learning.anytime import excluded, fewest, share_intervals
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.mdp.validate import counted
@@ -135,23 +137,66 @@ class TrainerAudit(Pictured):
             f"{float(high):.3f}; at least {shown(self.share, 10)} is {shown_as})"
         )
 
+    @property
+    def verdicts(self) -> tuple[Verdict]:
+        """What was checked: the share of all runs."""
+        decision = True if self.passed else self.proven
+        least = f"at least {shown(self.share, 10)}"
+        return (Verdict("the share of runs within the limits", least, decision, self._found),)
+
+    @property
+    def _found(self) -> str:
+        low, high = map(float, self.interval)
+        return (
+            f"{self.within} of {len(self.audits)} runs are, of {self.runs} at most; the share of "
+            f"all is from {low:.4f} to {high:.4f}, wrong with probability {shown(self.alpha, 10)} "
+            "at most, whenever one stops"
+        )
+
     def message(self) -> str:
         """Return in words what was found, and of the run that lost most why."""
-        low, high = self.interval
-        what, least = "the share of runs within the limits", shown(self.share, 10)
         open_ = "is not proven to be " + ("below" if self.passed else "at least")
         told = {True: "is at least", False: "is not at least", None: open_}[self.proven]
         lines = [
-            f"{'passed' if self.passed else 'failed'}: {what} {told} {least}",
-            f"{self.within} of {len(self.audits)} runs are, of {self.runs} at most; the share of "
-            f"all is from {float(low):.4f} to {float(high):.4f}, wrong with probability "
-            f"{shown(self.alpha, 10)} at most, whenever one stops",
+            f"{'passed' if self.passed else 'failed'}: the share of runs within the limits {told} "
+            f"{shown(self.share, 10)}",
+            self._found,
         ]
         if self.within < len(self.audits):
-            worst = self.worst
-            name = self.names[self.audits.index(worst)]
-            lines += [f"the run that lost most, {name}:", worst.message(explain=False)]
+            name = self.names[self.audits.index(self.worst)]
+            lines += [f"the run that lost most, {name}:", self.worst.message(explain=False)]
         return "\n".join(lines)
+
+    def report(self, policies: Sequence[str] | None = None) -> Report:
+        """Return the verdict and the runs, with the names of their policies where given."""
+        rows = self.frame().to_dict("records")
+        names = self.names if policies is None else [policies[run] for run in self.names]
+        facts = {
+            "passed": Shown(self.passed, self.message()),
+            "proven": self.proven,
+            "claim": self.claim,
+            "within": self.within,
+            "runs": len(rows),
+            "given": self.runs,
+            "observed": Shown(self.value),
+            "share_interval": [float(end) for end in self.interval],
+            "share": self.share,
+            "alpha": self.alpha,
+            "max_regret": self.audits[0].max_regret,
+            "max_relative_regret": self.audits[0].max_relative_regret,
+            "policies": [
+                {key: value for key, value in row.items() if key != "run"} | {"policy": name}
+                for row, name in zip(rows, names, strict=True)
+            ],
+        }
+        table = Table(
+            title="the runs, in the order given",
+            note="share: of all runs, from and to; all these intervals hold together",
+            columns={"policy": "policy", "regret": "regret", "within the limits": "passed"}
+            | {"share from": "low:.3f", "to": "high:.3f"},
+            first=20,
+        )
+        return Report(title="runs", facts=facts, tables={"policies": table}, passed=self.passed)
 
 
 def check_trainer(

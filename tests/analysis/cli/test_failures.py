@@ -83,7 +83,7 @@ LINES = {
     "check yuan2025 random --discount {}": "--discount",
     "solve yuan2025 --discount {}": "--discount",
     "solve yuan2025 --tol {}": "--tol",
-    "train tea --seeds 1 --learner epochs=2 --learner discount={}": "--learner discount",
+    "train tea --seeds 1 --learner epochs=2 --learner discount={}": "--learner, discount",
     "train tea --seeds 1 --learner epochs=2 --learner rate={}": "--learner rate",
     "train tea --seeds {}": "--seeds",
     "simulate tea random --episodes {}": "--episodes",

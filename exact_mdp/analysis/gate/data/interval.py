@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from exact_mdp.analysis.gate.verdicts import Verdict, number
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.report import Shown
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.mdp.table import Integers, exact, shown
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.solution import Claim
+from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
@@ -77,6 +79,31 @@ class RegretInterval(Result):
         if self.high <= limit:
             return True
         return False if self.low > limit else None
+
+    def verdict(
+        self, limit: Fraction | None, forgiven: Fraction, estimate: Certified | Bounded
+    ) -> Verdict:
+        """Return what the interval decides, never the estimate; without a limit, that it is 0."""
+        name = "zero" if limit is None else f"at most {shown(limit, 10)}"
+        decision = self.decided(forgiven if limit is None else limit)
+        text = f"it is in {self}; {number(estimate)} in the estimated model"
+        if decision is None:
+            text += f", which leaves the limit open: {self.open_text(limit or Fraction(0))}"
+        return Verdict("the regret", name, decision, text)
+
+    def open_text(self, limit: Fraction) -> str:
+        """Return what to say of a limit that the interval leaves open."""
+        return "more records may decide it, or give a limit above the interval"
+
+    def facts(self, limit: Fraction | None) -> dict[str, Any]:
+        """Return what a report says of it."""
+        return {
+            "regret_interval": Shown((self.low, self.high), f"{self} ({self.claim})"),
+            "confidence": Shown(self.confidence),
+            "by": Shown(self.by),
+            "interval": dict(self.found),
+            "assumptions": Shown(self.assumptions),
+        }
 
     def frame(self) -> DataFrame:
         """Return the interval, and what else was found, in one row."""

@@ -77,6 +77,17 @@ class PosteriorInterval(RegretInterval):
 
     draws: Floats
 
+    def open_text(self, limit: Fraction) -> str:
+        """Return how probable it is that the limit is kept."""
+        return f"it is kept with probability {self.within(limit).value:.3g} by the posterior"
+
+    def facts(self, limit: Fraction | None) -> dict[str, Any]:
+        """Return what a report says of it, with the probability that the limit is kept."""
+        facts = super().facts(limit)
+        if limit is not None:
+            facts["interval"]["probability_within"] = self.within(limit)
+        return facts
+
     def within(self, limit: Fraction) -> Probability:
         """Return the probability that the regret is at most `limit`, as the draws show it."""
         hits, n = int((self.draws <= float(exact(limit))).sum()), len(self.draws)
