@@ -1,4 +1,4 @@
-"""TOML and JSON that come from outside, through one door with limits.
+"""TOML and JSON that come from outside: read within limits, and against the shape they must have.
 
 A number of over 4,000 digits, tables nested more than 100 deep and what the syntax does not allow
 are refused here, by name, so that nothing behind the door meets them: Python converts no integer of
@@ -8,30 +8,30 @@ over 4,300 digits to text, and ends a recursion after about a thousand calls.
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
-from typing import Any
+from fractions import Fraction
+from math import inf
+from typing import Any, NoReturn
 
 from exact_mdp.mdp.errors import ModelError, located, short
 from exact_mdp.mdp.table import MOST_DIGITS, exact
 
 DEEPEST = 100  # tables and lists within each other; the deepest file that is read has five
+SAFE = 2**53  # from here on not all programs read integers as they are
+NUMBER = re.compile(r"-?(0x[0-9a-f]+|[0-9]+)(/(0x[0-9a-f]+|[0-9]+))?")
+WORDS = {dict: "an object", list: "a list", str: "a text", bool: "true or false"}
 
 
 def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> dict[str, Any]:
     r"""Return the content of a TOML text; `where` is the file, `number` reads decimal numbers."""
-    try:
+
+    def read(text: str) -> dict[str, Any]:
         with located(where, instead=True):
-            content = tomllib.loads(text, parse_float=number)
-    except ModelError:
-        raise
-    except RecursionError as error:
-        raise _too_deep(where) from error
-    except ValueError as error:
-        raise ModelError(
-            f"broken TOML: {short(str(error), 200)}", where=where, fix="correct that place"
-        ) from error
-    _check(content, where)
+            return tomllib.loads(text, parse_float=number)
+
+    content: dict[str, Any] = _parsed(read, text, "TOML", where)
     return content
 
 
@@ -43,42 +43,149 @@ def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
     >>> json_of('{"0000": "none"}', "policy.json")
     {'0000': 'none'}
     """
+    return _parsed(lambda text: json.loads(text, **hooks), text, "JSON", where)
+
+
+def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str) -> Any:
+    """Return what a text says; what is too deep or too long is refused without a recursion."""
     try:
-        content = json.loads(text, **hooks)
+        content = read(text)
     except ModelError:
         raise
     except RecursionError as error:
         raise _too_deep(where) from error
     except ValueError as error:
-        said = "an integer of over 4,000 digits" if "string conversion" in str(error) else error
-        raise ModelError(
-            f"broken JSON: {short(str(said), 200)}", where=where, fix="correct that place"
-        ) from error
-    _check(content, where)
-    return content
-
-
-def _check(content: Any, where: str) -> None:
-    """Refuse what is too deep or too long, without a recursion."""
-    left: list[tuple[tuple[str, ...], Any]] = [((), content)]
+        said = f"an integer of over {MOST_DIGITS:,} digits"
+        what = said if "string conversion" in str(error) else short(str(error), 200)
+        raise ModelError(f"broken {kind}: {what}", where=where, fix="correct that place") from error
+    left: list[tuple[tuple[str, ...], Any]] = [((where,), content)]
     while left:
         path, value = left.pop()
         if len(path) > DEEPEST:
-            raise _too_deep(f"{where}, {'.'.join(path)}")
+            raise _too_deep(f"{where}, {'.'.join(path[1:])}")
         if isinstance(value, dict):
             left += [((*path, str(key)), below) for key, below in value.items()]
         elif isinstance(value, list):
             left += [((*path, str(place)), below) for place, below in enumerate(value)]
         elif isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:
-            name = ".".join(path)
             raise ModelError(
                 f"an integer of over {MOST_DIGITS:,} digits",
-                where=f"{where}, {name}" if name else where,
+                where=", ".join(filter(None, [where, ".".join(path[1:])])),
                 fix="round it",
             )
+    return content
 
 
 def _too_deep(where: str) -> ModelError:
     return ModelError(
         f"tables or lists are nested more than {DEEPEST} deep", where=where, fix="use fewer levels"
     )
+
+
+# ---- the shape that JSON must have ---------------------------------------------------------------
+
+
+def shaped(given: Any, kind: Any) -> Any:
+    """Return JSON as `kind` describes it; raises ModelError at the place that differs.
+
+    A kind is a type; a function of the value; [kind], a list of these; (kind, …), a list of that
+    length; {str: kind}, an object with any keys; or {key: kind, …}, one with these keys, of which
+    one that is missing is read as null, and others are passed over. Lists become tuples.
+
+    Examples
+    --------
+    >>> shaped({"start": [["1/3", 0]]}, {"start": [(number, natural)], "limit": optional(natural)})
+    {'start': ((Fraction(1, 3), 0),), 'limit': None}
+    >>> shaped({"start": [["1/3", -1]]}, {"start": [(number, natural)]})
+    Traceback (most recent call last):
+    exact_mdp.mdp.errors.ModelError: -1 is not a whole number from 0 up, below 2^62
+      where: start, 0, 1
+      fix:   correct it
+    """
+    if isinstance(kind, type):
+        return given if type(given) is kind else refuse(given, WORDS[kind])
+    if callable(kind):
+        return kind(given)
+    outer: Any = dict if isinstance(kind, dict) else list
+    places: Any
+    values: Any
+    if type(given) is not outer:
+        refuse(given, WORDS[outer])
+    if isinstance(kind, tuple) and len(given) != len(kind):
+        refuse(given, f"a list of {len(kind)}")
+    if outer is list:
+        places, values = range(len(given)), given
+        kinds = kind if isinstance(kind, tuple) else kind * len(given)
+    else:
+        places = given if str in kind else kind
+        values = [given.get(place) for place in places]
+        kinds = [kind[str if str in kind else place] for place in places]
+    read = []
+    for place, value, each in zip(places, values, kinds, strict=True):
+        try:
+            read.append(shaped(value, each))
+        except ModelError as error:
+            where = f"{place}, {error.where}" if error.where else str(place)
+            raise ModelError(error.what, where=where, fix=error.fix) from error
+    return tuple(read) if outer is list else dict(zip(places, read, strict=True))
+
+
+def optional(kind: Any) -> Callable[[Any], Any]:
+    """Return the kind of what may be null, too."""
+    return lambda given: None if given is None else shaped(given, kind)
+
+
+def refuse(given: object, wanted: str) -> NoReturn:
+    """Raise ModelError for a value that is not what is wanted."""
+    raise ModelError(f"{short(repr(given), 80)} is not {wanted}", fix="correct it")
+
+
+def number(given: Any) -> Fraction:
+    """Read a rational number as `ready` writes it."""
+    if type(given) is int:
+        return Fraction(given)
+    if isinstance(given, str) and NUMBER.fullmatch(given):
+        top, _, below = given.partition("/")
+        try:
+            return Fraction(int(top, 0), int(below or "1", 0))
+        except (ValueError, ZeroDivisionError):  # 007, 1/0, or digits beyond Python's limit
+            pass
+    refuse(given, 'an integer, or a text such as "1/3" or "0x1f"')
+
+
+def natural(given: Any) -> int:
+    """Read a number of a state, an action or the like."""
+    if type(given) is int and 0 <= given < 2**62:
+        return given
+    refuse(given, "a whole number from 0 up, below 2^62")
+
+
+def unreached(given: Any) -> float:
+    """Read what a run is worth that never reaches the goal."""
+    known = {"inf": inf, "-inf": -inf, "0.0": 0.0}
+    return known[given] if given in [*known] else refuse(given, '"inf" or "-inf"')
+
+
+def ready(value: Any) -> Any:
+    """Return a value for JSON: rationals as integers or texts, tuples as lists.
+
+    Examples
+    --------
+    >>> ready((Fraction(1, 3), Fraction(2), Fraction(2**60)))
+    ['1/3', 2, '0x1000000000000000']
+    """
+    if isinstance(value, dict):
+        return {key: ready(each) for key, each in value.items()}
+    if isinstance(value, tuple | list):
+        return list(map(ready, value))
+    if not isinstance(value, Fraction):
+        return value
+    top, below = value.numerator, value.denominator
+    if below == 1:
+        return integer(top)
+    return f"{top}/{below}" if max(abs(top), below) < SAFE else f"{hex(top)}/{hex(below)}"
+
+
+def integer(value: int) -> int | str:
+    """Return an integer for JSON: as a text where not all programs would read it as it is."""
+    return value if -SAFE < value < SAFE else hex(value)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import signal
 import socket
@@ -262,20 +261,6 @@ def test_where_episodes_were_cut_off_is_no_end(
     assert "nobody knows what follows where episodes were cut off" in plain.err
     save(found[0], tmp_path / "m.umb")
     assert load(tmp_path / "m.umb").labels["cut off"].sum() == 2
-
-
-LAKE = "FrozenLake-v1"
-
-
-def test_a_file_of_before_has_no_limit(tmp_path: Path) -> None:
-    """Files that were written without the field are read as they were."""
-    from exact_mdp.mdp.io.npz import as_header, parts_of
-
-    mdp = MDP.from_gymnasium(LAKE)
-    header = json.loads(json.dumps(as_header(mdp) | {"labels": []}))
-    assert parts_of(header, pairs=mdp.n_pairs)["time_limit"] == 100
-    del header["time_limit"]
-    assert parts_of(header, pairs=mdp.n_pairs)["time_limit"] is None
 
 
 def refused(content: bytes, name: str, folder: Path) -> str:
