@@ -39,7 +39,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -49,8 +49,8 @@ from zlib import crc32
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.vary.ranges import unit_of
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.analysis.vary.ranges import entries, unit_of
+from exact_mdp.mdp.errors import ModelError, listed, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
@@ -68,9 +68,10 @@ Settings = Mapping[str, object]
 
 EFFECTIVE_SAMPLE_SIZE = 100.0
 SIZE, SPREAD, DEFAULT = "effective_sample_size", "relative_sd", "default"
-MOMENTS = ("mean", "sd", SPREAD, SIZE)
-WITHIN = {SIZE: (1e-6, 1e15), SPREAD: (1e-9, 1e3)}  # what floats can draw from
-WORDS = {SIZE: "effective sample size", SPREAD: "relative standard deviation"}
+WITHIN = {  # what floats can draw from
+    SIZE: ("effective sample size", 1e-6, 1e15),
+    SPREAD: ("relative standard deviation", 1e-9, 1e3),
+}
 FIXED = "stated to be fixed"
 MOST_ROWS = 2000
 
@@ -80,7 +81,12 @@ def _lognormal(mean: float, sd: float) -> Numbers:
     return math.log(mean) - square / 2, math.sqrt(square)
 
 
-def _triangle(low: float, mode: float, high: float) -> Numbers:
+def _lognormal_moments(meanlog: float, sdlog: float) -> Numbers:
+    mean = math.exp(meanlog + sdlog * sdlog / 2)
+    return mean, mean * math.sqrt(math.expm1(sdlog * sdlog))
+
+
+def _triangular_moments(low: float, mode: float, high: float) -> Numbers:
     squares = low * low + mode * mode + high * high - low * mode - low * high - mode * high
     return (low + mode + high) / 3, math.sqrt(squares / 18)
 
@@ -109,13 +115,7 @@ KINDS = {
         lambda mean, sd: ((mean / sd) ** 2, sd**2 / mean),
     ),
     "lognormal": Kind(
-        ("meanlog", "sdlog"),
-        lambda mean, sd: sd > 0,
-        lambda m, s: (
-            math.exp(m + s * s / 2),
-            math.exp(m + s * s / 2) * math.sqrt(math.expm1(s * s)),
-        ),
-        _lognormal,
+        ("meanlog", "sdlog"), lambda mean, sd: sd > 0, _lognormal_moments, _lognormal
     ),
     "normal": Kind(
         ("mean", "sd"), lambda mean, sd: sd > 0, lambda *numbers: numbers, lambda *numbers: numbers
@@ -129,11 +129,12 @@ KINDS = {
     "triangular": Kind(
         ("low", "mode", "high"),
         lambda low, mode, high: low <= mode <= high and low < high,
-        _triangle,
+        _triangular_moments,
         lambda mean, sd: (mean - sd * math.sqrt(6), mean, mean + sd * math.sqrt(6)),
     ),
 }
 EVERY = (*KINDS, "dirichlet")
+MOMENTS = ("mean", "sd", SPREAD, SIZE)
 NUMBERS = {*MOMENTS, *(name for kind in KINDS.values() for name in kind.own)}
 SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
 
@@ -157,12 +158,6 @@ class Uncertain:
     mean, sd : tuple of k float
     label : str
         What the part is called; its name unless given.
-
-    Examples
-    --------
-    >>> part = Uncertain.of("p", "beta", mean=0.25, effective_sample_size=19)
-    >>> part.numbers, round(part.sd[0], 4)
-    ((4.75, 14.25), 0.0968)
     """
 
     names: tuple[str, ...]
@@ -174,7 +169,7 @@ class Uncertain:
 
     @classmethod
     def of(cls, name: str, kind: str, **said: float) -> Uncertain:
-        """Return a distribution by its mean and spread, or by its own numbers.
+        """Return the distribution of a parameter by its mean and spread, or by its own numbers.
 
         Parameters
         ----------
@@ -189,20 +184,20 @@ class Uncertain:
 
         Examples
         --------
-        >>> Uncertain.of("cost", "lognormal", mean=100, sd=20).sd
-        (20,)
+        >>> Uncertain.of("p", "beta", mean=0.25, effective_sample_size=19).numbers
+        (4.75, 14.25)
         """
         where = f"distribution of {name}"
         if kind not in KINDS:
             raise ModelError(f"distribution {kind!r}", where=where, fix=suggest(kind, [*KINDS]))
         own = KINDS[kind].own
-        if kind != "normal" and set(said) == set(own):
+        if kind == "normal" or set(said) != set(own):
+            numbers = _of_moments(kind, said, where)
+        else:
             numbers = tuple(said[each] for each in own)
             if not (all(map(math.isfinite, numbers)) and KINDS[kind].sound(*numbers)):
                 listed = ", ".join(f"{each} = {said[each]:g}" for each in own)
                 raise ModelError(f"a {kind} with {listed}", where=where, fix="see what it takes")
-        else:
-            numbers = _of_moments(kind, said, where)
         mean, sd = KINDS[kind].moments(*numbers)
         mean = said.get("mean", mean)  # as they were said, not as they come back
         sd = said.get("sd", abs(mean) * said[SPREAD] if SPREAD in said else sd)
@@ -228,7 +223,7 @@ class Uncertain:
         >>> Uncertain.of_row("from ill", ["recover", "die"], [3, 1, 6]).mean
         (0.3, 0.1)
         """
-        where, (least, most) = f"distribution of {label}", WITHIN[SIZE]
+        where, (_, least, most) = f"distribution of {label}", WITHIN[SIZE]
         if len(counts) != len(names) + 1:
             raise ModelError(
                 f"{len(counts)} concentrations for {len(names)} probabilities and what they leave",
@@ -236,11 +231,9 @@ class Uncertain:
                 fix="give one for each, and one more for the rest of the row",
             )
         if not all(count > 0 and least <= sum(counts) <= most for count in counts):
-            raise ModelError(
-                f"concentrations {', '.join(f'{count:g}' for count in counts)}",
-                where=where,
-                fix="name probabilities above 0 whose sum is below 1",
-            )
+            what = f"concentrations {', '.join(f'{count:g}' for count in counts)}"
+            fix = "name probabilities above 0 whose sum is below 1"
+            raise ModelError(what, where=where, fix=fix)
         size, every = math.fsum(counts), tuple(counts)
         mean = tuple(count / size for count in counts[:-1])
         sd = tuple(math.sqrt(m * (1 - m) / (size + 1)) for m in mean)
@@ -270,7 +263,7 @@ class Uncertain:
 def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
     """Return the own numbers of a distribution by its mean and spread, if there is one."""
     spreads = [name for name in ("sd", SPREAD, SIZE) if name in said]
-    if "mean" not in said or len(spreads) != 1 or set(said) - {"mean", *spreads}:
+    if "mean" not in said or len(spreads) != 1 or len(said) != 2:
         own = "" if kind == "normal" else f"; or {', '.join(KINDS[kind].own)} alone"
         size = f", {SIZE}" if kind == "beta" else ""
         fix = f"state a mean and one of sd, relative_sd{size}{own}"
@@ -278,32 +271,32 @@ def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
     mean, (spread,) = said["mean"], spreads
     if not math.isfinite(mean):
         raise ModelError(f"a spread around {mean:g}", where=where, fix="state a finite mean")
-    if SPREAD in said and not mean:
+    if spread == SPREAD and not mean:
         raise ModelError("a relative spread around 0", where=where, fix="state an sd")
-    amount = said[spread] / abs(mean or 1.0) if spread == "sd" else said[spread]
-    amount = _within(amount, SPREAD if spread == "sd" else spread, where)
+    scale = abs(mean or 1.0)
+    amount = said[spread] / scale if spread == "sd" else said[spread]
+    _check_within(amount, SIZE if spread == SIZE else SPREAD, where)
     if spread == SIZE and kind != "beta":
-        raise ModelError(
-            f"an effective sample size of a {kind} distribution",
-            where=where,
-            fix="state an sd or a relative_sd; a sample size is of a probability",
-        )
+        fix = "state an sd or a relative_sd; a sample size is of a probability"
+        what = f"an effective sample size of a {kind} distribution"
+        raise ModelError(what, where=where, fix=fix)
     if (kind == "gamma" and not mean) or (kind == "lognormal" and mean <= 0):
         fix = "state a mean above 0, or another one"
         raise ModelError(f"a {kind} of mean {mean:g}", where=where, fix=fix)
-    sd = amount * abs(mean or 1.0)
-    numbers = _beta(mean, amount) if spread == SIZE else KINDS[kind].of_moments(mean, sd)
+    numbers = (
+        _beta(mean, amount) if spread == SIZE else KINDS[kind].of_moments(mean, amount * scale)
+    )
     if kind == "beta" and min(numbers) <= 0:
         what = f"a beta of mean {mean:g}" + (" and so large a spread" if 0 < mean < 1 else "")
         raise ModelError(what, where=where, fix="choose a mean between 0 and 1, or a smaller sd")
     return numbers
 
 
-def _within(value: float, what: str, where: str) -> float:
-    low, high = WITHIN[what]
+def _check_within(value: float, what: str, where: str) -> float:
+    words, low, high = WITHIN[what]
     if not low <= value <= high:
         fix = f"choose a number above 0, from {low:g} to {high:g}"
-        raise ModelError(f"{WORDS[what]} {value!r}", where=where, fix=fix)
+        raise ModelError(f"{words} {value!r}", where=where, fix=fix)
     return value
 
 
@@ -326,9 +319,8 @@ class Uncertainty(Brief):
     def __post_init__(self) -> None:
         for name, count in Counter(self.names).items():
             if count > 1:
-                raise ModelError(
-                    f"{name} is drawn twice", where="uncertainty", fix="state each name once"
-                )
+                fix = "state each name once"
+                raise ModelError(f"{name} is drawn twice", where="uncertainty", fix=fix)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -344,9 +336,8 @@ class Uncertainty(Brief):
         for name in self.names:
             parameter_of(model, name)
         if not self.parts:
-            raise ModelError(
-                "no parameter is uncertain", where=place_of(model), fix="state what is drawn"
-            )
+            what, fix = "no parameter is uncertain", "state what is drawn"
+            raise ModelError(what, where=place_of(model), fix=fix)
         return self
 
 
@@ -396,7 +387,7 @@ def uncertainty(
     if stated is not None and not isinstance(stated, Mapping):
         return _of_sample(model, stated)
     stated = {name: _checked(name, settings) for name, settings in (stated or {}).items()}
-    default = _within(_float(default, "default", DEFAULT), SIZE, DEFAULT)
+    default = _check_within(_float(default, "default", DEFAULT), SIZE, DEFAULT)
     parameters = {parameter.name: parameter for parameter in model.parameters}
     rows = {label: tuple(row) for label, row in getattr(model, "rows", {}).items()}
     for name in stated:
@@ -406,9 +397,8 @@ def uncertainty(
     for label, row in rows.items():
         for name in row:
             if label_of.setdefault(parameter_of(model, name).name, label) != label:
-                raise ModelError(
-                    f"{name} is in two rows", where=f"row {label}", fix="name it in one of them"
-                )
+                fix = "name it in one of them"
+                raise ModelError(f"{name} is in two rows", where=f"row {label}", fix=fix)
     chosen = set(parameters) if names is None else _chosen(model, names, rows)
     parts, fixed = list[Uncertain](), dict[str, str]()
     for label in dict.fromkeys(label_of.get(name, name) for name in parameters):
@@ -467,15 +457,12 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
             return f"{today:g} today"
         said = {"mean": today} | said
     part = Uncertain.of(name, kind, **said)
-    ends = part.numbers[:: len(part.numbers) - 1]
+    least, most = part.numbers[0], part.numbers[-1]
     if kind in ("uniform", "triangular") and (
-        (low is not None and ends[0] < low) or (high is not None and ends[1] > high)
+        (low is not None and least < low) or (high is not None and most > high)
     ):
-        raise ModelError(
-            f"a {kind} from {ends[0]:g} to {ends[1]:g}, outside of what the parameter may be",
-            where=f"distribution of {name}",
-            fix="choose one within it",
-        )
+        what = f"a {kind} from {least:g} to {most:g}, outside of what the parameter may be"
+        raise ModelError(what, where=f"distribution of {name}", fix="choose one within it")
     return part
 
 
@@ -486,11 +473,8 @@ def _row(
     names, where, of_row = [p.name for p in row], f"row {label}", stated.get(label, {})
     said = [dict(_settings(stated, name) or of_row) for name in names]
     if any(each != said[0] for each in [*said, *([of_row] if of_row else [])]):
-        raise ModelError(
-            "the entries of a row have different settings",
-            where=where,
-            fix=f'its probabilities are drawn together: state them once, for "{label}"',
-        )
+        fix = f'its probabilities are drawn together: state them once, for "{label}"'
+        raise ModelError("the entries of a row have different settings", where=where, fix=fix)
     for parameter in row:
         if unit_of(parameter) != "probability":
             what = f"{parameter.name} is not a probability of a row"
@@ -500,17 +484,14 @@ def _row(
         return FIXED
     known = {"distribution", "alpha", SIZE}
     if settings.get("distribution", "dirichlet") != "dirichlet" or set(settings) - known:
-        raise ModelError(
-            "probabilities of a row are Dirichlet",
-            where=where,
-            fix=f"state its {SIZE}, or alpha, a list of one more than its parameters",
-        )
+        fix = f"state its {SIZE}, or alpha, a list of one more than its parameters"
+        raise ModelError("probabilities of a row are Dirichlet", where=where, fix=fix)
     if "alpha" in settings:
         alpha: Any = settings["alpha"]
         if not isinstance(alpha, list | tuple):
             raise ModelError(f"alpha is {alpha!r:.60}", where=where, fix="give a list of numbers")
         return Uncertain.of_row(label, names, [_float(x, "alpha", label) for x in alpha])
-    size = _within(_float(settings.get(SIZE, default), SIZE, label), SIZE, where)
+    size = _check_within(_float(settings.get(SIZE, default), SIZE, label), SIZE, where)
     means = [float(parameter.value) for parameter in row]
     return Uncertain.of_row(label, names, [size * m for m in (*means, 1.0 - math.fsum(means))])
 
@@ -519,21 +500,15 @@ def _chosen(
     model: Parametric, names: Sequence[str], rows: Mapping[str, tuple[str, ...]]
 ) -> set[str]:
     """Return the parameters that are asked for; of a row all or none."""
-    if isinstance(names, str):
-        raise ModelError(
-            f"names is one string, {names!r}", where="names", fix="give a list of names"
-        )
     chosen: set[str] = set()
-    for name in names:
+    for name in listed(names, "names"):
         chosen |= set(rows[name]) if name in rows else {parameter_of(model, name).name}
     for label, row in rows.items():
-        if not chosen.isdisjoint(row) and not chosen.issuperset(row):
-            raise ModelError(
-                f"{next(name for name in row if name in chosen)} is asked for without the others "
-                "of its row",
-                where="names",
-                fix=f"name the row, {label}: its probabilities are drawn together",
-            )
+        some = [name for name in row if name in chosen]
+        if 0 < len(some) < len(row):
+            what = f"{some[0]} is asked for without the others of its row"
+            fix = f"name the row, {label}: its probabilities are drawn together"
+            raise ModelError(what, where="names", fix=fix)
     return chosen
 
 
@@ -609,8 +584,9 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     ({'base.anger': {'effective_sample_size': 50}}, None)
     """
     stated: dict[str, dict[str, object]] = {}
-    read = toml_of(read_text(path, most=SMALL), str(path), number=float)
-    for prefix, key, value in _entries("", read):
+    for prefix, key, value in entries(
+        toml_of(read_text(path, most=SMALL), str(path), number=float)
+    ):
         name = f"{prefix}.{key}" if prefix else key
         where = f"{path}, {prefix or 'top level'}"
         if prefix and key in SETTINGS:
@@ -626,21 +602,9 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
         raise ModelError("nothing is stated in the file", where=str(path), fix=fix)
     general = stated.pop(DEFAULT, {})
     if set(general) - {SIZE}:
-        raise ModelError(
-            "[default] states more than effective_sample_size",
-            where=f"{path}, {DEFAULT}",
-            fix="state the rest for each parameter",
-        )
+        what, fix = f"[default] states more than {SIZE}", "state the rest for each parameter"
+        raise ModelError(what, where=f"{path}, {DEFAULT}", fix=fix)
     return stated, _float(general[SIZE], SIZE, DEFAULT) if general else None
-
-
-def _entries(prefix: str, table: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield the entries of nested tables: the dotted name of the table, the key, the value."""
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _entries(f"{prefix}.{key}" if prefix else key, value)
-        else:
-            yield prefix, key, value
 
 
 def row_family(mdp: MDP) -> Family:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, located
@@ -235,7 +235,8 @@ def load_ranges(model: Parametric, path: str | Path) -> Ranges:
     ...
     exact_mdp.mdp.errors.ModelError: ...
     """
-    flat = dict(_flat("", toml_of(read_text(path, most=SMALL), str(path))))
+    read = entries(toml_of(read_text(path, most=SMALL), str(path)))
+    flat = {f"{prefix}.{key}" if prefix else key: value for prefix, key, value in read}
     if not flat:
         raise ModelError("no range in the file", where=str(path), fix='write "NAME" = [low, high]')
     try:
@@ -244,13 +245,13 @@ def load_ranges(model: Parametric, path: str | Path) -> Ranges:
         raise ModelError(error.what, where=f"{path}, {error.where}", fix=error.fix) from error
 
 
-def _flat(prefix: str, value: object) -> Iterator[tuple[str, object]]:
-    """Yield the entries of nested tables by their dotted names."""
-    if not isinstance(value, dict):
-        yield prefix, value
-        return
-    for key, below in value.items():
-        yield from _flat(f"{prefix}.{key}" if prefix else key, below)
+def entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str, Any]]:
+    """Yield the entries of nested tables: the dotted name of the table, the key, the value."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from entries(value, f"{prefix}.{key}" if prefix else key)
+        else:
+            yield prefix, key, value
 
 
 def usual(model: Parametric) -> list[str]:

@@ -25,10 +25,19 @@ from exact_mdp import (
     parametric,
     thresholds,
 )
-from exact_mdp.analysis.vary.curves import checker, gap_polynomials, signs
+from exact_mdp.analysis.vary.curves import checker, gap_polynomials
+from exact_mdp.analysis.vary.curves import roots as real_roots
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
-from exact_mdp.analysis.vary.curves.real_roots import roots, sign, simple, variations
-from exact_mdp.analysis.vary.curves.signs import nonnegative, positive
+from exact_mdp.analysis.vary.curves.roots import (
+    nonnegative,
+    odd_part,
+    positive,
+    roots,
+    roots_on,
+    sign,
+    simple,
+    variations,
+)
 from exact_mdp.mdp.exact import rational
 
 F = Fraction
@@ -195,8 +204,8 @@ def test_signs_of_products_of_roots(ends: list[Fraction], lead: int, square: boo
 
 def test_the_checkers_import_no_solver() -> None:
     own = "exact_mdp.analysis.vary.curves"
-    allowed = {f"{own}.signs"}
-    for module in (checker, signs):
+    allowed = {f"{own}.roots"}
+    for module in (checker, real_roots):
         source = Path(module.__file__).read_text("utf-8")
         assert "import exact_mdp" not in source
         lines = (line.split() for line in source.splitlines() if line.startswith("from exact_mdp"))
@@ -212,7 +221,7 @@ def test_roots_closer_than_a_bracket_are_told_apart() -> None:
         poly = poly * flint.fmpq_poly([rational(-each), 1])
     below = F(0)
     for root, true in zip(roots(poly, F(0), F(1)), every, strict=True):
-        found = root.narrowed(F(1, 10**12)).simplest().beyond(below)
+        found = root.apart(below, F(1, 10**12))
         assert below < found.low <= true <= found.high <= 1
         below = found.high
 
@@ -238,4 +247,8 @@ def test_roots_are_all_found_once(numbers: list[Fraction]) -> None:
         assert near.low <= number <= near.high
         assert near.high - near.low <= F(1, 10**9)
     assert variations(simple(poly), F(-1), F(1)) >= len(inside)
+    assert roots_on(poly, F(-1), F(1)) == len({number for number in numbers if -1 <= number <= 1})
+    odd = {number for number in inside if numbers.count(number) % 2}
+    assert roots_on(odd_part(poly), F(-1), F(1)) >= len(odd)
+    assert all((sign(odd_part(poly), number) == 0) == (number in odd) for number in inside)
     assert sign(poly, F(3)) == 1

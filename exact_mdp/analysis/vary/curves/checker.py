@@ -8,30 +8,32 @@ y = θ - θ0, N_s / D are the optimal values for all y of an interval [a, b] bec
 and the Bellman equations have one solution: where γ Σ P < 1 throughout, or where γ Σ P ≤ 1 and some
 transition of each pair leads to a state that is nearer to the end (see `solvers.exact.checker`).
 
-No sign is sampled (`.signs`). A bracket between two pieces has one root in it at which everything
+No sign is sampled (`.roots`). A bracket between two pieces has one root in it at which everything
 changes that changes: the left values are optimal up to it, the right ones from it on.
 """
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
-from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from functools import reduce
+from typing import TYPE_CHECKING
 
 import flint
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.vary.curves.signs import (
-    bernstein,
+from exact_mdp.analysis.vary.curves.roots import (
     nonnegative,
     odd_part,
     positive,
+    roots,
     roots_on,
-    vanishes,
+    sign,
+    signs,
+    simple,
 )
 from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.parametric import Parametric
@@ -48,6 +50,13 @@ Values = tuple[Sequence["fmpq_poly"], "fmpq_poly"]
 """N of each state, and D: values are N / D."""
 Shares = Sequence[Sequence[tuple[int, Fraction]]]
 """Of each state, the pairs that a policy takes there, with their probabilities."""
+
+
+def _reduced(poly: fmpq_poly) -> tuple[type[fmpq_poly], tuple[list[int], int]]:
+    return flint.fmpq_poly, ([*map(int, poly.numer().coeffs())], int(poly.denom()))
+
+
+copyreg.pickle(flint.fmpq_poly, _reduced)  # FLINT's polynomials cannot be pickled by themselves
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,25 +83,23 @@ class RationalFunction:
             numerator=tuple(c / unit for c in top), denominator=tuple(c / unit for c in below)
         )
 
+    def polynomials(self) -> tuple[fmpq_poly, fmpq_poly]:
+        """Return N and D."""
+        top, below = (
+            flint.fmpq_poly([*map(rational, c)]) for c in (self.numerator, self.denominator)
+        )
+        return top, below
+
     def at(self, value: Fraction) -> Fraction:
         """Return the ratio at a point."""
-        return _horner(self.numerator, value) / _horner(self.denominator, value)
+        top, below = (poly(rational(value)) for poly in self.polynomials())
+        return fraction(top / below)
 
     def slope(self, value: Fraction) -> Fraction:
         """Return the derivative at a point."""
-        top, below = _horner(self.numerator, value), _horner(self.denominator, value)
-        rise, growth = (
-            _horner([k * c for k, c in enumerate(part)][1:], value)
-            for part in (self.numerator, self.denominator)
-        )
-        return (rise * below - top * growth) / below**2
-
-
-def _horner(coefficients: Sequence[Fraction], value: Fraction) -> Fraction:
-    total = Fraction(0)
-    for c in reversed(coefficients):
-        total = total * value + c
-    return total
+        top, below = self.polynomials()
+        rise = top.derivative() * below - top * below.derivative()
+        return fraction(rise(rational(value)) / below(rational(value)) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,34 +145,6 @@ class CurvePiece:
     touches: tuple[tuple[Fraction, Fraction, int], ...] = ()
     ended: NDArray[np.bool_] | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {name: _coefficients(getattr(self, name)) for name in POLYNOMIALS}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, part in state.items():
-            polynomial = part is not None and name in POLYNOMIALS
-            object.__setattr__(self, name, _polynomials(*part) if polynomial else part)
-
-    @property
-    def middle(self) -> Fraction:
-        """A point inside."""
-        return (self.low[1] + self.high[0]) / 2
-
-
-POLYNOMIALS = ("values", "fixed_values")  # of a piece: flint's cannot be pickled, their numbers can
-
-
-def _coefficients(values: Values | None) -> tuple[list[list[Fraction]], list[Fraction]] | None:
-    if values is None:
-        return None
-    tops, bottom = ([*map(fraction, poly.coeffs())] for poly in values[0]), values[1].coeffs()
-    return list(tops), [*map(fraction, bottom)]
-
-
-def _polynomials(tops: list[list[Fraction]], bottom: list[Fraction]) -> Values:
-    made = [flint.fmpq_poly([*map(rational, numbers)]) for numbers in (*tops, bottom)]
-    return made[:-1], made[-1]
-
 
 def piece_violations(
     family: Parametric,
@@ -179,36 +158,38 @@ def piece_violations(
 
     `shares` is the policy held fixed; sign is -1 where values at the start are costs.
     """
-    wrong, last = list[str](), None
-    for _, some in groupby(pieces, key=lambda each: id(each.section)):
-        equations, before = None, None
-        for piece in some:
-            if equations is None:
-                if last is not None and len({*last.high, *piece.low}) > 1:
-                    wrong.append(f"nothing proves what is optimal next to {shown(piece.low[0])}")
-                equations = _Equations(family, name, piece.section, sign)
-                wrong += equations.unsound()
-            gaps = equations.gaps(piece)
-            wrong += equations.not_optimal(piece, gaps)
-            if shares is not None:
-                wrong += equations.not_of(piece, shares)
-            if before is not None and not equations.passed(before, (piece, gaps)):
-                wrong.append(f"nothing proves what is optimal next to {shown(piece.low[0])}")
-            before = (piece, gaps)
+    wrong, last = list[str](), pieces[0]
+    equations: _Equations | None = None
+    for piece in pieces:
+        before = None
+        if equations is None or piece.section is not last.section:
+            joined = equations is None or len({*last.high, *piece.low}) == 1
+            equations = _Equations(family, name, piece.section, sign)
+            wrong += equations.unsound()
+        else:
+            joined, before = last.high == piece.low, equations.open
+        wrong += equations.not_optimal(piece)
+        if shares is not None:
+            wrong += equations.not_of(piece, shares)
+        if before is not None:
+            turning = [*before.values(), *equations.open.values()]
+            joined = joined and equations.turn_at_once(turning, piece.low)
+        if not joined:
+            wrong.append(f"nothing proves what is optimal next to {shown(piece.low[0])}")
         last = piece
     return wrong
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Gaps:
-    """D h of all pairs, and those whose signs Bernstein's basis leaves open on a whole piece."""
-
-    every: dict[int, fmpq_poly]
-    open: list[int]
-
-
 class _Equations:
-    """The equations of a model over one section."""
+    """The equations of a model over one section.
+
+    Attributes
+    ----------
+    gap : {pair: fmpq_poly}
+        D h of all pairs, of the last piece.
+    open : {pair: fmpq_poly}
+        Those whose signs the substitution leaves open on the whole piece.
+    """
 
     def __init__(self, family: Parametric, name: str, section: Section, sign: int) -> None:
         origin, self.section, self.sign = section.origin, section, sign
@@ -218,20 +199,19 @@ class _Equations:
         self.state: list[int] = base.pair_state.tolist()
         self.states = [s for s, ends in enumerate(self.rows.terminal) if not ends]
         self.pairs = {s: base.pairs_of(s) for s in self.states}
-        self.start = [(s, rational(w)) for s, w in base.start]
-        self.known: dict[int, fmpq_poly] = {}
+        self.start = [(s, rational(w)) for s, w in base.start if not self.rows.terminal[s]]
+        self.slack = {  # 1 - γ Σ P, over states that are not terminal
+            pair: flint.fmpq_poly([1]) - sum(p for _, p in self.rows.following[pair])
+            for pairs in self.pairs.values()
+            for pair in pairs
+        }
+        self.gap: dict[int, fmpq_poly] = {}
+        self.open: dict[int, fmpq_poly] = {}
         self.safe = set[int]()
         self.last: Values = ((), flint.fmpq_poly())
 
     def _inside(self, low: Fraction, high: Fraction) -> Bracket:
         return low - self.section.origin, high - self.section.origin
-
-    @cached_property
-    def slack(self) -> dict[int, fmpq_poly]:
-        """1 - γ Σ P of each pair whose state is not terminal, over states that are not."""
-        one = flint.fmpq_poly([1])
-        every = (pair for pairs in self.pairs.values() for pair in pairs)
-        return {pair: one - sum(p for _, p in self.rows.following[pair]) for pair in every}
 
     def unsound(self) -> Iterator[str]:
         """Yield why rows may be none, or the Bellman equations have several solutions."""
@@ -243,7 +223,11 @@ class _Equations:
             yield "a probability is negative, or probabilities pass 1"
         elif not all(positive(s, low, high) for s in _different(self.slack.values())):
             falls, ends = self._nearer(None), (self._nearer(low), self._nearer(high))
-            if falls is None or None in ends or any(vanishes(p, low, high) for p in falls):
+            if (
+                falls is None
+                or None in ends
+                or any(True for p in falls for _ in roots(simple(p), low, high))
+            ):
                 yield "nothing proves that the Bellman equations have one solution"
 
     def _nearer(self, at: Fraction | None) -> list[fmpq_poly] | None:
@@ -251,7 +235,7 @@ class _Equations:
 
         Nearer at one point of the section, or, without one, at all but some.
         """
-        found: list[fmpq_poly] = []
+        chances: list[fmpq_poly] = []
         near, left = set[int](), self.states
         while left:
             layer = list[int]()
@@ -260,73 +244,63 @@ class _Equations:
                     sum((p for to, p in self.rows.following[pair] if to in near), self.slack[pair])
                     for pair in self.pairs[state]
                 ]
-                if all(p.degree() >= 0 if at is None else p(rational(at)) != 0 for p in falls):
+                if all(p.degree() >= 0 if at is None else sign(p, at) for p in falls):
                     layer.append(state)
-                    found += falls
+                    chances += falls
             if not layer:
                 return None
             near.update(layer)
             left = [state for state in left if state not in near]
-        return _different(found)
+        return _different(chances)
 
-    def gaps(self, piece: CurvePiece) -> _Gaps:
-        """Return the gaps on a piece; what has not changed since the last is not worked out again.
+    def not_optimal(self, piece: CurvePiece) -> Iterator[str]:
+        """Yield why the values of a piece may not be the optimal ones throughout."""
+        self._work_out(piece)
+        at = shown(piece.low[1])
+        if not self.section.low <= piece.low[0] <= piece.high[1] <= self.section.high:
+            yield f"the piece from {at} on is outside its section"
+        if not positive(piece.values[1], *self._inside(piece.low[0], piece.high[1])):
+            yield f"the denominator from {at} on is not positive"
+        for state, pairs in self.pairs.items():
+            marked = [bool(piece.optimal[pair]) for pair in pairs]
+            if not any(marked) or marked != [self.gap[pair].degree() < 0 for pair in pairs]:
+                yield f"the pairs of state {state} from {at} on are not those that are optimal"
+        for pair, gap in self.open.items():
+            if not nonnegative(gap, *self._inside(piece.low[1], piece.high[0])):
+                yield f"a pair of state {self.state[pair]} is better from {at} on"
+        yield from self._not_the_start(piece.values, piece.value, at)
+
+    def _work_out(self, piece: CurvePiece) -> None:
+        """Work out the gaps on a piece, but for those that have not changed since the last.
 
         A gap whose sign is known up to the end of the section is `safe` until it changes.
         """
         (new, scale), (old, before) = piece.values, self.last
         low, high = self._inside(piece.low[0], piece.high[1])
-        end = self.section.high - self.section.origin
-        undecided = []
+        end, self.open = self.section.high - self.section.origin, {}
         for pair in self.slack:
             states = (self.state[pair], *(to for to, _ in self.rows.following[pair]))
             if scale != before or any(new[s] is not old[s] for s in states):
-                self.known[pair] = self.gap(piece.values, pair)
+                self.gap[pair] = self._gap(piece.values, pair)
                 self.safe.discard(pair)
-            if pair in self.safe:
-                continue
-            gap = self.known[pair]
-            if bernstein(gap, low, end):
-                self.safe.add(pair)
-            elif not bernstein(gap, low, high):
-                undecided.append(pair)
+            if pair not in self.safe:
+                if all(signs(self.gap[pair], low, end)):
+                    self.safe.add(pair)
+                elif not all(signs(self.gap[pair], low, high)):
+                    self.open[pair] = self.gap[pair]
         self.last = piece.values
-        return _Gaps(every=dict(self.known), open=undecided)
 
-    def gap(self, values: Values, pair: int) -> fmpq_poly:
+    def _gap(self, values: Values, pair: int) -> fmpq_poly:
         """Return D h of a pair: N - D r - Σ p N."""
         numerators, scale = values
         left = numerators[self.state[pair]] - scale * self.rows.reward[pair]
         return left - sum(p * numerators[to] for to, p in self.rows.following[pair])
 
-    def not_optimal(self, piece: CurvePiece, gaps: _Gaps) -> Iterator[str]:
-        """Yield why the values may not be the optimal ones throughout."""
-        low, high = self._inside(piece.low[1], piece.high[0])
-        wide, at = self._inside(piece.low[0], piece.high[1]), shown(piece.low[1])
-        if not self.section.low <= piece.low[0] <= piece.high[1] <= self.section.high:
-            yield f"the piece from {at} on is outside its section"
-        if not positive(piece.values[1], *wide):
-            yield f"the denominator from {at} on is not positive"
-        for state, pairs in self.pairs.items():
-            marked = [bool(piece.optimal[pair]) for pair in pairs]
-            if not any(marked) or marked != [gaps.every[pair].degree() < 0 for pair in pairs]:
-                yield f"the pairs of state {state} from {at} on are not those that are optimal"
-        for pair in gaps.open:
-            if not nonnegative(gaps.every[pair], low, high):
-                yield f"a pair of state {self.state[pair]} is better from {at} on"
-        yield from self._not_the_start(piece.values, piece.value, at)
-
     def _not_the_start(self, values: Values, value: RationalFunction, at: str) -> Iterator[str]:
         numerators, scale = values
         shift = flint.fmpq_poly([rational(self.section.origin), 1])
-        top, below = (
-            flint.fmpq_poly([*map(rational, c)])(shift)
-            for c in (value.numerator, value.denominator)
-        )
-        start = sum(
-            (w * numerators[s] for s, w in self.start if not self.rows.terminal[s]),
-            flint.fmpq_poly(),
-        )
+        top, below = (poly(shift) for poly in value.polynomials())
+        start = sum((w * numerators[s] for s, w in self.start), flint.fmpq_poly())
         if below.degree() < 0 or self.sign * top * scale != start * below:
             yield f"the value at the start from {at} on is another one"
 
@@ -339,29 +313,18 @@ class _Equations:
         if not positive(values[1], *self._inside(piece.low[0], piece.high[1])):
             yield f"the denominator of the policy held fixed from {at} on is not positive"
         for state in self.states:
-            mix = (rational(share) * self.gap(values, pair) for pair, share in shares[state])
+            mix = (rational(share) * self._gap(values, pair) for pair, share in shares[state])
             if sum(mix, flint.fmpq_poly()):
                 yield f"the policy held fixed has another value in state {state} from {at} on"
         yield from self._not_the_start(values, value, at)
 
-    def passed(self, before: tuple[CurvePiece, _Gaps], after: tuple[CurvePiece, _Gaps]) -> bool:
-        """Whether one value in the bracket between two pieces ends the left and begins the right.
-
-        All gaps that turn negative in it do so there, once.
-        """
-        bracket = before[0].high
+    def turn_at_once(self, gaps: Iterable[fmpq_poly], bracket: Bracket) -> bool:
+        """Whether all gaps that turn negative in a bracket do so at one point, once."""
         low, high = self._inside(*bracket)
-        turning: list[fmpq_poly] = []
-        for _, gaps in (before, after):
-            odd = (odd_part(gaps.every[pair]) for pair in gaps.open)
-            turning += [each for each in odd if roots_on(each, low, high)]
-        if bracket != after[0].low:
-            return False
+        turning = [odd for gap in gaps if roots_on(odd := odd_part(gap), low, high)]
         if not turning:
             return True
-        shared = turning[0]
-        for each in turning[1:]:
-            shared = shared.gcd(each)
+        shared = reduce(lambda one, other: one.gcd(other), turning)
         return {roots_on(each, low, high) for each in [*turning, shared]} == {1}
 
 

@@ -15,9 +15,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import pairwise
+from math import prod
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
+import flint
 import numpy as np
 
 from exact_mdp.analysis.gate.limits import limit_of
@@ -28,8 +31,8 @@ from exact_mdp.analysis.vary.curves.checker import (
     RationalFunction,
     piece_violations,
 )
-from exact_mdp.analysis.vary.curves.regret_limits import Interval, kept
-from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, Sweep, below_one, pieces_of
+from exact_mdp.analysis.vary.curves.roots import roots, roots_on, sign, simple
+from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, WIDTH, Sweep, below_one, pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
@@ -45,7 +48,19 @@ from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
+    from flint import fmpq_poly
     from pandas import DataFrame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """An interval of a parameter, ends included; each end is in its bracket.
+
+    One whose ends share a bracket is at most 1e-12 wide, and may be empty.
+    """
+
+    low: Bracket
+    high: Bracket
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -167,11 +182,45 @@ class ValueFunction(Pictured):
             raise ModelError("there is no policy whose regret is asked for", where=where, fix=fix)
         if max_regret is not None and max_relative_regret is not None:
             raise ModelError("two limits of the regret", where=where, fix="give one of them")
-        if max_relative_regret is not None:
-            limit = limit_of("max_relative_regret", max_relative_regret)
-            return kept(self.pieces, self.mdp.start, share=limit)
-        limit = limit_of("max_regret", 0 if max_regret is None else max_regret)
-        return kept(self.pieces, self.mdp.start, most=limit)
+        most = limit_of("max_regret", 0 if max_regret is None else max_regret)
+        relative = 0 if max_relative_regret is None else max_relative_regret
+        share = limit_of("max_relative_regret", relative)
+        # At the k-th place, of which a root is known or not, keeps[k] turns into keeps[k + 1].
+        places, keeps = list[tuple[Bracket, bool, bool]](), [False]
+        sides: list[fmpq_poly] = []
+        for piece in self.pieces:
+            before, sides = sides, self._margins(piece, most, share)
+            places.append((piece.low, _root_on([*before, *sides], piece, piece.low), True))
+            for inside, kept in _cells(piece, sides):
+                keeps.append(kept)
+                places += [] if inside is None else [(inside, True, False)]
+        last = self.pieces[-1]
+        places.append((last.high, _root_on(sides, last, last.high), True))
+        found, begun = list[Interval](), last.high
+        for (at, root, joint), (left, right) in zip(places, pairwise([*keeps, False]), strict=True):
+            apart = root and joint and at[0] < at[1]  # what happens in between is not known
+            if left and (apart or not right):
+                found.append(Interval(low=begun, high=at))
+            if right and (apart or not left):
+                begun = at
+            if root and not left and not right:
+                found.append(Interval(low=at, high=at))
+        return tuple(found)
+
+    def _margins(self, piece: CurvePiece, most: Fraction, share: Fraction) -> list[fmpq_poly]:
+        """Return polynomials of which one is not negative where the limit is kept.
+
+        With V* = N / D and V_π = M / E, both D and E > 0, V* - V_π ≤ x + ρ |V*| is
+        x D E ± ρ N E - (N E - M D) ≥ 0 for one sign.
+        """
+        assert piece.fixed_values is not None
+        start = self.mdp.start
+        (best, d), (mine, e) = (
+            (sum((rational(w) * tops[s] for s, w in start), flint.fmpq_poly()), below)
+            for tops, below in (piece.values, piece.fixed_values)
+        )
+        room = rational(most) * d * e - (best * e - mine * d)
+        return [room + rational(share) * best * e, room - rational(share) * best * e]
 
     def violations(self) -> list[str]:
         """Return what does not hold of the function, in words: nothing where it is sound.
@@ -246,6 +295,32 @@ class ValueFunction(Pictured):
             }
             for piece in self.pieces
         )
+
+
+def _product(sides: Sequence[fmpq_poly]) -> fmpq_poly:
+    """Return a polynomial with all roots of some that are not 0, none of them double."""
+    return simple(prod((each for each in sides if each), start=flint.fmpq_poly([1])))
+
+
+def _root_on(sides: Sequence[fmpq_poly], piece: CurvePiece, bracket: Bracket) -> bool:
+    """Whether some polynomial of a piece has a root in a bracket, ends included."""
+    low, high = (end - piece.section.origin for end in bracket)
+    return roots_on(_product(sides), low, high) > 0
+
+
+def _cells(piece: CurvePiece, sides: Sequence[fmpq_poly]) -> Iterator[tuple[Bracket | None, bool]]:
+    """Yield whether a limit is kept up to each root inside, its bracket, and beyond the last."""
+    origin = piece.section.origin
+    here, high = piece.low[1] - origin, piece.high[0] - origin
+
+    def kept(end: Fraction) -> bool:
+        return any(sign(side, (here + end) / 2) >= 0 for side in sides)
+
+    for root in roots(_product(sides), here, high):
+        near = root.apart(here, WIDTH)
+        yield (near.low + origin, near.high + origin), kept(near.low)
+        here = near.high
+    yield None, kept(high)
 
 
 def _between(low: Bracket, high: Bracket) -> dict[str, Any]:
@@ -326,7 +401,7 @@ def curve(
     pieces, sweeps = pieces_of(family, name, span, sign)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
     if chain is not None and chain.policy is not None:
-        ends = np.logical_and.reduce([np.array(each.rows.terminal) for each in sweeps])
+        ends = np.logical_and.reduce([np.array(each.gaps.terminal) for each in sweeps])
         open_ = np.flatnonzero(chain.policy.silent(mdp) & mdp.terminal & ~ends)
         if len(open_):
             raise ModelError(
@@ -342,7 +417,7 @@ def curve(
         mdp=mdp,
         family=family,
         chain=chain,
-        checked=next((c for e in sweeps if (c := e.rows.change.checked) is not None), None),
+        checked=next((c for e in sweeps if (c := e.gaps.rows.change.checked) is not None), None),
     )
 
 
@@ -353,7 +428,7 @@ def _with_fixed(
     weights = map(chain.exact_weights, range(chain.mdp.n_states))
     mix = [[(pair, rational(w)) for pair, w in each.items()] for each in weights]
     for sweep in sweeps:
-        values = sweep.rows.values(mix, (sweep.low, sweep.high))
+        values = sweep.gaps.values_of(mix)
         fixed = sweep.ratio(values)
         for piece in pieces:
             if piece.section is sweep.section:

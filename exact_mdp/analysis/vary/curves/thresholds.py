@@ -16,9 +16,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.analysis.vary.curves.curve import ValueFunction, curve
-from exact_mdp.analysis.vary.curves.walk import Mask
 from exact_mdp.analysis.vary.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import named_options
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+Mask = NDArray[np.bool_]
 COLUMNS = ("parameter", "unit", "today", "threshold", "state", "before", "after", "reached")
 
 
@@ -332,7 +333,13 @@ def _found(curve: ValueFunction) -> Iterator[Threshold]:
             yield Threshold(low=low, high=high, switches=switches, touch=True)
 
 
-def _switches(mdp: MDP, before: Mask, after: Mask, *, met: tuple[Mask, ...]) -> tuple[Switch, ...]:
+def _switches(
+    mdp: MDP,
+    before: Mask,
+    after: Mask,
+    *,
+    met: tuple[Mask, ...],
+) -> tuple[Switch, ...]:
     """Return the states whose optimal pairs (L,) change; `met`: what policies may take, (L,)."""
     states = np.unique(mdp.pair_state[before != after]).tolist()
     if not states:

@@ -10,23 +10,21 @@ section is where the next one begins, so that one model is solved, once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from functools import lru_cache
-from itertools import chain, count, pairwise
+from itertools import chain, count, islice, pairwise
 from math import ceil, floor
 from typing import TYPE_CHECKING
 
 import flint
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.vary.base_case import unending
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, RationalFunction, Section
-from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Rows, Values
-from exact_mdp.analysis.vary.curves.real_roots import Root, roots, sign, simple, variations
+from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Values
+from exact_mdp.analysis.vary.curves.roots import Root, odd_part, roots, sign, simple, variations
 from exact_mdp.analysis.vary.ranges import Range
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
@@ -40,55 +38,58 @@ from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.solution import Bounded, Certified
 
 if TYPE_CHECKING:
-    from flint import fmpq_poly
+    pass
 
 
 WIDTH = Fraction(1, 10**12)
 GRID = 10**13
-ATTEMPTS = 200
+ATTEMPTS = 400
 
 NEARLY_ONE = 1 - Fraction(1, 2**40)
 
-Mask = NDArray[np.bool_]
 At = Callable[[Fraction], MDP]
 
 
 class Sweep:
-    """A walk over one piece (low, high) of a parameter, whose rows are polynomials there."""
+    """A walk over one section of a parameter, on which rows are polynomials."""
 
-    def __init__(self, rows: Rows, low: Fraction, high: Fraction, sign: int) -> None:
-        self.rows, self.origin, self.sign = rows, rows.change.origin, sign
+    def __init__(self, base: MDP, change: RowChange, sign: int) -> None:
+        low, high = change.piece.low, change.piece.high
+        assert low is not None
+        assert high is not None
+        self.origin, self.sign = change.origin, sign
         self.low, self.high = low - self.origin, high - self.origin
         self.section = Section(low=low, high=high, origin=self.origin)
-        self.gaps = Gaps(rows, (self.low, self.high))
-        self.simple: dict[int, fmpq_poly] = {}
-        self.first: dict[int, Root | None] = {}
-        self.touching: dict[int, list[Root]] = {}
+        self.gaps = Gaps(base, change, self.low, self.high)
+        self.ahead: dict[int, list[tuple[Root, bool]]] = {}
         self.policy: Integers = np.empty(0, dtype=np.int64)
 
     def pieces(self, policy: Integers) -> Iterator[CurvePiece]:
         """Yield the pieces, beginning with a policy (S,) that may not be optimal."""
         self._follow(policy)
-        here, before = self._settle(), (self.low, self.low)
-        while found := self._next(here):
-            root = found.narrowed(WIDTH / 16)
+        first = Root(poly=flint.fmpq_poly([rational(-self.low), 1]), low=self.low, high=self.low)
+        steps = ((self.high - self.low) / 64 * Fraction(3, 64) ** k for k in count())
+        here = self._cross(first, ((self.low, self.low + step) for step in steps))[1]
+        before: Bracket = (self.low, self.low)
+        while (root := self._next(here)) is not None:
             optimal, touches = self._optimal(), self._touches(here, root.low)
             values = self.gaps.values
-            here, after = self._cross(root, here)
+            after = self._cross(root, self._brackets(root, here))
             yield self._piece(before, after, optimal, touches, values)
-            before = after
-        touches, optimal = self._touches(here, self.high), self._optimal()
-        piece = self._piece(before, (self.high,) * 2, optimal, touches, self.gaps.values)
-        end = rational(self.high)
-        yield replace(piece, ended=np.array([poly(end) == 0 for poly in self.gaps.gap]))
+            here, before = after[1], after
+        end, touches = rational(self.high), self._touches(here, self.high)
+        ended = np.array([poly(end) == 0 for poly in self.gaps.gap])
+        last = (self.high, self.high)
+        yield self._piece(before, last, self._optimal(), touches, self.gaps.values, ended)
 
     def _piece(
         self,
         before: Bracket,
         after: Bracket,
-        optimal: Mask,
+        optimal: np.ndarray,
         touches: list[tuple[Fraction, Fraction, int]],
         values: Values,
+        ended: np.ndarray | None = None,
     ) -> CurvePiece:
         return CurvePiece(
             low=(before[0] + self.origin, before[1] + self.origin),
@@ -98,115 +99,94 @@ class Sweep:
             section=self.section,
             values=values,
             touches=tuple(touches),
+            ended=ended,
         )
 
     def ratio(self, values: Values) -> RationalFunction:
         """Return the value at the start as a function of the parameter, with the sign of costs."""
-        top, below = self.rows.worth(values)
+        top, below = self.gaps.start(values)
         shared = top.gcd(below)
         shift = flint.fmpq_poly([rational(-self.origin), 1])
         return RationalFunction.of((self.sign * (top / shared)(shift), (below / shared)(shift)))
 
-    def _optimal(self) -> Mask:
+    def _optimal(self) -> np.ndarray:
         return np.array([poly.degree() < 0 for poly in self.gaps.gap])
 
-    def _touches(self, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction, int]]:
-        found = []
-        for pair, touching in self.touching.items():
-            for root in touching:
-                near = root.narrowed(WIDTH)
-                if low <= near.low and near.high <= high:
-                    found.append((near.low + self.origin, near.high + self.origin, pair))
-        return sorted(found)
+    # ---- the roots ahead -------------------------------------------------------------------------
 
-    # ---- the next root -----------------------------------------------------------------------
+    def _roots(self, pair: int, here: Fraction) -> list[tuple[Root, bool]]:
+        """Return the roots of a gap beyond a point, and at which of them its sign changes."""
+        known = self.ahead.get(pair)
+        if known is None or (known and known[0][0].low < here):
+            poly = self.gaps.gap[pair]
+            self.ahead[pair] = known = []
+            if poly.degree() > 0 and variations(poly, here, self.high):
+                part = simple(poly)
+                odd = None if part.degree() == poly.degree() else odd_part(poly)
+                for root in roots(part, here, self.high):
+                    # Narrow at once, so that comparing it with others needs no more, ever again.
+                    near = root.narrowed((self.high - self.low) / 2**8)
+                    known.append((near, odd is None or near.is_of(odd)))
+        return known
 
     def _next(self, here: Fraction) -> Root | None:
         """Return the first root beyond `here` at which a gap turns negative."""
         best: Root | None = None
-        for pair, poly in enumerate(self.gaps.gap):
-            root = None if poly.degree() < 1 else self._first(pair, poly, here)
-            if root is not None:
+        for pair in range(len(self.gaps.gap)):
+            turning = (root for root, turns in self._roots(pair, here) if turns)
+            if (root := next(turning, None)) is not None:
                 best = root if best is None else _earlier(best, root)
-        return best
+        return None if best is None else best.narrowed(WIDTH / 16)
 
-    def _first(self, pair: int, poly: fmpq_poly, here: Fraction) -> Root | None:
-        if pair in self.first:
-            known = self.first[pair]
-            if known is None or known.low >= here:
-                return known
-        self.first[pair], self.touching[pair] = None, []
-        if variations(poly, here, self.high) == 0:
-            return None
-        for root in roots(self._simple(pair, poly), here, self.high):
-            if _turns(poly, root):
-                # Narrow at once, so that comparing it with others needs no more, again and again.
-                self.first[pair] = root.narrowed((self.high - self.low) / 2**8)
-                break
-            self.touching[pair].append(root)
-        return self.first[pair]
+    def _touches(self, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction, int]]:
+        """Return the brackets between two points, and pairs, of gaps that are 0 at one point."""
+        found = []
+        for pair in range(len(self.gaps.gap)):
+            for root, turns in self._roots(pair, low):
+                near = root if turns else root.narrowed(WIDTH)
+                if not turns and low <= near.low and near.high <= high:
+                    found.append((near.low + self.origin, near.high + self.origin, pair))
+        return sorted(found)
 
-    def _simple(self, pair: int, poly: fmpq_poly) -> fmpq_poly:
-        if pair not in self.simple:
-            self.simple[pair] = simple(poly)
-        return self.simple[pair]
+    # ---- beyond a root ---------------------------------------------------------------------------
 
-    # ---- beyond a root -----------------------------------------------------------------------
-
-    def _settle(self) -> Fraction:
-        """Follow the policy that is optimal from the lower end on; return a point beyond it."""
-        root = Root(poly=flint.fmpq_poly([rational(-self.low), 1]), low=self.low, high=self.low)
-        step = (self.high - self.low) / 64
-        for _ in range(ATTEMPTS):
-            point = self.low + step
-            if self._fits(root, (self.low, point)):
-                return point
-            step = step * 3 / 64
-        raise RuntimeError("no policy is optimal beyond a point: thresholds without end")
-
-    def _cross(self, root: Root, here: Fraction) -> tuple[Fraction, Bracket]:
-        """Follow the policy beyond a root; return a point where it is optimal, and the bracket."""
-        width = WIDTH / 16
-        for _ in range(ATTEMPTS):
-            for bracket in self._brackets(root, here):
-                if self._fits(root, bracket):
-                    return bracket[1], bracket
-            width /= 1024
-            root = root.narrowed(width)
-        raise RuntimeError("two thresholds cannot be told apart")
+    def _cross(self, root: Root, brackets: Iterable[Bracket]) -> Bracket:
+        """Follow the policy that is optimal from a root on; return the bracket that shows it."""
+        for bracket in islice(brackets, ATTEMPTS):
+            if self._fits(root, bracket):
+                return bracket
+        raise RuntimeError("thresholds without end, or two that cannot be told apart")
 
     def _brackets(self, root: Root, here: Fraction) -> Iterator[Bracket]:
-        """Yield intervals around a root: with short decimals first, then with any ends."""
-        low = Fraction(floor((root.low + self.origin) * GRID), GRID) - self.origin
-        high = Fraction(ceil((root.high + self.origin) * GRID), GRID) - self.origin
-        if low == high:
-            low, high = low - Fraction(1, GRID), high + Fraction(1, GRID)
-        if here < low and high < self.high and high - low <= WIDTH:
+        """Yield ever narrower intervals around a root, with short decimals where they are such."""
+        width = WIDTH / 16
+        while True:
+            low = Fraction(floor((root.low + self.origin) * GRID), GRID) - self.origin
+            high = Fraction(ceil((root.high + self.origin) * GRID), GRID) - self.origin
+            if low == high:
+                low, high = low - Fraction(1, GRID), high + Fraction(1, GRID)
+            if here < low and high < self.high and high - low <= WIDTH:
+                yield low, high
+            low, high = root.low, root.high
+            if low == high:
+                reach = min(WIDTH / 4, (low - here) / 4, (self.high - high) / 4)
+                low, high = low - reach, high + reach
             yield low, high
-        low, high = root.low, root.high
-        if low == high:
-            reach = min(WIDTH / 4, (low - here) / 4, (self.high - high) / 4)
-            low, high = low - reach, high + reach
-        yield low, high
+            width /= 1024
+            root = root.narrowed(width)
 
     def _fits(self, root: Root, bracket: Bracket) -> bool:
         """Whether the policy that is optimal at the bracket's end is so from the root on.
 
         The policy is followed if it is.
         """
-        (low, high), former = bracket, self.policy
-        self._improve(low, high)
-        for pair, poly in enumerate(self.gaps.gap):
-            if poly.degree() < 0 or self._far(pair, low, high):
-                continue
-            if pair not in self.first and variations(poly, low, self.high) == 0:
-                self.first[pair], self.touching[pair] = None, []
-                if sign(poly, high) > 0:
-                    continue
-            if not self._clear(pair, poly, root, low, high):
-                self._follow(former)
-                return False
-        return True
+        former = self.policy
+        self._improve(*bracket)
+        if all(self._clear(pair, root, *bracket) for pair in range(len(self.gaps.gap))):
+            return True
+        self.ahead.clear()
+        self._follow(former)
+        return False
 
     def _improve(self, low: Fraction, high: Fraction) -> None:
         """Follow a policy that is optimal at the end of a bracket (policy iteration)."""
@@ -218,7 +198,7 @@ class Sweep:
                 if poly.degree() >= 0 and not self._far(pair, low, high) and (gap := poly(at)) < 0
             ]
             for _, pair in sorted(falls, reverse=True):  # the best pair of a state is the last
-                pairs[self.rows.state[pair]] = pair
+                pairs[self.gaps.state[pair]] = pair
             if not falls:
                 return
             self._follow(pairs)
@@ -227,50 +207,34 @@ class Sweep:
         self.policy = policy
         self.gaps.follow(policy)
         for pair in self.gaps.renewed:
-            self.simple.pop(pair, None)
-            self.first.pop(pair, None)
-            self.touching.pop(pair, None)
+            self.ahead.pop(pair, None)
 
     def _far(self, pair: int, low: Fraction, high: Fraction) -> bool:
-        """Whether a gap's next roots are known, and outside a bracket: it is positive there."""
-        if pair not in self.first:
-            return False
-        first, touching = self.first[pair], self.touching[pair]
-        beyond = first is None or first.low > high
-        return beyond and not any(each.low <= high and low <= each.high for each in touching)
+        """Whether a gap's roots are known, and outside a bracket, so that its sign is, too."""
+        known = self.ahead.get(pair)
+        return known is not None and all(r.high < low or high < r.low for r, _ in known)
 
-    def _clear(self, pair: int, poly: fmpq_poly, root: Root, low: Fraction, high: Fraction) -> bool:
+    def _clear(self, pair: int, root: Root, low: Fraction, high: Fraction) -> bool:
         """Whether a gap has no root in (low, high], that of the threshold itself apart."""
+        poly = self.gaps.gap[pair]
+        if poly.degree() < 0 or self._far(pair, low, high):
+            return True
         if sign(poly, high) <= 0:
             return False
-        found = list(roots(self._simple(pair, poly), low, high))
-        if not found or low == root.low == root.high:
-            return not found
-        return len(found) == 1 and root.equals(self._simple(pair, poly)) is not None
-
-
-def _turns(poly: fmpq_poly, root: Root) -> bool:
-    """Whether a polynomial, not negative before, is negative just beyond a root."""
-    if root.low == root.high:
-        multiplicity, rest = 0, poly
-        while sign(rest, root.low) == 0:
-            multiplicity, rest = multiplicity + 1, rest.derivative()
-        return multiplicity % 2 == 1
-    # The root may be the end of an interval next to another root, where the sign is 0.
-    near = root.narrowed((root.high - root.low) / 4)
-    while near.low != near.high and sign(poly, near.high) == 0:
-        near = near.narrowed((near.high - near.low) / 4)
-    if near.low == near.high:
-        return _turns(poly, near)
-    return sign(poly, near.high) < 0
+        if not self._roots(pair, low):
+            return True
+        part = simple(poly)
+        inside = len([*roots(part, low, high)])
+        return inside == 0 or (inside == 1 and low < root.high and root.is_of(part))
 
 
 def _earlier(one: Root, other: Root) -> Root:
     """Return the smaller of two roots."""
     while not (one.high <= other.low or other.high <= one.low):
         low, high = max(one.low, other.low), min(one.high, other.high)
-        shared = Root(poly=one.poly, low=low, high=high).equals(other.poly)
-        if shared is not None and (low < high or sign(one.poly, low) == 0):
+        if (low < high or sign(one.poly, low) == 0) and Root(
+            poly=one.poly, low=low, high=high
+        ).is_of(other.poly):
             return one if one.high - one.low <= other.high - other.low else other
         width = max(one.high - one.low, other.high - other.low) / 4
         one, other = one.narrowed(width), other.narrowed(width)
@@ -306,7 +270,7 @@ def pieces_of(
         base, change = _middle(family, at, name, low, high)
         if _endless(at, base, change):
             raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
-        sweep = Sweep(Rows(base, change), low, high, sign)
+        sweep = Sweep(base, change, sign)
         found += sweep.pieces(optimum(base)[0] if policy is None else policy)
         policy = sweep.policy
         sweeps.append(sweep)
@@ -371,5 +335,5 @@ def _gone(rows: PolynomialRows, low: Fraction, high: Fraction) -> Iterator[Brack
     origin = rows.change.origin
     for poly in {str(p): p for p in rows.moving}.values():
         for root in roots(simple(poly), low - origin, high - origin):
-            near = root.narrowed(WIDTH).simplest()
+            near = root.apart(low - origin, WIDTH)
             yield near.low + origin, near.high + origin

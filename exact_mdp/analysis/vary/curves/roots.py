@@ -1,0 +1,156 @@
+"""Signs and real roots of rational polynomials: proved, counted, isolated and compared exactly.
+
+Descartes' rule of signs on an interval (a, b), after the substitution x = (a + b t) / (1 + t):
+without a variation of signs there is no root in it, with one there is exactly one. Intervals with
+more are halved (Vincent, Collins and Akritas; see Rouillier and Zimmermann, Journal of
+Computational and Applied Mathematics 162, 2004). A polynomial is not negative on an interval if no
+coefficient after the substitution is. Everything is rational, so nothing is missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import flint
+
+from exact_mdp.mdp.exact import fraction, rational
+
+if TYPE_CHECKING:
+    from flint import fmpq_poly
+
+DIGITS = 12  # of the denominator of a root that is looked for as a fraction
+
+
+@dataclass(frozen=True, kw_only=True)
+class Root:
+    """The only root of `poly`, which has no double ones, in the open interval, or low = high."""
+
+    poly: fmpq_poly
+    low: Fraction
+    high: Fraction
+
+    def narrowed(self, width: Fraction) -> Root:
+        """Return the root in an interval of at most this width."""
+        low, high = self.low, self.high
+        if low == high or high - low <= width:
+            return self
+        # Where both ends are roots themselves, the sign between this root and `high`.
+        right = (
+            sign(self.poly, high) or -sign(self.poly, low) or -sign(self.poly.derivative(), high)
+        )
+        # Rationals of FLINT are halved many times faster than Python's.
+        begin, end, wide = rational(low), rational(high), rational(width)
+        while end - begin > wide:
+            middle = (begin + end) / 2
+            value = self.poly(middle)
+            if not value:
+                begin = end = middle
+            elif (value > 0) == (right > 0):
+                end = middle
+            else:
+                begin = middle
+        return replace(self, low=fraction(begin), high=fraction(end))
+
+    def apart(self, point: Fraction, width: Fraction) -> Root:
+        """Return the root in so narrow an interval, beyond a point, whose ends are no roots.
+
+        It is a fraction of small denominator where that is the root.
+        """
+        near = self.narrowed(width)
+        for digits in range(1, DIGITS + 1):
+            short = ((near.low + near.high) / 2).limit_denominator(10**digits)
+            if near.low < short < near.high and sign(self.poly, short) == 0:
+                return replace(self, low=short, high=short)
+        while near.low < near.high and (
+            near.low <= point or 0 in (sign(self.poly, near.low), sign(self.poly, near.high))
+        ):
+            near = near.narrowed((near.high - near.low) / 4)
+        return near
+
+    def is_of(self, poly: fmpq_poly) -> bool:
+        """Whether another polynomial has this root, too."""
+        if self.low == self.high:
+            return sign(poly, self.low) == 0
+        return any(True for _ in roots(self.poly.gcd(poly), self.low, self.high))
+
+
+def sign(poly: fmpq_poly, x: Fraction) -> int:
+    """Return the sign of a polynomial at a rational point."""
+    value = poly(rational(x))
+    return int(value > 0) - int(value < 0)
+
+
+def signs(poly: fmpq_poly, low: Fraction, high: Fraction) -> list[bool]:
+    """Return which coefficients are positive after the substitution, of those that are not 0."""
+    moved = poly(_line(low, high)).numer()
+    turned = flint.fmpz_poly(moved.coeffs()[::-1])(flint.fmpz_poly([1, 1]))
+    return [c > 0 for c in turned.coeffs() if c]
+
+
+@lru_cache(maxsize=16)
+def _line(low: Fraction, high: Fraction) -> fmpq_poly:
+    """Return low + (high - low) t; many polynomials are looked at on one interval in turn."""
+    line: fmpq_poly = flint.fmpq_poly([rational(low), rational(high - low)])
+    return line
+
+
+def variations(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
+    """Return how often the sign varies: no less than the roots in between, and 0 or 1 as they."""
+    return sum(a != b for a, b in pairwise(signs(poly, low, high)))
+
+
+def simple(poly: fmpq_poly) -> fmpq_poly:
+    """Return the polynomial with the same roots, none of them double."""
+    return poly / poly.gcd(poly.derivative()) if poly.degree() > 1 else poly
+
+
+def odd_part(poly: fmpq_poly) -> fmpq_poly:
+    """Return the polynomial with the roots at which the sign changes, none of them double."""
+    _, factors = poly.numer().factor_squarefree()
+    odd: fmpq_poly = flint.fmpq_poly([1])
+    for factor, times in factors:
+        odd = odd * factor if times % 2 else odd
+    return odd
+
+
+def roots(poly: fmpq_poly, low: Fraction, high: Fraction) -> Iterator[Root]:
+    """Yield the roots of a polynomial without double ones on an open interval, from the left."""
+    most = variations(poly, low, high)
+    if most == 1:
+        yield Root(poly=poly, low=low, high=high)
+    elif most:
+        middle = (low + high) / 2
+        yield from roots(poly, low, middle)
+        if sign(poly, middle) == 0:
+            yield Root(poly=poly, low=middle, high=middle)
+        yield from roots(poly, middle, high)
+
+
+def roots_on(poly: fmpq_poly, low: Fraction, high: Fraction) -> int:
+    """Return the number of roots on a closed interval, double ones counted once."""
+    if low == high:
+        return int(sign(poly, low) == 0)
+    part = simple(poly)
+    ends = (sign(part, low), sign(part, high)).count(0)
+    return ends + sum(1 for _ in roots(part, low, high))
+
+
+def nonnegative(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
+    """Whether a polynomial is nowhere negative on a closed interval."""
+    if all(signs(poly, low, high)):
+        return True
+    if low < high and any(True for _ in roots(odd_part(poly), low, high)):
+        return False
+    steps = poly.degree() + 2  # one of so many points is no root
+    inside = (low + (high - low) * Fraction(k, steps) for k in range(1, steps))
+    return all(sign(poly, y) >= 0 for y in inside)
+
+
+def positive(poly: fmpq_poly, low: Fraction, high: Fraction) -> bool:
+    """Whether a polynomial is positive on a closed interval."""
+    return sign(poly, low) > 0 and sign(poly, high) > 0 and not roots_on(poly, low, high)
