@@ -46,6 +46,12 @@ VALUES = {
     "policy held fixed": "fixed_value:.6g",
     "its regret": "regret:.3g",
 }
+BARS = (  # the keys of a tornado's bars, in the order of its frame
+    *("parameter", "unit", "low", "today", "high"),
+    *("value_low", "value_high", "swing"),
+    *("fixed_value_low", "fixed_value_high", "fixed_swing"),
+    *("regret_low", "regret_high"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,25 +127,8 @@ class Tornado(Pictured):
 
     def report(self) -> Report:
         """Return values and regrets at both ends of every range."""
-        bars = [
-            {
-                "parameter": bar.parameter.name,
-                "unit": unit_of(bar.parameter),
-                "today": float(bar.parameter.value),
-                "low": float(bar.low.at),
-                "high": float(bar.high.at),
-                "value_low": bar.low.optimal.value,
-                "value_high": bar.high.optimal.value,
-                "swing": bar.swing,
-                "fixed_value_low": bar.low.fixed.value,
-                "fixed_value_high": bar.high.fixed.value,
-                "fixed_swing": bar.fixed_swing,
-                "regret_low": bar.low.regret.value,
-                "regret_high": bar.high.regret.value,
-                "regret": bar.regret,
-            }
-            for bar in self.bars
-        ]
+        bars = self.frame().drop(columns="claim").set_axis(list(BARS), axis="columns")
+        bars["regret"] = [bar.regret for bar in self.bars]
         ends = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
 
         def at(what: str) -> dict[str, str]:
@@ -152,7 +141,7 @@ class Tornado(Pictured):
                 **claimed("start_value", self.today.optimal),
                 "policy_value": Shown(self.today.fixed.value, self.today.fixed),
                 "regret": Shown(self.today.regret.value, self.today.regret),
-                "bars": bars,
+                "bars": bars.to_dict("records"),
             },
             tables={
                 "bars": Table(
@@ -161,7 +150,7 @@ class Tornado(Pictured):
                 ),
                 "held": Table(
                     title=bars_of.format("held fixed"),
-                    rows=sorted(bars, key=lambda bar: -bar["fixed_swing"])
+                    rows=bars.sort_values("fixed_swing", ascending=False, kind="stable")
                     if self.today.regret.value > 0
                     else (),
                     columns=ends | at("fixed_value") | {"regret": "regret:.3g"},
@@ -206,16 +195,9 @@ class Curve(Pictured):
 
     def report(self) -> Report:
         """Return the values along the range."""
-        points = [
-            {
-                "at": float(point.at),
-                "value": point.optimal.value,
-                "fixed_value": point.fixed.value,
-                "regret": point.regret.value,
-                "error_bound": point.regret.error,
-            }
-            for point in self.points
-        ]
+        keys = ("at", "value", "fixed_value", "regret", "error_bound")
+        rows = self.frame().drop(columns=["parameter", "unit", "claim"])
+        points = rows.set_axis(keys, axis="columns").to_dict("records")
         table = Table(title="value at the start", columns={self.parameter.name: "at:.6g"} | VALUES)
         facts = {"parameter": self.parameter.name, "points": points}
         return Report(title="one-way", facts=facts, tables={"points": table})

@@ -162,7 +162,7 @@ def study(
     size = max(1, solver.block // 2)
     key: dict[str, object] = {}
     if how.get("folder") is not None:
-        _, first = next(models(family, names, table[:1], 0))
+        first = next(models(family, names, table[:1], 0))
         key = {
             "model": fingerprint(solver.base.mdp),
             "first_draw": fingerprint(first),  # two families may agree today and differ elsewhere
@@ -260,36 +260,20 @@ def run(
     """
     folder = how.get("folder")
     full = len(pieces) - (rest > 0 and folder is not None)
-    parts = [(what, pieces[:full], dict(key))]
-    if full < len(pieces):
-        last = {"last block": full, "draws": rest}
-        parts.append((f"{what}-last-{full}-{rest}", pieces[full:], {**key, **last}))
+    last = f"{what}-last-{full}-{rest}", {**key, "last block": full, "draws": rest}
     done = list[Arrays]()
-    for name, some, own in parts:
-        if folder is not None:
-            how["folder"] = Path(folder) / name
+    for name, own, some in ((what, dict(key), pieces[:full]), (*last, pieces[full:])):
         if some:
+            how["folder"] = None if folder is None else Path(folder) / name
             done += many(work, some, key=own, what=what, threads=solver.compiled, **how)
     return done
 
 
 def distinct(rows: Numbers) -> tuple[Numbers, Integers]:
-    """Return the (U, G) different rows of (D, G) small integers, and (D,) which of them each is.
-
-    They come in order of appearance. Rows are distinguished by two 64-bit sums of random odd
-    multiples; that two rows which differ have both sums in common is about as likely as guessing a
-    number of 128 bits.
-    """
-    width = rows.shape[1] * rows.dtype.itemsize
-    padded = np.zeros((len(rows), -(-width // 8) * 8), dtype=np.uint8)
-    padded[:, :width] = np.ascontiguousarray(rows).view(np.uint8)
-    words = padded.view(np.uint64)
-    keys = np.random.default_rng(0).integers(0, 2**63, size=(words.shape[1], 2), dtype=np.uint64)
-    sums = words @ (2 * keys + 1)
-    both = np.ascontiguousarray(sums).view([("a", np.uint64), ("b", np.uint64)]).reshape(-1)
-    _, where, inverse = np.unique(both, return_index=True, return_inverse=True)
-    order = np.argsort(where)
-    return rows[where[order]], np.argsort(order)[inverse.reshape(-1)]
+    """Return the (U, G) different rows of (D, G), in order of appearance, and (D,) each row's."""
+    known: dict[bytes, int] = {}
+    which = np.array([known.setdefault(row.tobytes(), len(known)) for row in rows])
+    return rows[np.unique(which, return_index=True)[1]], which
 
 
 def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Numbers, Integers]:
@@ -300,21 +284,96 @@ def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Numbers, Integer
     return rows, np.concatenate([p[b["which"]] for p, b in zip(places, blocks, strict=True)])
 
 
-# ---- one model after the other -----------------------------------------------------------------
+# ---- models that are built -----------------------------------------------------------------------
 
 
 def models(
     model: Parametric, names: Sequence[str], draws: Numbers, first: int | None = None
-) -> Iterator[tuple[int, MDP]]:
-    """Yield each draw's number and model; an error names the draw, counted from `first`."""
+) -> Iterator[MDP]:
+    """Yield each draw's model; an error names the draw, counted from `first`."""
     for d, row in enumerate(draws.tolist()):
         try:
-            yield d, model.at(dict(zip(names, row, strict=True)))
+            yield model.at(dict(zip(names, row, strict=True)))
         except ModelError as error:
             if first is None:
                 raise
             where = f"draw {first + d}, {error.where}"
             raise ModelError(error.what, where=where, fix=error.fix) from error
+
+
+class _Part:
+    """Models of some draws, worked on all at once where they can be, else one by one.
+
+    `at` says in words where a model is, by its number.
+    """
+
+    def __init__(self, models: list[MDP], at: Callable[[int], str]) -> None:
+        self.models, self.at = models, at
+        batch = Batch.of(models)
+        self.batch = None if batch is None or batch.weights is None else batch
+        self.sign = -1 if models[0].sense == "min" else 1
+
+    @property
+    def size(self) -> int:
+        """Numbers that are held."""
+        return KEPT if self.batch is None else self.batch.rows.size
+
+    def optimum(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
+        """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
+        mdp = self.models[0]
+        found = None if self.batch is None else self.batch.optimum()
+        if self.batch is None or found is None:
+            each = [self._optimum(d) for d in range(len(self.models))]
+            start, error, gap, doubt, policy = map(np.array, zip(*each, strict=True))
+            return start, error, gap, doubt, policy
+        value, off, gap, doubt = found
+        start, error = self.batch.at_start(value, off)
+        tied = np.where(gap <= doubt, np.arange(mdp.n_pairs), mdp.n_pairs)
+        policy = mdp.pair_action[np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)]
+        return self.sign * start, error, gap, doubt, policy
+
+    def _optimum(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
+        mdp = self.models[d]
+        solution = finite_optimum(mdp, self.at(d))
+        lost, noise = lost_by(mdp, solution)
+        off = solution.state_error[mdp.pair_state]
+        off = off + mdp.discount * (mdp.transition @ solution.state_error)
+        taken = np.asarray(solution.policy)
+        return solution.start.value, solution.start.error, lost, off + noise, taken
+
+    def held(self, weights: Floats) -> tuple[Floats, Floats]:
+        """Return the value at the start and its error (D,) of a policy (L,)."""
+        if self.batch is not None:
+            mean, error = self.batch.held(weights)
+            return self.sign * mean, error
+        every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
+        return np.array([x.value for x in every]), np.array([x.error for x in every])
+
+    def totals(self, weights: Floats) -> Floats:
+        """Return (D, C) the expected totals of the components under a policy (L,)."""
+        if self.batch is not None:
+            return self.batch.totals(weights)
+        every = (evaluate(mdp, weights).components.values() for mdp in self.models)
+        return np.array([[*each] for each in every])
+
+
+def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
+    """Return what each pair (L,) loses, and the rounding of that.
+
+    Some states may be worth ±∞, though the start is not: a pair that leads to -∞ is worth that,
+    else one that leads to +∞ that; it loses nothing where its state is worth the same.
+    """
+    value, here = solution.value, mdp.pair_state
+    far = np.isinf(value)
+    known = np.where(far, 0.0, value)
+    gap = (-1 if mdp.sense == "min" else 1) * (known[here] - mdp.backup(known))
+    if far.any():
+        ahead = np.zeros(mdp.n_pairs)
+        for sign in (inf, -inf):
+            ahead[mdp.transition @ (value == sign).astype(float) > 0] = sign
+        off = far[here] | np.isinf(ahead)
+        gap[off] = np.where(value[here] == ahead, 0.0, inf)[off]
+    return gap, gains(mdp, known).noise
 
 
 class ModelSolver:
@@ -343,35 +402,26 @@ class ModelSolver:
         self.actions = mdp.actions
         self.choosing = np.flatnonzero(~mdp.forced)
         self.labels = tuple(mdp.space.labels(self.choosing))
-        self.built: dict[bytes, list[Batch | list[MDP]]] = {}
+        self.built: dict[bytes, list[_Part]] = {}
         self.room = KEPT
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"built": {}, "room": KEPT}
 
-    def parts(
-        self, names: Sequence[str], draws: Numbers, first: int | None
-    ) -> Iterator[tuple[slice, Batch | list[MDP]]]:
-        """Yield draws and their models, as a batch where they can be one.
-
-        What was built of these draws before is used again, up to `KEPT` numbers.
-        """
+    def parts(self, names: Sequence[str], draws: Numbers, first: int | None) -> Iterator[_Part]:
+        """Yield the models of draws; what was built of these draws before is used again."""
         key = repr((names, draws.tolist())).encode()
-        size = max(1, ROOM // (self.base.mdp.n_pairs * self.base.mdp.n_states))
-        ends = range(0, len(draws), size)
-        known = self.built.get(key)
-        if known is not None:
-            yield from ((slice(at, at + size), part) for at, part in zip(ends, known, strict=True))
+        if key in self.built:
+            yield from self.built[key]
             return
-        made: list[Batch | list[MDP]] = []
-        for at in ends:
-            here = slice(at, at + size)
-            start = None if first is None else first + at
-            some = [mdp for _, mdp in models(self.model, names, draws[here], start)]
-            batch = Batch.of(some)
-            made.append(some if batch is None or batch.weights is None else batch)
-            yield here, made[-1]
-        numbers = sum(part.rows.size if isinstance(part, Batch) else KEPT for part in made)
+        size = max(1, ROOM // (self.base.mdp.n_pairs * self.base.mdp.n_states))
+        made: list[_Part] = []
+        for at in range(0, len(draws), size):
+            some, start = draws[at : at + size], None if first is None else first + at
+            built = [*models(self.model, names, some, start)]
+            made.append(_Part(built, partial(self._at, names, some, start)))
+            yield made[-1]
+        numbers = sum(part.size for part in made)
         if numbers <= self.room:
             self.room -= numbers
             self.built[key] = made
@@ -384,84 +434,36 @@ class ModelSolver:
         more than one first state; rows (U, G), the policies found, and which (D,) of them is a
         draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
         """
-        mdp, count = self.base.mdp, len(draws)
-        start, error, gap, doubt = np.empty(count), np.empty(count), [], []
-        policies = np.empty((count, mdp.n_states), dtype=np.int16)
-        for here, part in self.parts(names, draws, first):
-            found = part.optimum() if isinstance(part, Batch) else None
-            if isinstance(part, Batch) and found is not None:
-                value, error[here] = part.at_start(found[0], found[1])
-                start[here] = self.base.sign * value
-                gap.append(found[2])
-                doubt.append(found[3])
-                tied = np.where(gap[-1] <= doubt[-1], np.arange(mdp.n_pairs), mdp.n_pairs)
-                least = np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)
-                policies[here] = mdp.pair_action[least]
-                continue
-            every = part if isinstance(part, list) else self._again(names, draws[here])
-            for d, drawn in enumerate(every, start=here.start):
-                solution = finite_optimum(drawn, self._at(names, draws[d], d, first))
-                start[d], error[d] = solution.start.value, solution.start.error
-                lost, noise = self._gaps(drawn, solution)
-                there = solution.state_error
-                off = there[mdp.pair_state] + drawn.discount * (drawn.transition @ there)
-                gap.append(lost[None])
-                doubt.append((off + noise)[None])
-                policies[d] = solution.policy
-        rows, which = distinct(policies)
-        return {
-            "start": start,
-            "error": error,
-            "rows": rows,
-            "which": which,
-            **self._choices(np.concatenate(gap), np.concatenate(doubt)),
-            "cut": np.zeros(count, dtype=bool),
-        }
-
-    def _again(self, names: Sequence[str], draws: Numbers) -> list[MDP]:
-        return [mdp for _, mdp in models(self.model, names, draws)]
-
-    def _choices(self, gap: Floats, doubt: Floats) -> Arrays:
-        """Return how often each action is optimal, and what the first ones cost, of gaps (D, L)."""
-        mdp, near = self.base.mdp, (gap <= doubt).sum(axis=0)
+        mdp, found = self.base.mdp, [part.optimum() for part in self.parts(names, draws, first)]
+        start, error, gap, doubt, policies = map(np.concatenate, zip(*found, strict=True))
+        rows, which = distinct(policies.astype(np.int16))
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
-        counts[mdp.pair_state, mdp.pair_action] = near
+        counts[mdp.pair_state, mdp.pair_action] = (gap <= doubt).sum(axis=0)
         begins = [state for state, _ in mdp.start]
         lost = np.full((len(gap), mdp.n_actions if len(begins) == 1 else 0), np.nan)
         if len(begins) == 1:
             here = mdp.pair_state == begins[0]
             lost[:, mdp.pair_action[here]] = np.maximum(gap[:, here], 0.0)
-        return {"best": counts[self.choosing], "lost": lost}
+        return {
+            "start": start,
+            "error": error,
+            "rows": rows,
+            "which": which,
+            "best": counts[self.choosing],
+            "lost": lost,
+            "cut": np.zeros(len(draws), dtype=bool),
+        }
 
-    def _at(self, names: Sequence[str], draw: Numbers, d: int, first: int | None) -> str:
+    def _at(self, names: Sequence[str], draws: Numbers, first: int | None, d: int) -> str:
         """Return the parameters of a draw in words, the first few of many that are moved."""
         today = {parameter.name: parameter.value for parameter in self.model.parameters}
         moved = [
             f"{name} = {x if isinstance(x, Fraction) else f'{x:g}'}"
-            for name, x in zip(names, draw.tolist(), strict=True)
+            for name, x in zip(names, draws[d].tolist(), strict=True)
             if x != today[name]
         ]
         words = ", ".join(moved[:SHOWN]) + ", …" * (len(moved) > SHOWN) or "today's parameters"
         return words if first is None or len(names) <= SHOWN else f"draw {first + d}, {words}"
-
-    def _gaps(self, mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
-        """Return what each pair (L,) loses, and the rounding of that.
-
-        Some states may be worth ±∞, though the start is not: a pair that leads to -∞ is worth that,
-        else one that leads to +∞ that; it loses nothing where its state is worth the same.
-        """
-        value, here = solution.value, mdp.pair_state
-        far = np.isinf(value)
-        known = np.where(far, 0.0, value)
-        found = gains(mdp, known)
-        gap = self.base.sign * (known[here] - mdp.backup(known))
-        if far.any():
-            ahead = np.zeros(mdp.n_pairs)
-            for sign in (inf, -inf):
-                ahead[mdp.transition @ (value == sign).astype(float) > 0] = sign
-            off = far[here] | np.isinf(ahead)
-            gap[off] = np.where(value[here] == ahead, 0.0, inf)[off]
-        return gap, found.noise
 
     def values(
         self,
@@ -471,19 +473,10 @@ class ModelSolver:
         first: int | None = None,
     ) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
-        value = np.empty((len(draws), len(policies)))
-        error = np.empty_like(value)
-        for here, part in self.parts(names, draws, first) if policies else ():
-            if isinstance(part, Batch):
-                for n, chosen in enumerate(policies):
-                    mean, error[here, n] = part.held(chosen)
-                    value[here, n] = self.base.sign * mean
-                continue
-            for d, drawn in enumerate(part, start=here.start):
-                where = self._at(names, draws[d], d, first)
-                found = [finite_worth(drawn, weights, where) for weights in policies]
-                value[d], error[d] = [x.value for x in found], [x.error for x in found]
-        return {"value": value, "error": error}
+        parts = self.parts(names, draws, first) if policies else ()
+        every = [[part.held(weights) for weights in policies] for part in parts]
+        columns = np.concatenate(every, axis=2) if every else np.empty((0, 2, len(draws)))
+        return {"value": columns[:, 0].T, "error": columns[:, 1].T}
 
     def totals(
         self,
@@ -495,24 +488,18 @@ class ModelSolver:
     ) -> Floats:
         """Return (D, N, C) expected totals of some components of the reward under N policies."""
         known = self.base.mdp.component_names
-        columns = [known.index(name) for name in components]
-        found = np.empty((len(draws), len(policies), len(columns)))
-        for here, part in self.parts(names, draws, first):
-            of = part.component_names if isinstance(part, Batch) else part[0].component_names
+        every = list[Floats]()
+        for part in self.parts(names, draws, first):
+            of = part.models[0].component_names
             if of != known:
                 raise ModelError(
                     f"the model's components are {', '.join(of)} there, and "
                     f"{', '.join(known)} today",
-                    where=f"draw {first + here.start}",
+                    where=f"draw {first + sum(map(len, every))}",
                     fix="make the model by a function that gives its components: Family(build=…)",
                 )
-            for n, chosen in enumerate(policies):
-                if isinstance(part, Batch):
-                    found[here, n] = part.totals(chosen)[:, columns]
-                    continue
-                for d, drawn in enumerate(part, start=here.start):
-                    every = evaluate(drawn, chosen).components
-                    found[d, n] = [every[name] for name in components]
+            every.append(np.stack([part.totals(weights) for weights in policies], axis=1))
+        found = np.concatenate(every)[:, :, [known.index(name) for name in components]]
         if not np.isfinite(found).all():
             raise ModelError(
                 "a total is infinite",

@@ -35,7 +35,7 @@ from exact_mdp import (
 )
 from exact_mdp.analysis.vary.one_way import Point
 from exact_mdp.analysis.vary.ranges import around, spans_of
-from exact_mdp.analysis.vary.study import ModelSolver, Study, study
+from exact_mdp.analysis.vary.study import Study, lost_by, study
 from exact_mdp.mdp.care import scenario as care_scenario
 from exact_mdp.mdp.parametric.row_change import pieces, row_change, transition_entries
 
@@ -220,7 +220,7 @@ def test_optimal_actions_beside_infinite_states() -> None:
         if not isfinite(exact.start_value) or np.isfinite(found.value).all():
             continue
         compared += 1
-        gap, noise = ModelSolver(parametric(mdp))._gaps(mdp, found)
+        gap, noise = lost_by(mdp, found)
         doubt = found.state_error
         near = gap <= doubt[mdp.pair_state] + mdp.transition @ doubt + noise
         assert near.tolist() == exact.optimal_pairs.tolist()
