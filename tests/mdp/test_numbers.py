@@ -1,25 +1,22 @@
-"""Exactness belongs to each number: any mixture of kinds, in every constructor and reader.
-
-What a model tells can be given back, and errors about numbers speak of the right ones.
-"""
+"""Exactness belongs to each number: any mixture of kinds; what rows of floats mean."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from fractions import Fraction as F
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases.case import row
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle import rows_of as oracle_rows
 from oracle import solve_exact
 
 from exact_mdp import (
     MDP,
+    DistributionError,
     Intervals,
     ModelError,
     Scenario,
@@ -36,6 +33,8 @@ from exact_mdp import (
 )
 
 Law = tuple[int, int, list[tuple[F, int, F]]]
+
+# ---- any kind of number --------------------------------------------------------------------------
 
 
 def kinds(value: F) -> list[Any]:
@@ -68,15 +67,6 @@ def rows_of(mdp: MDP) -> list[Law]:
     """Return every row of a model as `from_outcomes` takes it."""
     pairs = zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True)
     return [(s, a, mdp.table.row(pair)) for pair, (s, a) in enumerate(pairs)]
-
-
-def optimal(rows: Sequence[Law], states: int, discount: F) -> list[F]:
-    """Return the optimal values by a solver that imports nothing of the project."""
-    pairs = [
-        (s, a, sum((p * r for p, _, r in outcomes), F(0)), row(*((t, p) for p, t, _ in outcomes)))
-        for s, a, outcomes in rows
-    ]
-    return solve_exact(states, pairs, discount)[0]
 
 
 def again(mdp: MDP) -> MDP:
@@ -114,10 +104,10 @@ def laws(draw: st.DrawFn) -> tuple[int, list[Law], F]:
 
 @settings(max_examples=150)
 @given(laws(), st.data())
-def test_a_mixture_is_worth_what_fractions_are_worth(
+def test_a_number_may_be_given_in_any_kind_that_holds_it(
     law: tuple[int, list[Law], F], data: st.DataObject
 ) -> None:
-    """Each number may be given in any kind that holds it: the values are the same fractions."""
+    """The values are those of the oracle, whatever mixture of kinds the numbers are given in."""
     states, rows, discount = law
 
     def any_kind(value: F) -> Any:
@@ -126,27 +116,10 @@ def test_a_mixture_is_worth_what_fractions_are_worth(
     mixed = [
         (s, a, [(any_kind(p), t, any_kind(r)) for p, t, r in outcomes]) for s, a, outcomes in rows
     ]
-    mdp = MDP.from_outcomes(mixed, any_kind(discount))
-    found = certify(mdp)
-    assert list(found.value) == optimal(rows, states, discount)
-    assert found.violations() == []
-
-
-@settings(max_examples=150)
-@given(laws(), st.data())
-def test_a_float_of_the_same_value_changes_nothing(
-    law: tuple[int, list[Law], F], data: st.DataObject
-) -> None:
-    """Replacing any of the fractions that are binary by floats leaves all fractions as they are."""
-    _, rows, discount = law
-
-    def perhaps(value: F) -> Any:
-        return data.draw(st.sampled_from([value, *floats(value)]))
-
-    mixed = [(s, a, [(perhaps(p), t, perhaps(r)) for p, t, r in law]) for s, a, law in rows]
     plain = certify(MDP.from_outcomes(rows, discount))
-    other = certify(MDP.from_outcomes(mixed, perhaps(discount)))
-    assert list(other.value) == list(plain.value)
+    other = certify(MDP.from_outcomes(mixed, any_kind(discount)))
+    assert list(other.value) == solve_exact(states, oracle_rows(plain.mdp), discount)[0]
+    assert other.violations() == []
     assert list(other.gaps) == list(plain.gaps)
     assert other.optimal_pairs.tolist() == plain.optimal_pairs.tolist()
     assert (other.start_value, other.unique) == (plain.start_value, plain.unique)
@@ -197,6 +170,18 @@ def test_numbers_wider_than_doubles_keep_their_value() -> None:
     assert MDP.from_arrays([EYE], [1, 0], wide / 2).discount_exact == value / 2
 
 
+@given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=6))
+def test_any_float_reward_and_any_wide_number_is_exact(values: list[float]) -> None:
+    mdp = MDP.from_outcomes([(s, 0, [(1, s, x)]) for s, x in enumerate(values)], "1/2")
+    assert [mdp.table.row(s)[0][2] for s in range(len(values))] == list(map(F, values))
+    assert mdp.reward.tolist() == values
+    tiny = F(1, 3**60)
+    wide = MDP.from_outcomes([(0, 0, [(tiny, 0, 10**30), (1 - tiny, 1, 0)]), (1, 0, [(1, 1, 0)])])
+    assert wide.table.weight.dtype == object
+    assert wide.table.row(0)[0] == (tiny, 0, 10**30)
+    assert (wide.reward[0], wide.transition.data[0]) == (float(tiny * 10**30), float(tiny))
+
+
 def test_outcomes_that_come_twice_are_added_exactly() -> None:
     """0.1 + 0.2 to one state is 3/10, among outcomes and in a sparse matrix; not of rewards."""
     rows = [(0, 0, [(0.1, 1, 0), (0.2, 1, 0), (0.7, 0, 0)]), (1, 0, [(1, 1, 0)])]
@@ -224,33 +209,6 @@ def test_it_stays_known_whether_numbers_were_floats(tmp_path: Any) -> None:
         save(mdp, tmp_path / "m.npz")
         for other in (load(tmp_path / "m.npz"), mdp.with_(discount=0.25), mdp.within(2)):
             assert other.floats == mdp.floats
-
-
-@pytest.mark.parametrize(
-    "chances",
-    [
-        ["1/3", F(2, 3) - F(1, 10**12)],
-        ["0.5", "0.4999999999999999"],
-        [F(1, 3), 0.6666667],
-        [0.5, 0.4999],
-        [F(1, 2), F(1, 2) - F(1, 2**60)],
-    ],
-)
-def test_exact_rows_sum_to_1_exactly(chances: Sequence[Any]) -> None:
-    """Only a row with a float in it may miss 1, by 1e-9."""
-    with pytest.raises(ModelError, match="not 1"):
-        MDP.from_arrays([[chances, [0, 1]]], [0, 0], 0.5)
-
-
-def test_a_number_that_is_not_finite_is_refused_by_its_place() -> None:
-    """A NaN among fractions is a NaN of that state and action."""
-    for value in (float("nan"), float("inf"), np.float32("inf")):
-        with pytest.raises(ModelError) as caught:
-            MDP.from_outcomes([(0, 0, [(F(1, 3), 0, value), (F(2, 3), 0, F(1, 3))])])
-        assert "inf" in str(caught.value) or "nan" in str(caught.value)
-
-
-# ---- what a model tells is the model ------------------------------------------------------------
 
 
 def dense(seed: int) -> MDP:
@@ -295,45 +253,6 @@ def test_rows_given_back_are_the_same_model(name: str, tmp_path: Any) -> None:
         assert list(found.gaps) == list(wanted.gaps)
         assert found.start_value == wanted.start_value
         assert found.model == wanted.model
-
-
-def test_a_sign_can_be_flipped_a_target_frozen_and_time_unrolled() -> None:
-    """Models made of the rows of a float model."""
-    mdp = dense(1)
-    rows, rate = rows_of(mdp), mdp.discount_exact
-    costs = MDP.from_outcomes([(s, a, [(p, t, -r) for p, t, r in row]) for s, a, row in rows], rate)
-    negative = certify(again(costs))
-    assert rows_of(costs) == [(s, a, [(p, t, -r) for p, t, r in row]) for s, a, row in rows]
-    assert list(negative.value) == list(certify(costs).value)
-    frozen = MDP.from_outcomes([(s, a, [(1, s, 0)] if s == 2 else row) for s, a, row in rows], rate)
-    value = certify(frozen).value
-    assert value[2] == 0
-    reward = mdp.table.row(0)[0][2]
-    backup = [
-        F(mdp.table.row(pair)[0][2]) + rate * sum(p * value[t] for p, t, _ in mdp.table.row(pair))
-        for pair in mdp.pairs_of(0)
-    ]
-    assert reward in {r for _, _, r in frozen.table.row(0)}
-    assert value[0] == max(backup)
-    size, steps = mdp.n_states, 3
-    unrolled = [
-        (k * size + s, a, [(p, (k + 1) * size + t, r) for p, t, r in row])
-        for k in range(steps)
-        for s, a, row in rows
-    ]
-    unrolled += [(steps * size + s, 0, [(1, steps * size + s, 0)]) for s in range(size)]
-    found = certify(MDP.from_outcomes(unrolled, rate)).value
-    later = [F(0)] * size
-    for _ in range(steps):
-        later = [
-            max(
-                F(mdp.table.row(pair)[0][2])
-                + rate * sum(p * later[t] for p, t, _ in mdp.table.row(pair))
-                for pair in mdp.pairs_of(s)
-            )
-            for s in range(size)
-        ]
-    assert list(found[:size]) == later
 
 
 @pytest.mark.parametrize("rate", ["1/2", "99/100", 1 - 1e-6, 1 - 1e-12])
@@ -386,15 +305,6 @@ def test_true_is_no_number_of_iterations() -> None:
                 call(count)
 
 
-def test_float_action_numbers_are_called_what_they_are() -> None:
-    """[0.0, 1.0] for a policy: action numbers are whole."""
-    mdp = MDP.from_arrays([np.eye(2)] * 2, np.eye(2), 0.9, layout="ass")
-    with pytest.raises(ModelError) as caught:
-        evaluate(mdp, np.array([0.0, 1.0]))
-    assert "action numbers are whole numbers" in caught.value.what
-    assert "astype(int)" in caught.value.fix
-
-
 def test_a_policy_of_single_outcomes_earns_what_the_outcomes_earn() -> None:
     """Rewards of outcomes stay those of outcomes where a policy's rows have one outcome each."""
     near = 1 - 2.0**-31
@@ -422,21 +332,6 @@ def test_integers_over_denominators_are_fractions(order: list[int], times: int) 
     assert found.table.row(0) == wanted.table.row(0)
 
 
-@pytest.mark.parametrize(
-    "parts",
-    [
-        (sp.csr_array([[0.5, 0.5], [0.0, 1.0]]), [1, 1]),
-        (sp.csr_array([[1, 1], [0, 1]]), [2]),
-        (sp.csr_array([[1, 1], [0, 1]]), [2, 0]),
-        (sp.csr_array([[1, 1], [0, 1]]), [0.5, 1.0]),
-        (sp.csr_array([[1, 1], [0, 1]]), [3, 1]),
-    ],
-)
-def test_denominators_that_do_not_fit(parts: tuple[Any, Any]) -> None:
-    with pytest.raises(ModelError):
-        MDP.from_pairs([0, 1], [0, 0], parts, [0, 0], "9/10")
-
-
 OUTCOMES = st.lists(
     st.tuples(st.integers(1, 9), st.integers(0, 4), st.integers(-3, 3)), min_size=1, max_size=6
 )
@@ -461,3 +356,103 @@ def test_expected_rewards_are_the_sums_of_the_rows(
         if len(mdp.table.gain) == mdp.n_pairs:
             wanted = outcomes[0][2]
         assert F(int(top[pair]), int(bottom[pair])) == wanted
+
+
+# ---- what rows of floats mean -------------------------------------------------------------------
+
+
+def row_of(chances: list[object], **told: object) -> list[F]:
+    """Return the exact probabilities of a row, as a model has them."""
+    size = len(chances)
+    rest = [[0] * k + [1] + [0] * (size - k - 1) for k in range(1, size)]
+    mdp = MDP.from_arrays([[chances, *rest]], [1] * size, "9/10")
+    exact = {state: p for p, state, _ in mdp.table.row(0)}
+    return [exact.get(state, F(0)) for state in range(size)]
+
+
+@pytest.mark.parametrize("parts", [3, 6, 7, 9, 10, 12, 100, 1000, 10**6])
+def test_fractions_that_people_write_are_what_they_wrote(parts: int) -> None:
+    for top in {1, 2, parts // 3, parts // 2, parts - 1}:
+        left = parts - top
+        counts = [top, left // 2, left - left // 2]
+        assert row_of([n / parts for n in counts]) == [F(n, parts) for n in counts]
+    assert row_of([1 / 3, (1 - 1 / 3) / 2, (1 - 1 / 3) / 2]) == [F(1, 3)] * 3
+    assert row_of([0.1 + 0.2, 0.7]) == [F(3, 10), F(7, 10)]
+
+
+CHANCES = st.lists(st.floats(1e-12, 1), min_size=1, max_size=8)
+
+
+OFF = st.sampled_from([0.0, 1e-16, -1e-16, 3e-10, -3e-10, 9.9e-10, -9.9e-10])
+
+
+def nearly_one(parts: list[float], off: float) -> list[float]:
+    total = sum(parts)
+    found = [part / total for part in parts]
+    found[0] += off if found[0] + off > 0 else 0.0
+    return found
+
+
+@given(CHANCES, OFF, st.randoms(use_true_random=False))
+def test_every_row_sums_to_1_exactly_whatever_the_order(parts, off, random) -> None:
+    row = nearly_one(parts, off)
+    exact = row_of(row)
+    assert sum(exact) == 1
+    assert min(exact) > 0
+    again = sorted(range(len(row)), key=lambda _: random.random())
+    assert row_of([row[k] for k in again]) == [exact[k] for k in again]
+    same = {value: {exact[k] for k in range(len(row)) if row[k] == value} for value in row}
+    assert all(len(each) == 1 for each in same.values())
+    # Nothing moves by more than the row misses 1, and two units in the last place.
+    for value, meant in zip(row, exact, strict=True):
+        assert abs(F(value) - meant) <= abs(sum(map(F, row)) - 1) + 2 * F(np.spacing(value))
+
+
+@given(CHANCES, OFF)
+def test_a_model_keeps_the_floats_next_to_what_its_rows_mean(parts, off) -> None:
+    row = nearly_one(parts, off)
+    mdp = MDP.from_arrays([[row] * len(row)], [1] * len(row), "9/10")
+    floats, exact = mdp.transition[[0]].toarray()[0], row_of(row)
+    assert [float(p) for p in exact] == floats.tolist()
+    assert row_of(floats.tolist()) == exact
+    told = MDP.from_arrays([[exact] * len(row)], [1] * len(row), "9/10")
+    assert fingerprint(told) == fingerprint(mdp)
+    assert (mdp.floats, told.floats) == (True, False)
+    assert list(certify(told).value) == list(certify(mdp).value)
+
+
+def test_beside_exact_numbers_the_floats_alone_give_way() -> None:
+    assert row_of(["1/3", 0.6666666666666666]) == [F(1, 3), F(2, 3)]
+    odd = F(123456789, 1000000007)
+    row = row_of([odd, 0.4, float(F(6, 10) - odd) + 5e-10])
+    assert (row[0], row[1]) == (odd, F(0.4))
+    for row in (["1/3", "666666667/1000000000"], [1, 1e-12], [F(0.1), F(0.9)]):
+        with pytest.raises(DistributionError):
+            row_of(row)
+
+
+def test_numbers_are_read_before_they_are_added() -> None:
+    """A row in which a place comes twice means what it meant before."""
+    third, rest = 1 / 3, (1 - 1 / 3) / 2
+    mdp = MDP.from_outcomes(
+        [(0, 0, [(rest, 0, 1), (third, 0, 1), (rest, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    )
+    assert mdp.table.row(0) == [(F(2, 3), 0, F(1)), (F(1, 3), 1, F(1))]
+    place = ([rest, third, rest, 1.0], ([0, 0, 0, 1], [0, 0, 1, 1]))
+    twice = MDP.from_pairs([0, 1], [0, 0], sp.coo_array(place, (2, 2)), [1, 0])
+    assert fingerprint(twice) == fingerprint(mdp)
+    assert mdp.floats
+    assert twice.floats
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_symmetric_actions_tie(seed: int) -> None:
+    """Actions whose rows differ in their order alone, before states that are worth the same."""
+    rng = np.random.default_rng(seed)
+    for row in (rng.dirichlet(np.ones(5)), np.full(5, 0.2), np.array([3, 3, 2, 2, 1]) / 11):
+        actions = [np.concatenate([[0], rng.permutation(row)]) for _ in range(4)]
+        end = np.eye(6)[1:]
+        mdp = MDP.from_arrays(
+            np.array([np.vstack([action, end]) for action in actions]), [0, 1, 1, 1, 1, 1], "9/10"
+        )
+        assert certify(mdp).optimal[0].all()

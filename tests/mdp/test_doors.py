@@ -1,0 +1,702 @@
+"""Every door gives the same model: arrays of all layouts, pairs, outcomes, functions, files."""
+
+from __future__ import annotations
+
+import pickle
+from collections import defaultdict, namedtuple
+from collections.abc import Callable
+from fractions import Fraction
+from itertools import product
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from model_contents import laws
+from strategies import Rows, models
+
+from exact_mdp import (
+    MDP,
+    DistributionError,
+    ModelError,
+    Policy,
+    Scenario,
+    ShapeError,
+    certify,
+    check,
+    load,
+    save,
+)
+
+HALF, THIRD, INF = Fraction(1, 2), Fraction(1, 3), float("inf")
+P = np.array([[[0.5, 0.5, 0.0], [0, 0.25, 0.75], [0, 0, 1]], [[0, 1, 0], [0.5, 0, 0.5], [0, 0, 1]]])
+R = np.array([[1.0, 2.0], [3.0, -4.0], [0.0, 0.0]])
+
+
+def same(one: MDP, other: MDP) -> bool:
+    return laws(one) == laws(other) and one.discount_exact == other.discount_exact
+
+
+# ---- arrays --------------------------------------------------------------------------------------
+
+
+def objects(matrices: Any) -> Any:
+    array = np.empty(len(matrices), dtype=object)
+    array[:] = [*matrices]
+    return array
+
+
+def matrix(rows: Any) -> Any:
+    return np.asarray(rows).view(np.matrix)
+
+
+FORMS: dict[str, Callable[[Any], Any]] = {
+    "array": np.array,
+    "list": lambda P: np.asarray(P).tolist(),
+    "fractions": lambda P: np.vectorize(Fraction, otypes=[object])(P),
+    "words": lambda P: np.vectorize(lambda x: str(Fraction(x)), otypes=[object])(P).tolist(),
+    "single precision": lambda P: np.asarray(P, dtype=np.float32),
+    **{kind: lambda P, kind=kind: [getattr(sp, kind)(each) for each in P]
+       for kind in ("csr_array", "coo_array", "csc_matrix", "lil_matrix", "dok_array")},
+    "array of matrices": objects,
+    "array of sparse matrices": lambda P: objects([sp.csr_array(each) for each in P]),
+    "np.matrix": lambda P: [matrix(each) for each in P],
+    "dictionary": lambda P: dict(enumerate(P)),
+    "dictionary of np.matrix": lambda P: {k: matrix(each) for k, each in enumerate(P)},
+    "dictionary of sparse": lambda P: {k: sp.csc_array(each) for k, each in enumerate(P)},
+    "dictionary of lists": lambda P: dict(enumerate(np.asarray(P).tolist())),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_where_the_shape_does_not_say_the_layout_it_is_asked_for(form: str) -> None:
+    """All P of two states and two actions with rows from a few: each reading against its pairs."""
+    state, action, rewards = [0, 0, 1, 1], [0, 1, 0, 1], [[1, 2], [3, 5]]
+    for rows in product(([1, 0], [0, 1], [0.5, 0.5]), repeat=4):
+        cube = np.array(rows).reshape(2, 2, 2)
+        wanted = {
+            layout: MDP.from_pairs(state, action, turned.reshape(4, 2), np.ravel(rewards), "9/10")
+            for layout, turned in (("ass", cube.transpose(1, 0, 2)), ("sas", cube))
+        }
+        for layout, model in wanted.items():
+            assert same(MDP.from_arrays(FORMS[form](cube), rewards, "9/10", layout=layout), model)
+        if same(wanted["ass"], wanted["sas"]):
+            assert same(MDP.from_arrays(FORMS[form](cube), rewards, "9/10"), wanted["ass"])
+        else:
+            with pytest.raises(ModelError, match="as many actions as states") as caught:
+                MDP.from_arrays(FORMS[form](cube), rewards, "9/10")
+            assert 'layout="sas"' in caught.value.fix
+            assert 'layout="ass"' in caught.value.fix
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_elsewhere_the_shape_says_the_layout(form: str) -> None:
+    """Three actions, two states; a stated layout is checked, of rewards as well."""
+    P = np.array([[[0.5, 0.5], [0, 1]], [[1, 0], [0, 1]], [[0, 1], [1, 0]]])
+    R = np.arange(12.0).reshape(3, 2, 2)
+    wanted = MDP.from_arrays(P, R, layout="ass")
+    assert same(MDP.from_arrays(FORMS[form](P), FORMS[form](R)), wanted)
+    assert same(MDP.from_arrays(FORMS[form](P), FORMS[form](R), layout="ass"), wanted)
+    with pytest.raises(ModelError):
+        MDP.from_arrays(FORMS[form](P), FORMS[form](R), layout="sas")
+    with pytest.raises(ShapeError, match="rewards have shape"):
+        MDP.from_arrays(FORMS[form](P), R.transpose(1, 0, 2), layout="ass")
+
+
+@pytest.mark.parametrize(
+    ("row", "what"),
+    [([7, 7], "sum to 14"), ([0, 0.9], r"sum to 0\.9"), ([0, np.nan], "is nan"),
+     ([-0.5, 1.5], r"is -0\.5"), ([0, 0], "sum to 0")],
+)  # fmt: skip
+def test_a_faulty_row_does_not_say_the_layout(row: list[float], what: str) -> None:
+    """What is not offered may hold anything; what is offered in the other layout may be a fault."""
+    P, R = np.array([[[1, 0], row], [[0, 1], [0, 1]]]), np.array([[1, -np.inf], [2, 3]])
+    wanted = MDP.from_pairs([0, 1, 1], [0, 0, 1], [[1, 0], [0, 1], [0, 1]], [1, 2, 3])
+    for layout, rows in (("sas", P), ("ass", P.transpose(1, 0, 2))):
+        assert same(MDP.from_arrays(rows, R, layout=layout), wanted)
+        with pytest.raises(DistributionError, match=what) as caught:
+            MDP.from_arrays(rows, R)
+        assert f'layout="{layout}"' in caught.value.fix
+        assert "(state 1)" in caught.value.where
+
+
+def test_what_follows_the_layout() -> None:
+    """Rewards of transitions, missing rows of lists, and whether a policy is optimal."""
+    P, R = np.full((2, 2, 2), 0.5), np.arange(8.0).reshape(2, 2, 2)
+    with pytest.raises(ModelError, match="as many actions as states"):
+        MDP.from_arrays(P, R)
+    assert MDP.from_arrays(P, R, layout="ass").reward.tolist() == [0.5, 4.5, 2.5, 6.5]
+    assert MDP.from_arrays(P, R, layout="sas").reward.tolist() == [0.5, 2.5, 4.5, 6.5]
+    assert MDP.from_arrays(P, R + R.transpose(1, 0, 2)).reward.tolist() == [1, 7, 7, 13]
+    rows = [[[1, 0], None], [[0, 1], [1, 0]]]
+    with pytest.raises(ModelError, match="as many actions as states"):
+        MDP.from_arrays(rows, [5, 7])
+    assert MDP.from_arrays(rows, [5, 7], layout="sas").R.tolist() == [[5, -INF], [7, 7]]
+    assert MDP.from_arrays(rows, [5, 7], layout="ass").R.tolist() == [[5, 5], [-INF, 7]]
+    turned = np.array([[[1, 0], [0, 1]], [[1, 0], [1, 0]]])
+    mdp = MDP.from_arrays(turned, [0, 1], "9/10", layout="sas")
+    assert check(mdp, Policy.of(mdp, certify(mdp).policy)).passed
+
+
+@st.composite
+def arrays(draw: st.DrawFn) -> tuple[Any, Any, Any]:
+    """Transitions (A, S, S) in 64ths, rewards (S, A) in quarters, and which pairs are offered."""
+    actions, states = draw(st.sampled_from([(1, 3), (2, 3), (3, 2), (2, 2), (4, 1)]))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    P = rng.multinomial(64, np.full(states, 1 / states), size=(actions, states)) / 64
+    offered = rng.random((states, actions)) < 0.7
+    offered[np.arange(states), rng.integers(actions, size=states)] = True
+    offered[rng.integers(states), -1] = True  # what shows how many actions there are
+    # No reward is whole: none is taken for a state or an action.
+    return P, rng.integers(-8, 8, (states, actions)) / 4 + 1 / 8, offered
+
+
+@given(arrays())
+def test_every_form_is_the_same_model(given: tuple[Any, Any, Any]) -> None:
+    """P and R as in QuantEcon, pymdptoolbox, mdpsolver and AI-Toolbox, against one row a pair."""
+    P, R, offered = given
+    actions, states = P.shape[:2]
+    sas = P.transpose(1, 0, 2)
+    state, action = np.nonzero(offered)
+    wanted = MDP.from_pairs(state, action, sas[offered], R[offered], HALF)
+    missing = np.where(offered, R, -np.inf)
+    nonsense = np.where(offered[:, :, None], sas, 7.0)
+    by_move = np.repeat(missing[:, :, None], states, axis=2)
+    pairs = list(zip(state.tolist(), action.tolist(), strict=True))
+    nested = [
+        [sas[s, a].tolist() if offered[s, a] else None for a in range(actions)]
+        for s in range(states)
+    ]
+    named = {s: {a: dict(enumerate(sas[s, a])) for t, a in pairs if t == s} for s in range(states)}
+    quadruples = [(s, a, t, sas[s, a, t]) for s, a in pairs for t in range(states)]
+    order = np.random.default_rng(0).permutation(states * actions)
+    every_state, every_action = np.divmod(order, actions)
+    forms: list[MDP] = [
+        MDP.from_arrays(nonsense, missing, HALF, layout="sas"),
+        MDP.from_arrays(nonsense.transpose(1, 0, 2), missing, HALF, layout="ass"),
+        MDP.from_arrays(nonsense, by_move, HALF, layout="sas"),
+        MDP.from_arrays(nonsense.astype(object), missing.astype(object), HALF, layout="sas"),
+        MDP.from_arrays([sp.csr_array(x) for x in nonsense], missing, HALF, layout="sas"),
+        MDP.from_arrays(nested, missing.tolist(), HALF, layout="sas"),
+        MDP.from_arrays(named, {s: {a: R[s, a] for a in named[s]} for s in named}, HALF),
+        MDP.from_arrays({(s, a): named[s][a] for s, a in pairs}, R, HALF),
+        MDP.from_arrays({(s, a, t): p for s, a, t, p in quadruples}, R, HALF),
+        MDP.from_arrays(quadruples, {(s, a): R[s, a] for s, a in pairs}, HALF),
+        MDP.from_arrays(np.array(quadruples), missing, HALF),
+        MDP.from_arrays(quadruples, by_move, HALF),
+        MDP.from_pairs(
+            every_state, every_action, nonsense.reshape(-1, states)[order],
+            missing.reshape(-1)[order], HALF,
+        ),
+    ]  # fmt: skip
+    triples = [(s, a, R[s, a]) for s, a in pairs]
+    by_outcome = [(s, a, t, R[s, a]) for s, a, t, _ in quadruples]
+    for width, listed in ((3, triples), (4, by_outcome), (3, np.array(triples))):
+        if (len(listed), width) == (states, actions):
+            with pytest.raises(ModelError, match="the rewards may be"):
+                MDP.from_arrays(quadruples, listed, HALF)
+        else:
+            forms.append(MDP.from_arrays(quadruples, listed, HALF))
+    if actions != states:
+        forms.append(MDP.from_arrays(nonsense, missing, HALF))
+        forms.append(MDP.from_arrays([sp.coo_array(x) for x in nonsense], missing, HALF))
+    for number, mdp in enumerate(forms):
+        assert same(mdp, wanted), number
+    wrong: list[Any] = [
+        np.ones((states + 1, actions)), np.ones((states, actions + 1)), np.ones(states + 1),
+        np.ones((states, actions, states + 1)), R[:-1], [*R.tolist(), [1.0]],
+        {s: [*R[s], 1.0] for s in range(states)},
+        {(s, a): [R[s, a]] * (states + 1) for s, a in pairs},
+    ]  # fmt: skip
+    for rows, rewards in product((named, quadruples, np.array(quadruples)), wrong):
+        with pytest.raises(ShapeError) as caught:
+            MDP.from_arrays(rows, rewards, HALF)
+        assert caught.value.where.startswith("R")
+    costs = MDP.from_arrays(named, dict(enumerate(R.max(axis=1))), HALF)
+    assert costs.reward.tolist() == R.max(axis=1)[state].tolist()
+
+
+def test_arrays_mean_what_the_contract_says() -> None:
+    mdp = MDP.from_arrays(P, R, discount=0.9)
+    assert (mdp.n_states, mdp.n_actions, mdp.n_pairs) == (3, 2, 6)
+    assert mdp.transition.toarray().reshape(3, 2, 3).tolist() == P.transpose(1, 0, 2).tolist()
+    assert mdp.reward.reshape(3, 2).tolist() == R.tolist()
+    assert MDP.from_arrays(P, [5.0, 6.0, 0.0]).reward.tolist() == [5, 5, 6, 6, 0, 0]
+    by_move = np.arange(18.0).reshape(2, 3, 3)
+    expected = (P * by_move).sum(axis=2).T.ravel()
+    assert MDP.from_arrays(P, by_move, 0.9).reward == pytest.approx(expected)
+    assert mdp.terminal.tolist() == [False, False, True]
+    value = np.array([1.0, 2.0, 4.0])
+    assert mdp.backup(value) == pytest.approx((R + 0.9 * (P @ value).T).reshape(-1))
+    for form in (sp.csr_array, sp.csc_matrix, sp.coo_array, sp.lil_matrix):
+        assert same(MDP.from_arrays(P, form(R), 0.9), mdp)
+    swap = np.stack([np.eye(2), np.eye(2)[::-1]])  # (S, A) where S = A
+    assert MDP.from_arrays(swap, [[1.0, 2.0], [3.0, 4.0]]).reward.tolist() == [1, 2, 3, 4]
+    assert repr(MDP.from_arrays(P, R, "9/10", name="three")) == (
+        "MDP(three: 3 states, 2 actions, 6 pairs, 9 transitions, discount 9/10)"
+    )
+
+
+def test_rewards_by_name_by_row_and_in_part() -> None:
+    """A pair that is not available may be said to be so; matrices go by the name of an action."""
+    quadruples = [(0, 0, 1, 1), (0, 1, 0, 1), (1, 0, 1, 1)]
+    for rewards in ([(0, 0, 7), (0, 1, 8), (1, 0, 9)],
+                    [(0, 0, 7), (0, 1, 8), (1, 0, 9), (1, 1, -INF)],
+                    [(0, 0, 1, 7), (0, 1, 0, 8), (1, 0, 1, 9)], [[7, 8], [9]]):  # fmt: skip
+        assert MDP.from_arrays(quadruples, rewards, HALF).R.tolist() == [[7, 8], [9, -INF]]
+    named = [("a", "go", "b", 1), ("b", "go", "a", 1)]
+    assert MDP.from_arrays(named, [("a", "go", 3), ("b", "go", 4)]).reward.tolist() == [3, 4]
+    two = {"a": {"x": {"a": 1}, "y": {"a": 1}}, "b": {"x": {"b": 1}}}
+    for none in (-INF, np.nan, None):
+        rewards = {"a": {"x": 1, "y": 2}, "b": {"x": 3, "y": none}}
+        assert MDP.from_arrays(two, rewards, HALF).reward.tolist() == [1, 2, 3]
+    closed = {"a": {"x": {"a": 1}, "y": None}, "b": {}}
+    for rewards in ({"a": {"x": 1, "y": 5}}, {"a": 1, ("b", "x"): 0}, {"a": 1, ("a", "x", "b"): 7}):
+        assert MDP.from_arrays(closed, rewards, HALF).reward.tolist() == [1, 0]
+    assert MDP.from_arrays(P, np.ma.array(R, mask=False)).reward.tolist() == R.ravel().tolist()
+    assert MDP.from_arrays(P, pd.DataFrame(R)).reward.tolist() == R.ravel().tolist()
+    stay, go = np.eye(3), np.roll(np.eye(3), 1, axis=1)
+    by_name = {"stay": stay, "go": go}
+    for rewards in ([[1, 4], [2, 5], [3, 6]], {"stay": [1, 2, 3], "go": [4, 5, 6]}):
+        mdp = MDP.from_arrays(by_name, rewards)
+        assert (mdp.actions, mdp.reward.tolist()) == (("stay", "go"), [1, 4, 2, 5, 3, 6])
+        assert mdp.transition.toarray()[1::2].tolist() == go.tolist()
+    moves = MDP.from_arrays(by_name, {"stay": 2 * stay, "go": 3 * go})
+    assert moves.reward.tolist() == [2, 3] * 3
+    for wrong in ({"stay": 1, "go": 2}, {"stay": [1, 2], "go": [3, 4]}, {0: [1, 2], 1: [3, 4]}):
+        with pytest.raises(ModelError, match="the rewards are a dictionary"):
+            MDP.from_arrays(by_name, wrong)
+    tenths = dict.fromkeys(range(10), 0.1)  # which do not sum to 1 in floats
+    mdp = MDP.from_arrays({s: {0: tenths} for s in range(10)}, dict.fromkeys(range(10), 3.0), 0.9)
+    assert mdp.reward.tolist() == [3.0] * 10
+    assert same(mdp, MDP.from_arrays(np.full((1, 10, 10), 0.1), [3.0] * 10, 0.9))
+
+
+# ---- pairs and outcomes --------------------------------------------------------------------------
+
+
+@st.composite
+def rows(draw: st.DrawFn) -> list[Any]:
+    """Rows for `from_outcomes`: 1 to 4 states, 1 to 3 actions each, exact numbers."""
+    states, listed = draw(st.integers(1, 4)), []
+    gains = st.fractions(-50, 50, max_denominator=40)
+    gains |= st.fractions(0, 1).map(lambda x: x + Fraction(1, 3**50))
+    for state in range(states):
+        for action in draw(st.sets(st.integers(0, 2), min_size=1)):
+            weights = draw(st.lists(st.integers(1, 30), min_size=1, max_size=4))
+            outcomes = [
+                (Fraction(w, sum(weights)), draw(st.integers(0, states - 1)), draw(gains))
+                for w in weights
+            ]
+            listed.append((state, action, outcomes))
+    return listed
+
+
+@given(rows(), st.randoms(use_true_random=False))
+def test_outcomes_are_kept_exactly_and_every_float_is_rounded_once(
+    listed: list[Any], random: Any
+) -> None:
+    """In any order, as joint laws; `from_pairs` has the expected rewards alone."""
+    random.shuffle(listed)
+    mdp, size = MDP.from_outcomes(listed, "9/10"), 0
+    exact: dict[tuple[int, str], dict[tuple[int, Fraction], Fraction]] = {}
+    for state, action, outcomes in listed:
+        law = exact[state, str(action)] = defaultdict(Fraction)
+        for p, following, reward in outcomes:
+            law[following, reward] += p
+        size = max(size, state + 1)
+    assert (laws(mdp), mdp.discount_exact) == (exact, Fraction(9, 10))
+    state, action = [s for s, _, _ in listed], [a for _, a, _ in listed]
+    chances = [[sum(p for p, t, _ in law if t == n) for n in range(size)] for *_, law in listed]
+    pairs = MDP.from_pairs(
+        state, action, chances, [sum(p * r for p, _, r in o) for *_, o in listed]
+    )
+    for model in (mdp, pairs):
+        dense, first = model.transition.toarray(), model.table.offsets
+        for pair in range(model.n_pairs):
+            row, span = model.table.row(pair), slice(first[pair], first[pair + 1])
+            assert model.table.probabilities()[span].tolist() == [float(p) for p, _, _ in row]
+            assert model.table.gains()[span].tolist() == [float(r) for _, _, r in row]
+            key = int(model.pair_state[pair]), model.actions[model.pair_action[pair]]
+            law = exact[key]
+            assert sum(p * r for p, _, r in row) == sum(p * r for (_, r), p in law.items())
+            assert model.reward[pair] == float(sum(p * r for (_, r), p in law.items()))
+            for n in range(size):
+                chance = sum(p for (t, _), p in law.items() if t == n)
+                assert sum(p for p, t, _ in row if t == n) == chance
+                assert dense[pair, n] == float(chance)
+
+
+def test_pairs_may_be_missing_and_unsorted_and_rewards_of_moves_sparse() -> None:
+    transition = np.array([[0, 1.0], [1, 0], [0.5, 0.5]])
+    for form in (np.array, sp.csr_array, sp.coo_matrix):
+        mdp = MDP.from_pairs([1, 0, 0], [2, 1, 0], form(transition), [10.0, 20.0, 30.0], "1/2")
+        assert (mdp.pair_state.tolist(), mdp.pair_action.tolist()) == ([0, 0, 1], [0, 1, 2])
+        assert mdp.reward.tolist() == [30, 20, 10]
+        assert mdp.transition.toarray().tolist() == transition[::-1].tolist()
+        assert mdp.forced.tolist() == [False, True]
+        assert list(mdp.pairs_of(0)) == [0, 1]
+    rows, gains = np.array([[0.5, 0.5], [0, 1]]), np.array([[0, 4.0], [9, 1]])
+    dense = MDP.from_pairs([0, 1], [0, 0], rows, gains)
+    assert dense.table.row(0) == [(HALF, 0, 0), (HALF, 1, 4)]
+    for form in (sp.csr_array, sp.coo_array, sp.csc_matrix, sp.lil_matrix, sp.dok_array):
+        for transition in (rows, form(rows)):
+            assert same(MDP.from_pairs([0, 1], [0, 0], transition, form(gains)), dense)
+
+
+def test_what_a_matrix_remembers_of_its_order_is_not_believed() -> None:
+    """SciPy keeps what it once found, though indices may be written in place since."""
+    parts = (np.array([1.0, 0.5, 0.5, 1]), np.array([1, 0, 2, 2]), np.array([0, 1, 3, 4]))
+    given = sp.csr_array(parts, shape=(3, 3))
+    assert given.has_canonical_format
+    given.indices[1:3] = [2, 0]
+    mdp = MDP.from_pairs([0, 1, 2], [0] * 3, given, [1.0, 1, 0])
+    assert mdp.table.next.tolist() == [1, 0, 2, 2]
+    assert given.indices.tolist() == [1, 2, 0, 2]
+
+
+def test_what_is_given_is_not_changed_and_what_is_made_is_frozen() -> None:
+    sparse = [sp.csr_array(each) for each in P]
+    state, action, eye, zero = np.array([0, 1]), np.array([0, 0]), np.eye(2), np.zeros(2)
+    transition, reward = P.copy(), R.copy()
+    mdp = MDP.from_arrays(transition, reward, 0.9, name="small")
+    MDP.from_arrays(sparse, reward, 0.9)
+    MDP.from_pairs(state, action, eye, zero)
+    for array in (transition, reward, state, action, eye, zero, sparse[0].data):
+        array[...] = 0
+    assert (mdp.transition.toarray()[0].tolist(), mdp.reward[0]) == ([0.5, 0.5, 0], 1)
+    for model in (mdp, pickle.loads(pickle.dumps(mdp))):
+        assert same(model, mdp)
+        assert (model.name, model.space) == (mdp.name, mdp.space)
+        for array in (
+            model.reward, model.components, model.pair_state, model.pair_action,
+            model.pair_offsets, model.table.offsets, model.table.next, model.table.weight,
+            model.table.gain, model.transition.data, model.transition.indices,
+            model.start_distribution,
+        ):  # fmt: skip
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 0
+        with pytest.raises(AttributeError):
+            model.name = "other"
+
+
+# ---- functions -----------------------------------------------------------------------------------
+
+
+@given(models(discounts=(HALF,)), st.sampled_from([int, str, lambda s: (s, "x")]))
+def test_exploring_finds_the_reachable_model(drawn: Rows, name: Callable[[int], Any]) -> None:
+    """State by state it is the model that was listed; the optimum from the start is the same."""
+    whole, back = drawn.model(), {name(s): s for s in range(drawn.n_states)}
+    of_state: dict[int, dict[str, Any]] = defaultdict(dict)
+    for s, a, r, following in drawn.pairs:
+        of_state[s][f"a{a}"] = [(p, name(t), r) for t, p in following.items()]
+    asked: list[Any] = []
+
+    def outcomes(state: Any, action: str) -> Any:
+        asked.append((state, action))
+        return of_state[back[state]][action]
+
+    mdp = MDP.from_function(name(0), lambda s: of_state[back[s]], outcomes, HALF)
+    assert len(set(asked)) == len(asked) == mdp.n_pairs
+    number = {s: mdp.space.number(name(s)) for s in range(drawn.n_states) if (name(s) in
+              {state for state, _ in asked})}  # fmt: skip
+    assert laws(mdp) == {
+        (number[s], f"a{a}"): {(number[t], r): p for (t, r), p in law.items()}
+        for (s, a), law in laws(whole).items()
+        if s in number
+    }
+    assert certify(mdp).start_value == certify(whole).start_value
+
+
+def test_what_exploring_keeps() -> None:
+    """Two steps of a die with a start distribution; the ends are states without actions."""
+
+    def outcomes(state: tuple[int, str], action: str) -> list[Any]:
+        if action == "pass":
+            return [(1, (2, state[1]), 0), (0, (99, "never"), 0)]
+        return [("1/6", (state[0] + 1, str(face)), face) for face in range(1, 7)]
+
+    mdp = MDP.from_function(
+        {(0, "a"): "1/2", (1, "b"): "1/2"}, lambda s: [] if s[0] >= 2 else ["roll", "pass"],
+        outcomes, labels={"over": lambda state: state[0] == 2},
+    )  # fmt: skip
+    assert mdp.labels["over"].tolist() == mdp.terminal.tolist()
+    assert mdp.space.label(mdp.space.number((1, "3"))) == "state (1, '3')"
+    assert mdp.n_states == 2 + 6 + 6 + 2
+    assert certify(mdp).start_value == HALF * 7 + HALF * Fraction(7, 2)
+    assert mdp.with_(start=(1, "3")).start == ((mdp.space.number((1, "3")), 1),)
+
+
+def test_names_stay() -> None:
+    mdp = MDP.from_arrays(
+        {"<script>": {"$x$": {"b": "1/3", '"': "2/3"}, "go": {"b": 1}}, "b": {}, '"': {}},
+        {"<script>": {"$x$": {"b": 1, '"': 0}, "go": {"b": "1/2"}}},
+        start="<script>",
+    )
+    assert mdp.actions == ("$x$", "go")
+    assert mdp.space.labels(range(3)) == ["state <script>", "state b", 'state "']
+    assert certify(mdp).start_value == HALF
+    renamed = MDP.from_arrays({"a": {"go": {"a": 1}}}, {"a": 0}, states=["x"], actions=["y"])
+    assert (renamed.space.label(0), renamed.actions) == ("state x", ("y",))
+    three = MDP.from_arrays(P, R, 0.9, actions=["stay", "go"], states=["a", "b", "c"])
+    assert three.where(3) == "state (state b), action go"
+    assert three.pair(1, "go") == three.pair(1, 1) == 3
+
+
+@pytest.mark.parametrize("ending", [".npz", ".umb"])
+def test_a_loaded_model_knows_states_by_their_text(tmp_path: Path, ending: str) -> None:
+    """Names of a file may be texts of objects; a number may be a name, or is refused."""
+    path = tmp_path / f"model{ending}"
+    mdp = MDP.from_function(
+        (0, 0), lambda s: ["stay", "$go$"] if s == (0, 0) else [],
+        lambda s, a: [("1/3", (0, 0), "1/7"), ("2/3", (0, a != "stay"), 0)], HALF,
+    )  # fmt: skip
+    mdp.save(path)
+    loaded = MDP.load(path)
+    assert same(loaded, mdp)
+    assert loaded.actions == mdp.actions
+    assert MDP.load(path, discount="1/3").discount_exact == THIRD
+    assert loaded.space.number((0, True)) == loaded.space.number("(0, True)") == 1
+    assert Policy.of(loaded, {(0, 0): "$go$"}).rule[0] == 1
+    assert MDP.load(path, start=(0, True)).start == ((1, 1),)
+    with pytest.raises(ModelError, match="is not a state"):
+        loaded.space.number((7, 7))
+    tens = MDP.from_arrays([np.eye(2)], [0, 0], states=["10", "20"])
+    ones = MDP.from_arrays([np.eye(2)], [0, 0], states=["1", "2"])
+    assert (tens.space.number(20), ones.space.number(2), ones.space.number("1")) == (1, 1, 0)
+    with pytest.raises(ModelError, match="state 1, by its name, or state 2, number 1 in"):
+        ones.space.number(1)
+
+
+# ---- the start, components, and what a model tells -----------------------------------------------
+
+STARTS = [2, "2", {2: 1}, {"2": "1/1", 0: 0}, [0, 0, 1], np.array([0.0, 0, 1]), (0, 0, 1),
+          pd.Series([0, 1.0], [1, 2])]  # fmt: skip
+
+
+@pytest.mark.parametrize("start", STARTS, ids=str)
+def test_a_start_in_any_form(start: Any) -> None:
+    eye, rows = np.eye(3), [(s, 0, [(1, s, 0)]) for s in range(3)]
+    columns = ["episode", "state", "action", "reward", "next_state"]
+    records = pd.DataFrame([(s, s, "go", 0, s) for s in range(3)], columns=columns)
+    for mdp in (
+        MDP.from_arrays([eye], [0, 0, 0], start=start),
+        MDP.from_pairs([0, 1, 2], [0, 0, 0], eye, [0, 0, 0], start=start),
+        MDP.from_outcomes(rows, start=start),
+        MDP.from_arrays([eye], [0, 0, 0]).with_(start=start),
+        MDP.from_gymnasium({s: {0: [(1, s, 0, False)]} for s in range(3)}, start=start),
+        MDP.from_transitions(records, start=start),
+    ):
+        assert mdp.start == ((2, Fraction(1)),)
+
+
+def test_a_start_goes_by_names_or_by_the_models_order() -> None:
+    def still(*states: str) -> MDP:
+        return MDP.from_arrays([np.eye(len(states))], [0] * len(states), states=states)
+
+    assert still("x", "y", "2 or so").with_(start="2 or so").start == ((2, 1),)
+    mdp = still("2", "0", "1").with_(start={"1": THIRD, "0": 1 - THIRD})
+    assert mdp.start == ((1, 1 - THIRD), (2, THIRD))
+    assert mdp.start_distribution == pytest.approx([0, 2 / 3, 1 / 3])
+    assert mdp.with_(start=mdp.start).start == mdp.start
+    words = still("a", "b")
+    assert words.with_(start=[("a", "1/3"), ("b", "2/3")]).start == ((0, THIRD), (1, 1 - THIRD))
+    tuples = MDP.from_function(
+        (0, 0), lambda s: ["go"] if s == (0, 0) else [], lambda s, a: [(1, (0, 1), 0)]
+    )
+    for start in ((0, 1), [((0, 1), 1)]):
+        assert tuples.with_(start=start).start == ((1, Fraction(1)),)
+    timed = tuples.within(2)
+    assert timed.with_(start=timed.start).start == timed.start
+    for model, start, what in (
+        (mdp, [(1, THIRD), (2, 1 - THIRD)], "in the model's order, which differ"),
+        (words, [("a", "1/3"), ("a", "2/3")], "a state appears twice"),
+        (tuples, [(0, 1)], "may be a state, or a state and its probability"),
+    ):
+        with pytest.raises(ModelError, match=what):
+            model.with_(start=start)
+    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 0, 0)]), (1, 1, [(1, 0, 1)])]
+    time = MDP.from_outcomes(rows, states=["time out", "time in"], actions=["x", "y"]).within(2)
+    printed = {time.space.label(s): "xy"[s % 2] for s in range(4)}
+    for policy in ({"time out": "x", "time in": "y"}, printed):
+        wanted = Policy.of(time, [0, 1]).weights(time)
+        assert Policy.of(time, policy).weights(time).tolist() == wanted.tolist()
+
+
+@given(st.permutations(range(16)))
+def test_named_levels_of_a_start_stand_in_any_order(order: list[int]) -> None:
+    lake = MDP.from_gymnasium("FrozenLake-v1", "99/100")
+    index = pd.MultiIndex.from_tuples([divmod(s, 4) for s in order], names=["row", "column"])
+    start = pd.Series([s / 120 for s in order], index)
+    wanted = lake.with_(start=np.arange(16) / 120).start
+    turned = start.reorder_levels(["column", "row"])
+    for each in (start, turned, start.set_axis(index.set_names([None, None]))):
+        assert lake.with_(start=each).start == wanted
+    for names in (["x", "y"], ["row", None], [None, "row"]):
+        with pytest.raises(ModelError, match="levels of the index are"):
+            lake.with_(start=start.set_axis(index.set_names(names)))
+    cell = namedtuple("cell", "x y")
+    walk = MDP.from_function(
+        cell(0, 1), lambda s: ["go"] if s.y else [], lambda s, a: [(1, cell(1, 0), 1)]
+    )
+    fields = pd.MultiIndex.from_tuples([(0, 1), (1, 0)], names=["y", "x"])
+    assert walk.with_(start=pd.Series(["1/4", "3/4"], fields)).start == ((0, 3 / 4), (1, 1 / 4))
+
+
+def amounts(mdp: MDP, name: str) -> list[Fraction]:
+    return [Fraction(int(a), int(b)) for a, b in zip(*mdp.component(name), strict=True)]
+
+
+def npz_of(mdp: MDP, folder: Path) -> MDP:
+    save(mdp, folder / "m.npz")
+    return load(folder / "m.npz")
+
+
+AMOUNTS = st.one_of(st.fractions(-9, 9, max_denominator=7), st.floats(-4, 4), st.integers(-9, 9))
+
+
+@settings(max_examples=30)
+@given(
+    st.lists(st.lists(AMOUNTS, min_size=3, max_size=3), min_size=1, max_size=3),
+    st.permutations(range(3)),
+)
+def test_components_are_kept_exactly_and_what_is_left_is_the_rest(
+    tmp_path_factory: pytest.TempPathFactory, parts: list[list[Any]], order: list[int]
+) -> None:
+    """By every door, in any order of the pairs, in a file, of costs and within some steps."""
+    chances = np.array([[0, 1, 0], [0, 0, 1], [0, 0, 1]])
+    reward, folder = ["1/7", 5, 0], tmp_path_factory.mktemp("kept")
+    named = {f"c{number}": row for number, row in enumerate(parts)}
+    turned = {name: [row[i] for i in order] for name, row in named.items()}
+    arrays = MDP.from_arrays([chances], reward, "1/2", components={
+        name: [[x] for x in row] for name, row in named.items()})  # fmt: skip
+    outcomes = [(i, 0, [(1, int(chances[i].argmax()), reward[i])]) for i in order]
+    table = {s: {0: [(1.0, int(chances[s].argmax()), 0.0, False)]} for s in range(3)}
+    plain = SimpleNamespace(P=table)
+    doors = [
+        arrays,
+        MDP.from_pairs(order, [0] * 3, chances[order], [reward[i] for i in order], "1/2",
+                       components=turned),
+        MDP.from_outcomes(outcomes, "1/2", components=turned),
+        MDP.from_outcomes(outcomes, "1/2").with_(components=named),
+        npz_of(arrays, folder),
+        arrays.negated().negated(),
+    ]  # fmt: skip
+    left = [Fraction(r) - sum(Fraction(row[s]) for row in parts) for s, r in enumerate(reward)]
+    for mdp in doors:
+        assert all(amounts(mdp, name) == [Fraction(x) for x in row] for name, row in named.items())
+        assert ("rest" in mdp.component_names) is any(left)
+        assert not any(left) or amounts(mdp, "rest") == left
+        assert np.allclose(mdp.components.sum(axis=1), mdp.reward)
+    timed = arrays.within(2)
+    pairs = [timed.pair(state, 0) for state in range(3)]
+    for name, row in named.items():
+        assert [amounts(timed, name)[pair] for pair in pairs] == [Fraction(x) for x in row]
+        theirs = MDP.from_gymnasium(plain, "1/2", start=0, components={name: row})
+        assert amounts(theirs, name) == [Fraction(x) for x in row]
+
+
+def test_components_of_transitions_of_functions_and_of_scenarios(tmp_path: Path) -> None:
+    """Amounts of outcomes are averaged exactly; wide ones survive files; old files are read."""
+    chances = [[["1/3", "2/3"], [0, 1]], [["1/2", "1/2"], [0, 1]]]
+    by_move = np.array([[[3, "3/2"], [0, 0]]] * 2, dtype=object)
+    mdp = MDP.from_arrays(chances, by_move, components={"move": by_move}, layout="ass")
+    assert (mdp.component_names, amounts(mdp, "move")) == (("move",), [2, Fraction(9, 4), 0, 0])
+    outcomes = [("1/3", "b", {"care": "3/2", "time": -1}), ("2/3", "c", {"time": "-1/2"})]
+    explored = MDP.from_function("a", lambda s: ["go"] * (s == "a"), lambda s, a: outcomes)
+    assert explored.component_names == ("care", "time")
+    assert [amounts(explored, n) for n in ("care", "time")] == [[HALF, 0, 0], [-2 * THIRD, 0, 0]]
+    assert [r for _, _, r in explored.table.row(0)] == [HALF, -HALF]
+    mixed = MDP.from_function(
+        0, lambda s: "x" * (s < 1), lambda s, a: [(0.5, 1, {"x": 0.1}), (0.5, 2, 3)]
+    )
+    assert mixed.component_names == ("x", "rest")
+    assert mixed.components[0].tolist() == [0.05, 1.5]
+    scenario = Scenario.load("yuan2025")
+    care = scenario.compile()
+    top, bottom = care.table.expected_gain_exact()
+    total = zip(*(amounts(care, n) for n in care.component_names), strict=True)
+    assert [sum(row) for row in total] == [
+        Fraction(int(a), int(b)) for a, b in zip(top, bottom, strict=True)
+    ]
+    done = amounts(care, "subtask-complete")[0] / scenario["reward.subtask-complete"]
+    assert done == sum(p for p, s, _ in care.table.row(0) if s == 16 * care.space.columns[1].size)
+    wide = {"a": [Fraction(10**40 + 1, 3**50), 0], "b": ["1/3", 0]}
+    ends = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(ends, components=wide)
+    save(mdp, tmp_path / "m.umb")
+    for again in (npz_of(mdp, tmp_path), load(tmp_path / "m.umb")):
+        assert again.component_table == mdp.component_table
+    other = MDP.from_arrays(P, R + 1, 0.9)
+    changed = MDP.from_arrays(P, R, 0.9).with_(table=other.table)
+    assert changed.components[:, 0].tolist() == changed.reward.tolist() == other.reward.tolist()
+
+
+def rows_of(mdp: MDP, order: Any) -> list[Any]:
+    """Rows for `MDP.from_outcomes`, in any order."""
+    return [(int(mdp.pair_state[l]), int(mdp.pair_action[l]), mdp.table.row(l)) for l in order]
+
+
+@given(models())
+def test_what_a_model_tells_can_be_given_back(drawn: Rows) -> None:
+    mdp = drawn.model()
+    last = mdp.n_states - 1
+    flags = np.arange(mdp.n_states) == last
+    mdp = mdp.with_(
+        start={0: 1} if not last else {0: THIRD, last: 1 - THIRD}, labels={"last": flags},
+        components={"pairs": np.arange(mdp.n_pairs)}, name="drawn",
+    )  # fmt: skip
+    names = ("start", "name", "sense", "space", "actions", "component_names")
+    told: dict[str, Any] = {name: getattr(mdp, name) for name in names}
+    told |= {"labels": mdp.labels, "action_objects": mdp.action_objects, "goal": mdp.goal}
+    told["components"], rate = mdp.components, mdp.discount_exact
+    square = [mdp.P(action) for action in mdp.actions]
+    for again in (
+        MDP.from_arrays(square, mdp.R, rate, layout="ass", **told),
+        MDP.from_pairs(mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward, rate, **told),
+        MDP.from_outcomes(rows_of(mdp, range(mdp.n_pairs)), rate, **told),
+        mdp.with_(**told),
+    ):
+        for name in names:
+            assert getattr(again, name) == getattr(mdp, name)
+        assert again.components.tolist() == mdp.components.tolist()
+        assert again.labels["last"].tolist() == flags.tolist()
+        assert laws(again).keys() == laws(mdp).keys()
+        assert pickle.loads(pickle.dumps(again)).start == mdp.start
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
+def test_counts_are_given_back_by_the_observations(order: list[int]) -> None:
+    """Rows of probabilities and how often each was observed, in any order of the pairs."""
+    steps = [("low", "wait", 0, "low"), *[("low", "wait", 1, "high")] * 3, ("low", "go", 5, "high")]
+    names = ["episode", "state", "action", "reward", "next_state"]
+    frame = pd.DataFrame([(k, *step) for k, step in enumerate(steps)], columns=names)
+    mdp = MDP.from_transitions(frame, "9/10")
+    assert mdp.observations is not None
+    assert mdp.counts is not None
+    told = {name: getattr(mdp, name) for name in ("space", "actions", "start", "episodes")}
+    told["observations"] = mdp.observations[order].tolist()
+    parts = [
+        array[order] for array in (mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward)
+    ]
+    for again in (
+        MDP.from_outcomes(rows_of(mdp, order), "9/10", **told),
+        MDP.from_pairs(*parts, "9/10", **told),
+    ):
+        assert again.counts.toarray().tolist() == mdp.counts.toarray().tolist()
+        assert again.observations.tolist() == mdp.observations.tolist()
+    with pytest.raises(ModelError, match="not counts over the observations"):
+        MDP.from_outcomes(rows_of(mdp, order), "9/10", **told | {"observations": [3] * 3})
+
+
+def test_with_validates_again() -> None:
+    mdp = MDP.from_arrays(P, R, 0.9)
+    assert mdp.with_(discount="1/3").discount_exact == THIRD
+    assert (mdp.discount, mdp.discount_exact) == (0.9, Fraction(0.9))
+    assert mdp.with_(start={0: HALF, 2: HALF}).start_distribution.tolist() == [0.5, 0, 0.5]
+    assert mdp.with_(name="x", actions=("l", "r")).actions == ("l", "r")

@@ -1,0 +1,680 @@
+"""Policies by status, by cell, by array, by file; exact shares; and what is no policy."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import pickle
+import stat
+from collections import defaultdict
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_runner import run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import Rows, models
+
+from exact_mdp import (
+    MDP,
+    Column,
+    ModelError,
+    Policy,
+    Scenario,
+    StateSpace,
+    certify,
+    check,
+    return_distribution,
+    save,
+    solve,
+)
+
+SCENARIO = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2)
+CARE = SCENARIO.compile()
+OWN_SKIP = SCENARIO.with_(readings={"skip_timestep": "own"}).compile()
+FLAGGED = SCENARIO.with_(readings={"task_bonus": "no-subtask-skipped"}).compile()
+PLAIN = MDP.from_outcomes(
+    [(0, 0, [(1, 1, 0)]), (0, 2, [(1, 0, 1)]), (1, 1, [(1, 1, 0)]), (2, 0, [(1, 1, 5)]),
+     (2, 1, [(1, 0, 0)])],
+    "1/2", actions=["a", "b", "c"], states=["x", "y", "z"],
+)  # fmt: skip
+LAKE = MDP.from_gymnasium("FrozenLake-v1", "99/100")
+ACTIONS = list(CARE.actions)
+STATUSES = [format(number, "04b") for number in range(16)]
+by_status = st.lists(st.integers(0, 3), min_size=16, max_size=16)
+
+
+def once(*rewards: object) -> MDP:
+    """One choice is made, and then all ends."""
+    choices = [(0, action, [(1, 1, reward)]) for action, reward in enumerate(rewards)]
+    return MDP.from_outcomes([*choices, (1, 0, [(1, 1, 0)])])
+
+
+def follows(mdp: MDP, policy: Policy, chosen: list[int]) -> None:
+    """Assert that the policy takes chosen[status] wherever there is a choice."""
+    status = mdp.space.values("status")
+    first = mdp.pair_action[mdp.pair_offsets[:-1]].tolist()
+    wanted = [a if one else chosen[s] for a, one, s in zip(first, mdp.forced, status, strict=True)]
+    assert policy.choices(mdp).tolist() == wanted
+    taken = mdp.pair_action == np.array(wanted)[mdp.pair_state]
+    assert policy.weights(mdp).tolist() == taken.tolist()
+
+
+# ---- one policy, many forms ----------------------------------------------------------------------
+
+
+@settings(max_examples=20, deadline=None)
+@given(by_status)
+def test_every_form_of_a_status_policy_is_the_same(tmp_path_factory: Any, chosen: Any) -> None:
+    folder, one_hot = tmp_path_factory.mktemp("policy"), np.eye(4)[chosen]
+    words = {STATUSES[s]: ACTIONS[a] for s, a in enumerate(chosen)}
+    for name in ("p.csv", "p.json"):
+        Policy.of(CARE, words).write(folder / name)
+    np.save(folder / "q.npy", one_hot)
+    np.savez(folder / "q.npz", one_hot)
+    np.savez(folder / "more.npz", visits=np.zeros(3), q=one_hot)
+    files = [folder / name for name in ("p.csv", "p.json", "q.npy", "q.npz", "more.npz")]
+    mixed = {status: {word: 1} for status, word in words.items()}
+    for mdp in (CARE, OWN_SKIP, FLAGGED):  # a table over statuses leaves the action skip out
+        policies = [Policy.by(CARE, ["status"], chosen), Policy.by(CARE, ["status"], one_hot)]
+        policies += [Policy.of(mdp, form) for form in (words, mixed, *files, str(files[0]))]
+        policies += [Policy.of(mdp, one_hot * 3 - 1, kind="q"), Policy.of(CARE, words)]
+        for policy in policies:
+            assert Policy.of(mdp, policy) is policy
+            follows(mdp, policy, chosen)
+    numbers = np.where(CARE.forced, 0, np.array([*chosen, 0])[CARE.space.values("status")])
+    for form in (numbers, numbers[:-1], np.eye(4)[numbers]):
+        assert Policy.of(CARE, form).deterministic
+        follows(CARE, Policy.of(CARE, form), chosen)
+    for table in (np.eye(4)[numbers], np.eye(4)[numbers][:-1]):
+        follows(CARE, Policy.of(CARE, table, kind="q"), chosen)
+
+
+@given(st.lists(st.integers(0, 3), min_size=16, max_size=16))
+def test_every_form_of_a_policy_over_cells_is_the_same(numbers: list[int]) -> None:
+    """By columns, by what a function gives, in a model within some steps; nothing is added."""
+    names, one_hot = [LAKE.actions[a] for a in numbers], np.eye(4)[numbers]
+    rows: defaultdict[int, Any] = defaultdict(lambda: np.zeros(4))
+    rows |= {s: 2.5 * one_hot[s] for s in range(16) if numbers[s]}
+    count = len(rows)
+    forms = [
+        lambda s: names[s],
+        lambda s: {names[s]: 1},
+        lambda s: one_hot[s],
+        {LAKE.space.label(s): a for s, a in enumerate(names)},
+        {(s // 4, s % 4): a for s, a in enumerate(names)},
+        rows,
+    ]
+    for mdp in (LAKE, LAKE.within(3)):
+        wanted = Policy.of(mdp, numbers).weights(mdp).tolist()
+        for form in forms[:1] if mdp is not LAKE else forms:
+            assert Policy.of(mdp, form).weights(mdp).tolist() == wanted
+    assert len(rows) == count
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from([CARE, FLAGGED, PLAIN]), st.integers(0, 2**32))
+def test_a_mixed_policy_over_all_columns_survives_its_file(
+    tmp_path_factory: Any, mdp: MDP, seed: int
+) -> None:
+    offered = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
+    offered[mdp.pair_state, mdp.pair_action] = True
+    offered = offered[: mdp.space.regular]
+    table = np.random.default_rng(seed).dirichlet(np.full(mdp.n_actions, 0.4), size=len(offered))
+    table = np.where(offered, table, 0)
+    table[table.sum(axis=1) == 0, 0] = 1
+    table /= table.sum(axis=1, keepdims=True)
+    policy = Policy.by(mdp, mdp.space.names, table)
+    path = tmp_path_factory.mktemp("policy") / "mixed.csv"
+    policy.write(path)
+    again = Policy.of(mdp, path)
+    assert again.columns == mdp.space.names
+    free = ~mdp.forced[mdp.pair_state]
+    wanted = table[np.where(free, mdp.pair_state, 0), mdp.pair_action]
+    for each in (policy, again):
+        assert each.weights(mdp)[free].tolist() == wanted[free].tolist()
+
+
+def test_a_policy_is_the_array_of_its_rule() -> None:
+    numbers = np.zeros(CARE.n_states, dtype=np.int64)
+    policy, other = Policy.of(CARE, numbers), Policy.of(CARE, numbers)
+    assert "table" not in vars(policy)
+    assert np.asarray(policy).tolist() == policy.tolist() == list(policy) == numbers.tolist()
+    assert (policy.shape, policy.ndim, policy.dtype) == ((len(policy),), 1, np.int64)
+    assert (policy[3], policy[[1, 2]].tolist()) == (0, [0, 0])
+    for again in (numbers, other, copy.deepcopy(policy), pickle.loads(pickle.dumps(policy))):
+        assert (policy == again).all()
+        assert not (again != policy).any()
+    assert policy in {policy}
+    assert (policy + 1 == 1 + policy).all()
+    assert (policy < 1).all()
+    assert np.maximum(policy, other).tolist() == numbers.tolist()
+    assert policy.size == policy.copy().size == policy.reshape(1, -1).shape[1] == len(policy)
+    with pytest.raises(AttributeError, match="'Policy' object has no attribute 'gap'"):
+        _ = policy.__getattribute__("gap")
+    table = np.array([[0.5, 0.5, 0, 0]] * 16)
+    mixed = Policy.by(CARE, ["status"], table)
+    table[0] = [0, 1, 0, 0]
+    assert np.asarray(mixed).tolist() == mixed.table.tolist() == [[0.5, 0.5, 0, 0]] * 16
+    with pytest.raises(ValueError, match="read-only"):
+        mixed.table[0, 0] = 0
+
+
+@given(models(discounts=(Fraction(1, 2),)), st.booleans())
+def test_states_whose_actions_are_the_same(drawn: Rows, floats: bool) -> None:
+    mdp = drawn.model(floats=floats)
+    rows = [[mdp.table.row(pair) for pair in mdp.pairs_of(s)] for s in range(mdp.n_states)]
+    assert mdp.indifferent.tolist() == [all(row == each[0] for row in each) for each in rows]
+
+
+def test_rows_may_hold_anything_where_all_actions_are_the_same() -> None:
+    """As in ICU-Sepsis: from death and survival the way leads on to the absorbing state."""
+    P, R = np.zeros((4, 2, 4)), np.zeros((4, 2, 4))
+    P[0, :, 1:3] = [[0.5, 0.5], [0.25, 0.75]]
+    P[1:, :, 3] = R[:, :, 2] = 1
+    mdp = MDP.from_arrays(P, R, start=[1.0, 0, 0, 0])
+    table = np.array([[0.5, 0.5], [0, 0], [0, 0], [0, 0]])
+    assert Policy.of(mdp, table, kind="policy").weights(mdp)[:2].tolist() == [0.5, 0.5]
+    assert check(mdp, table[:, ::-1] * [0, 2]).passed
+    with pytest.raises(ModelError, match="not a distribution"):
+        Policy.of(mdp, table * 0, kind="policy")
+    tied = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[3, 3], [0, 0]])
+    assert Policy.of(tied, np.array([[3.0, 2.9], [0, 0]])).rule.tolist() == [0, 0]
+
+
+# ---- names that are numbers of others ------------------------------------------------------------
+
+PERMUTED = MDP.from_arrays([np.eye(4)] * 2, [[1, 0]] * 4, "1/2", states=["3", "1", "2", "0"])
+
+
+def walk(actions: list[Any], best: list[Any], states: list[Any]) -> MDP:
+    """The states in a row; the best action of each earns 1."""
+    after, right = (
+        dict(pairwise(states)),
+        dict(zip(states, best, strict=False)),
+    )
+
+    def outcomes(state: Any, action: Any) -> list[tuple[int, Any, int]]:
+        return [(1, after[state], int(action == right[state]))]
+
+    return MDP.from_function(states[0], lambda s: actions if s in after else [], outcomes)
+
+
+def test_what_fits_two_readings_that_differ_is_refused_and_both_are_named() -> None:
+    both = "may be state 3, by its name, or state 0, number 3 in the model's order"
+    for start in (3, {3: 1}, np.int64(3), 3.0, {"1": "1/2", 3: "1/2"}):
+        with pytest.raises(ModelError, match=both) as caught:
+            PERMUTED.with_(start=start)
+        assert 'write "state 3" or "state 0"' in caught.value.fix
+    for start in ("3", "state 3", {"3": 1}, [1, 0, 0, 0], None):
+        assert PERMUTED.with_(start=start).start == ((0, 1),)
+    assert PERMUTED.with_(start=1).start == ((1, 1),)  # both readings are the same
+    rising = {0: "0", 1: "1", 2: "1", 3: "1"}
+    for form in (rising, rising.get):
+        with pytest.raises(ModelError, match="by its name, or"):
+            Policy.of(PERMUTED, form)
+    for form in (dict.fromkeys(range(4), "1"), lambda s: "1"):
+        assert Policy.of(PERMUTED, form).tolist() == [1] * 4
+    assert Policy.of(PERMUTED, {"3": "1", "1": "1", "2": "1", "0": "0"}).tolist() == [1, 1, 1, 0]
+    numbered = walk([1, 2, 3], [2, 1], ["x", "y", "z"])
+    for wrong in ({"x": 2, "y": 0}, {"x": 1, "y": 0}):
+        with pytest.raises(ModelError, match="0 is not an action"):
+            check(numbered, wrong)
+    for either in ([2, 1, 1], np.array([2, 1, 1])):
+        with pytest.raises(ModelError, match="by its name, or"):
+            check(numbered, either)
+    assert check(numbered, Policy.from_choices(numbered, [1, 0, 0])).passed
+
+
+@pytest.mark.parametrize("ending", [".csv", ".json"])
+def test_files_of_names_that_are_numbers_of_others(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"p{ending}"
+    Policy.of(PERMUTED, [1, 1, 0, 0]).write(path)
+    assert "state 3" in path.read_text()
+    assert Policy.of(PERMUTED, path).tolist() == [1, 1, 0, 0]
+    path.write_text(path.read_text().replace("state ", ""))
+    with pytest.raises(ModelError, match="by its name, or"):
+        Policy.of(PERMUTED, path)
+
+
+@pytest.mark.parametrize("loaded", [False, True])
+def test_text_of_digits_stays_text(tmp_path: Path, loaded: bool) -> None:
+    mdp = walk(["0", "1"], ["1", "0", "1"], ["0", "1", "2", "3"])
+    if loaded:
+        mdp.save(tmp_path / "m.npz")
+        mdp = MDP.load(tmp_path / "m.npz")
+    asked: list[Any] = []
+    assert check(mdp, lambda s: asked.append(s) or ("0" if s == "1" else "1")).passed
+    assert asked == ["0", "1", "2"]
+    assert not check(mdp, lambda s: "1" if s == "1" else "0").passed
+
+
+def test_what_equals_an_object_is_that_and_what_may_be_a_row_is_refused() -> None:
+    truth = walk([True, False], [True, False], [0, 1, 2])
+    assert truth.actions == ("False", "True")
+    for policy in ({0: 1, 1: 0}, lambda s: int(s == 0), [True, False, False], [1, 0, 0],
+                   np.array([True, False, False]), {0: np.True_, 1: "False"}):  # fmt: skip
+        assert check(truth, policy).passed
+    assert not check(truth, {0: 0, 1: 1}).passed
+    mdp = walk([(0, 1), (1, 0)], [(1, 0), (0, 1)], [0, 1, 2])
+    right = {0: (1.0, 0.0), 1: (0.0, 1.0)}
+    for policy in (right, right | {1: (0, 1)}, [(1, 0), (0, 1), (0, 1)]):
+        assert check(mdp, policy).passed
+    for make in (list, np.array):
+        for model in (mdp, mdp.with_(sense="min")):
+            with pytest.raises(ModelError, match="or a row of numbers for all actions, which diff"):
+                Policy.of(model, {0: make((1, 0)), 1: make((0, 1))})
+        rows = {0: make((0, 1)), 1: make((1, 0))}
+        assert check(mdp, Policy.of(mdp, rows, kind="policy")).passed
+        half = Policy.of(mdp, {0: make((0.5, 0.5)), 1: make((1, 0))}, kind="policy")
+        assert half.weights(mdp).tolist() == [0.5, 0.5, 1, 0, 1]
+    three = walk([(0, 1), (1, 0), (1, 1)], [(1, 0), (0, 1)], [0, 1, 2])
+    assert check(three, lambda s: np.array([1, 0]) if s == 0 else np.array([0, 1])).passed
+
+
+def test_functions_are_given_objects_and_integers_are_names_in_records() -> None:
+    hall = MDP.from_function(
+        (0, "in"), lambda s: ["go", "stay"] if s[0] < 3 else [],
+        lambda s, a: [("1/2", (s[0] + (a == "go"), "in"), -1), ("1/2", s, -1)], "9/10",
+    )  # fmt: skip
+    audit = check(hall, lambda state: "stay" if state == (1, "in") else "go")
+    assert [hall.space.label(each.state) for each in audit.disagreements] == ["state (1, 'in')"]
+    assert check(hall, {(0, "in"): "go", (1, "in"): "go", (2, "in"): {"go": 1}}).passed
+    rows = [(0, 5, "a", 1, 7), (0, 7, "b", 1, 5), (0, 5, "b", 0, 5), (0, 5, "a", 1, 7),
+            (0, 7, "a", 0, 5)]  # fmt: skip
+    columns = ["episode", "state", "action", "reward", "next_state"]
+    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=columns), "1/2")
+    best = {5: "a", 7: "b"}
+    for form in (best, best.__getitem__, defaultdict(lambda: "b", {5: "a"})):
+        assert check(mdp, form).passed
+    with pytest.raises(ModelError, match="not a state"):
+        check(mdp, {0: "a", 1: "b"})
+
+
+def test_ones_of_costs_are_ambiguous() -> None:
+    P, rows = [[[1, 0], [0, 1]]] * 2, [[1, 0], [1, 0]]
+    costs = MDP.from_arrays(P, [[1, 2], [1, 2]], "1/2", sense="min", layout="ass")
+    for form in (rows, dict(enumerate(rows)), rows.__getitem__):
+        with pytest.raises(ModelError, match="differ"):
+            check(costs, form)
+        assert check(costs, form, kind="policy").passed
+        assert not check(costs, form, kind="q").passed
+
+
+def test_a_solution_of_another_model_goes_by_names() -> None:
+    P, R = [[[1, 0], [0, 1]]] * 2, [[1, 0], [0, 1]]
+    one = MDP.from_arrays(P, R, "1/2", actions=["l", "r"], states=["x", "y"], layout="ass")
+    turned = MDP.from_arrays(P[::-1], np.array(R)[:, ::-1], "1/2", actions=["r", "l"],
+                             states=["x", "y"], layout="ass")  # fmt: skip
+    other = MDP.from_arrays(P, R, "1/2", actions=["l", "r"], states=["y", "x"], layout="ass")
+    for solved in (solve(one), certify(one)):
+        assert check(turned, solved).passed
+        assert not check(one.with_(actions=("r", "l")), solved).passed
+        with pytest.raises(ModelError, match="have other names here"):
+            check(other, solved)
+
+
+# ---- named policies and Q-tables -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mdp", [CARE, OWN_SKIP, FLAGGED, PLAIN], ids=["care", "own", "flag", "3"])
+def test_random_is_uniform_over_what_is_offered_and_always_takes_one(mdp: MDP) -> None:
+    many = np.diff(mdp.pair_offsets)
+    assert Policy.of(mdp, "random").weights(mdp).tolist() == (1 / np.repeat(many, many)).tolist()
+    for number, action in enumerate(ACTIONS if mdp is not PLAIN else []):
+        policy = Policy.of(mdp, f"always:{action}")
+        assert policy.columns == ()
+        follows(mdp, policy, [number] * 16)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=9, max_size=9))
+def test_a_q_table_is_greedy_over_what_is_offered(values: list[float]) -> None:
+    """The lowest action wins a tie; NaN matters only where it could be chosen."""
+    for table in (np.array(values).reshape(3, 3), np.round(values).reshape(3, 3) % 2):
+        table[0, 1] = table[1, 0] = np.nan  # not offered, and without a choice
+        chosen = Policy.of(PLAIN, table, kind="q").choices(PLAIN).tolist()
+        for state in (0, 2):
+            offered = [int(PLAIN.pair_action[pair]) for pair in PLAIN.pairs_of(state)]
+            assert chosen[state] == max(offered, key=lambda a, row=table[state]: (row[a], -a))
+        assert chosen[1] == 1
+        table[2, 1] = np.nan
+        with pytest.raises(ModelError, match=r"NaN(.|\n)*state z"):
+            Policy.of(PLAIN, table, kind="q")
+
+
+@pytest.mark.parametrize("unoffered", [5.0, -np.inf, np.inf, np.nan])
+def test_only_actions_offered_count_where_a_value_is_minus_infinity(unoffered: float) -> None:
+    rows = [(0, action, [(1, 1, action)]) for action in (0, 2)]
+    mdp = MDP.from_outcomes([*rows, *((1, action, [(1, 1, 0)]) for action in (0, 1, 2))])
+    for own, best in (([-np.inf, 2.0], 2), ([2.0, -np.inf], 0), ([-1e300, -np.inf], 0)):
+        table = np.array([[own[0], unoffered, own[1]], [0, 0, 0]])
+        assert Policy.of(mdp, table, kind="q").choices(mdp)[0] == best
+    with pytest.raises(ModelError, match="every action offered has the value -inf"):
+        Policy.of(mdp, np.array([[-np.inf, unoffered, -np.inf], [0, 0, 0]]), kind="q")
+
+
+# ---- exact shares --------------------------------------------------------------------------------
+
+
+def exactly(model: MDP, policy: object, **how: Any) -> Fraction:
+    value = check(model, policy, exact_values=True, **how).regret.at_start.value
+    assert isinstance(value, Fraction)
+    return value
+
+
+@given(st.fractions(0, 1, max_denominator=40).filter(lambda share: 0 < share < 1))
+def test_a_share_keeps_the_exact_limit_and_no_lower_one(share: Fraction) -> None:
+    """With a share of the action that loses 5, the regret is 5 times that."""
+    model, rest = once(5, 0), 1 - share
+    words = {"0": {"0": str(rest), "1": str(share)}}
+    for policy in (words, {"0": {"0": rest, "1": share}}, [[rest, share], [1, 0]],
+                   np.array([[rest, share], [1, 0]], dtype=object)):  # fmt: skip
+        kind = "auto" if isinstance(policy, dict) else "policy"
+        assert check(model, policy, max_regret=5 * share, kind=kind).passed
+        assert exactly(model, policy, kind=kind) == 5 * share
+    assert not check(model, words, max_regret=5 * share - Fraction(1, 10**30)).passed
+
+
+def test_decimal_words_are_the_decimals_that_they_say() -> None:
+    """ "0.9" is 9/10; the float 0.9 is the number that it is; random is 1/3 of three."""
+    model, high, low = once(5, 0), Fraction(0.9), Fraction(0.1)
+    assert exactly(model, {"0": {"0": "0.9", "1": "0.1"}}) == Fraction(1, 2)
+    assert exactly(model, {"0": {"0": 0.9, "1": 0.1}}) == 5 * low / (high + low)
+    assert exactly(model, [[0.9, 0.1], [1, 0]], kind="policy") == 5 * low / (high + low)
+    half = {"0": {"0": 0.9, "1": "1/10"}}  # each number is what it is
+    assert exactly(model, half) == 5 * Fraction(1, 10) / (high + Fraction(1, 10))
+    assert exactly(once(1, 0, 0), "random") == Fraction(2, 3)
+    assert return_distribution(once(0, 1, 2), "random", exact=True).exact == (Fraction(1, 3),) * 3
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json"])
+@pytest.mark.parametrize("share", ["9/10", "1/3", "1/2", "123456789/1000000007"])
+def test_files_keep_exact_shares(tmp_path: Path, suffix: str, share: str) -> None:
+    """What is written as "p/q" or as a decimal is read back as the same number."""
+    model, path, again = once(5, 0), tmp_path / f"policy{suffix}", tmp_path / f"again{suffix}"
+    Policy.of(model, {"0": {"0": share, "1": str(1 - Fraction(share))}, "1": "0"}).write(path)
+    policy = Policy.of(model, path)
+    assert exactly(model, policy) == 5 * (1 - Fraction(share))
+    policy.write(again)
+    assert again.read_bytes() == path.read_bytes()
+    Policy.of(once(1, 0, 0), "random").write(tmp_path / "random.csv")
+    assert "1/3" in (tmp_path / "random.csv").read_text()
+    save(model, tmp_path / "m.npz")
+    exact = str(5 * (1 - Fraction(share)))
+    done = run("check", tmp_path / "m.npz", path, "--max-regret", exact, "--json")
+    assert (done.status, done.result["exact_regret"]) == (0, exact)
+
+
+CHANCES = st.lists(st.integers(0, 50), min_size=2, max_size=2).filter(any)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(CHANCES, min_size=3, max_size=3), st.lists(st.integers(-9, 9), min_size=6,
+       max_size=6))  # fmt: skip
+def test_a_mixed_policy_is_worth_the_sum_over_its_paths(
+    counts: list[list[int]], rewards: list[int]
+) -> None:
+    """Enumeration in fractions: state 0 leads to 1 or 2 by the action, then all ends."""
+    outcomes = [
+        (0, 0, [(1, 1, rewards[0])]),
+        (0, 1, [("1/3", 1, rewards[1]), ("2/3", 2, rewards[1])]),
+        *((s, a, [(1, 3, rewards[2 * s + a])]) for s in (1, 2) for a in (0, 1)),
+        (3, 0, [(1, 3, 0)]),
+    ]
+    share = [[Fraction(n, sum(row)) for n in row] for row in counts]
+    later = {s: sum(share[s][a] * rewards[2 * s + a] for a in (0, 1)) for s in (1, 2)}
+    mean = share[0][0] * (rewards[0] + later[1])
+    mean += share[0][1] * (rewards[1] + later[1] / 3 + later[2] * Fraction(2, 3))
+    policy = {str(s): {str(a): str(share[s][a]) for a in (0, 1)} for s in range(3)}  # not the end
+    audit = check(MDP.from_outcomes(outcomes), policy, exact_values=True)
+    assert audit.regret.learned.value == mean
+
+
+# ---- what is no policy ---------------------------------------------------------------------------
+
+
+def partial(mdp: MDP, *states: int) -> Policy:
+    """A policy that says nothing of some states."""
+    table = np.eye(mdp.n_actions)[[0] * mdp.n_states]
+    table[list(states)] = np.nan
+    return Policy.by(mdp, ["state"], table)
+
+
+WIDE = Policy(space=StateSpace(columns=(Column(name="status", size=64, bits=6),)),
+              actions=CARE.actions, rule=np.eye(4)[[0] * 64])  # fmt: skip
+ONE = MDP.from_arrays([np.eye(1)] * 2, [[0, 1]], "1/2")
+NUMBERED = MDP.from_arrays([np.eye(4)] * 2, [[1, 0], [0, 1]] * 2, "1/2",
+                           states=["3", "5", "7", "1"], actions=["2", "1"])  # fmt: skip
+LISTED = MDP.from_outcomes([(s, a, [(1, 1, int(a == s))]) for s in (0, 1) for a in (0, 1)],
+                           "1/2", actions=["True", "False"])  # fmt: skip
+MASKED = np.ma.array([1], mask=[True])
+REFUSED: list[tuple[MDP, Any, str, str]] = [  # model, form, kind, words
+    (CARE, np.zeros(64, dtype=int) + 4, "policy", "there is no action"),
+    (CARE, np.full(65, -1), "policy", "there is no action"),
+    (CARE, np.zeros(63, dtype=int), "policy", "63"),
+    (CARE, np.zeros(65), "policy", "action numbers are whole numbers"),
+    (CARE, np.zeros((65, 4)), "policy", "not a distribution"),
+    (CARE, np.full((65, 4), 0.3), "policy", "not a distribution"),
+    (CARE, np.zeros((65, 3)), "policy", "shape"),
+    (CARE, None, "policy", "does not hold real numbers"),
+    (CARE, 3, "policy", "a policy of shape"),
+    (CARE, object(), "policy", "does not hold real numbers"),
+    (CARE, "always:non", "policy", "unknown action 'non'"),
+    (CARE, "always:", "policy", "unknown action ''"),
+    (CARE, "optimall", "policy", "unknown kind of policy"),
+    (CARE, {}, "policy", "rows are missing"),
+    (CARE, {"0000": "none"}, "policy", "15 of 16 rows are missing: status 0001"),
+    *((CARE, np.zeros(shape), "q", r"\(65, 4\) (over|prob)|not floats")
+      for shape in [(4, 16), (16, 5), (17, 4), (16,), (16, 4, 1), (0, 4), ()]),
+    (CARE, np.where(np.arange(16)[:, None] == 2, np.nan, np.ones(4)), "q", "NaN(.|\n)*status 0010"),
+    (CARE, WIDE, "auto", "64 values here and 16"),
+    (CARE.with_(actions=("nothing", *ACTIONS[1:])), Policy.by(CARE, ["status"], [0] * 16), "auto",
+     "unknown action 'none'"),
+    (PLAIN, Policy.by(CARE, ["subtask"], [0, 1]), "auto", "unknown state column 'subtask'"),
+    (PLAIN, partial(PLAIN, 1, 2), "auto", r"gives no action(.|\n)*state z"),
+    (PLAIN, "always:c", "auto", r"not available(.|\n)*state z(.|\n)*a, b"),
+    (PLAIN, np.array([1, 1, 1]), "auto", r"not available(.|\n)*state x(.|\n)*a, c"),
+    (LAKE, lambda s: None, "auto", "returns None"),
+    (LAKE, lambda s: "FLY", "auto", "unknown action 'FLY'"),
+    (LAKE, lambda s: 7, "auto", "there is no action 7"),
+    (LAKE, lambda s: [1, 0], "auto", "a row of 2 numbers"),
+    (LAKE, lambda s: np.ma.masked, "auto", "masked"),
+    (LAKE, lambda s: MASKED[0], "auto", "masked"),
+    (LAKE, {99: "DOWN"}, "auto", "there is no state 99"),
+    (LAKE, ["DOWN"] * 3, "auto", "rows are missing"),
+    (LAKE, ["DOWN"] * 17, "auto", "17 actions for 16 states"),
+    (LAKE, {0: "DOWN"}, "auto", "rows are missing"),
+    (LAKE, {0: "DOWN", "0": "UP"}, "auto", "appears twice"),
+    (LAKE, SimpleNamespace(predict=lambda s: (0, None), policy=object()), "auto", "is an agent"),
+    (LAKE, pd.DataFrame(np.eye(4)[[0] * 16]), "auto", "a DataFrame of pandas"),
+    (LAKE, pd.Series([0] * 16), "auto", "a Series of pandas"),
+    (LAKE, lambda s: 0, "q", "not a Q-table"),
+    (LAKE, ["UP"] * 16, "q", "not a Q-table"),
+    (LAKE, {0: 1}, "q", "rows are missing"),
+    (ONE, {0: {0: 0, 1: 1, "0": 1, "1": 0}}, "auto", "appears twice"),
+    (ONE, {0: {1: "1/2", "1": "1/2"}}, "auto", "appears twice"),
+    (NUMBERED, np.array([2, 1, 2, 1]), "auto", "2 is the name of an action, but the numbers of"),
+    (NUMBERED, [2, 1, 2, 1], "auto", "2 is the name of an action, but the numbers of"),
+    (LISTED, {0: 0, 1: 1}, "auto", "may be action False, by its name, or action True"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("mdp", "form", "kind", "words"), REFUSED, ids=range(len(REFUSED)))
+def test_what_is_no_policy(mdp: MDP, form: Any, kind: Any, words: str) -> None:
+    with pytest.raises(ModelError, match=words) as caught:
+        Policy.of(mdp, form, kind=kind).weights(mdp)
+    assert caught.value.where
+    assert caught.value.fix
+
+
+def test_a_policy_may_say_nothing_of_a_state_without_a_choice() -> None:
+    assert partial(PLAIN, 1).choices(PLAIN).tolist() == [0, 1, 0]
+    assert Policy.of(PLAIN, np.array([2, 0, 1])).choices(PLAIN).tolist() == [2, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ({"rule": np.array([4])}, "there is no action"),
+        ({"rule": np.array([0, 1])}, r"shape \(2,\), not \(1, 4\)"),
+        *(
+            ({"rule": np.array([[0.5, 0.5]]), "actions": ("a", "b"), "shares": np.array(shares)},
+             "differ from the table")
+            for shares in ([[9, 1]], [[1, 1], [1, 1]], [[1, 1, 1]], [[0, 0]])
+        ),
+    ],
+)  # fmt: skip
+def test_rules_and_shares_that_do_not_fit(parts: Any, words: str) -> None:
+    """A policy cannot say one thing in floats and another exactly."""
+    with pytest.raises(ModelError, match=words):
+        Policy(**{"space": StateSpace(columns=()), "actions": CARE.actions} | parts)
+
+
+# ---- files ---------------------------------------------------------------------------------------
+
+CSV = "status,action\n" + "".join(f"{status},none\n" for status in STATUSES)
+JSON = json.dumps(dict.fromkeys(STATUSES, "none"))
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+def shares(share: str) -> str:
+    return "status,action,probability\n" + "".join(f"{s},none,{share}\n" for s in STATUSES)
+
+
+BAD_FILES: list[tuple[str, str, str]] = [  # name, text, words
+    ("p.csv", "", "the header is missing"),
+    ("p.json", "", "broken JSON"),
+    ("p.json", "[1]", "not a JSON object"),
+    ("p.json", "3", "not a JSON object"),
+    ("p.json", JSON[:-5], "broken JSON"),
+    ("p.json", '{"a":' * 100_000, "nested more than 100 deep"),
+    ("p.json", JSON[:-1] + ', "0000": "none"}', "0000 appears twice"),
+    ("p.json", changed(JSON, "0110", "0120"), "unknown status '0120'"),
+    ("p.json", changed(JSON, "0110", "110"), "unknown status '110'"),
+    ("p.json", changed(JSON, "none", "nome"), "unknown action 'nome'"),
+    ("p.json", '{"0000": "none"}', "15 of 16 rows are missing: status 0001"),
+    ("p.json", changed(JSON, '"none"', "2"), "unknown action '2'"),
+    ("p.json", changed(JSON, '"none"', "null"), "unknown action"),
+    ("p.json", changed(JSON, '"none"', "[1]"), "unknown action"),
+    ("p.json", changed(JSON, '"none"', '{"none": 0.5}'), "not a distribution"),
+    ("p.json", changed(JSON, '"none"', '{"none": 1.5, "directive": -0.5}'), "not a distribution"),
+    ("p.json", changed(JSON, '"none"', '{"none": 1e9999}'), ""),
+    ("p.json", changed(JSON, '"none"', '{"none": NaN}'), ""),
+    ("p.json", changed(JSON, '"none"', '{"none": null}'), "not a number"),
+    ("p.json", changed(JSON, '"none"', "{}"), "not a distribution"),
+    ("p.csv", changed(CSV, "status", "stats"), "unknown column 'stats'"),
+    ("p.csv", changed(CSV, ",action", ""), "the header is status"),
+    ("p.csv", "action\nnone\n", "the header is action"),
+    ("p.csv", changed(CSV, "action", "status,action"), "the header is"),
+    ("p.csv", CSV.partition("\n")[2], "unknown column '0000'"),
+    ("p.csv", changed(CSV, "none", "none,1"), "3 values under 2 headings"),
+    ("p.csv", CSV + "0000,none\n", "status 0000 appears twice"),
+    ("p.csv", CSV + "0000,directive\n", "status 0000 appears twice"),
+    ("p.csv", changed(CSV, "1001,none\n", ""), "1 of 16 rows are missing"),
+    ("p.csv", changed(CSV, "none", "nothing"), "unknown action 'nothing'"),
+    ("p.csv", changed(CSV, "0101", "0201"), "unknown status '0201'"),
+    ("p.csv", changed(CSV, "0101", "5"), "unknown status '5'"),
+    ("p.csv", changed(CSV, "none", '"none'), "broken CSV"),
+    ("p.csv", changed(CSV, "none", "no\0ne"), ""),
+    ("p.csv", "trial,status,action\n" + "".join(f"2,{s},none\n" for s in STATUSES),
+     "unknown trial '2'"),
+    ("p.csv", shares("0.9"), "not a distribution"),
+    ("p.csv", shares("often"), "not a finite rational"),
+    ("p.txt", CSV, "unknown kind of policy"),
+    ("optimall", CSV, "unknown kind of policy"),
+    *((name, text, "NumPy") for name, text in (("p.npy", CSV), ("p.npz", CSV), ("p.npy", ""))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "text", "words"), BAD_FILES, ids=range(len(BAD_FILES)))
+def test_files_that_are_no_policy(tmp_path: Path, name: str, text: str, words: str) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        Policy.of(CARE, tmp_path / name)
+    assert words in str(caught.value)
+    assert caught.value.fix
+
+
+def test_arrays_and_names_that_are_no_policy(tmp_path: Path) -> None:
+    for array in (np.array([["a"]]), np.array([1j]), np.array([{}], dtype=object), np.array("x")):
+        np.save(tmp_path / "q.npy", array, allow_pickle=True)
+        with pytest.raises(ModelError):
+            Policy.of(CARE, tmp_path / "q.npy")
+    np.savez(tmp_path / "q.npz", first=np.zeros((16, 4)), second=np.zeros((16, 4)))
+    with pytest.raises(ModelError, match="holds first, second"):
+        Policy.of(CARE, tmp_path / "q.npz")
+    for name in ("p\0.json", "p\0.csv", "p\0.npy", f"{'p' * 5000}.json"):
+        with pytest.raises(ModelError):
+            Policy.of(CARE, name)
+
+
+LINES = {  # the first line, each line of a state, the end; how it is read
+    "number.csv": ("state,action\n", "{s},DOWN\n", "", "auto"),
+    "old.csv": ("state,action\n", "{s},1\n", "", "auto"),
+    "columns.csv": ("row,column,action\n", "{row},{column},1\n", "", "auto"),
+    "rows.json": ('{"0": [0,1,0,0]', ', "{s}": ["1/8", 0.5, "3/8", 0]', "}", "q"),
+}
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_a_file_by_state(tmp_path: Path, name: str) -> None:
+    first, line, last, kind = LINES[name]
+    lines = (line.format(s=s, row=s // 4, column=s % 4) for s in range("json" in name, 16))
+    (tmp_path / name).write_text(first + "".join(lines) + last)
+    policy = Policy.of(LAKE, tmp_path / name, kind=kind)
+    assert policy.read_as == ("q" if kind == "q" else "policy")
+    assert (policy.weights(LAKE) == Policy.always(LAKE, "DOWN").weights(LAKE)).all()
+
+
+def test_files_as_editors_leave_them(tmp_path: Path) -> None:
+    """A byte order mark, CRLF, blank lines, spaces, and the order of columns change nothing."""
+    text = CSV.replace("\n", "\r\n").replace("0001,none", " 0001 , directive ") + "\r\n\r\n"
+    for name, content in (("p.csv", text), ("p.json", JSON)):
+        (tmp_path / name).write_bytes(content.encode("utf-8-sig"))
+    follows(CARE, Policy.of(CARE, tmp_path / "p.csv"), [0, 3, *[0] * 14])
+    follows(CARE, Policy.of(CARE, tmp_path / "p.json"), [0] * 16)
+    lines = [f"{('none', 'directive')[t]},{s},{t}" for t in range(2) for s in STATUSES]
+    (tmp_path / "p.csv").write_text("action,status,trial\n" + "\n".join(reversed(lines)))
+    trial = CARE.space.values("trial")[:-1]
+    assert (
+        Policy.of(CARE, tmp_path / "p.csv").choices(CARE)[:-1].tolist()
+        == (3 * (trial == 1)).tolist()
+    )
+
+
+def test_writing_is_whole_or_not_at_all(tmp_path: Path) -> None:
+    policy, path = Policy.of(CARE, json.loads(JSON)), tmp_path / "p.json"
+    policy.write(path)
+    assert json.loads(path.read_text(encoding="utf-8")) == json.loads(JSON)
+    mask = os.umask(0)
+    os.umask(mask)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
+    plain = Scenario.load("yuan2025").compile()
+    for mdp, form, name, words in (
+        (CARE, policy, "nowhere/p.json", "cannot write"),
+        (CARE, policy, "p.yaml", r"name it \.csv or \.json"),
+        (CARE, "random", "all.json", "the policy reads subtask, trial, status"),
+        (plain, "always:none", "always.csv", "reads no column"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            Policy.of(mdp, form).write(tmp_path / name)
+    assert [file.name for file in tmp_path.iterdir()] == ["p.json"]
+    for form, first in (
+        (np.zeros(65, dtype=int), ["subtask,trial,status,action", "0,0,0000,none"]),
+        (json.loads(JSON), ["status,action", "0000,none"]),
+    ):
+        Policy.of(CARE, form).write(tmp_path / "p.csv")
+        lines = (tmp_path / "p.csv").read_text(encoding="utf-8").splitlines()
+        assert lines[:2] == first
+        assert len(lines) == len(np.atleast_1d(form)) or len(lines) == 17
