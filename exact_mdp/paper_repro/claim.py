@@ -89,11 +89,11 @@ class Claim:
 
     def find(self, reading: Reading) -> Finding:
         """Check the claim under a reading."""
-        found = self.check(reading)
+        finding = self.check(reading)
         words = {Verdict.REPRODUCED: Verdict.AGREES, Verdict.NOT_REPRODUCED: Verdict.DIFFERS}
         if self.kind == "input":
-            found = replace(found, verdict=words.get(found.verdict, found.verdict))
-        return found if found.says else replace(found, says=str(found.verdict))
+            finding = replace(finding, verdict=words.get(finding.verdict, finding.verdict))
+        return finding if finding.says else replace(finding, says=str(finding.verdict))
 
 
 CLAIMS: dict[str, Claim] = {}
@@ -185,10 +185,10 @@ def about(paper: float, why: str = "", **number: Any) -> Finding:
     'reproduced'
     """
     near = abs(number["exact"] - paper) <= ABOUT
-    told = f"{'within' if near else 'more than'} {ABOUT:g} {'of' if near else 'from'} {paper:g}"
+    wording = f"{'within' if near else 'more than'} {ABOUT:g} {'of' if near else 'from'} {paper:g}"
     return statement(
         near,
-        "; ".join(filter(None, [f"{told}, which the text says approximately", why])),
+        "; ".join(filter(None, [f"{wording}, which the text says approximately", why])),
         paper=paper,
         **number,
     )
@@ -249,57 +249,57 @@ def judged(
     under some of these and not under the default, the verdict says so.
     """
     for each in claims:
-        found = each.find(default)
-        entry = entry_of(each, found)
+        finding = each.find(default)
+        entry = entry_of(each, finding)
         if each.open or each.learns:
             there = each.find(best)
             entry["verdict_under_best_supported_reading"] = there.says
             if each.open:
                 tried = {other.label: each.find(other).verdict for other in others}
-                tried |= {default.label: found.verdict, best.label: there.verdict}
+                tried |= {default.label: finding.verdict, best.label: there.verdict}
                 holding = [label for label, verdict in tried.items() if verdict in HOLDS]
                 entry["under_other_readings"] = {
                     "tried": len(tried),
                     "reproduced": len(holding),
                     "example": next(iter(holding), ""),
                 }
-                if depends(found, tried.values()):
+                if depends(finding, tried.values()):
                     entry["verdict"] = entry["verdict_says"] = str(Verdict.DEPENDS)
         yield entry
 
 
-def depends(found: Finding, others: Iterable[Verdict]) -> bool:
+def depends(finding: Finding, others: Iterable[Verdict]) -> bool:
     """Return whether a claim fails under the default reading and holds under another."""
-    fails = found.verdict in (Verdict.NOT_REPRODUCED, Verdict.DIFFERS)
+    fails = finding.verdict in (Verdict.NOT_REPRODUCED, Verdict.DIFFERS)
     return fails and any(verdict in HOLDS for verdict in others)
 
 
-def entry_of(each: Claim, found: Finding) -> dict[str, Any]:
+def entry_of(each: Claim, finding: Finding) -> dict[str, Any]:
     """Return a claim with a finding, as JSON."""
-    apart, errors = found.difference, found.standard_error
+    apart, errors = finding.difference, finding.standard_error
     return {
         "name": each.id,
         "kind": each.kind,
         "source": ", ".join(each.places),
         "says": each.says,
-        "paper": None if found.paper is None else float(found.paper),
-        "exact": None if found.exact is None else float(found.exact),
-        "exact_rational": str(found.exact) if isinstance(found.exact, Fraction) else None,
+        "paper": None if finding.paper is None else float(finding.paper),
+        "exact": None if finding.exact is None else float(finding.exact),
+        "exact_rational": str(finding.exact) if isinstance(finding.exact, Fraction) else None,
         "difference": apart,
-        "claim": found.kind or None,
-        "error_bound": found.error if found.kind == "bounded" else None,
-        "estimate_standard_error": found.error if found.kind == "estimated" else None,
+        "claim": finding.kind or None,
+        "error_bound": finding.error if finding.kind == "bounded" else None,
+        "estimate_standard_error": finding.error if finding.kind == "estimated" else None,
         "standard_error": errors,
         "difference_in_standard_errors": apart / errors if apart is not None and errors else None,
         "approximate": each.rule == "about",
         "rule": each.rule,
-        "verdict": str(found.verdict),
-        "verdict_says": found.says,
-        "verdict_of_default_reading": str(found.verdict),
+        "verdict": str(finding.verdict),
+        "verdict_says": finding.says,
+        "verdict_of_default_reading": str(finding.verdict),
         "verdict_under_best_supported_reading": None,
-        "why": found.why,
+        "why": finding.why,
         "under_other_readings": None,
         "rerun": f"python -m exact_mdp.paper_repro claim {each.id}",
         "code": each.code,
-        **found.details,
+        **finding.details,
     }

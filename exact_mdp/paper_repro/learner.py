@@ -114,5 +114,5 @@ def learn(
         folder = folder / f"{schedule}-{mark}"
     source = child(list(SETTINGS).index(schedule))
     trained = train(mdp, chosen, runs, rng=source, n_jobs=None, out=folder)
-    found = outcomes(mdp, trained, bound=False)
-    return Learned(schedule=schedule, runs=trained, outcomes=found)
+    results = outcomes(mdp, trained, bound=False)
+    return Learned(schedule=schedule, runs=trained, outcomes=results)

@@ -83,7 +83,7 @@ def counted(claims: list[Mapping[str, Any]], kind: str) -> str:
 
 def tables(reading: Reading) -> dict[str, list[list[str]]]:
     """Return Tables 1 to 4 as the compiled model has them: headings, then rows."""
-    mdp, scenario, held = reading.mdp, reading.scenario, weights(reading)
+    mdp, scenario, weight_of = reading.mdp, reading.scenario, weights(reading)
     best, random = reading.value("optimal"), reading.value("random")
 
     def per_cent(share: Any) -> str:
@@ -93,7 +93,7 @@ def tables(reading: Reading) -> dict[str, list[list[str]]]:
         stays = {s: [chance(mdp, b, a, s) for a in (action, 0)] for s, b in BITS.items()}
         listed = [f"{s} {per_cent(with_)}" for s, (with_, alone) in stays.items() if with_ != alone]
         said = ASSISTANCE.get(name, {"brief": "the robot keeps silent", "examples": []})
-        weight = number(float(held[f"assist.{name}"]))
+        weight = number(float(weight_of[f"assist.{name}"]))
         words = [said["brief"], " ".join(said["examples"]), ", ".join(listed) or "none"]
         return [f"a{action} {name}", *words, weight]
 
@@ -132,7 +132,7 @@ def tables(reading: Reading) -> dict[str, list[list[str]]]:
         ],
         "Table 4": [
             ["weight", "value"],
-            *([name, number(float(held[name]))] for name in TABLE_4),
+            *([name, number(float(weight_of[name]))] for name in TABLE_4),
         ],
     }
 

@@ -56,9 +56,9 @@ def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]
     needs_matplotlib()
     write(out / "run.json", as_json({"started": True}))  # a folder that cannot be written to
     reading = default(runs=runs, folder=out / "work")
-    found = support(reading, say)
+    evidence = support(reading, say)
     changed = one_change(reading)
-    best = replace(found.best, runs=runs // 4)
+    best = replace(evidence.best, runs=runs // 4)
     claims = []
     for entry in judged(list(CLAIMS.values()), reading, changed, best):
         claims.append(entry)
@@ -67,7 +67,7 @@ def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]
         "quick": quick,
         "runs": runs,
         "values": values(reading),
-        "readings": facts(found, [reading, *changed]),
+        "readings": facts(evidence, [reading, *changed]),
         "claims": claims,
     }
     write(out / "results.json", as_json(results))
@@ -121,8 +121,8 @@ def values(reading: Reading) -> dict[str, Any]:
 
 def chosen(name: str) -> Claim:
     """Return a claim by its name; raises ModelError for an unknown one."""
-    found: Claim = _named(name, CLAIMS, "claim")
-    return found
+    claim: Claim = _named(name, CLAIMS, "claim")
+    return claim
 
 
 def _named(name: str, known: Mapping[str, Any], what: str) -> Any:
@@ -173,12 +173,12 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     """
     claim = chosen(name)
     reading = changed_reading(default(runs=runs), sets)
-    found = claim.find(reading)
+    finding = claim.find(reading)
     lines = {
-        "paper": "" if found.paper is None else f"{float(found.paper):g}",
-        "here": "" if found.exact is None else f"{float(found.exact):.10g} ({found.kind})",
-        "verdict": found.says,
-        "why": found.why,
+        "paper": "" if finding.paper is None else f"{float(finding.paper):g}",
+        "here": "" if finding.exact is None else f"{float(finding.exact):.10g} ({finding.kind})",
+        "verdict": finding.says,
+        "why": finding.why,
         "reading": reading.label,
         "code": f"paper_repro/{claim.code}",
     }
@@ -186,10 +186,10 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
         lines["runs"] = f"{runs} of each exploration schedule"
     if claim.open and not sets:
         others = [(each.label, claim.find(each)) for each in one_change(reading)]
-        differing = [f"{one.says}: {label}" for label, one in others if one.says != found.says]
+        differing = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
         lines["other readings"] = "; ".join(differing) or f"the same in all {len(others)}"
-        if depends(found, [one.verdict for _, one in others]):
-            lines["verdict"] = f"{Verdict.DEPENDS}; {found.says} under the default one"
+        if depends(finding, [one.verdict for _, one in others]):
+            lines["verdict"] = f"{Verdict.DEPENDS}; {finding.says} under the default one"
     width = max(map(len, lines)) + 2
     body = [f"  {key + ':':{width}}{text}" for key, text in lines.items() if text]
     return "\n".join([f"{claim.id} ({', '.join(claim.places)})", claim.says, *body])
@@ -221,14 +221,14 @@ def disagreements(claims: Sequence[Mapping[str, Any]]) -> list[str]:
     names = {entry["name"] for entry in claims}
     off = [f"{name} is pinned, and no claim" for name in sorted(pinned.keys() - names)]
     for entry in claims:
-        name, found = entry["name"], entry["verdict_of_default_reading"]
+        name, verdict = entry["name"], entry["verdict_of_default_reading"]
         wanted = pinned.get(name)
         if wanted is None:
             off.append(f"{name} is not pinned")
             continue
         verdicts = wanted["verdict"] if isinstance(wanted["verdict"], list) else [wanted["verdict"]]
-        if found not in verdicts:
-            off.append(f"{name} is {found}, not {' or '.join(verdicts)}")
+        if verdict not in verdicts:
+            off.append(f"{name} is {verdict}, not {' or '.join(verdicts)}")
         if ("value" in wanted) != (entry["exact"] is not None):
             off.append(f"{name} has {'no' if 'value' in wanted else 'a'} number")
         elif "value" in wanted and abs(entry["exact"] - wanted["value"]) > wanted["tolerance"]:

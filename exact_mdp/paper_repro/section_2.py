@@ -43,10 +43,10 @@ def outcomes(mdp: MDP, state: int, action: int) -> list[tuple[Fraction, int, Fra
 def law(mdp: MDP, vector: int, action: int, *, trial: int = 0) -> dict[int, Fraction]:
     """Return the exact law of the status vector after an action in the first subtask."""
     state = mdp.space.index(subtask=0, trial=trial, status=vector)
-    found = dict.fromkeys(range(16), Fraction(0))
+    chances = dict.fromkeys(range(16), Fraction(0))
     for probability, following, _ in outcomes(mdp, state, action):
-        found[max(int(mdp.space.values("status", np.array([following]))[0]), 0)] += probability
-    return found
+        chances[max(int(mdp.space.values("status", np.array([following]))[0]), 0)] += probability
+    return chances
 
 
 def chance(mdp: MDP, vector: int, action: int, status: str, *, trial: int = 0) -> Fraction:

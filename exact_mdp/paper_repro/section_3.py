@@ -99,7 +99,7 @@ def rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
     Those with positive probability from a trial before the last one, from which no subtask is
     skipped, so that the next status is that of the next state.
     """
-    mdp, found = reading.mdp, []
+    mdp, rows = reading.mdp, []
     trial, subtask, status = (mdp.space.values(name) for name in ("trial", "subtask", "status"))
     before = ~mdp.terminal & ~mdp.forced & (trial < reading.scenario.trials - 1)
     for state in np.flatnonzero(before).tolist():
@@ -109,8 +109,8 @@ def rewards(reading: Reading) -> list[tuple[int, int, int, bool, Fraction]]:
                     ended = bool(mdp.terminal[following])
                     done = ended or bool(subtask[following] != subtask[state])
                     after = 0 if ended else int(status[following])
-                    found.append((action, after, int(subtask[state]), done, gain))
-    return found
+                    rows.append((action, after, int(subtask[state]), done, gain))
+    return rows
 
 
 @claim("equation1", "Equation 1", "Section 3.2.3", kind="input")
@@ -119,8 +119,8 @@ def equation_1(reading: Reading) -> Finding:
     and task completion.
     """
     last = (np.cumsum(reading.scenario.tasks) - 1).tolist()
-    wrong, found = 0, rewards(reading)
-    for action, after, subtask, done, gain in found:
+    wrong, outcomes = 0, rewards(reading)
+    for action, after, subtask, done, gain in outcomes:
         present = zip(CHARGED, BITS.values(), strict=True)
         total = sum(TABLE_4[weight] for weight, bit in present if after & bit)
         total += TABLE_4["trial"] + TABLE_4["timestep"]
@@ -128,7 +128,7 @@ def equation_1(reading: Reading) -> Finding:
             total += TABLE_4["subtask-complete"] + TABLE_4[f"assist.{ACTIONS[action]}"]
             total += TABLE_4["task-complete"] if subtask in last else 0
         wrong += gain != total
-    why = f"{len(found) - wrong:,} of {len(found):,} outcomes earn what the equation gives"
+    why = f"{len(outcomes) - wrong:,} of {len(outcomes):,} outcomes earn what the equation gives"
     return statement(wrong == 0, why)
 
 
@@ -153,11 +153,11 @@ def weights(reading: Reading) -> dict[str, Fraction]:
         if done and (action, subtask) == (0, 0)
     )
     two = {"forget": (12, 4), "confuse": (12, 8), "anger": (6, 4), "disengaged": (5, 4)}
-    found = {name: failed[both] - failed[one] for name, (both, one) in two.items()}
-    found["trial"] = trial
-    found["timestep"] = timestep = failed[8] - found["forget"] - trial
-    found["subtask-complete"] = completed[0, False] - timestep - trial
-    found["task-complete"] = completed[0, True] - completed[0, False]
+    by_name = {name: failed[both] - failed[one] for name, (both, one) in two.items()}
+    by_name["trial"] = trial
+    by_name["timestep"] = timestep = failed[8] - by_name["forget"] - trial
+    by_name["subtask-complete"] = completed[0, False] - timestep - trial
+    by_name["task-complete"] = completed[0, True] - completed[0, False]
     mdp = reading.skip_model
     state = mdp.space.index(subtask=0, trial=reading.scenario.trials, status=8)
     gain = next(
@@ -165,10 +165,10 @@ def weights(reading: Reading) -> dict[str, Fraction]:
         for p, after, gain in outcomes(mdp, state, 0)
         if p and not mdp.space.values("status", np.array([after]))[0]
     )
-    found["subtask-skip"] = gain - timestep
+    by_name["subtask-skip"] = gain - timestep
     for action, name in enumerate(ACTIONS):
-        found[f"assist.{name}"] = completed[action, False] - completed[0, False]
-    return found
+        by_name[f"assist.{name}"] = completed[action, False] - completed[0, False]
+    return by_name
 
 
 @claim("table4", "Table 4", kind="input", rule="entries")
@@ -183,9 +183,9 @@ def weights_in_words(reading: Reading) -> Finding:
     """Anger is charged most of the four statuses, and completing a subtask costs more, the more
     intrusive the assistance.
     """
-    found = weights(reading)
-    anger, others = found["anger"], [found[name] for name in CHARGED if name != "anger"]
-    assist = [found[f"assist.{name}"] for name in ACTIONS]
+    values = weights(reading)
+    anger, others = values["anger"], [values[name] for name in CHARGED if name != "anger"]
+    assist = [values[f"assist.{name}"] for name in ACTIONS]
     return statement(
         anger < min(others) and assist == sorted(set(assist), reverse=True),
         f"anger {anger}, the others {', '.join(map(str, others))}; a0 to a3 "
@@ -203,7 +203,7 @@ def training_settings(reading: Reading) -> Finding:
     final policy is chosen among the five suggested most often.
     """
     code = learner.settings("constant", reading.training)
-    held = {
+    settings = {
         "rate": code.rate.values(1)[0],
         "discount": code.discount,
         "epochs": code.epochs,
@@ -213,7 +213,7 @@ def training_settings(reading: Reading) -> Finding:
         "experiments_of_a_point": EXPERIMENTS_OF_A_POINT,
         "candidates": CANDIDATES,
     }
-    model = {name: Fraction(str(value)) for name, value in held.items()}
+    model = {name: Fraction(str(value)) for name, value in settings.items()}
     return entries({name: Fraction(str(SETTINGS[name])) for name in model}, model)
 
 

@@ -207,12 +207,12 @@ def together(reading: Reading) -> Finding:
     0000 alone, the three actions there, the agreement elsewhere, and the stated actions.
     """
     parts = told_together(reading)
-    held, kept = np.array(True), []
+    within, regrets = np.array(True), []
     for name, each in parts.items():
-        held = held & each
-        kept.append(f"{name} {each.mean():.1%}, with all before {100 * held.mean():.2g} %")
-    why = f"of all pairs of one run with each schedule: {'; '.join(kept)}"
-    return share(int(held.sum()), int(held.size), "pairs of runs", why)
+        within = within & each
+        regrets.append(f"{name} {each.mean():.1%}, with all before {100 * within.mean():.2g} %")
+    why = f"of all pairs of one run with each schedule: {'; '.join(regrets)}"
+    return share(int(within.sum()), int(within.size), "pairs of runs", why)
 
 
 def told_together(reading: Reading) -> dict[str, np.ndarray]:
@@ -265,30 +265,30 @@ def one_run_all_three(reading: Reading) -> Finding:
 def selection(reading: Reading) -> Finding:
     """Choosing among the five most frequent policies gives the final, optimal policy."""
     outcomes = [reading.learned(schedule).outcomes for schedule in SHOWN]
-    kept = np.concatenate([each.selected_regret for each in outcomes])
+    regrets = np.concatenate([each.selected_regret for each in outcomes])
     last = np.concatenate([each.regret for each in outcomes])
     why = (
         "the choice is made by exact value here, the best that any choice among the five can do; "
-        f"the mean regret is {kept.mean():.2f} after it and {last.mean():.2f} before"
+        f"the mean regret is {regrets.mean():.2f} after it and {last.mean():.2f} before"
     )
-    return share(int((kept == 0).sum()), len(kept), "runs", why)
+    return share(int((regrets == 0).sum()), len(regrets), "runs", why)
 
 
 @claim("learning.first-status-unsettled", "Section 4.1", "Section 4.3", learns=True)
 def first_status_unsettled(reading: Reading) -> Finding:
     """The best assistance in status 0000 is hard to tell because of the model's chance."""
     # The same model, the same chance and exploration: only the step falls.
-    kept, fallen = first_actions(reading), first_actions(reading.falling)
+    constant, fallen = first_actions(reading), first_actions(reading.falling)
     total, settled = int(fallen.sum()), int(fallen.max())
     best = set.intersection(*optimal_actions(reading, "0000"))
     kind = "an optimal" if ACTIONS[int(fallen.argmax())] in best else "no optimal"
     return statement(
         settled < NEARLY_ALL * total,
-        f"with the paper's constant learning rate {shares(kept)}, over {kept.sum()} runs; with "
-        f"a step of 0.5 n^-0.7 {shares(fallen)}, over {total}: {kind} action. Model, chance and "
-        "exploration are the same, so that the learning rate is the cause",
+        f"with the paper's constant learning rate {shares(constant)}, over {constant.sum()} runs; "
+        f"with a step of 0.5 n^-0.7 {shares(fallen)}, over {total}: {kind} action. Model, chance "
+        "and exploration are the same, so that the learning rate is the cause",
         **estimated(settled / total, sqrt((settled + 0.5) * (total - settled + 0.5) / total**3)),
-        details={"constant_step": kept.tolist(), "falling_step": fallen.tolist()},
+        details={"constant_step": constant.tolist(), "falling_step": fallen.tolist()},
     )
 
 

@@ -73,12 +73,12 @@ def superior(reading: Reading) -> Finding:
 
 def both_orders(reading: Reading, start: str) -> str:
     """Return the value of a reported policy in both orders, with its distance from the paper's."""
-    told = []
+    sentences = []
     for order in ORDERS:
         exact = reading.value(start, order)
         errors = (exact.mean - AVERAGES[start]) / (exact.sd / sqrt(EXPERIMENTS))
-        told.append(f"{order} {exact.mean:.2f} ({errors:+.1f} s.e.)")
-    return ", ".join(told)
+        sentences.append(f"{order} {exact.mean:.2f} ({errors:+.1f} s.e.)")
+    return ", ".join(sentences)
 
 
 @claim(
@@ -92,11 +92,11 @@ def reported_return(reading: Reading, start: str) -> Finding:
     """The policy with {word} assistance in status 0000 averages {means} over 1,000 experiments."""
     exact = reading.value(start)
     why = f"exact value with 1000 and 0100 {both_orders(reading, start)}; judged {reading.order}"
-    found = average(
+    mean = average(
         AVERAGES[start], exact.mean, exact.sd, EXPERIMENTS, error=exact.start.error, why=why
     )
     orders = {order: reading.value(start, order).mean for order in ORDERS}
-    return replace(found, details={"sd": exact.sd, "orders": orders})
+    return replace(mean, details={"sd": exact.sd, "orders": orders})
 
 
 @claim("return.together", "Section 4.1", rule="average", open=True)
@@ -111,10 +111,10 @@ def averages_together(reading: Reading) -> Finding:
             squared += (exact.mean - paper) ** 2 / (exact.sd**2 / EXPERIMENTS)
         tail = sqrt(2 * squared / pi) * exp(-squared / 2)
         chances[order] = erfc(sqrt(squared / 2)) + tail
-    told = ", ".join(f"{order} p = {chance:.2g}" for order, chance in chances.items())
+    listed = ", ".join(f"{order} p = {chance:.2g}" for order, chance in chances.items())
     return by_chance(
         chances[reading.order],
-        f"chance of averages as far off, with 1000 and 0100 {told}; judged {reading.order}, "
+        f"chance of averages as far off, with 1000 and 0100 {listed}; judged {reading.order}, "
         f"compatible from p = {CHANCE} on",
         details={"probability": chances},
     )
@@ -126,11 +126,11 @@ def ranking(reading: Reading) -> Finding:
     supportive.
     """
     means = {order: [reading.value(start, order).mean for start in AVERAGES] for order in ORDERS}
-    told = "; ".join(
+    listed = "; ".join(
         f"{order} {' > '.join(f'{mean:.2f}' for mean in each)}" for order, each in means.items()
     )
     falls = all(a > b + 1e-6 for a, b in pairwise(means[reading.order]))
-    return statement(falls, f"exact values of {', '.join(AVERAGES)}, 1000 and 0100 {told}")
+    return statement(falls, f"exact values of {', '.join(AVERAGES)}, 1000 and 0100 {listed}")
 
 
 @claim("return.ranking.by-experiments", "Section 4.1")
@@ -278,8 +278,8 @@ def respectively(reading: Reading) -> Finding:
         all(action in each for status, action in pair.items() for each in best[status])
         for pair in ORDERS.values()
     )
-    told = ", ".join(f"{s}: {'/'.join(sorted(set().union(*each)))}" for s, each in best.items())
-    return statement(holds, f"optimal actions are {told}")
+    listed = ", ".join(f"{s}: {'/'.join(sorted(set().union(*each)))}" for s, each in best.items())
+    return statement(holds, f"optimal actions are {listed}")
 
 
 @claim("policy.personalised", "Section 4.1", open=True)
@@ -300,7 +300,7 @@ def personalised(reading: Reading) -> Finding:
 def final_is_optimal(reading: Reading) -> Finding:
     """The final policy, with non-directive assistance in 0000, is optimal."""
     audits = {order: check(reading.mdp, reading.policy(FINAL, order)) for order in ORDERS}
-    told = ", ".join(
+    sentence = ", ".join(
         f"{order} {float(audit.regret.at_start.value):.2f} ({audit.relative_regret:.1%})"
         for order, audit in audits.items()
     )
@@ -308,7 +308,7 @@ def final_is_optimal(reading: Reading) -> Finding:
     for each in audit.disagreements:
         by_status[reading.mdp.space.as_dict(each.state)["status"]] += each.cost
     costs = dict(sorted(by_status.items(), key=lambda item: (-item[1], item[0])))
-    why = f"with 1000 and 0100 {told} of the optimum is lost, supportive where nothing is said"
+    why = f"with 1000 and 0100 {sentence} of the optimum is lost, supportive where nothing is said"
     if costs:
         listed = ", ".join(f"{status} {cost:.2f}" for status, cost in costs.items())
         why += f"; {reading.order}, by status: {listed}"

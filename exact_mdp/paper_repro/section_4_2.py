@@ -109,14 +109,14 @@ def anger_encouraged(reading: Reading) -> Finding:
 @claim("agents.perception-errors", "Section 4.2", rule="open")
 def perception_errors(reading: Reading) -> Finding:
     """Despite errors of perception the robot goes on to help effectively."""
-    kept = ", ".join(
+    listed = ", ".join(
         f"{level:.0%}: {value_as_perceived(reading, independent([level] * 4, [level] * 4)):.1f}"
         for level in LEVELS
     )
     return undecided(
         "how often the authors' model errs is not reported. The optimal policy earns "
         f"{reading.value('optimal').mean:.1f} with perfect perception, random actions "
-        f"{reading.value('random').mean:.1f}; with each status read rightly at a rate of {kept}"
+        f"{reading.value('random').mean:.1f}; with each status read rightly at a rate of {listed}"
     )
 
 

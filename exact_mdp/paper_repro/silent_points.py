@@ -156,8 +156,8 @@ def compiled(scenario: Scenario) -> MDP:
 def default(**sizes: Any) -> Reading:
     """Return the default reading.
 
-    >>> found = default()
-    >>> f"{found.value('non-directive').mean:.2f}, {found.value('optimal').mean:.2f}"
+    >>> readings = default()
+    >>> f"{readings.value('non-directive').mean:.2f}, {readings.value('optimal').mean:.2f}"
     '142.07, 146.24'
     """
     return Reading(scenario=Scenario.load("yuan2025"), **sizes)
@@ -169,14 +169,14 @@ def one_change(base: Reading) -> list[Reading]:
     >>> len(one_change(default()))
     17
     """
-    found = []
+    readings = []
     for name, options in POINTS.items():
         for option in list(options)[1:]:
             other = base.scenario.with_(readings={name: option})
-            found.append(replace(base, scenario=other, label=options[option]))
+            readings.append(replace(base, scenario=other, label=options[option]))
     for label, change in ELSEWHERE.items():
-        found.append(replace(base, scenario=base.scenario.with_(**change), label=label))
-    return [*found, replace(base, order="swapped", label=SWAPPED)]
+        readings.append(replace(base, scenario=base.scenario.with_(**change), label=label))
+    return [*readings, replace(base, order="swapped", label=SWAPPED)]
 
 
 def log_likelihood(reading: Reading, order: str) -> float:
@@ -242,9 +242,9 @@ def support(base: Reading, progress: Callable[[str], None] = lambda text: None) 
     return Support(readings=readings, choices=choices, weights=weights / weights.sum())
 
 
-def facts(found: Support, changed: Sequence[Reading]) -> dict[str, Any]:
+def facts(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
     """Return what the report says of the readings: options, the best, and the one-change ones."""
-    best = found.best
+    best = evidence.best
 
     def row(reading: Reading, order: str) -> dict[str, Any]:
         return {
@@ -265,13 +265,14 @@ def facts(found: Support, changed: Sequence[Reading]) -> dict[str, Any]:
         if each.order == "as written":
             rows.append(max((row(each, o) for o in ORDERS), key=lambda r: r["log_likelihood"]))
     far = [row for row in rows if row["label"] in ELSEWHERE]
+    options = evidence.of_options()
     return {
-        "combinations": len(found.readings) // len(ORDERS),
-        "identified": [p for p, each in found.of_options().items() if max(each.values()) >= 0.95],
+        "combinations": len(evidence.readings) // len(ORDERS),
+        "identified": [p for p, each in options.items() if max(each.values()) >= 0.95],
         "least_elsewhere": min(abs(error) for row in far for error in row["errors"].values()),
-        "options": found.of_options(),
-        "best": row(best, best.order) | {"weight": float(found.weights.max())},
-        "default_rank": found.rank,
-        "default_weight": float(found.weights[0]),
+        "options": options,
+        "best": row(best, best.order) | {"weight": float(evidence.weights.max())},
+        "default_rank": evidence.rank,
+        "default_weight": float(evidence.weights[0]),
         "one_change": rows,
     }

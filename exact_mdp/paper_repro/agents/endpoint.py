@@ -113,14 +113,14 @@ class Endpoint:
             raise Transient(f"HTTP status {status}", wait)
         if status != 200:
             raise BackendError(f"HTTP status {status}", where=self.base_url, fix=_remedy(status))
-        found = checked(_content(data, self.base_url), request.fields)
-        if len(key) > 8 and key in json.dumps(found, ensure_ascii=False):
+        answer = checked(_content(data, self.base_url), request.fields)
+        if len(key) > 8 and key in json.dumps(answer, ensure_ascii=False):
             raise BackendError(
                 "the answer holds the key that was sent; nothing of it is kept",
                 where=self.base_url,
                 fix="take another endpoint, and another key: this one was given away",
             )
-        return found
+        return answer
 
     def _body(self, request: Request, fault: str, attempt: int) -> dict[str, Any]:
         """Return the body of a chat completion."""
@@ -266,13 +266,13 @@ def checked(value: object, fields: Mapping[str, str]) -> dict[str, Any]:
     if not isinstance(value, dict) or value.keys() != fields.keys():
         raise Malformed(f"it is not an object with exactly the keys {', '.join(fields)}")
     for name, form in fields.items():
-        found = value[name]
-        if form == "bit" and (type(found) is not int or found not in (0, 1)):
+        answer = value[name]
+        if form == "bit" and (type(answer) is not int or answer not in (0, 1)):
             raise Malformed(f"{name} is not 0 or 1")
         if form == "text":
-            if not isinstance(found, str) or len(found) > LONGEST_TEXT:
+            if not isinstance(answer, str) or len(answer) > LONGEST_TEXT:
                 raise Malformed(f"{name} is not a text of at most {LONGEST_TEXT} characters")
-            if any("\ud800" <= c <= "\udfff" for c in found):
+            if any("\ud800" <= c <= "\udfff" for c in answer):
                 raise Malformed(f"{name} holds half a surrogate pair")
     return value
 

@@ -71,10 +71,10 @@ class Scripted:
 
     def _speech(self, facts: Mapping[str, Any], rng: np.random.Generator) -> str:
         table = PHRASES["speech"][facts["action"]]
-        told = facts.get("status", {})
-        opening = [texts for name, texts in PHRASES["opening"].items() if told.get(name)]
+        status = facts.get("status", {})
+        opening = [texts for name, texts in PHRASES["opening"].items() if status.get(name)]
         heard = self._seen(facts, list(PHRASES["opening"]))
-        angry = heard.get("anger") or told.get("anger")
+        angry = heard.get("anger") or status.get("anger")
         mood = "anger" if angry else "first" if any(heard.values()) else "calm"
         said = [*opening[:1], table.get(mood, table["first"])]
         return _line(said + [table["more"]] * facts["detailed"], facts, rng)

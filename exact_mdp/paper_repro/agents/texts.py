@@ -165,15 +165,15 @@ class Modules:
         seed: int,
     ) -> Request:
         """Ask what the robot says to give one kind of assistance."""
-        detailed, told = VARIANTS[self.variant]
+        detailed, named = VARIANTS[self.variant]
         said = [exchange["caregiver"] for exchange in past]
         facts = {**place, **behaviour, "action": action, "detailed": detailed, "said": said}
         return self._request(
             "execution",
             {"speech": "text"},
-            facts | ({"status": dict(perceived)} if told else {}),
+            facts | ({"status": dict(perceived)} if named else {}),
             seed,
-            () if told else ("status",),
+            () if named else ("status",),
             **place,
             history=self._history(past),
             behaviour=encode(dict(behaviour)),
