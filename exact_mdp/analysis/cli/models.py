@@ -203,7 +203,7 @@ def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: 
     offered = mdp.n_actions * len(np.unique(mdp.pair_state[seen > 0]))
     facts = {
         "written": out,
-        "episodes": record.n_episodes,
+        "episodes": record.starts.total(),
         "transitions": record.rows,
         "states": mdp.n_states,
         "actions": mdp.n_actions,

@@ -246,10 +246,10 @@ def test_where_episodes_were_cut_off_is_no_end(
         }  # type: ignore[arg-type]
         assert seen == {("a", "x"): 4, ("a", "y"): 1, ("b", "y"): 1, ("new", "x"): 1}
         assert mdp.episodes == 6
-    record = transitions.counted(frame)
+    record = transitions.counted(frame, None)
     assert record.n_cut_off == 5
-    assert sum(record.stops.values()) == record.n_episodes == 6
-    assert transitions.counted(frame.drop(columns="truncated")).n_cut_off == 1  # stops in a
+    assert sum(record.stops.values()) == record.starts.total() == 6
+    assert transitions.counted(frame.drop(columns="truncated"), None).n_cut_off == 1  # stops in a
     model = tmp_path / "m.npz"
     told = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2", "--json").result
     assert (told["cut_off"], told["n_never_taken"]) == (5, 2)

@@ -135,8 +135,8 @@ BAD: dict[str, list[tuple[Any, ...]]] = {
     "goes on after another": [GOOD, (2, "a", "x", 0, "b"), (1, "b", "x", 0, "b")],
     "no reward": [GOOD, (2, "a", "x", np.nan, "b")],
     "after it was over": [GOOD, (2, "a", "x", 0, None), (2, "b", "x", 0, "a")],
-    "the state is ' ', spaces only": [GOOD, (2, " ", "x", 0, "b")],
-    "the next state is '  ', spaces only": [GOOD, (2, "a", "x", 0, "  ")],
+    "the state is ' '": [GOOD, (2, " ", "x", 0, "b")],
+    "the next state is '  '": [GOOD, (2, "a", "x", 0, "  ")],
     "no action": [GOOD, (2, "a", None, 0, "b")],
     "no state": [GOOD, (2, None, "x", 0, "b")],
     "reward is inf": [GOOD, (2, "a", "x", np.inf, "b")],
@@ -225,9 +225,14 @@ def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
         MDP.from_transitions(table([]))
     with pytest.raises(ModelError, match="called 'end'"):
         MDP.from_transitions(table([(1, "end", "x", 0, None)]))
-    for text in ("", "episode,state,action,reward,next_state\n1,a,x,0,b,9,9\n"):
+    head = "episode,state,action,reward,next_state\n"
+    for text, what in (
+        ("", "no transitions"),
+        (f"{head}1,a,x,0,b,9,9\n", "7 values under 5 headings"),
+        (f'{head}1,a,x,0,"b', "no table"),
+    ):
         (tmp_path / "log.csv").write_text(text)
-        with pytest.raises(ModelError, match="no table"):
+        with pytest.raises(ModelError, match=what):
             MDP.from_transitions(tmp_path / "log.csv")
     (tmp_path / "log.parquet").write_bytes(b"PAR1")
     with pytest.raises(ModelError, match="no Parquet"):

@@ -268,7 +268,7 @@ def _trajectories(
 
     `ratio` (1, L), or (N, L) by time.
     """
-    record = transitions.record_of(records, columns)
+    record = transitions.Record(records, columns)
     pair_of = np.full((mdp.n_states, mdp.n_actions), -1)
     pair_of[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
     sign = 1.0 if mdp.sense == "max" else -1.0
@@ -277,9 +277,9 @@ def _trajectories(
     begun = mdp.start_distribution
     over = mdp.terminal & ~cut_off(mdp)
     over = np.append(over, [False, True])  # the last two: cut off, or over, without a next state
-    for episode, keys in transitions.read(record, records):
-        states = _known(record.states.numbers, mdp.space.number, "state", record)
-        actions = _known(record.actions.numbers, mdp.action, "action", record)
+    for episode, keys in record.read():
+        states = _known(record.numbers["state"], mdp.space.number, "state", record)
+        actions = _known(record.numbers["action"], mdp.action, "action", record)
         pair = pair_of[states[keys[:, 0]], actions[keys[:, 1]]]
         if (pair < 0).any():
             row = keys[int(np.flatnonzero(pair < 0)[0])]
