@@ -21,7 +21,6 @@ import errno
 import io
 import json
 import os
-import re
 import signal
 import sys
 import threading
@@ -44,6 +43,9 @@ SIGNALS = 128  # what shells add to the number of the signal that ended a progra
 TRACEBACK = "EXACT_MDP_TRACEBACK"
 ONE_REQUEST = 1.0  # seconds: `timeout` and others signal the process, then its group with it in it
 AT_ONCE = os._exit
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+TOO_LARGE = "a number is too large to compute with: {}"
+NO_PACKAGE = "install the package again, with the extra that this needs"
 ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
 
 Told = Callable[[int, str], None]
@@ -97,6 +99,10 @@ class Stopped(KeyboardInterrupt):
         self.number = number
 
 
+class Unwritten(ModelError):
+    """A result that standard output does not take."""
+
+
 class Program(click.Command):
     """A command that is a program of its own: it ends as this module says."""
 
@@ -121,13 +127,14 @@ def run(
 
     What the command returns is the status; None is 0. `program` is its name in messages, `words`
     are those after the name. Where it neither passed nor failed, `told` hears status and message.
+    With --json the last line of standard error is an object with the parts of the message.
     """
-    if not _streams():
-        what = "standard output is closed, so the result could not be printed"
-        fix = "send it to /dev/null to see the exit status alone"
-        return _told(BROKEN, _message("OSError", what, program, fix), words, told)
-    output = _Output(sys.stdout)
+    output = None
     try:
+        if not _streams():
+            what = "standard output is closed, so the result could not be printed"
+            raise Unwritten(what, fix="send it to /dev/null to see the exit status alone")
+        output = _Output(sys.stdout)
         with redirect_stdout(output), _signals(), warnings.catch_warnings():
             warnings.showwarning = warner()
             with (
@@ -139,11 +146,26 @@ def run(
         return int(status or DONE)
     except click.exceptions.Exit as end:  # --help and --version
         return end.exit_code
-    except BaseException as error:
+    except BaseException as raised:
+        error = raised
         if os.environ.get(TRACEBACK, "") not in ("", "0"):
             traceback.print_exc()
-        status, message = _outcome(error, output.error, command, program, words)
-        return _told(status, message, words, told)
+        if output is not None and output.error is not None:
+            _silence(sys.stdout)
+            if isinstance(output.error, BrokenPipeError):
+                return PIPE_CLOSED
+            what = f"cannot write to standard output: {output.error.strerror}"
+            error = Unwritten(what, fix="make room there, or send it elsewhere")
+        status, *parts = _outcome(error, command, program, words)
+    kind, what, where, fix = parts = [*map(shown_text, parts)] if parts[2] else parts
+    message = f"{kind}: {what}\n  where: {where}\n  fix:   {fix}" if where else what
+    say(message)
+    if "--json" in words:
+        names = ("kind", "what", "where", "fix")
+        say(json.dumps({"status": status, "error": dict(zip(names, parts, strict=True))}))
+    if told is not None:
+        told(status, message)
+    return int(status)
 
 
 def leave(status: int) -> NoReturn:
@@ -177,74 +199,57 @@ def say(text: str) -> None:
         _silence(sys.stderr)
 
 
+Failure = tuple[int, str, str, str, str]
+"""Exit status; kind, what, where and fix. What is said without a place has neither kind nor fix."""
+
+
 def _outcome(
-    error: BaseException,
-    unwritten: OSError | None,
-    command: click.Command,
-    program: str,
-    words: Sequence[str],
-) -> tuple[int, str]:
-    """Return the exit status and the message of whatever ended a command."""
-    name = _named(command, words)
-    usage = f"{program} {name}".strip()
-    if unwritten is not None:
-        _silence(sys.stdout)
-        if isinstance(unwritten, BrokenPipeError):
-            return PIPE_CLOSED, ""
-        fix = "make room there, or send it elsewhere"
-        return BROKEN, _message(
-            "OSError", f"cannot write to standard output: {unwritten.strerror}", usage, fix
-        )
+    error: BaseException, command: click.Command, program: str, words: Sequence[str]
+) -> Failure:
+    """Return what to say of whatever ended a command."""
+    chosen = _chosen(command, words)
+    usage = program if chosen is command else f"{program} {chosen.name}"
+    kind = type(error).__name__
     if isinstance(error, KeyboardInterrupt):
         number = error.number if isinstance(error, Stopped) else signal.SIGINT
         asked = f"stopped by {signal.Signals(number).name}"
-        return SIGNALS + number, "; ".join([asked, *getattr(error, "__notes__", ())])
+        return SIGNALS + number, "", "; ".join([asked, *getattr(error, "__notes__", ())]), "", ""
     if isinstance(error, click.ClickException):
         path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
-        what, place = error.format_message().removesuffix("."), path or program
-        return REFUSED, _message(type(error).__name__, what, place, f"see {place} --help")
+        place = path or program
+        return REFUSED, kind, error.format_message().removesuffix("."), place, f"see {place} --help"
+    if isinstance(error, Unwritten):
+        return BROKEN, "OSError", error.what, usage, error.fix
     if isinstance(error, ModelError):
-        where = _option(command, name, error.where, words) or usage
-        fix = error.fix or f"see {usage} --help"
-        return REFUSED, _message(type(error).__name__, error.what, where, fix)
+        where = _option(chosen, error.where, words) or usage
+        return REFUSED, kind, error.what, where, error.fix or f"see {usage} --help"
     if isinstance(error, UserWarning):  # an error where Python is told so: -W error, PYTHONWARNINGS
         fix = "correct it, or do not turn warnings into errors"
-        return REFUSED, _message(type(error).__name__, str(error), usage, fix)
-    return BROKEN, _broken(error, usage)
-
-
-def _broken(error: BaseException, usage: str) -> str:
-    """Return the message for what is neither bad input nor a failed check."""
-    kind, said = type(error).__name__, short(" ".join(str(error).split()))
+        return REFUSED, kind, str(error), usage, fix
+    said = short(" ".join(str(error).split()))
     # By name: the modules that define these errors take long to load.
-    if isinstance(error, NoAnswer):
-        fix = "let the environment, trainer or policy return instead"
-        return _message(kind, said, usage, fix)
     if any(base.__name__ in ("SolverError", "Contradiction") for base in type(error).__mro__):
-        return f"{kind}: {error}"
-    if isinstance(error, MemoryError):
-        return _message("MemoryError", said or "not enough memory", usage, "use a smaller model")
-    if isinstance(error, RecursionError):
-        return _message(kind, "something is nested too deeply", usage, "use flatter input")
-    if isinstance(error, OverflowError) or "integer string conversion" in said:
-        fix = "scale the model, or round its numbers"
-        return _message(kind, f"a number is too large to compute with: {said}", usage, fix)
-    if isinstance(error, ImportError):
-        fix = "install the package again, with the extra that this needs"
-        return _message(kind, f"a package cannot be loaded: {said}", usage, fix)
+        return BROKEN, "", f"{kind}: {error}", "", ""
     if isinstance(error, OSError) and error.errno is not None:
         place = str(error.filename) if error.filename is not None else usage
         fix = "make room, or write elsewhere" if error.errno in FULL else "try again"
-        return _message("OSError", f"the system refuses: {error.strerror}", place, fix)
-    return _message(
+        return BROKEN, "OSError", f"the system refuses: {error.strerror}", place, fix
+    for kinds, what, fix in (
+        (NoAnswer, "{}", "let the environment, trainer or policy return instead"),
+        (MemoryError, "{}" if said else "not enough memory", "use a smaller model"),
+        (RecursionError, "something is nested too deeply", "use flatter input"),
+        (OverflowError, TOO_LARGE, "scale the model, or round its numbers"),
+        (ImportError, "a package cannot be loaded: {}", NO_PACKAGE),
+    ):
+        if isinstance(error, kinds) or (what == TOO_LARGE and "integer string conversion" in said):
+            return BROKEN, kind, what.format(said), usage, fix
+    return (
+        BROKEN,
         kind,
         f"an error in the program, not in your input: {said or 'no message'}",
         f"{usage}, in {_place(error)}",
         f"report it with this command; {TRACEBACK}=1 shows the traceback to send with it",
     )
-
-
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def _place(error: BaseException) -> str:
@@ -257,48 +262,24 @@ def _place(error: BaseException) -> str:
     return found
 
 
-def _named(command: click.Command, words: Sequence[str]) -> str:
-    """Return the command of a group that the words name; nothing where there is none."""
-    known = (
-        command.list_commands(click.Context(command)) if isinstance(command, click.Group) else ()
-    )
-    return next((word for word in words if word in known), "")
+def _chosen(command: click.Command, words: Sequence[str]) -> click.Command:
+    """Return the command of a group that the words name; the group where there is none."""
+    if not isinstance(command, click.Group):
+        return command
+    context = click.Context(command)
+    known = command.list_commands(context)
+    name = next((word for word in words if word in known), "")
+    return command.get_command(context, name) or command
 
 
-def _option(command: click.Command, name: str, where: str, words: Sequence[str]) -> str:
+def _option(command: click.Command, where: str, words: Sequence[str]) -> str:
     """Return where the error is: the option as it was written, for the argument's name."""
-    chosen: click.Command | None = command
-    if isinstance(command, click.Group) and name:
-        chosen = command.get_command(click.Context(command), name)
-    assert chosen is not None
-    for parameter in chosen.params:
+    for parameter in command.params:
         spelled = max(parameter.opts, key=len)
         given = any(word == spelled or word.startswith(f"{spelled}=") for word in words)
         if spelled.startswith("--") and parameter.name == where and given:
             return spelled
     return where
-
-
-def _message(kind: str, what: str, where: str, fix: str) -> str:
-    what, where, fix = shown_text(what), shown_text(where), shown_text(fix)
-    return f"{kind}: {what}\n  where: {where}\n  fix:   {fix}"
-
-
-def _told(status: int, message: str, words: Sequence[str], told: Told | None) -> int:
-    """Tell the message, where there is one, and return the status.
-
-    With --json the last line of standard error is an object with the same parts.
-    """
-    if message:
-        say(message)
-        if "--json" in words:
-            parts = re.fullmatch(r"(\w+): (.*?)\n  where: (.*?)\n  fix:   (.*)", message, re.DOTALL)
-            said = parts.groups() if parts else ("", message, "", "")
-            error = dict(zip(("kind", "what", "where", "fix"), said, strict=True))
-            say(json.dumps({"status": status, "error": error}))
-        if told is not None:
-            told(status, message)
-    return status
 
 
 # ---- signals -------------------------------------------------------------------------------------

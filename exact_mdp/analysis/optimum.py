@@ -12,6 +12,7 @@ either serves.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,17 +23,17 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.graph import is_acyclic, reachable, ways_out
+from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, ratio
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.average.solve import AverageSolution
 from exact_mdp.solvers.dynamic.iterate import Solver
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.solution import (
     Bounded,
     Certified,
-    Claim,
     Solution,
     SolverError,
     warn_of_precision,
@@ -47,6 +48,8 @@ Mask = NDArray[np.bool_]
 
 
 LISTED = 1000  # states whose actions are listed
+PRICE = "price: what the optimum gains for one point by which the limit is moved"
+CLOSEST = "all are moved by the same step, the least that suffices"
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
 
 
@@ -56,7 +59,7 @@ class Contradiction(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Optimum:
-    """Optimal values, a policy and every optimal pair, with what vouches for them.
+    """Optimal values, a policy and every optimal pair, by what vouches for them.
 
     Attributes
     ----------
@@ -74,70 +77,52 @@ class Optimum:
     certificate: Certificate | None
 
     @property
-    def best(self) -> Solution | Certificate:
+    def best(self) -> Any:
         """What vouches for the values."""
-        found = self.solution if self.certificate is None else self.certificate
-        assert found is not None
-        return found
+        return self.solution if self.certificate is None else self.certificate
 
     @cached_property
     def value(self) -> Floats:
         """(S,) state values."""
-        best = self.best
-        return best.value if isinstance(best, Solution) else best.value_float
+        return np.asarray(self.best.value if self.certificate is None else self.best.value_float)
 
     @cached_property
     def state_error(self) -> Floats:
         """(S,) bounds on the errors of the values; rounding alone where they are certified."""
-        best = self.best
-        if not isinstance(best, Solution):
+        if self.certificate is not None:
             return np.nan_to_num(np.spacing(np.abs(self.value)))
-        return best.state_error
-
-    @property
-    def policy(self) -> Integers:
-        """(S,) action numbers."""
-        return np.asarray(self.best.policy)
+        return np.asarray(self.best.state_error)
 
     @cached_property
     def optimal(self) -> Mask:
         """(L,) the optimal pairs; up to the error bound where there is no certificate."""
-        best = self.best
-        if not isinstance(best, Solution):
-            return best.optimal_pairs
-        lost = best.value[self.mdp.pair_state] - self.mdp.backup(best.value)
-        return np.asarray((-lost if self.mdp.sense == "min" else lost) <= 2 * best.error_bound)
+        if self.certificate is not None:
+            return self.certificate.optimal_pairs
+        lost = self.value[self.mdp.pair_state] - self.mdp.backup(self.value)
+        sign = -1 if self.mdp.sense == "min" else 1
+        return np.asarray(sign * lost <= 2 * self.best.error_bound)
 
     @property
-    def start_value(self) -> float:
-        """The value of the start distribution."""
-        return float(self.best.start_value)
+    def start(self) -> Certified | Bounded:
+        """The value of the start distribution; the error bound is that of every state, too."""
+        if self.certificate is not None:
+            return Certified(value=self.certificate.start_value)
+        error = max(self.best.error_bound, self.best.start.error)
+        return Bounded(value=float(self.best.start_value), error=error)
 
     @property
     def error_bound(self) -> float:
-        """A bound on the error of the start value, and of the value of every state."""
-        best = self.best
-        if not isinstance(best, Solution):
-            rounding = float(np.nan_to_num(np.spacing(abs(self.start_value))))
-            return max(float(self.state_error.max()), rounding)
-        return max(best.error_bound, best.start.error)
-
-    @property
-    def claim(self) -> Claim:
-        """Bounded, or certified where there is a certificate."""
-        return Claim.BOUNDED if self.certificate is None else Claim.CERTIFIED
+        """A bound on the error of the start value, and of the value of every state, as floats."""
+        if isinstance(self.start, Bounded):
+            return self.start.error
+        rounding = np.nan_to_num(np.spacing(abs(float(self.start))))
+        return float(max(self.state_error.max(), rounding))
 
     @property
     def average(self) -> bool:
         """Whether it is that of an average reward."""
-        best: Any = self.best
-        return isinstance(best, AverageSolution) or getattr(best, "kind", "") == "average"
-
-    @property
-    def bias(self) -> Any:
-        """(S,) the bias, of an average reward."""
-        best: Any = self.best
-        return best.bias
+        kind = getattr(self.best, "kind", "")
+        return isinstance(self.best, AverageSolution) or kind == "average"
 
     def stationary(self) -> bool | None:
         """Return whether the optimum depends on the status alone; None where bounds leave it open.
@@ -147,33 +132,29 @@ class Optimum:
         """
         if not _serves_each_status(self.mdp, self.optimal):
             return False
-        if self.certificate is not None:
-            return True
         left = np.add.reduceat(self.optimal.astype(np.int64), self.mdp.pair_offsets[:-1])
         alone = self.optimal & (left == 1)[self.mdp.pair_state]
-        return True if _serves_each_status(self.mdp, alone) else None
+        known = self.certificate is not None or _serves_each_status(self.mdp, alone)
+        return True if known else None
 
     def report(self) -> Report:
         """Return the optimum: its value with its claim, and the policy."""
         proof, solution, mdp = self.certificate, self.solution, self.mdp
-        average = self.average
-        start = Certified(value=proof.start_value) if proof else None
         exact = ratio(proof.start_value) if proof else ""
         long = f"a rational of {len(exact):,} digits; --json prints it"
-        status = "status" in mdp.space.names and not average
+        status = "status" in mdp.space.names and not self.average
         stationary = self.stationary() if status else None
-        words = by_status_or_state(mdp, [mdp.actions[action] for action in self.policy])
+        policy = [mdp.actions[action] for action in np.asarray(self.best.policy)]
+        words = by_status_or_state(mdp, policy)
         facts = {
-            "claim": Shown(self.claim),
-            "start_value": Shown(
-                self.start_value, start or Bounded(value=self.start_value, error=self.error_bound)
-            ),
+            "claim": Shown(self.start.claim),
+            "start_value": Shown(float(self.start), self.start),
             "error_bound": Shown(self.error_bound),
             "exact_start_value": Shown(
                 proof.start_value if proof else None,
                 exact if len(exact) <= SHOWN_DIGITS else long,
             ),
-            "unique": proof.unique if proof and not average else None,
+            "unique": proof.unique if proof and not self.average else None,
             "stationary": Shown(
                 stationary, stationary and "an optimal policy reads the status alone"
             ),
@@ -185,53 +166,72 @@ class Optimum:
             "solver": Shown(solution.solver if solution else None),
             **words,
         }
-        if average:
-            few = mdp.n_states <= LISTED
+        if self.average:
             labels = state_names(mdp.space)
-            for name, values in (("gain", self.best.value), ("bias", self.bias)):
-                facts[name] = Shown(dict(zip(labels, values, strict=True)) if few else None)
+            for name, values in (("gain", self.best.value), ("bias", self.best.bias)):
+                listed = dict(zip(labels, values, strict=True))
+                facts[name] = Shown(listed if mdp.n_states <= LISTED else None)
         notes = []
-        if np.isinf(self.start_value):
+        if np.isinf(float(self.start)):
             notes.append(
                 "the total reward is infinite, so policies cannot be compared: " + ways_out(mdp)
             )
-        key, reads = ("policy", "status") if words["policy"] else ("policy_by_state", "state")
-        where = " at subtask 0, trial 0" if words["policy"] else ""
+        key, reads, where = ("policy", "status", " at subtask 0, trial 0")
+        if not words["policy"]:
+            key, reads, where = ("policy_by_state", "state", "")
         columns = {reads: "", "action": "value"}
         table = Table(title=f"optimal action{where}, by {reads}", columns=columns, first=LISTED)
         return Report(title="optimum", facts=facts, tables={key: table}, notes=notes)
 
+    def save(self, path: str) -> None:
+        """Write arrays; `q` is (S, A), NaN where an action is not available, and reads as a policy.
+
+        Of an average reward there is the bias instead of action values.
+        """
+        arrays: dict[str, Any] = {
+            "value": self.value,
+            "state_error": self.state_error,
+            "policy": np.asarray(self.best.policy),
+            "start_value": np.float64(float(self.start)),
+            "error_bound": np.float64(self.error_bound),
+            "claim": np.array(str(self.start.claim)),
+        }
+        if self.average:
+            arrays["bias"] = self.best.bias.astype(np.float64)
+        else:
+            arrays["q"] = self.mdp.by_action(self.mdp.backup(self.value))
+            arrays["optimal"] = self.mdp.by_action(self.optimal)
+        content = io.BytesIO()
+        np.savez(content, **arrays)
+        write_atomically(path, content.getvalue())
+
 
 def limited_report(found: ConstrainedSolution, written: Sequence[str | None]) -> Report:
     """Return what an optimum under limits is, or that no policy keeps them."""
-    mdp, limits = found.of.mdp, found.limits
+    mdp, limits, feasible = found.of.mdp, found.limits, found.feasible
     drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]
-    said = ["they can be kept" if found.feasible else "no policy keeps them all (proven)"]
+    said = ["they can be kept" if feasible else "no policy keeps them all (proven)"]
     said += [
         f"{low} and {high} contradict each other, whatever the model"
         for low in limits
         for high in limits
         if (low.name, low.sign, high.sign) == (high.name, 1, -1) and low.bound > high.bound
     ]
+    labels = {state: mdp.space.label(state) for state in found.randomises}
     facts = {
         "method": "limits",
         "claim": Shown(found.claim),
-        "feasible": Shown(found.feasible, "; ".join(said)),
-        "start_value": Shown(
-            None if found.start_value is None else float(found.start_value), found.start
-        ),
-        "error_bound": Shown(0.0 if found.feasible else None),
+        "feasible": Shown(feasible, "; ".join(said)),
+        "start_value": Shown(found.start and float(found.start), found.start),
+        "error_bound": Shown(0.0 if feasible else None),
         "exact_start_value": found.start_value,
         "limits": [str(limit) for limit in limits],
         "totals": Shown(found.totals),
         "prices": Shown(found.prices),
         "closest": Shown(found.closest),
         "randomises": Shown(
-            [
-                {"state": mdp.space.label(state), "actions": chances}
-                for state, chances in found.randomises.items()
-            ],
-            [*map(mdp.space.label, found.randomises)],
+            [{"state": labels[s], "actions": each} for s, each in found.randomises.items()],
+            [*labels.values()],
         ),
         "policy": Shown(of_every_state(mdp, drawn)),
         "written": [path for path in written if path],
@@ -241,21 +241,17 @@ def limited_report(found: ConstrainedSolution, written: Sequence[str | None]) ->
          "closest": float(found.closest[limit.name])}
         for limit, price in zip(limits, found.price, strict=True)
     ]  # fmt: skip
-    kept = {"limit": "limit", "total": "total", "price": "price:.10g"}
-    table = Table(
-        title="limits" if found.feasible else "limits, and the closest ones that can be kept",
-        rows=rows,
-        columns=kept if found.feasible else {"limit": "limit", "closest": "closest:.10g"},
-        note="price: what the optimum gains for one point by which the limit is moved"
-        if found.feasible
-        else "all are moved by the same step, the least that suffices",
+    title, note = (
+        "limits",
+        "price: what the optimum gains for one point by which the limit is moved",
     )
-    return Report(
-        title="optimum under limits",
-        facts=facts,
-        tables={"moved": table},
-        passed=found.feasible,
-    )
+    columns = {"limit": "limit", "total": "total", "price": "price:.10g"}
+    if not feasible:
+        title, note = f"{title}, and the closest ones that can be kept", CLOSEST
+        columns = {"limit": "limit", "closest": "closest:.10g"}
+    table = Table(title=title, rows=rows, columns=columns, note=note)
+    title = "optimum under limits"
+    return Report(title=title, facts=facts, tables={"moved": table}, passed=feasible)
 
 
 def state_names(space: StateSpace) -> list[str]:

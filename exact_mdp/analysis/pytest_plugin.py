@@ -30,10 +30,10 @@ pytest finds the plugin where exact-mdp is installed; `-p no:exact_mdp` leaves i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, overload
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -46,34 +46,8 @@ OF_RUNS = ("share", "alpha", "rng", "prove")
 SUFFIXES = (".toml", ".npz", ".umb", ".json", ".csv", ".npy")
 
 
-class PolicyGate(Protocol):
-    """The fixture's value: it fails the test unless the policy passes; see the module."""
-
-    @overload
-    def __call__(
-        self,
-        model: MDP | str | Path,
-        policy: object,
-        *,
-        max_regret: object | None = None,
-        max_relative_regret: object | None = None,
-        set: Sequence[str] = (),
-        discount: object | None = None,
-        kind: str = "auto",
-        horizon: int | None = None,
-        subject_to: Mapping[str, Any] | None = None,
-        confidence: object | None = None,
-        by: object = "robust",
-    ) -> Audit: ...
-
-    @overload
-    def __call__(
-        self, model: MDP | str | Path, policy: object, *, runs: int, **how: Any
-    ) -> TrainerAudit: ...
-
-
 @pytest.fixture
-def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
+def policy_gate(request: pytest.FixtureRequest) -> Callable[..., Audit | TrainerAudit]:
     """Assert that a policy loses no more than it may against the exact optimum of a model."""
 
     def gate(
@@ -115,7 +89,8 @@ def policy_gate(request: pytest.FixtureRequest) -> PolicyGate:
             pytest.fail(found.message(), pytrace=False)
         return found
 
-    judged: PolicyGate = import_module("exact_mdp.analysis.exit_status").answering()(gate)
+    judged: Callable[..., Audit | TrainerAudit]
+    judged = import_module("exact_mdp.analysis.exit_status").answering()(gate)
     return judged
 
 

@@ -1,6 +1,7 @@
 """Derivatives and thresholds of families: certified where the degree is known, else checked."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction as F
 from itertools import pairwise
@@ -13,15 +14,18 @@ from hypothesis import strategies as st
 
 from exact_mdp import (
     MDP,
+    Certified,
     Claim,
     Family,
     ModelError,
     Parameter,
     Range,
+    Scenario,
     certify,
     gradient,
     moving,
     one_way,
+    parametric,
     sobol,
     thresholds,
     tornado,
@@ -251,6 +255,54 @@ def test_a_tie_at_a_kink_is_a_touch() -> None:
     assert found.claim == Claim.CHECKED
     assert found.frame()["touch"].tolist() == [True]
     assert found.stable() == (0, 1)
+
+
+def test_what_is_checked_at_points_alone_is_not_certified() -> None:
+    """A family that `moving` made is certified, until its builder is replaced."""
+    known = moving(staying({"p": F(1, 2)}), {"p": [(0, 0)]})
+    assert gradient(known)["p"].value == Certified(value=F(4))
+    assert gradient(replace(known, name="again"))["p"].claim == Claim.CERTIFIED
+    other = replace(known, build=lambda at: staying(at))
+    assert gradient(other, names=["p"])["p"].claim == Claim.CHECKED
+    unknown = Family(parameters=(unit("p", F(1, 2)),), build=staying)
+    assert gradient(unknown, exact=False)["p"].claim == Claim.CHECKED
+    assert gradient(unknown).frame()["claim"].tolist() == ["checked"]
+
+
+def test_two_entries_of_one_row_have_a_gradient_and_an_end_has_one_side() -> None:
+    """Each has room until both sum to 1; V = (1 + 2 b γ / (1 - γ)) / (1 - γ a) by hand."""
+    mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 2, 0], "1/2")
+    family, a, b = moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]}), F(1, 2), F(1, 4)
+    assert start_value(family.at({"a": F(1, 8)})) == (1 + 2 * b) / (1 - F(1, 16))
+    slopes = {"a": (1 + 2 * b) / 2 / (1 - a / 2) ** 2, "b": 2 / (1 - a / 2)}
+    found = gradient(family)
+    assert {name: found[name].value for name in slopes} == {
+        name: Certified(value=slope) for name, slope in slopes.items()
+    }
+    first, *rest = family.parameters
+    family = replace(family, parameters=(replace(first, value=F(3, 4)), *rest))
+    at_the_end = gradient(family)["a"]
+    assert at_the_end.left is not None
+    assert at_the_end.right is None
+
+
+@pytest.mark.parametrize(
+    "readings", [{}, {"skip_onset": "base"}, {"skip_timestep": "own", "skip_onset": "base"}]
+)
+def test_degrees_of_scenarios_hold_at_further_points(readings: dict[str, str]) -> None:
+    """What follows from the rules is checked here: no entry leaves its polynomial."""
+    family = parametric(Scenario.load("yuan2025").with_(tasks=[1], max_trial=2, readings=readings))
+    names = ["base.confusion", "persistence.anger", "influence.anger.confusion", "discount"]
+    free = Family(
+        parameters=family.parameters,
+        build=lambda at: family.at(at),
+        degrees={p.name: family.degree(p.name) for p in family.parameters},
+        breaks={p.name: family.breakpoints(p.name) for p in family.parameters},
+    )
+    own, other = gradient(family, names=names), gradient(free, names=names)
+    for name in names:
+        assert other[name].claim == Claim.CHECKED
+        assert other[name].value.value == own[name].value.value
 
 
 # ---- default ranges ------------------------------------------------------------------------------

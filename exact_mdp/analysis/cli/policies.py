@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import ulp
 from typing import Any
 
 import click
-import numpy as np
 
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import check_outputs, limits_from, number_of
 from exact_mdp.analysis.optimum import (
-    LISTED,
     Contradiction,
-    Optimum,
     limited_report,
     optimum,
 )
@@ -25,14 +21,14 @@ from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import endless
-from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import Report, Shown, Table
+from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution
 from exact_mdp.solvers.objectives.totals import TotalsProof
+from exact_mdp.solvers.solver import Criterion
 from exact_mdp.solvers.solver import solve as solve_model
 from exact_mdp.solvers.values.evaluate import evaluate as value_of
 from exact_mdp.solvers.values.returns import return_distribution
@@ -95,8 +91,18 @@ def solve(
     mdp, average = given.mdp, given.average
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
-        _refuse(refused | {"--criterion average": average})
-        return _limited(given, subject_to, policy_out, certificate)
+        for option, used in (refused | {"--criterion average": average}).items():
+            if used:
+                what, fix = f"{option} does not apply to limits", f"leave {option} out"
+                raise ModelError(what, where="--subject-to", fix=fix)
+        limited = solve_model(mdp, subject_to=limits_from(subject_to))
+        if faults := limited.violations():
+            raise Contradiction(f"the proof does not hold: {faults[0]}")
+        if policy_out:
+            limited.policy.write(policy_out)
+        if certificate:
+            limited.save(certificate)
+        return given.report(limited_report(limited, [policy_out, certificate]))
     if certificate and not certify and average:
         what = "there are no bounded certificates of an average reward"
         raise ModelError(what, where="--certificate", fix="add --certify")
@@ -117,9 +123,9 @@ def solve(
         proof = found.certificate or certified(mdp, bounded=True, solution=found.solution)
         proof.save(certificate)
     if policy_out:
-        Policy.from_choices(mdp, found.policy).write(policy_out)
+        Policy.from_choices(mdp, found.best.policy).write(policy_out)
     if out:
-        _save_arrays(found, out)
+        found.save(out)
     written = [path for path in (policy_out, out, certificate) if path]
     solver = found.solution.solver if found.solution else found.method
     for path in written:
@@ -128,54 +134,6 @@ def solve(
         write_record(path, record)
     report = found.report()
     return given.report(replace(report, facts={**report.facts, "written": written}))
-
-
-def _limited(
-    given: Given, subject_to: Sequence[str], policy_out: str | None, certificate: str | None
-) -> Report:
-    """Find the optimum under limits."""
-    found = solve_model(given.mdp, subject_to=limits_from(subject_to))
-    if faults := found.violations():
-        raise Contradiction(f"the proof does not hold: {faults[0]}")
-    if policy_out:
-        found.policy.write(policy_out)
-    if certificate:
-        found.save(certificate)
-    return given.report(limited_report(found, [policy_out, certificate]))
-
-
-def _refuse(options: Mapping[str, object]) -> None:
-    for option, used in options.items():
-        if used:
-            what, fix = f"{option} does not apply to limits", f"leave {option} out"
-            raise ModelError(what, where="--subject-to", fix=fix)
-
-
-def _save_arrays(found: Optimum, path: str) -> None:
-    """Write arrays; `q` is (S, A), NaN where an action is not available, and reads as a policy.
-
-    Of an average reward there is the bias instead of action values.
-    """
-    mdp = found.mdp
-    arrays: dict[str, Any] = {
-        "value": found.value,
-        "state_error": found.state_error,
-        "policy": found.policy,
-        "start_value": np.float64(found.start_value),
-        "error_bound": np.float64(found.error_bound),
-        "claim": np.array(str(found.claim)),
-    }
-    if found.average:
-        arrays["bias"] = found.bias.astype(np.float64)
-    else:
-        q = np.full((mdp.n_states, mdp.n_actions), np.nan)
-        q[mdp.pair_state, mdp.pair_action] = mdp.backup(found.value)
-        optimal = np.zeros(q.shape, dtype=bool)
-        optimal[mdp.pair_state, mdp.pair_action] = found.optimal
-        arrays |= {"q": q, "optimal": optimal}
-    content = io.BytesIO()
-    np.savez(content, **arrays)
-    write_atomically(path, content.getvalue())
 
 
 def verify(certificate: str, given: Given) -> Report:
@@ -262,23 +220,8 @@ def evaluate(given: Given, policy: Policy) -> Report:
 
     exact-mdp evaluate yuan2025 always:directive
     """
-    if not given.average:
-        return given.report(value_of(given.mdp, policy).report())
-    found = value_of(given.mdp, policy, criterion="average")
-    frame, few = found.frame(), given.mdp.n_states <= LISTED
-    facts = {
-        "claim": Shown(found.claim),
-        "mean": Shown(found.start.value, found.start),
-        "error_bound": Shown(found.start.error),
-        "recurrent_classes": len(found.classes.base),
-        "components": Shown(
-            {name: number.value for name, number in found.components.items()}, found.components
-        ),
-        "by_state": Shown(frame.set_index("state").to_dict("index") if few else None),
-    }
-    columns = {name: name for name in ("state", "gain", "bias", "share")}
-    table = Table(title="gain, bias and share of time", rows=frame, columns=columns)
-    return given.report(Report(title="average reward", facts=facts, tables={"states": table}))
+    criterion: Criterion = "average" if given.average else "total"
+    return given.report(value_of(given.mdp, policy, criterion=criterion).report())
 
 
 def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:

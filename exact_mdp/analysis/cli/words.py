@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from exact_mdp.mdp.errors import ModelError, located, suggest
-from exact_mdp.mdp.table import exact
 
 if TYPE_CHECKING:
     Converter = click.ParamType[int]
@@ -61,6 +60,8 @@ def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
 
 def number_of(text: str, option: str, *, positive: bool = False) -> float:
     """Return the number that an option states, as a float."""
+    from exact_mdp.mdp.table import exact  # loads NumPy, and help needs this module
+
     try:
         with located(option, instead=True):
             found = float(exact(text))

@@ -303,10 +303,13 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
             where="tradeoff",
             fix="stop after N steps (horizon), or ask for one optimum under limits (subject_to)",
         )
-    vertices, proven = _chain(of) if len(names) == 2 else _cells(of)
-    order = sorted(vertices, key=lambda a: tuple(of.sign * v for v in a.total))
+    search = _Search(of)
+    while missing := search.corners() - search.best.keys():
+        search.look(min(missing))
+    order = sorted(search.vertices, key=lambda a: tuple(of.sign * v for v in a.total))
     corners = list[Corner]()
-    for weights, best in proven.items():
+    for weights in search.corners():
+        best = search.best[weights]
         shares = tuple(Fraction(w, sum(weights)) for w in weights)
         most = _worth(shares, best.total)
         tight = (i for i, a in enumerate(order) if _worth(shares, a.total) == most)
@@ -314,38 +317,6 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
         corners.append(Corner(weights=shares, dual=dual, best=tuple(tight)))
     corners.sort(key=lambda corner: corner.weights)
     return Front(attained=tuple(order), corners=tuple(corners), **about(of, "front"))
-
-
-def _chain(of: Objectives) -> tuple[list[Attained], dict[Weights, Attained]]:
-    """Return the vertices of two totals, and an optimal policy for each edge's weights.
-
-    Between two vertices that are known, the normal of their chord either finds one beyond, or
-    proves the chord an edge (Aneja and Nair, 1979).
-    """
-    alone: list[Weights] = [(0, 1), (1, 0)]
-    proven = {weights: extreme(of, weights) for weights in alone}
-    first, last = proven.values()
-    vertices, open_ = [first], [] if first.total == last.total else [(first, last)]
-    while open_:
-        left, right = open_.pop()
-        a, b = left.total, right.total
-        ahead, _ = common([a[1] - b[1], b[0] - a[0]])
-        weights = tuple(number // gcd(*ahead) for number in ahead)
-        best = left if left.optimal(of, weights) else extreme(of, weights, left.pairs)
-        if _worth(weights, best.total) > _worth(weights, a):
-            open_ += [(best, right), (left, best)]
-        else:
-            proven[weights] = best
-            vertices.append(right)
-    return vertices, proven
-
-
-def _cells(of: Objectives) -> tuple[list[Attained], dict[Weights, Attained]]:
-    """Return the vertices of three totals, and an optimal policy at each facet."""
-    search = _Search(of)
-    while missing := search.corners() - search.best.keys():
-        search.look(min(missing))
-    return search.vertices, {corner: search.best[corner] for corner in search.corners()}
 
 
 class _Search:

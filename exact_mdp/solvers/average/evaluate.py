@@ -22,6 +22,7 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
+from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.average.chain import Classes, FloatAverages, Mask, graph_of
@@ -31,6 +32,8 @@ from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+LISTED = 1000  # states in a report
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -153,6 +156,22 @@ class AverageEvaluation(Result):
         error = (doubt @ size + rounding * (used @ size)) * SLACK
         found = zip(mdp.component_names, used @ mdp.components, error, strict=True)
         return {name: Bounded(value=float(x), error=float(off)) for name, x, off in found}
+
+    def report(self) -> Report:
+        """Return gain and components, and gain, bias and share of time of each state."""
+        frame, parts = self.frame(), self.components
+        few = self.mdp.n_states <= LISTED
+        facts = {
+            "claim": Shown(self.claim),
+            "mean": Shown(self.mean, self.start),
+            "error_bound": Shown(self.start.error),
+            "recurrent_classes": len(self.classes.base),
+            "components": Shown({name: each.value for name, each in parts.items()}, parts),
+            "by_state": Shown(frame.set_index("state").to_dict("index") if few else None),
+        }
+        columns = {name: name for name in ("state", "gain", "bias", "share")}
+        table = Table(title="gain, bias and share of time", rows=frame, columns=columns)
+        return Report(title="average reward", facts=facts, tables={"states": table})
 
     def frame(self) -> DataFrame:
         """Return gain, bias and share of time of each state, with their error bounds."""
