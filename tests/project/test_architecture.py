@@ -1,11 +1,10 @@
-"""The shape of the code: which module may import which, and what is loaded only when used."""
+"""The shape of the code: which module may import which, what is loaded when, the short names."""
 
 import ast
 import subprocess
 import sys
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import NamedTuple
 
 import networkx as nx
 import pytest
@@ -13,143 +12,111 @@ import pytest
 import exact_mdp
 
 PACKAGE = Path(exact_mdp.__file__).parent
+ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ["mdp", "solvers", "analysis", "paper_repro"]  # each imports itself and those before it
 NUMBA = ["mdp/forms/compiling.py", "mdp/forms/rows.py", "solvers/kernels/*.py"]
 HEAVY = {
-    *("IPython", "certifi", "click", "cvxpy", "flint", "gymnasium", "httpcore", "jinja2", "joblib"),
+    *("IPython", "certifi", "click", "cvxpy", "flint", "gymnasium", "httpx", "jinja2", "joblib"),
     *("jupyter", "matplotlib", "networkx", "numba", "pandas", "pyarrow", "rich", "stormpy", "tqdm"),
-    *("umbi", "xllamacpp"),
+    "umbi",
 }
+Import = tuple[str, str, bool]  # the file, the module, whether inside a function or for types alone
 
 
-class Import(NamedTuple):
-    path: str  # of the file
-    name: str  # of the module, below exact_mdp if it is one of its own
-    inside: bool  # a function, or only for type checkers
-
-
-def sources() -> dict[str, str]:
-    files = sorted(file for room in ROOMS for file in (PACKAGE / room).rglob("*.py"))
-    return {file.relative_to(PACKAGE).as_posix(): file.read_text("utf-8") for file in files}
-
-
-def imports(given: dict[str, str]) -> list[Import]:
-    """Return what the files import anywhere, a module for each name that is one.
-
-    The public names, `import exact_mdp`, are listed too: as "".
-    """
-    modules = {module_of(path) for path in given}
-    found = []
+def imports(files: dict[str, str]) -> list[Import]:
+    """What files import anywhere, own modules by their names below exact_mdp; its names are ""."""
+    modules = {module_of(path) for path in files}
+    listed: list[Import] = []
 
     def visit(path: str, node: ast.AST, inside: bool) -> None:
-        names: list[tuple[str, ...]] = []
+        names: list[list[str]] = []
         if isinstance(node, ast.Import):
-            names = [(alias.name,) for alias in node.names]
+            names = [[alias.name] for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: a relative import"
-            of = node.module or ""
-            names = [(f"{of}.{alias.name}", of) for alias in node.names]
+            names = [[f"{node.module}.{alias.name}", node.module or ""] for alias in node.names]
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
-            names = [(ast.literal_eval(word),) for word in node.args[:1] if is_text(word)]
+            names = [[word.value] for word in node.args[:1] if isinstance(word, ast.Constant)]
         for choice in names:
-            own = [name.partition("exact_mdp.")[2] for name in choice]
+            own = [name.removeprefix("exact_mdp.") for name in choice]
             known = [name for name in own if name in modules]
-            name = known[0] if known else choice[-1]
-            found.append(Import(path, "" if name == "exact_mdp" else name, inside))
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            inside = True
-        inside = inside or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+            listed.append(
+                (path, known[0] if known else choice[-1].removesuffix("exact_mdp"), inside)
+            )
+        types = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        inside = inside or types or isinstance(node, ast.FunctionDef | ast.Lambda)
         for child in ast.iter_child_nodes(node):
             visit(path, child, inside)
 
-    for path, text in given.items():
+    for path, text in files.items():
         visit(path, ast.parse(text, path), False)
-    return found
-
-
-def is_text(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+    return listed
 
 
 def module_of(path: str) -> str:
     return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
-def upward(found: list[Import]) -> list[Import]:
-    """Return imports of a later room, and of the public names where a module is loaded.
+def upward(listed: list[Import]) -> list[Import]:
+    """Imports of a later room, and of the public names where a module is loaded.
 
     The last room, the reproduction, is a user of the public names.
     """
     room = {name: place for place, name in enumerate(ROOMS)}
     return [
-        each
-        for each in found
-        if room.get(each.name.split(".")[0], -1) > room[each.path.split("/")[0]]
-        or (
-            each.name == ""
-            and not each.inside
-            and not each.path.startswith(ROOMS[-1])
-            and not each.path.endswith("__init__.py")
-        )
+        (path, name, inside)
+        for path, name, inside in listed
+        if room.get(name.split(".")[0], -1) > room[path.split("/")[0]]
+        or not (name or inside or path.startswith(ROOMS[-1]) or path.endswith("__init__.py"))
     ]
 
 
-def circles(found: list[Import]) -> list[list[str]]:
-    graph = nx.DiGraph((module_of(each.path), each.name) for each in found)
-    groups = nx.strongly_connected_components(graph)
-    return sorted(sorted(group) for group in groups if len(group) > 1)
-
-
-ALL = imports(sources())
+def circles(listed: list[Import]) -> list[list[str]]:
+    graph = nx.DiGraph((module_of(path), name) for path, name, _ in listed)
+    return [sorted(part) for part in nx.strongly_connected_components(graph) if len(part) > 1]
 
 
 def test_imports_point_one_way() -> None:
-    assert upward(ALL) == []
-
-
-def test_no_modules_import_each_other() -> None:
-    assert circles(ALL) == []
-
-
-def test_numba_is_imported_by_the_kernels_alone() -> None:
-    numba = {each.path for each in ALL if each.name.split(".")[0] in ("numba", "llvmlite")}
+    files = [file for room in ROOMS for file in (PACKAGE / room).rglob("*.py")]
+    texts = {file.relative_to(PACKAGE).as_posix(): file.read_text("utf-8") for file in files}
+    listed = imports(texts)
+    assert upward(listed) == []
+    assert circles(listed) == []
+    numba = {path for path, name, _ in listed if name.split(".")[0] in ("numba", "llvmlite")}
     assert numba
-    assert [path for path in numba if not any(fnmatch(path, allowed) for allowed in NUMBA)] == []
+    assert [path for path in numba if not any(fnmatch(path, each) for each in NUMBA)] == []
 
 
 def test_what_is_forbidden_is_found() -> None:
     lower = {"mdp/a.py": "def f():\n    from exact_mdp.solvers import b", "solvers/b.py": ""}
-    assert upward(imports(lower)) == [Import("mdp/a.py", "solvers.b", True)]
+    assert upward(imports(lower)) == [("mdp/a.py", "solvers.b", True)]
     assert len(upward(imports({"mdp/a.py": "import exact_mdp"}))) == 1
     assert upward(imports({"mdp/a.py": "def f():\n    import exact_mdp"})) == []
     typing = "if TYPE_CHECKING:\n    from exact_mdp.mdp.io.b import B"
     ring = {"mdp/a.py": typing, "mdp/io/b.py": "f = lambda: import_module('exact_mdp.mdp.a')"}
     assert circles(imports(ring)) == [["mdp.a", "mdp.io.b"]]
     assert circles(imports({**ring, "mdp/io/b.py": "import exact_mdp.mdp"})) == []
+    assert "numba" in loaded("import exact_mdp.solvers.kernels.learning")
+
+
+def python(*words: str) -> str:
+    """What a new process prints."""
+    done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def loaded(code: str) -> set[str]:
-    """Return the packages that a new process has loaded after the code."""
+    """The packages that a new process has loaded after the code."""
     code += "\nimport sys; print(*{name.partition('.')[0] for name in sys.modules})"
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return set(done.stdout.split())
-
-
-@pytest.mark.parametrize("room", ["", *(f".{room}" for room in ROOMS)])
-def test_importing_a_room_loads_nothing_heavy(room: str) -> None:
-    assert loaded(f"import exact_mdp{room}") & HEAVY == set()
+    return set(python("-W", "error", "-c", code).split())
 
 
 @pytest.mark.parametrize(
     ("code", "allowed"),
     [
-        (
-            "from exact_mdp import MDP, Scenario, solve, evaluate, certify",
-            {"flint", "tqdm"},
-        ),
+        *((f"import exact_mdp{room}", set()) for room in ["", *(f".{room}" for room in ROOMS)]),
+        ("from exact_mdp import MDP, Scenario, solve, evaluate, certify", {"flint", "tqdm"}),
         ("import exact_mdp.analysis.cli", {"click"}),
         ("import exact_mdp.paper_repro.__main__", {"click"}),
     ],
@@ -158,5 +125,31 @@ def test_what_is_used_first_loads_little(code: str, allowed: set[str]) -> None:
     assert loaded(code) & HEAVY <= allowed
 
 
-def test_what_is_loaded_is_found() -> None:
-    assert "numba" in loaded("import exact_mdp.solvers.kernels.learning")
+SAME = """
+import exact_mdp, exact_mdp.mdp.model, exact_mdp.paper_repro.claim
+from mdp.model import MDP
+from mdp import MDP as short
+import mdp.parametric.family, solvers.solver, analysis.gate.check, paper_repro.claim
+assert MDP is short is exact_mdp.MDP
+assert mdp.parametric.family.Family is exact_mdp.Family
+assert solvers.solver.solve is exact_mdp.solve
+assert analysis.gate.check.Audit is exact_mdp.Audit
+assert paper_repro.claim is exact_mdp.paper_repro.claim
+assert exact_mdp.mdp.model.__spec__.name == MDP.__module__ == "exact_mdp.mdp.model"
+"""
+OTHER = (
+    "import sys; sys.path.insert(0, {!r}); import exact_mdp.mdp, mdp.model; print(mdp.model.OWN)"
+)
+
+
+@pytest.mark.skipif(not (ROOT / "mdp").is_dir(), reason="a checkout without links")
+def test_short_names_are_the_same_modules_unless_the_user_has_some_of_that_name(
+    tmp_path: Path,
+) -> None:
+    python("-c", SAME)
+    assert "--quick" in python("-m", "paper_repro", "--help")
+    assert "Usage" in python("-m", "paper_repro.agents", "--help")
+    (tmp_path / "mdp").mkdir()
+    (tmp_path / "mdp" / "__init__.py").touch()
+    (tmp_path / "mdp" / "model.py").write_text("OWN = 'own'", "utf-8")
+    assert python("-c", OTHER.format(str(tmp_path))) == "own\n"

@@ -19,14 +19,13 @@ from exact_mdp import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text("utf-8"))
+GUIDE = (ROOT / "docs" / "gate.md").read_text("utf-8")
 BLOCKS = [
-    yaml.safe_load(block)
-    for block in re.findall(
-        r"^```yaml\n(.*?)^```$", (ROOT / "docs" / "gate.md").read_text("utf-8"), re.M | re.S
-    )
+    yaml.safe_load(block) for block in re.findall(r"^```yaml\n(.*?)^```$", GUIDE, re.M | re.S)
 ]
-WORKFLOW = next(block for block in BLOCKS if "jobs" in block)
+STEPS = next(block for block in BLOCKS if "jobs" in block)["jobs"]["policy"]["steps"]
 HOOKS = next(block for block in BLOCKS if "repos" in block)
+(GATE,) = (step["with"] for step in STEPS if step["uses"].startswith("OWNER/exact-mdp@"))
 PROGRAM = Path(sys.executable).with_name("exact-mdp")
 
 # A stand-in for Python that makes an "environment" of the program that is installed here.
@@ -46,21 +45,8 @@ def project(tmp_path: Path) -> Path:
     folder = tmp_path / "project"
     folder.mkdir()
     Scenario.load("tea").compile().save(folder / "model.npz")
-    table = np.zeros((8, 3))
-    table[:, 1] = 1
-    np.save(folder / "q_table.npy", table)
+    np.save(folder / "q_table.npy", np.eye(3)[[1] * 8])
     return folder
-
-
-def gate() -> dict[str, str]:
-    """Return what the guide's workflow gives to the action."""
-    (step,) = (
-        step
-        for step in WORKFLOW["jobs"]["policy"]["steps"]
-        if step["uses"].startswith("OWNER/exact-mdp@")
-    )
-    given: dict[str, str] = step["with"]
-    return given
 
 
 def act(project: Path, program: Path = PROGRAM, **given: str) -> tuple[int, str, str]:
@@ -71,9 +57,8 @@ def act(project: Path, program: Path = PROGRAM, **given: str) -> tuple[int, str,
     bin, temp, log = (project.parent / name for name in ("bin", "temp", "pip.txt"))
     for folder in (bin, temp):
         folder.mkdir(exist_ok=True)
-    quoted = [shlex.quote(str(path)) for path in (program, log, sys.executable)]
-    fake = PYTHON.format(program=quoted[0], log=quoted[1], python=quoted[2])
-    (bin / "python3").write_text(fake)
+    program_, log_, python = (shlex.quote(str(path)) for path in (program, log, sys.executable))
+    (bin / "python3").write_text(PYTHON.format(program=program_, log=log_, python=python))
     (bin / "python3").chmod(0o755)
     environment = os.environ | {
         "PATH": f"{bin}:{os.environ['PATH']}",
@@ -82,7 +67,7 @@ def act(project: Path, program: Path = PROGRAM, **given: str) -> tuple[int, str,
         "GITHUB_OUTPUT": str(project.parent / "output.txt"),
         "GITHUB_STEP_SUMMARY": str(project.parent / "summary.md"),
     }
-    said = ""
+    printed = ""
     for step in ACTION["runs"]["steps"]:
         if "uses" in step:  # the cache, which is the host's
             continue
@@ -90,16 +75,12 @@ def act(project: Path, program: Path = PROGRAM, **given: str) -> tuple[int, str,
         env = {name: filled(text, inputs, temp) for name, text in step["env"].items()}
         done = subprocess.run(
             ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", step["run"]],
-            cwd=project,
-            env=environment | env,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        said += done.stdout + done.stderr
+            cwd=project, env=environment | env, capture_output=True, text=True,
+        )  # fmt: skip
+        printed += done.stdout + done.stderr
         if done.returncode:
             break
-    return done.returncode, said, log.read_text()
+    return done.returncode, printed, log.read_text()
 
 
 def filled(text: str, inputs: dict[str, Any], temp: Path) -> str:
@@ -113,7 +94,7 @@ def filled(text: str, inputs: dict[str, Any], temp: Path) -> str:
 
 
 def test_the_workflow_of_the_readme_reports_a_policy_that_loses_too_much(project: Path) -> None:
-    status, said, told = act(project, **gate())
+    status, said, told = act(project, **GATE)
     assert status == 1, said
     assert told.splitlines()[-1] == str(ROOT)
     (told,) = (line for line in said.splitlines() if line.startswith("::"))
@@ -123,7 +104,7 @@ def test_the_workflow_of_the_readme_reports_a_policy_that_loses_too_much(project
     root = ElementTree.parse(project / "policy-report.xml").getroot()
     assert (root.get("failures"), root.get("errors")) == ("1", "0")
     assert "<!DOCTYPE html>" in (project / "policy-report.html").read_text("utf-8")
-    (upload,) = (s for s in WORKFLOW["jobs"]["policy"]["steps"] if "upload" in s["uses"])
+    (upload,) = (s for s in STEPS if "upload" in s["uses"])
     assert len(list(project.glob(upload["with"]["path"]))) == 2
 
 
@@ -134,7 +115,7 @@ def test_a_good_policy_passes(project: Path) -> None:
         "max-regret": "",
         "options": "--set\ntasks=[2]\n\n",
     }
-    status, said, told = act(project, **gate() | given | {"extras": "models,lp"})
+    status, said, told = act(project, **GATE | given | {"extras": "models,lp"})
     assert status == 0, said
     assert told.splitlines()[-1] == f"{ROOT}[models,lp]"
     key = (project.parent / "output.txt").read_text("utf-8")  # of the cache: no commas, no blanks
@@ -155,7 +136,7 @@ def test_an_input_is_no_command(project: Path, name: str) -> None:
 
 
 def test_bad_input_is_reported_too(project: Path) -> None:
-    status, said, _ = act(project, **gate() | {"policy": "nowhere.npy"})
+    status, said, _ = act(project, **GATE | {"policy": "nowhere.npy"})
     assert status == 2, said
     assert "::error title=exact-mdp check model.npz::ModelError" in said
     root = ElementTree.parse(project / "policy-report.xml").getroot()

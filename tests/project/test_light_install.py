@@ -7,13 +7,12 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-
+DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 # What the core does without, by the extra that brings it.
 EXTRAS = {
     "lp": {"clarabel", "cvxpy"},
@@ -22,7 +21,7 @@ EXTRAS = {
     "notebooks": {"IPython", "ipykernel", "jupyterlab"},
     "agents": {"httpx"},
 }
-OPTIONAL = set().union(*EXTRAS.values())
+OPTIONAL = {package: extra for extra, packages in EXTRAS.items() for package in packages}
 # Whoever reads a module of these folders has read one that names the extra.
 GUARDED = ("exact_mdp/analysis/plots/", "exact_mdp/paper_repro/")
 
@@ -33,11 +32,12 @@ class Missing:
         if name.partition(".")[0] in {sorted(OPTIONAL)!r}:
             raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 sys.meta_path.insert(0, Missing())
+sys.path.insert(0, {str(ROOT)!r})
 """
-
 CORE = """
-from exact_mdp import MDP, Policy, Scenario, certify, check, evaluate, gradient, solve, tornado
-from exact_mdp.solvers import PolicyIteration, return_distribution, simulate
+from exact_mdp import MDP, PolicyIteration, Scenario, certify, check, evaluate, gradient
+from exact_mdp import return_distribution, simulate, solve, tornado
+from exact_mdp.analysis.cli import main
 
 scenario = Scenario.load("yuan2025").with_(tasks=[1])
 mdp = scenario.compile()
@@ -47,127 +47,104 @@ assert not check(mdp, "always:directive").passed
 assert evaluate(mdp, "random").frame() is not None
 assert simulate(mdp, "random", 20, 0) and return_distribution(mdp, "random")
 assert gradient(scenario, names=["base.anger"]) and tornado(scenario, names=["base.anger"])
-"""
-
-COMMANDS = [
-    "info yuan2025",
-    "solve yuan2025 --certify",
-    "evaluate yuan2025 random",
-    "returns yuan2025 random",
-    "check yuan2025 optimal --html page.html --junit report.xml",
-    "simulate yuan2025 random --episodes 20",
-    "gradient yuan2025 --parameter base.anger",
+for words in (
+    "info yuan2025", "solve yuan2025 --certify", "evaluate yuan2025 random",
+    "returns yuan2025 random", "check yuan2025 optimal --html page.html --junit report.xml",
+    "simulate yuan2025 random --episodes 20", "gradient yuan2025 --parameter base.anger",
     "tornado yuan2025 --parameter base.anger",
-]
-
-NEEDED = {
-    "solve yuan2025 --method linear-program": "exact-mdp[lp]",
-    "info gymnasium:FrozenLake-v1 --discount 0.9": "exact-mdp[models]",
-    "info model.prism": "exact-mdp[models]",
-    "info model.umb": "exact-mdp[models]",
-    "convert yuan2025 m.umb": "exact-mdp[models]",
-    "data log.parquet --out m.npz": "exact-mdp[models]",
+):
+    assert main(words.split()) == 0, words
+"""
+COMMANDS = {
+    "solve yuan2025 --method linear-program": "lp",
+    "info gymnasium:FrozenLake-v1 --discount 0.9": "models",
+    "info model.prism": "models",
+    "info model.umb": "models",
+    "convert yuan2025 m.umb": "models",
+    "data log.parquet --out m.npz": "models",
 }
 IN_PYTHON = {
-    "from exact_mdp import draw": "exact-mdp[plots]",
-    "from exact_mdp.analysis.plots import style": "exact-mdp[plots]",
-    "from exact_mdp import MDP, solve; solve(MDP.from_arrays([[[1]]], [0], '1/2')).plot()":
-        "exact-mdp[plots]",
-    "import exact_mdp.mdp.environment": "exact-mdp[models]",
-    "from exact_mdp.paper_repro.agents.endpoint import Endpoint; Endpoint(model='m', base_url='https://x')":
-        "exact-mdp[agents]",
+    "from exact_mdp import draw": "plots",
+    "from exact_mdp.analysis.plots import style": "plots",
+    "from exact_mdp import MDP, solve; solve(MDP.from_arrays([[[1]]], [0], '1/2')).plot()": "plots",
+    "import exact_mdp.mdp.environment": "models",
+    "from exact_mdp.paper_repro.agents.endpoint import Endpoint as E; E(model='m', base_url='https://x')":
+        "agents",
 }  # fmt: skip
 
 
 def run(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    code = f"{WITHOUT}sys.path.insert(0, {str(ROOT)!r})\n{code}"
+    words = [sys.executable, "-W", "error", "-c", WITHOUT + code]
     return subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+        words, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL
+    )
 
 
-def test_python_needs_the_core_alone(tmp_path: Path) -> None:
+def test_python_and_the_commands_need_the_core_alone(tmp_path: Path) -> None:
     done = run(CORE, tmp_path)
     assert done.returncode == 0, done.stderr
 
 
-def test_the_commands_need_the_core_alone(tmp_path: Path) -> None:
-    words = [command.split() for command in COMMANDS]
-    code = f"""
-from exact_mdp.analysis.cli import main
-for words in {words!r}:
-    assert main(words) == 0, words
-"""
-    done = run(code, tmp_path)
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize("command", NEEDED)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_a_missing_package_names_its_extra(tmp_path: Path, command: str) -> None:
     for name in ("model.prism", "model.umb", "log.parquet"):
         (tmp_path / name).write_text("mdp")
     code = f"from exact_mdp.analysis.cli import main; sys.exit(main({command.split()!r}))"
     done = run(code, tmp_path)
-    assert done.returncode == 2, done.stderr
-    assert f'pip install "{NEEDED[command]}"' in done.stderr
-    assert done.stdout == ""
+    assert (done.returncode, done.stdout) == (2, ""), done.stderr
+    assert f'pip install "exact-mdp[{COMMANDS[command]}]"' in done.stderr
 
 
 @pytest.mark.parametrize("code", IN_PYTHON)
 def test_so_it_does_in_python(tmp_path: Path, code: str) -> None:
     done = run(code, tmp_path)
     assert "exact_mdp.mdp.errors.ModelError: the package" in done.stderr
-    assert f'pip install "{IN_PYTHON[code]}"' in done.stderr
+    assert f'pip install "exact-mdp[{IN_PYTHON[code]}]"' in done.stderr
 
 
-def test_every_optional_import_stands_under_its_extra() -> None:
-    """No import of such a package fails in words of Python's own."""
-    astray = []
-    for path in sorted((ROOT / "exact_mdp").rglob("*.py")):
-        name = path.relative_to(ROOT).as_posix()
-        if not name.startswith(GUARDED):
-            tree = ast.parse(path.read_text("utf-8"))
-            astray += [f"{name}: {each}" for each in unguarded(tree, extra=None)]
-    assert astray == []
-    assert list(unguarded(ast.parse("import cvxpy"), extra=None)) == ["cvxpy"]
-    wrong = ast.parse("with extra('plots'):\n    def f():\n        from cvxpy import Problem")
-    assert list(unguarded(wrong, extra=None)) == ["cvxpy"]
-
-
-def unguarded(node: ast.AST, extra: str | None) -> Iterator[str]:
-    """Yield the optional packages that are imported, but not where that extra is named."""
-    match node:
-        case ast.If(test=ast.Name(id="TYPE_CHECKING")):
-            return
-        case ast.With(items=[ast.withitem(context_expr=ast.Call(ast.Name("extra"), [argument]))]):
-            extra = ast.literal_eval(argument)
-        case ast.Import(names=names):
-            yield from absent((each.name for each in names), extra)
-        case ast.ImportFrom(module=str(module), level=0):
-            yield from absent([module], extra)
-    for child in ast.iter_child_nodes(node):
-        yield from unguarded(child, extra)
-
-
-def absent(modules: Iterable[str], extra: str | None) -> list[str]:
-    """Return the packages of modules that are optional, and that the extra does not bring."""
-    packages = {module.partition(".")[0] for module in modules}
-    return sorted((packages & OPTIONAL) - EXTRAS.get(extra or "", set()))
-
-
-def test_the_list_is_that_of_the_extras() -> None:
-    """Each package stands in the extra that a message would name."""
-    declared = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    for extra, packages in EXTRAS.items():
-        lines = declared["optional-dependencies"][extra]
-        brought = {re.split(r"[^\w-]", line)[0] for line in lines} - {"exact-mdp", "gymnasium"}
-        assert brought <= packages, extra
-    assert set(declared["optional-dependencies"]) == {*EXTRAS, "all", "bench"}
-
-
-def test_so_does_the_reproduction(tmp_path: Path) -> None:
+def test_so_it_does_in_the_reproduction(tmp_path: Path) -> None:
     done = run("from exact_mdp.paper_repro.__main__ import main; main(['--quick'])", tmp_path)
     assert done.returncode == 2, done.stderr
     assert 'pip install "exact-mdp[plots]"' in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def unguarded(text: str) -> list[str]:
+    """The optional packages that are imported, but not where their extra is named."""
+    astray = []
+
+    def visit(node: ast.AST, extra: str) -> None:
+        names: list[str] = []
+        match node:
+            case ast.If(test=ast.Name(id="TYPE_CHECKING")):
+                return
+            case ast.With(items=[ast.withitem(context_expr=ast.Call(ast.Name("extra"), [name]))]):
+                extra = ast.literal_eval(name)
+            case ast.Import(names=listed):
+                names = [each.name for each in listed]
+            case ast.ImportFrom(module=str(module), level=0):
+                names = [module]
+        packages = {name.partition(".")[0] for name in names} & OPTIONAL.keys()
+        astray.extend(name for name in packages if name not in EXTRAS.get(extra, ()))
+        for child in ast.iter_child_nodes(node):
+            visit(child, extra)
+
+    visit(ast.parse(text), "")
+    return astray
+
+
+def test_every_optional_import_stands_under_its_extra() -> None:
+    """No import of such a package fails in words of Python's own; each is in a declared extra."""
+    files = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8")
+             for path in (ROOT / "exact_mdp").rglob("*.py")}  # fmt: skip
+    assert {n: unguarded(text) for n, text in files.items() if not n.startswith(GUARDED)} == {
+        name: [] for name in files if not name.startswith(GUARDED)
+    }
+    assert unguarded("import cvxpy") == ["cvxpy"]
+    wrong = "with extra('plots'):\n    def f():\n        from cvxpy import Problem"
+    assert unguarded(wrong) == ["cvxpy"]
+    for extra, packages in EXTRAS.items():
+        lines = DECLARED["optional-dependencies"][extra]
+        brought = {re.split(r"[^\w-]", line)[0] for line in lines} - {"exact-mdp", "gymnasium"}
+        assert brought <= packages, extra
+    assert set(DECLARED["optional-dependencies"]) == {*EXTRAS, "all", "bench"}

@@ -91,36 +91,18 @@ def test_holds_its_outputs_and_nothing_of_this_machine(path: Path) -> None:
 
 
 @each_notebook
-def test_uses_public_names_only(path: Path) -> None:
+def test_uses_public_names_and_what_the_extra_brings(path: Path) -> None:
     own = [(module, names) for module, names in imports(path) if module.startswith("exact_mdp")]
     assert own
     assert {module for module, _ in own} == {"exact_mdp"}
     assert {name for _, names in own for name in names} <= set(exact_mdp.__all__)
-
-
-def extras(name: str) -> Iterator[str]:
-    """An extra, and those that it brings."""
-    yield name
-    for requirement in PROJECT["optional-dependencies"][name]:
-        if brought := re.match(r"exact-mdp\[(.+)]", requirement):
-            for other in brought[1].split(","):
-                yield from extras(other)
-
-
-def test_the_extra_brings_what_they_import() -> None:
-    lists = [
-        PROJECT["dependencies"],
-        *(PROJECT["optional-dependencies"][name] for name in extras("notebooks")),
-    ]
-    brought = {re.split(r"[^\w-]", line)[0].lower() for lines in lists for line in lines}
-    assert "gymnasium" in brought
-    names = {module.partition(".")[0] for path in NOTEBOOKS for module, _ in imports(path)}
+    extras = PROJECT["optional-dependencies"]
+    parts = [PROJECT["dependencies"], *(extras[name] for name in ("notebooks", "lp", "plots"))]
+    brought = {re.split(r"[^\w-]", line)[0].lower() for lines in parts for line in lines}
+    packages = {module.partition(".")[0] for module, _ in imports(path)} - {"exact_mdp"}
     known = packages_distributions()
-    assert [
-        name
-        for name in names - sys.stdlib_module_names - {"exact_mdp"}
-        if brought.isdisjoint(map(str.lower, known.get(name, [])))
-    ] == []
+    for name in packages - sys.stdlib_module_names:
+        assert brought & set(map(str.lower, known.get(name, []))), name
 
 
 @each_notebook

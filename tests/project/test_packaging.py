@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ["mdp", "solvers", "analysis", "paper_repro"]
+ROOMS = ["mdp", "solvers", "analysis", "paper_repro"]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 NOT_PACKAGED = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc", ".ipynb_checkpoints")
 
@@ -23,45 +23,32 @@ NOT_PACKAGED = shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc", ".ipynb_c
 pytestmark = [pytest.mark.wheel, pytest.mark.xdist_group("wheel")]
 
 
-@dataclass(frozen=True)
-class Installed:
-    """An environment that has the wheel, and an empty folder to work in."""
-
-    bin: Path
-    site_packages: Path
-    folder: Path
-
-    def run(self, program: str, *arguments: str, cwd: Path | None = None) -> str:
-        found = shutil.which(program, path=str(self.bin))
-        assert found is not None, f"no {program} in {self.bin}"
-        done = subprocess.run(
-            [found, *arguments],
-            cwd=cwd or self.folder,
-            env=environment(),
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
-
-def environment() -> dict[str, str]:
-    """Return this process's environment less what would let it import from elsewhere."""
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    return kept | {"PYTHONUTF8": "1", "COLUMNS": "100", "NO_COLOR": "1"}
-
-
-def call(*command: str | Path, cwd: Path) -> None:
+def call(*command: str | Path, cwd: Path, status: int = 0) -> str:
+    """What a program prints, without what would let it import from elsewhere."""
+    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     done = subprocess.run(
-        [str(word) for word in command],
-        cwd=cwd,
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout
+        [str(word) for word in command], cwd=cwd, text=True, encoding="utf-8",
+        env=own | {"PYTHONUTF8": "1", "COLUMNS": "100", "NO_COLOR": "1"},
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
+    assert done.returncode == status, done.stdout
+    return done.stdout
+
+
+def build(kind: str, source: Path, out: Path) -> Path:
+    """Build a wheel or a source archive of a folder, and return it."""
+    out.mkdir()
+    call(sys.executable, "-m", "build", f"--{kind}", "--no-isolation", "-o", out, source, cwd=out)
+    (archive,) = out.iterdir()
+    return archive
+
+
+def contents(wheel: Path) -> tuple[set[str], dict[str, str]]:
+    """The files of a wheel, and what it says of itself."""
+    with zipfile.ZipFile(wheel) as archive:
+        about = {name for name in archive.namelist() if ".dist-info/" in name}
+        texts = {name.split(".dist-info/")[1]: archive.read(name).decode() for name in about}
+        return set(archive.namelist()) - about, texts
 
 
 @pytest.fixture(scope="session")
@@ -80,12 +67,18 @@ def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build("wheel", source, tmp_path_factory.mktemp("wheel") / "out")
 
 
-def build(kind: str, source: Path, out: Path) -> Path:
-    """Build a wheel or a source archive of a folder, and return it."""
-    out.mkdir()
-    call(sys.executable, "-m", "build", f"--{kind}", "--no-isolation", "-o", out, source, cwd=out)
-    (found,) = out.iterdir()
-    return found
+@dataclass(frozen=True)
+class Installed:
+    """An environment that has the wheel, and an empty folder to work in."""
+
+    bin: Path
+    site_packages: Path
+    folder: Path
+
+    def run(self, program: str, *arguments: str, cwd: Path | None = None) -> str:
+        path = shutil.which(program, path=str(self.bin))
+        assert path is not None, f"no {program} in {self.bin}"
+        return call(path, *arguments, cwd=cwd or self.folder)
 
 
 @pytest.fixture(scope="session")
@@ -108,17 +101,19 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installe
     return Installed(scripts, site_packages, tmp_path_factory.mktemp("elsewhere"))
 
 
-def test_wheel_holds_every_file_of_the_packages_and_nothing_else(source: Path, wheel: Path) -> None:
-    expected = {
-        path.relative_to(source).as_posix()
-        for path in (source / "exact_mdp").rglob("*")
-        if path.is_file()
-    }
-    with zipfile.ZipFile(wheel) as archive:
-        held = {name for name in archive.namelist() if ".dist-info/" not in name}
-    assert held == expected
-    assert {f"exact_mdp/{package}/py.typed" for package in PACKAGES} <= held
+def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(
+    source: Path, wheel: Path
+) -> None:
+    files = {path for path in (source / "exact_mdp").rglob("*") if path.is_file()}
+    held, about = contents(wheel)
+    assert held == {path.relative_to(source).as_posix() for path in files}
+    assert {f"exact_mdp/{room}/py.typed" for room in ROOMS} <= held
     assert "exact_mdp/mdp/scenarios/yuan2025.toml" in held
+    assert f"\nName: {PROJECT['name']}\n" in about["METADATA"]
+    assert f"\nVersion: {PROJECT['version']}\n" in about["METADATA"]
+    assert "exact-mdp = exact_mdp.analysis.cli:main" in about["entry_points.txt"]
+    assert about["licenses/LICENSE"] == (ROOT / "LICENSE").read_text("utf-8")
+    assert "py3-none-any" in wheel.name
 
 
 def test_built_again_it_is_the_same_wheel(source: Path, wheel: Path, tmp_path: Path) -> None:
@@ -132,59 +127,18 @@ def test_built_again_it_is_the_same_wheel(source: Path, wheel: Path, tmp_path: P
     assert build("wheel", unpacked, tmp_path / "third").read_bytes() == wheel.read_bytes()
 
 
-def test_a_clone_without_links_builds_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
+def test_a_clone_without_links_builds_the_wheel_and_one_without_rooms_none(tmp_path: Path) -> None:
     """Git for Windows writes a link as a text file: only the short names at the top are lost."""
     clone = tmp_path / "clone"
     call("git", "-c", "core.symlinks=false", "clone", "-q", "--no-local", ROOT, clone, cwd=tmp_path)
     assert (clone / "mdp").is_file()
-    with zipfile.ZipFile(build("wheel", clone, tmp_path / "out")) as archive:
-        held = {name for name in archive.namelist() if ".dist-info/" not in name}
-    committed = subprocess.run(
-        ["git", "ls-files", "exact_mdp"], cwd=clone, capture_output=True, text=True, check=True
-    )
-    assert held == set(committed.stdout.split())
-
-
-def test_a_package_without_its_folders_is_not_built(source: Path, tmp_path: Path) -> None:
-    broken = tmp_path / "broken"
-    shutil.copytree(source, broken)
-    shutil.rmtree(broken / "exact_mdp" / "mdp")
-    (broken / "exact_mdp" / "mdp").write_text("../mdp")
-    done = subprocess.run(
-        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", "out", broken],
-        cwd=tmp_path,
-        env=environment(),
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode != 0
-    assert "exact_mdp/mdp/__init__.py is missing" in done.stdout + done.stderr
-    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
-
-
-def test_wheel_describes_the_project(wheel: Path) -> None:
-    with zipfile.ZipFile(wheel) as archive:
-        about = {
-            name.partition(".dist-info/")[2]: archive.read(name).decode()
-            for name in archive.namelist()
-            if ".dist-info/" in name
-        }
-    assert f"\nName: {PROJECT['name']}\n" in about["METADATA"]
-    assert f"\nVersion: {PROJECT['version']}\n" in about["METADATA"]
-    assert "exact-mdp = exact_mdp.analysis.cli:main" in about["entry_points.txt"]
-    assert about["licenses/LICENSE"] == (ROOT / "LICENSE").read_text("utf-8")
-    assert "py3-none-any" in wheel.name
-
-
-def test_one_name_is_installed(installed: Installed) -> None:
-    """Nothing but exact_mdp goes into site-packages: a project may have names of its own."""
-    rooms = [f"exact_mdp.{name}" for name in PACKAGES]
-    names = ", ".join(rooms)
-    code = f"import exact_mdp, {names}; print(*[m.__file__ for m in [{names}]])"
-    files = [Path(name) for name in installed.run("python", "-c", code).split()]
-    home = installed.site_packages / "exact_mdp"
-    assert [file.parent for file in files] == [home / name for name in PACKAGES]
-    assert not [name for name in PACKAGES if (installed.site_packages / name).exists()]
+    held, _ = contents(build("wheel", clone, tmp_path / "out"))
+    assert held == set(call("git", "ls-files", "exact_mdp", cwd=clone).split())
+    shutil.rmtree(clone / "exact_mdp" / "mdp")
+    (clone / "exact_mdp" / "mdp").write_text("../mdp")
+    words = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", "none", clone]
+    assert "exact_mdp/mdp/__init__.py is missing" in call(*words, cwd=tmp_path, status=1)
+    assert not list(tmp_path.glob("none/*"))
 
 
 OWN_TEST = """
@@ -203,7 +157,13 @@ def test_a_policy_is_held_against_the_optimum(policy_gate):
 
 
 def test_a_project_with_modules_of_these_names_runs_its_tests(installed: Installed) -> None:
-    """A repository's own analysis/, solvers/ and mdp.py live beside the installed package."""
+    """Nothing but exact_mdp is installed, and modules of one's own are found."""
+    names = ", ".join(f"exact_mdp.{room}" for room in ROOMS)
+    code = f"import exact_mdp, {names}; print(*[m.__file__ for m in [{names}]])"
+    files = [Path(name) for name in installed.run("python", "-c", code).split()]
+    home = installed.site_packages / "exact_mdp"
+    assert [file.parent for file in files] == [home / room for room in ROOMS]
+    assert not [room for room in ROOMS if (installed.site_packages / room).exists()]
     project = installed.folder / "project"
     for name, number in (("analysis/__init__", 1), ("mdp", 2), ("solvers/__init__", 3)):
         path = project / f"{name}.py"
@@ -211,8 +171,8 @@ def test_a_project_with_modules_of_these_names_runs_its_tests(installed: Install
         path.write_text(f"MINE = {number}\n")
     (project / "test_own.py").write_text(OWN_TEST)
     command = ["-m", "pytest", "-q", "-p", "no:cacheprovider", str(project)]
-    said = installed.run("python", *command, cwd=project)
-    assert "2 passed" in said, said
+    printed = installed.run("python", *command, cwd=project)
+    assert "2 passed" in printed, printed
 
 
 def test_the_installed_program_works(installed: Installed) -> None:

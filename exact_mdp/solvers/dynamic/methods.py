@@ -138,10 +138,9 @@ class ModifiedPolicyIteration:
         """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
 
         def step(values: Values, found: Pass, goal: float) -> None:
-            if values.passes == 1:  # the first policy is greedy for the next reward alone
-                values.take(found)
-            else:
-                values.evaluate(found, goal)
+            values.take(found)
+            if values.passes > 1:  # the first policy is greedy for the next reward alone
+                values.evaluate(goal)
 
         return iterate(model, self, step, tol=self.tol, evaluates=True)
 
@@ -182,6 +181,6 @@ class PolicyIteration:
         """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
 
         def step(values: Values, found: Pass, goal: float) -> None:
-            values.correct(found)
+            values.correct(0.0)
 
         return iterate(model, self, step, evaluates=True, exact=True)

@@ -117,6 +117,10 @@ class Proof(Result):
         model : MDP, optional
             The model that it is of, for what the file alone does not say: optimal actions, gaps.
 
+        Returns
+        -------
+        Certificate, BoundedCertificate or ConstrainedSolution
+
         Raises
         ------
         ModelError
