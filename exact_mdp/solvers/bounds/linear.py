@@ -6,58 +6,51 @@ The values of a policy, its second moments, its expected steps and (with P trans
 all have this form. The chain must leak: at discount 1 the rows of terminal states, where x is 0,
 have to be empty (`policy_chain` does that).
 
-Solving: where an order of the states is known along which the chain only falls, by substitution.
-Else by sweeps, where a few lead there, as in chains that mix soon, unless elimination costs less.
-That is done within a band, where all transitions are to near numbers, or that costs little, as
-the states are numbered or by the order of Reverse Cuthill and McKee (a ring has a narrow one); up
-to 500 states, by sparse elimination, as are larger ones of few transitions where the factors stay
-small: loading compiled loops would take longer. Otherwise by BiCGSTAB, which does not fill the
-matrix. Where that does not converge soon, by sparse elimination, if there is room for its factors;
-if not, by GMRES, and by BiCGSTAB with more patience. Steps of iterative refinement follow.
+Solving: small chains, and those whose factors are seen to be small, by sparse elimination; others
+by sweeps, where a few lead there, else by BiCGSTAB, and where that does not converge by elimination
+after all, if there is room. Rows or columns dominated by their diagonal need no exchanges, so that
+factors stay within the band of the matrix: that of an order along which the chain only falls, of
+the states as numbered, or of Reverse Cuthill and McKee. Iterative refinement follows.
 
 Bounding: let k be at least |c + γ P x - x|, its rounding errors included. If e ≥ 0 satisfies
 e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is nonnegative. So the error solves the same
-equation with the residual for a constant; what comes out is then verified with the rounding errors
-counted. Where k / (1 - γ P 1) is about the same in all states, its maximum will do for e: no other
-is below its minimum, as 1 = (I - γP)⁻¹ (1 - γ P 1). That e - γ P e > 0 for some e > 0 also proves
-that the chain leaks
+equation with the residual for a constant, and is then verified with the rounding errors counted;
+where k / (1 - γ P 1) is about the same in all states, its maximum will do. That e - γ P e > 0 for
+some e > 0 also proves that the chain leaks
 (Berman and Plemmons, Nonnegative Matrices in the Mathematical Sciences, 1979, chapter 6, M35).
-
-Iteration is compiled (`solvers.kernels.linear`): each step of SciPy's own is some hundred calls. Of
-large chains alone, GMRES is tried, which restarts after `DIRECTIONS` steps (Saad and Schultz, SIAM
-J. Sci. Stat. Comput. 7, 1986).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse import linalg as scipy
+from scipy.linalg import lapack
+from scipy.sparse import csgraph
+from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import ByFields
-from exact_mdp.mdp.table import COMPILED, Floats, Integers, Numbers
-from exact_mdp.solvers.bounds import elimination
-from exact_mdp.solvers.bounds.elimination import Solve, TooLarge
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import Bounded, SolverError, Status
 
-DIRECT_STATES = 500
-IN_ROOM = 2000  # states: factors with limited fill may take minutes of some larger chains
-MOST_FILL = 4
-CHEAP = 2e7  # multiplications within the band: some milliseconds
+FEW, SPARSE = 500, 5000  # states, or transitions: elimination takes milliseconds
+CHEAP, NARROW = 2e7, 4  # multiplications; how many times the entries a band has
+MOST_ENTRIES = 100_000_000  # of both factors, 12 bytes each
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
-SWEEPS, STEPS, PATIENT = 60, 400, 8000
-TRIED, CLOSE = 6, 1e-12  # sweeps after which to ask how fast they are; a sum that is nearly 1
-ABOUT = 30  # sweeps of chains that mix soon
+SWEEPS, TRIED = 100, 6  # at most; after which to ask how fast they are
+STEPS, PATIENT = 400, 8000  # of BiCGSTAB, where elimination is possible, and where it is not
+CLOSE = 1e-12  # a sum that is nearly 1
 ALIKE = 2  # how much greater than need be an error bound may be that takes no equations
-DIRECTIONS, GMRES_STEPS = 20, 400
+
+Solve = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,12 +90,7 @@ class LinearSystem(ByFields):
     order: Integers | None = None
     roundings: int = 1
 
-    def __post_init__(self) -> None:
-        rows, columns = self.transition.shape
-        if not rows or rows != columns:
-            raise ValueError(f"transitions of shape {(rows, columns)} are not those of a chain")
-        if not (np.isfinite(self.discount) and np.isfinite(self.transition.data).all()):
-            raise ValueError("a transition probability or the discount is not a finite number")
+    # ---- errors ------------------------------------------------------------------------------
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, constant: Floats, constant_error: Floats | float = 0.0) -> FixedPoint:
@@ -114,6 +102,10 @@ class LinearSystem(ByFields):
         rounding = self._rounding(np.abs(constant), np.abs(value))
         excess = (np.abs(residual) * (1 + 4 * UNIT) + rounding + constant_error) * SLACK
         return FixedPoint(value=value, error=self._dominating(excess))
+
+    def approximate(self, constant: Floats) -> Floats:
+        """Return x (S,) for a constant (S,), refined, without any claim about its error."""
+        return self._refined(constant)[0]
 
     def _dominating(self, excess: Floats) -> Floats:
         """Return e (S,) with e - γ P e ≥ `excess`, verified."""
@@ -143,18 +135,17 @@ class LinearSystem(ByFields):
         nothing = np.zeros_like(every)
         return np.asarray(-self._residual(nothing, every) - self._rounding(nothing, every))
 
-    def approximate(self, constant: Floats) -> Floats:
-        """Return x (S,) for a constant (S,), refined, without any claim about its error."""
-        return self._refined(constant)[0]
-
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def _refined(self, constant: Floats) -> tuple[Floats, Floats]:
         """Return x (S,), refined, and its residual as computed."""
         value = self._nearly(constant, FIRST)
         residual = self._residual(constant, value)
         size = float(np.abs(residual).max(initial=0.0))
+        # Of rows of n terms, the error bound counts n roundings whatever the residual is.
+        floor = max(8.0, float(np.diff(self.transition.indptr).max()) / 4) * UNIT
+        floor *= float((np.abs(constant) + np.abs(value)).max(initial=0.0))
         for _ in range(REFINEMENTS):
-            if not np.isfinite(size) or size <= self._floor(constant, value):
+            if not np.isfinite(size) or size <= floor:
                 break
             better = value + self._nearly(residual, CORRECTION)
             after = self._residual(constant, better)
@@ -167,24 +158,6 @@ class LinearSystem(ByFields):
             size = smaller
         return value, residual
 
-    def _floor(self, constant: Floats, value: Floats) -> float:
-        """Return the size of a residual that may be rounding alone: to refine it brings nothing.
-
-        Of rows of n terms, the error bound counts n roundings whatever the residual is.
-        """
-        return self._negligible * UNIT * float((np.abs(constant) + np.abs(value)).max(initial=0.0))
-
-    @cached_property
-    def _negligible(self) -> float:
-        return max(8.0, float(np.diff(self.transition.indptr).max()) / 4)
-
-    def roughly(self, constant: Floats) -> Floats:
-        """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller.
-
-        For those who have tried sweeps.
-        """
-        return self._nearly(constant, 1e-2) if self._direct is None else self._direct(constant)
-
     def _residual(self, constant: Floats, value: Floats) -> Floats:
         return np.asarray(constant + self.discount * (self.transition @ value) - value)
 
@@ -196,8 +169,35 @@ class LinearSystem(ByFields):
         largest = float(value.max(initial=0.0))
         return np.asarray(total + TINY * (terms + 1) * (largest + (largest > 0)))
 
+    # ---- solving -----------------------------------------------------------------------------
+
+    def roughly(self, constant: Floats) -> Floats:
+        """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller."""
+        return self._direct(constant) if self._direct else self._iterated(constant, 1e-2)
+
+    def relatively(self, constant: Floats, leak: Floats) -> tuple[Floats, float]:
+        """Return h (S,) and k with h + k = c + γ P (h + k), h being 0 in a state often visited.
+
+        Values may be as large as 1 / (1 - γ), h is only as large as they differ: what leads to that
+        state is left out, and k times the `leak` (S,) of each row, 1 - γ Σ P, stands in its place.
+        Leaks are given, as floats of P near 1 do not tell them; where rows leak unalike, what is
+        small beside the others has to be found closely, too.
+        """
+        often, others = self._without_one
+        leaked, value, chain = others.approximate(leak), np.zeros_like(constant), self.transition
+        level = 0.0
+        row = np.repeat(np.arange(len(value)), np.diff(chain.indptr))
+        for _ in range(REFINEMENTS):
+            steps = chain.data * (value[chain.indices] - value[row])
+            ahead = np.bincount(row, steps, len(value))
+            earned = others.roughly(constant + self.discount * ahead - leak * value)
+            common = earned[often] / leaked[often]
+            value, constant = value + (earned - common * leaked), constant - common * leak
+            level += common
+        return value, float(level)
+
     @cached_property
-    def without_one(self) -> tuple[int, LinearSystem]:
+    def _without_one(self) -> tuple[int, LinearSystem]:
         """A state that is often visited, and the system without what leads there."""
         chain, states = self.transition, self.transition.shape[0]
         share, back = np.full(states, 1 / states), chain.T.tocsr()
@@ -205,139 +205,145 @@ class LinearSystem(ByFields):
             share = back @ share
         often = int(np.argmax(share))
         kept = np.where(chain.indices == often, 0.0, chain.data)
-        others = LinearSystem(
-            sp.csr_array((kept, chain.indices, chain.indptr), chain.shape), self.discount
-        )
-        return often, others
-
-    # ---- solvers -----------------------------------------------------------------------------
+        rows = sp.csr_array((kept, chain.indices, chain.indptr), chain.shape)
+        return often, LinearSystem(rows, self.discount)
 
     def _nearly(self, constant: Floats, rtol: float) -> Floats:
-        """Return x (S,), where it is iterated for with a residual of that part of the constant.
-
-        Sweeps go on to the least residual there is where it is `FIRST`.
-        """
-        size = float(np.abs(constant).max(initial=0.0))
-        if self._mixes[0] and np.isfinite(size) and size > 0:
-            fine = 4 * UNIT if rtol == FIRST else 0.0
-            # Tests for convergence are absolute.
-            found = sweeping(self.transition, self.discount, constant / size, rtol, fine)
-            if found is not None:
-                return np.asarray(found * size)
-            self._mixes[0] = False
-        return self._iteration(constant, rtol) if self._direct is None else self._direct(constant)
-
-    @property
-    def work(self) -> float:
-        """The multiplications of elimination within a band, where that is what is done; else 0."""
-        return self._band[1]
-
-    @property
-    def work_as_numbered(self) -> float:
-        """The same in the order that the states are numbered in."""
-        return self._as_numbered[1]
-
-    @cached_property
-    def _as_numbered(self) -> tuple[tuple[int, int], float]:
-        within = elimination.reach(self.transition)
-        return within, _work(self.transition.shape[0], self.transition.nnz, within)
-
-    @cached_property
-    def _band(self) -> tuple[tuple[int, int], float, Numbers | None]:
-        """How far transitions lead, the multiplications of elimination if it pays, else 0.
-
-        Where it pays in another order of the states alone, that comes third.
-        """
-        within, work = self._as_numbered
-        if work:
-            return within, work, None
-        order = elimination.near_order(self.transition)
-        within = elimination.reach(self.transition, order)
-        work = _work(self.transition.shape[0], self.transition.nnz, within)
-        return within, work, order if work else None
-
-    @cached_property
-    def _direct(self) -> Solve | None:
-        """The method that needs no iteration, where there is one that costs little."""
-        chain, rate = self.transition, self.discount
-        if self.order is not None:
-            return elimination.substitution(chain, rate, self.order)
-        within, work, order = self._band
-        if order is not None:
-            inner = elimination.band(chain[order][:, order], rate, within)
-            return elimination.reordered(inner, order)
-        if work:
-            return elimination.band(chain, rate, within)
-        return elimination.sparse(chain, rate) if chain.shape[0] <= DIRECT_STATES else None
-
-    def _iteration(self, constant: Floats, rtol: float) -> Floats:
-        """Factors in little room, else sweeps, else BiCGSTAB; what is slower once that fails."""
+        """Return x (S,), where it is iterated for with a residual of that part of the constant."""
         size = float(np.abs(constant).max(initial=0.0))
         if size == 0.0 or not np.isfinite(size):
             return np.full(len(constant), 0.0 if size == 0.0 else np.nan)
-        if self._within_room is not None:
-            value = self._within_room(constant)
-            left = np.abs(self._residual(constant, value)).max()
-            if left <= max(rtol * size, self._floor(constant, value)):
+        if self._direct:
+            return self._direct(constant)
+        scaled = constant / size  # tests for convergence and breakdown are absolute
+        if not self._slow:
+            value, done = self.swept(scaled, rtol, fine=4 * UNIT if rtol == FIRST else 0.0)
+            if done:
+                return size * value
+            self._slow.append(True)
+        return size * self._iterated(scaled, rtol)
+
+    def swept(self, constant: Floats, enough: float, *, fine: float = 0.0) -> tuple[Floats, bool]:
+        """Return x (S,) and whether its residual is `enough`; if not, sweeps would be too many.
+
+        With `fine` above 0 sweeps go on to a residual of that part of the values. Where all columns
+        sum to 1, as in equations of visits, x sums to Σ c / (1 - γ); what begins with that sum
+        keeps it, so that residuals sum to 0 and fall as fast as the chain mixes.
+        """
+        from exact_mdp.solvers.kernels import linear as loops
+
+        chain, rate = self.transition, float(self.discount)
+        whole, kept = self._sums_to_one
+        value, room = np.zeros((2, len(constant)))
+        if kept:
+            value += constant.sum() / (1 - rate) / len(constant)
+        rows = loops.Rows(chain.indptr, chain.indices, chain.data)
+        limits = (enough, fine, SWEEPS, TRIED)
+        done = loops.swept(rows, rate, constant, whole, *limits, value, room)
+        return np.asarray(value), bool(done)
+
+    @cached_property
+    def _slow(self) -> list[bool]:
+        """Not empty where sweeps were found to be slow."""
+        return []
+
+    @cached_property
+    def _sums_to_one(self) -> tuple[bool, bool]:
+        """Whether all rows sum to 1, and if not, whether all columns do; below discount 1."""
+        if self.discount == 1:
+            return False, False
+        each = np.ones(self.transition.shape[0])
+        totals = (matrix @ each for matrix in (self.transition, self.transition.T))
+        rows, columns = (max(total.max() - 1, 1 - total.min()) < CLOSE for total in totals)
+        return rows, columns and not rows
+
+    def _iterated(self, constant: Floats, rtol: float) -> Floats:
+        """Return x (S,) by BiCGSTAB, or by elimination once that has failed."""
+        from exact_mdp.solvers.kernels import linear as loops
+
+        chain = self.transition
+        entries = sum(self._band[1:]) * len(constant)
+        if "_within_band" not in vars(self):
+            chain.sort_indices()
+            rows = loops.Rows(chain.indptr, chain.indices, chain.data)
+            steps = STEPS if entries <= MOST_ENTRIES else PATIENT
+            value, room = np.empty(len(constant)), np.empty((6, len(constant)))
+            done = loops.bicgstab(rows, float(self.discount), constant, rtol, steps, value, room)
+            if done >= 0 and np.isfinite(value).all():
                 return value
-        scaled = constant / size  # tests for breakdown are absolute
-        if "_last_resort" not in vars(self):
-            found = quickly(self.transition, self.discount, scaled, rtol)
-            if found is not None:
-                return np.asarray(found * size)
-        if not isinstance(self._last_resort, TooLarge):
-            return self._last_resort(constant)
-        found = patiently(self.transition, self.discount, scaled, rtol)
-        if found is None:
-            raise TooLarge(self._last_resort.detail)
-        return np.asarray(found * size)
+        if entries > MOST_ENTRIES:
+            detail = f"iteration does not converge, and the factors of {len(constant):,} equations "
+            detail += f"with {chain.nnz:,} transitions may have {entries:.1e} entries"
+            raise SolverError(Status.TOO_LARGE, detail)
+        return self._within_band(constant)
 
     @cached_property
-    def _within_room(self) -> Solve | None:
-        """Elimination in little room, of chains too small for compiled loops to pay."""
-        small = self.transition.nnz < COMPILED and self.transition.shape[0] <= IN_ROOM
-        return elimination.in_room(self.transition, self.discount) if small else None
+    def _direct(self) -> Solve | None:
+        """Elimination, where it costs little."""
+        few = self.transition.shape[0] <= FEW or self.transition.nnz <= SPARSE
+        if self.order is not None or (few and not self.work):
+            order = None if self.order is None else np.argsort(self.order, kind="stable")
+            return self._ordered(self._sparse, order)
+        return self._within_band if self.work else None
 
     @cached_property
-    def _mixes(self) -> list[bool]:
-        """Whether sweeps may be fast: they were never found to be slow, and cost less."""
-        if self.order is not None:
-            return [False]
-        work = self._as_numbered[1]
-        return [work == 0 or work > ABOUT * 2 * self.transition.nnz]
+    def work(self) -> float:
+        """The multiplications of elimination within a band, where these are few; else 0."""
+        _, lower, upper = self._band
+        width, states = lower + upper + 1, self.transition.shape[0]
+        work = 2.0 * states * (lower + 1) * width
+        return work if work <= CHEAP or width * states <= NARROW * self.transition.nnz else 0.0
 
     @cached_property
-    def _last_resort(self) -> Solve | TooLarge:
-        """Sparse elimination, or why not."""
+    def _band(self) -> tuple[Numbers | None, int, int]:
+        """An order of the states, None for that of their numbers; how far ways lead down and up."""
+        chain = self.transition
+        lower, upper = _reach(chain)
+        if (lower + upper) * chain.shape[0] <= NARROW * chain.nnz:
+            return None, lower, upper
+        one = sp.csr_array((np.ones(chain.nnz, np.int8), chain.indices, chain.indptr), chain.shape)
+        order = csgraph.reverse_cuthill_mckee((one + one.T).tocsr(), symmetric_mode=True)
+        down, up = _reach(chain[order][:, order])
+        return (order, down, up) if down + up < lower + upper else (None, lower, upper)
+
+    @cached_property
+    def _within_band(self) -> Solve:
+        return self._ordered(partial(_banded, self.discount, *self._band[1:]), self._band[0])
+
+    def _sparse(self, chain: sp.csr_array) -> Solve:
+        matrix = sp.csc_array(sp.eye_array(chain.shape[0]) - self.discount * chain)
+        matrix.indices, matrix.indptr = (x.astype(np.intc) for x in (matrix.indices, matrix.indptr))
+        how = "COLAMD" if self.order is None else "NATURAL"
         try:
-            return elimination.sparse(self.transition, self.discount)
-        except TooLarge as refusal:
-            return refusal
+            factors: Any = splu(matrix, permc_spec=how, diag_pivot_thresh=0.0)
+        except RuntimeError as error:
+            raise SolverError(Status.NO_BOUND, f"elimination failed ({error})") from error
+        return lambda constant: np.asarray(factors.solve(constant))
+
+    def _ordered(self, made: Callable[[sp.csr_array], Solve], order: Numbers | None) -> Solve:
+        """Return elimination of the chain with its states in another order."""
+        if order is None:
+            return made(self.transition)
+        place, inner = np.argsort(order), made(self.transition[order][:, order])
+        return lambda constant: inner(constant[order])[place]
 
 
-def _work(states: int, entries: int, within: tuple[int, int]) -> float:
-    """Return the multiplications of elimination `within` a band, if it pays, else 0."""
-    work = 2.0 * states * (within[0] + 1) * (sum(within) + 1)
-    narrow = sum(within) * states <= MOST_FILL * entries
-    return work if narrow or work <= CHEAP else 0.0
+def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
+    """Return LAPACK's elimination within a band."""
+    row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
+    places = np.zeros((2 * lower + upper + 1, chain.shape[0]), order="F")
+    places[lower + upper + row - chain.indices, chain.indices] = -discount * chain.data
+    places[lower + upper] += 1.0
+    factors, exchanged, failed = lapack.dgbtrf(places, lower, upper, overwrite_ab=True)
+    if failed:
+        raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")
+    return lambda constant: np.asarray(lapack.dgbtrs(factors, lower, upper, constant, exchanged)[0])
 
 
-def relatively(system: LinearSystem, leak: Floats) -> Solve:
-    """Return what finds about h (S,), for any c (S,), with h + k = c + γ P (h + k) for some k.
-
-    h is 0 in a state often visited. Values may be as large as 1 / (1 - γ), h is only as large as
-    they differ: what leads to that state is left out, and k times the `leak` (S,) of each row,
-    1 - γ Σ P, stands in its place. Leaks are given, as floats of P near 1 do not tell them; where
-    rows leak unalike, what is small beside the others has to be found closely, too.
-    """
-    often, others = system.without_one
-    leaked = others.approximate(leak)
-
-    def found(constant: Floats) -> Floats:
-        earned = others.roughly(constant)
-        return np.asarray(earned - earned[often] / leaked[often] * leaked)
-
-    return found
+def _reach(chain: sp.csr_array) -> tuple[int, int]:
+    """Return how far transitions (S, S) lead down and up in number, at most."""
+    ahead = chain.indices - np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
+    return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
 
 
 def at_start(mdp: MDP, found: FixedPoint) -> Bounded:
@@ -374,109 +380,5 @@ def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
     """Return the (S, S) transitions, terminal rows emptied, and (S,) rewards of `pairs` (S,)."""
     chain = mdp.transition[pairs]
     if mdp.terminal.any():
-        chain.data[np.repeat(mdp.terminal, np.diff(chain.indptr))] = 0.0
-        chain.eliminate_zeros()
+        chain = rows_of(chain, ~mdp.terminal)
     return chain, np.where(mdp.terminal, 0.0, mdp.reward[pairs])
-
-
-def sweeping(
-    chain: sp.csr_array, discount: float, constant: Floats, enough: float, fine: float = 0.0
-) -> Floats | None:
-    """Return x (S,) with a residual of at most `enough`, or None where sweeps would be too many.
-
-    See `solvers.kernels.linear.swept`, which this is in NumPy for small chains.
-    """
-    if chain.nnz >= COMPILED:
-        value, room = np.empty((2, len(constant)))
-        from exact_mdp.solvers.kernels.linear import Rows
-
-        rows = Rows(chain.indptr, chain.indices, chain.data)
-        limits = (enough, fine, SWEEPS, TRIED, CLOSE)
-        from exact_mdp.solvers.kernels import linear as loops
-
-        done = loops.swept(rows, float(discount), constant, *limits, value, room)
-    else:
-        value, done = _swept(chain, discount, constant, enough, fine)
-    return np.asarray(value) if done and np.all(np.isfinite(value)) else None
-
-
-def _swept(
-    chain: sp.csr_array, discount: float, constant: Floats, enough: float, fine: float
-) -> tuple[Floats, bool]:
-    states, before, earned = len(constant), np.inf, float(np.abs(constant).max())
-    row = np.repeat(np.arange(states), np.diff(chain.indptr))
-
-    def ones(places: Integers) -> bool:
-        total = np.bincount(places, chain.data, states)
-        return bool(discount < 1 and (np.abs(total - 1) < CLOSE).all())
-
-    whole = ones(row)
-    kept = not whole and ones(chain.indices)
-    value = np.full(states, np.cumsum(constant)[-1] / (1 - discount) / states if kept else 0.0)
-    for sweep in range(SWEEPS):
-        room = constant
-        if sweep or kept:
-            ahead = np.bincount(row, chain.data * value[chain.indices], states)
-            room = constant + discount * ahead - value
-        low, high = float(room.min()), float(room.max())
-        middle = (low + high) / 2 if whole else 0.0
-        error = max(high - middle, middle - low)
-        value += room + (discount * middle / (1 - discount) if whole else 0.0)
-        goal = max(fine * max(earned, float(np.abs(value).max())), 0.0 if fine else enough)
-        if error * discount <= goal:
-            return value, True
-        if sweep >= TRIED and not (
-            error < before and error * (error / before) ** (SWEEPS - sweep) <= enough
-        ):
-            return value, error <= enough
-        before = error
-    return value, before <= enough
-
-
-def quickly(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:
-    """Return x (S,) with a residual of about `rtol` of the constant's, or None after many steps.
-
-    The constant is of magnitude 1 or so.
-    """
-    return _bicgstab(chain, discount, constant, rtol, STEPS)
-
-
-def patiently(chain: sp.csr_array, discount: float, constant: Floats, rtol: float) -> Floats | None:
-    """Return x (S,), or None where neither GMRES nor `PATIENT` steps of BiCGSTAB lead there."""
-    if chain.nnz >= COMPILED:
-        rows, shape = _rows(chain), chain.shape
-        value, through = np.empty(len(constant)), np.empty(len(constant))
-
-        from exact_mdp.solvers.kernels import linear as loops
-
-        def applied(given: Floats) -> Floats:
-            loops.applied(rows, float(discount), np.ascontiguousarray(given), value, through)
-            return through.copy()
-
-        right = scipy.LinearOperator(shape, matvec=applied, dtype=np.float64)
-        restart = min(DIRECTIONS, GMRES_STEPS)
-        rounds = GMRES_STEPS // restart
-        given, status = scipy.gmres(right, constant, rtol=rtol, restart=restart, maxiter=rounds)
-        applied(given)
-        if status == 0 and np.all(np.isfinite(value)):
-            return value
-    return _bicgstab(chain, discount, constant, rtol, PATIENT)
-
-
-def _rows(chain: sp.csr_array) -> Any:
-    """Return the rows of a chain, their columns sorted, as compiled loops take them."""
-    chain = chain if chain.has_sorted_indices else chain.sorted_indices()
-    from exact_mdp.solvers.kernels.linear import Rows
-
-    return Rows(chain.indptr, chain.indices, chain.data)
-
-
-def _bicgstab(
-    chain: sp.csr_array, discount: float, constant: Floats, rtol: float, steps: int
-) -> Floats | None:
-    value, room = np.empty(len(constant)), np.empty((6, len(constant)))
-    rows = _rows(chain)
-    from exact_mdp.solvers.kernels import linear as loops
-
-    failed = loops.bicgstab(rows, float(discount), constant, rtol, steps, value, room) < 0
-    return None if failed or not np.all(np.isfinite(value)) else value

@@ -48,15 +48,13 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import UNIT, gains, greedy, largest_error, rounding_facts
-from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, relatively
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.dynamic.known import values_of
 from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
 
 RELATIVE_TOLERANCE = 1e-9
 LOOPS = 10_000  # transitions: from here on compiled loops are worth the third of a second to load
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
-CORRECTIONS = 30
-SWEEPS, TRIED = 100, 6  # for one policy, at most; after which to ask how fast errors fall
 PRICE = 2000  # sweeps in whose time a policy's equations are solved, where no band tells it
 PATIENCE, LONG = 20, 200  # passes without progress: near rounding errors, and anywhere
 FEW, MANY = 100, 10_000  # passes that bring too little, whatever is done between them
@@ -115,6 +113,7 @@ class Values:
         self.slow = not self.large  # whether sweeps are too slow, or equations cost less
         self.price, self.spent = PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states, 0.0
         self._error, self._rise, self._before = 0.0, 0.0, np.zeros(mdp.n_states)
+        self._solved: tuple[Integers, LinearSystem] | None = None
 
     # ---- passes over all pairs -----------------------------------------------------------------
 
@@ -185,18 +184,6 @@ class Values:
         low, high = found.low - wide, found.high + wide
         return Bounds(value=value, weight=weight, pairs=self.pairs, low=low, high=high).centred()
 
-    def follow(self, level: float = 0.0) -> tuple[Floats, float, float]:
-        """Return h + d - level (S,) of the policy, and the least and the greatest d / m."""
-        if self.large:
-            from exact_mdp.solvers.kernels import bellman
-
-            after = np.empty(self.mdp.n_states)
-            return after, *self._blocks(bellman.follow, self.value, self.pairs, level, after)
-        gain = gains(self.mdp, self.value).value
-        ratio = (gain / self.weights.margin)[self.pairs[self.live]]
-        after = np.where(self.live, self.value + (gain[self.pairs] - level), 0.0)
-        return after, float(ratio.min(initial=np.inf)), float(ratio.max(initial=-np.inf))
-
     # ---- steps ---------------------------------------------------------------------------------
 
     def take(self, found: Pass) -> None:
@@ -209,16 +196,6 @@ class Values:
             self._between(found.low, found.high)
         self.value = self.value + self.live * (found.step - self.level)
 
-    def settle(self, goal: float) -> bool:
-        """Sweep for the policy until the error within it is at most `goal`; False if too slow."""
-        from exact_mdp.solvers.kernels import bellman
-
-        done, self.level = bellman.settle(
-            self._model, self.pairs, self._rows, self.weights.value, self.value,
-            self.level, goal, SWEEPS, TRIED, np.empty(self.mdp.n_states),
-        )  # fmt: skip
-        return bool(done)
-
     def relax(self) -> None:
         """Improve each state in turn by what others have become."""
         from exact_mdp.solvers.kernels import bellman
@@ -227,51 +204,59 @@ class Values:
             bellman.relax(backward, self._model, self.value, self.level)
         self.relaxed, self.spent = True, self.spent + 4 * self.mdp.n_transitions
 
-    def evaluate(self, goal: float) -> None:
+    def evaluate(self, found: Pass, goal: float) -> None:
         """Bring values near to those of the policy, or nearer to V* for less than that costs."""
-        if not self.slow and self.settle(goal):
-            return
         if not self.slow:
-            system = LinearSystem(self._chain(), self.mdp.discount)
-            self.price = system.work_as_numbered or self.price
-            self.slow = True
+            enough, fine = goal * self.weights.smallest, 8 * UNIT * (goal == 0)
+            more, done = self.system.swept(self._left(found), enough, fine=fine)
+            if done:
+                self._add(more)
+                return
+            self.price, self.slow = self.system.work or self.price, True
         due = self.spent >= self.price or (self.stable and self.idle) or goal == 0
         if due or not self.large:
-            self.correct(goal)
-        if self.large and not (due and self.stable):
+            self.correct(found)
+        else:
+            self.take(found)
+        if self.large and not (due and (self.stable or self.idle < 5)):
             self.relax()
 
-    def correct(self, goal: float) -> None:
-        """Solve the equations of the policy until the error within it is at most `goal`."""
-        mdp, uniform = self.mdp, self.weights.uniform
-        near, solved = uniform and mdp.discount > NEARLY_ONE, None
-        error, kept = np.inf, self.value
-        margin = self.weights.margin if uniform else self.weights.margin[self.pairs]
-        for _ in range(CORRECTIONS):
-            after, low, high = self.follow()
-            before, error = error, (high - low) / 2 if uniform else max(-low, high)
-            if not error <= before:  # it went astray
-                self.value = kept
-                break
-            self._between(low, high)
-            if error <= goal or error > before / 2:
-                break
-            if solved is None:
-                system = LinearSystem(self._chain(), mdp.discount)
-                leak = np.where(self.live, margin, 0.0)
-                solved = relatively(system, leak) if near else system.roughly
-                self.price = system.work or self.price
-            kept = self.value
-            more = solved(after - kept - self.level)
-            if uniform:  # what all values have in common is left out
-                more -= (more.max() + more.min()) / 2
-            self.value = kept + self.live * more
-        self.spent = 0.0
+    def correct(self, found: Pass) -> None:
+        """Solve the equations of the policy: a step of iterative refinement."""
+        left, system = self._left(found), self.system
+        if self.weights.uniform and NEARLY_ONE < self.mdp.discount < 1:
+            self._add(*system.relatively(left, self.live * self.weights.margin))
+        else:
+            self._add(system.roughly(left))
+        self.price, self.spent = system.work or self.price, 0.0
+
+    def _left(self, found: Pass) -> Floats:
+        """Return what a step of the policy adds to values, beyond the level between the bounds."""
+        self._between(found.low, found.high)
+        left = found.step - self.level
+        left *= self.live
+        return left
+
+    def _add(self, more: Floats, common: float = 0.0) -> None:
+        """Correct the values; what all of them have in common is left out where it is no matter."""
+        if self.weights.uniform:
+            middle = float(more.max() + more.min()) / 2
+            more -= middle
+            self.level += self.facts.leak * (middle + common)
+        more *= self.live
+        self.value = self.value + more
 
     def _between(self, low: float, high: float) -> None:
         """Set the level to the middle between two d / m, where there is one."""
         if self.weights.uniform:
             self.level = (low / 2 + high / 2) * float(self.weights.margin[0])
+
+    @property
+    def system(self) -> LinearSystem:
+        """The equations of the policy."""
+        if self._solved is None or not np.array_equal(self._solved[0], self.pairs):
+            self._solved = self.pairs, LinearSystem(self._chain(), self.mdp.discount)
+        return self._solved[1]
 
     def _chain(self) -> sp.csr_array:
         """Return the transitions of the policy, (S, S)."""
@@ -281,7 +266,7 @@ class Values:
 
         rows, states = self._rows, self.mdp.n_states
         count = bellman.take_rows(self._model, self.pairs, rows)
-        parts = rows.data[:count].copy(), rows.indices[:count].copy(), rows.indptr.copy()
+        parts = rows.data[:count], rows.indices[:count], rows.indptr  # until the next policy
         return sp.csr_array(parts, shape=(states, states))
 
     # ---- what compiled loops take --------------------------------------------------------------
@@ -390,11 +375,12 @@ def iterate(
         part = 10.0 ** min(max(1, idle - 3), 12)
         goal = 0.0 if close else max(values.best / part, limit / 2 / (weight or 1.0))
         ready = ready or close
-        step(values, found, goal)
         hurried = hurried or (not evaluates and (idle >= FEW or iteration >= MANY))
-        if hurried:
+        if hurried and iteration % 2:
             with suppress(SolverError):
-                values.correct(goal)
+                values.correct(found)
+        else:
+            step(values, found, goal)
     if status in (None, Status.NO_BOUND):
         status = status or Status.ITERATION_LIMIT
         reached = verify(mdp, values.value).centred()

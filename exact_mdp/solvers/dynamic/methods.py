@@ -138,9 +138,10 @@ class ModifiedPolicyIteration:
         """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
 
         def step(values: Values, found: Pass, goal: float) -> None:
-            values.take(found)
-            if values.passes > 1:  # the first policy is greedy for the next reward alone
-                values.evaluate(goal)
+            if values.passes == 1:  # the first policy is greedy for the next reward alone
+                values.take(found)
+            else:
+                values.evaluate(found, goal)
 
         return iterate(model, self, step, tol=self.tol, evaluates=True)
 
@@ -181,6 +182,6 @@ class PolicyIteration:
         """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
 
         def step(values: Values, found: Pass, goal: float) -> None:
-            values.correct(0.0)
+            values.correct(found)
 
         return iterate(model, self, step, evaluates=True, exact=True)

@@ -122,36 +122,6 @@ def improve(
 
 
 @compiled
-def follow(
-    first: int,
-    last: int,
-    model: Model,
-    value: Floats,
-    pairs: Integers,
-    level: float,
-    after: Floats,
-    extremes: Floats,
-) -> None:
-    """Write h + d - level of states first … last-1 into `after` (S,), for the pairs (S,) given.
-
-    `extremes` (2,) are the least and the greatest d / m.
-    """
-    many = np.uint64(len(model.margin) > 1)
-    low, high = np.inf, -np.inf
-    for number in span(first, last):
-        state = at(number)
-        own, pair = value[state], pairs[state]
-        if model.ended[state]:
-            after[state] = own
-            continue
-        gain = gain_of(pair, model, value, own)
-        after[state] = own + (gain - level)
-        ratio = gain / model.margin[at(pair) * many]
-        low, high = min(low, ratio), max(high, ratio)
-    extremes[0], extremes[1] = low, high
-
-
-@compiled
 def take_rows(model: Model, pairs: Integers, rows: Rows) -> int:
     """Copy the rows of a policy's pairs (S,) side by side into `rows`; return their entries."""
     place = 0
@@ -162,62 +132,6 @@ def take_rows(model: Model, pairs: Integers, rows: Rows) -> int:
                 place += 1
         rows.indptr[state + 1] = place
     return place
-
-
-@compiled
-def settle(
-    model: Model,
-    pairs: Integers,
-    rows: Rows,
-    weights: Floats,
-    value: Floats,
-    level: float,
-    goal: float,
-    most: int,
-    tried: int,
-    step: Floats,
-) -> tuple[bool, float]:
-    """Sweep `value` (S,) for a policy until the error within it is at most `goal`.
-
-    Its rows are copied side by side into `rows`. Returns whether that took no more than `most`
-    sweeps, or would not after `tried`, as errors fall; and the level. Where no level takes up the
-    middle of d / m, the values move by it at last, in units of the `weights` (S,).
-    """
-    states, many = len(value), np.uint64(len(model.margin) > 1)
-    take_rows(model, pairs, rows)
-    first, before = 0.0, np.inf
-    for sweep in range(most):
-        low, high = np.inf, -np.inf
-        for number in span(0, states):
-            state = at(number)
-            if model.ended[state]:
-                step[state] = 0.0
-                continue
-            own, ahead, pair = value[state], 0.0, at(pairs[state])
-            for i in span(rows.indptr[state], rows.indptr[at(number + np.uint64(1))]):
-                ahead += rows.data[i] * (value[at(rows.indices[i])] - own)
-            gain = model.reward[pair] + (model.discount * ahead - model.leak * own)
-            step[state], ratio = gain - level, gain / model.margin[pair * many]
-            low, high = min(low, ratio), max(high, ratio)
-        error, middle = (high - low) / 2, (low + high) / 2
-        done = error <= goal or (goal == 0 and not error < before)
-        if done and many and abs(middle) > error:
-            for state in range(states):
-                value[state] += middle * weights[state]
-            return True, level
-        for state in range(states):
-            value[state] += step[state]
-        if not many:
-            level = middle * model.margin[0]
-        if done:
-            return True, level
-        first = max(first, error)
-        if sweep >= tried and not error * (error / before) ** (most - sweep) <= max(
-            goal, 1e-12 * first
-        ):
-            return False, level
-        before = error
-    return False, level
 
 
 @compiled
@@ -244,30 +158,3 @@ def relax(backward: bool, model: Model, value: Floats, level: float) -> None:
                 gain /= 1 - model.discount * stay
             best = max(best, gain)
         value[state] = own + best
-
-
-@compiled
-def best_pairs(
-    states: Integers,
-    pair_offsets: Integers,
-    rows: Rows,
-    constant: Floats,
-    pivot: Floats,
-    value: Floats,
-    best: Integers,
-) -> None:
-    """Write into `best` (S,) the pair of the greatest Q, and into `value` (S,) that Q.
-
-    pivot · Q = constant + Σ data · value, the sum over the row of the pair.
-    """
-    for k in range(len(states)):
-        state = at(states[k])
-        highest, chosen = 0.0, np.int64(-1)
-        for pair in span(pair_offsets[state], pair_offsets[state + np.uint64(1)]):
-            total = constant[pair]
-            for i in span(rows.indptr[pair], rows.indptr[pair + np.uint64(1)]):
-                total += rows.data[i] * value[at(rows.indices[i])]
-            total /= pivot[pair]
-            if chosen < 0 or total > highest:
-                highest, chosen = total, np.int64(pair)
-        value[state], best[state] = highest, chosen
