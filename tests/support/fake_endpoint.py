@@ -1,144 +1,120 @@
-"""An endpoint on loopback that speaks chat completions, and misbehaves as a test tells it to.
-
-`fake_endpoint` answers HTTP and errs in what it says; `raw_server` errs in HTTP itself, or plays
-another part, such as that of a proxy, and keeps what it was sent.
-"""
+"""An endpoint on loopback that speaks chat completions, and misbehaves as a test tells it to."""
 
 from __future__ import annotations
 
 import gzip
 import json
-import re
-import select
-import socket
 import ssl
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 CERTIFICATE = Path(__file__).parent / "localhost.pem"
-
 GOOD: dict[str, dict[str, Any]] = {
     "behaviour": {"nonverbal": "Looks at the shelf.", "verbal": "Here it is."},
     "perception": {"forgetfulness": 0, "confusion": 0, "anger": 0, "disengagement": 0},
     "execution": {"speech": "Take the red can."},
 }
-
-
-class Quiet(ThreadingHTTPServer):
-    """A server that says nothing of the connections that it cannot serve."""
-
-    def handle_error(self, *_: object) -> None:
-        return
+HEAD = b"HTTP/1.1 200 OK\r\n"
+DRIPS = {  # what comes first, and what comes then without end, a byte at a time
+    "headers": (HEAD, b"X: y\r\n"),
+    "body": (HEAD + b"Content-Length: 1000000\r\n\r\n", b" "),
+    "chunks": (HEAD + b"Transfer-Encoding: chunked\r\n\r\n", b"1\r\n \r\n"),
+    "silence": (b"", b""),
+}
+RAW = {"not-json": b"<html>busy</html>", "not-object": b"[1, 2]", "no-choice": b'{"choices": []}',
+       "flood": b" " * 9_000_000}  # fmt: skip
 
 
 @dataclass
 class FakeEndpoint:
     """Answers well unless `faults` names something else for the next request, oldest first.
 
-    A fault is a number (an HTTP status), or one of: slow, drop, not-json, not-object,
-    no-choice, malformed, wrong-schema, fenced, cut, refusal, filtered, echo and say, which give
-    the key away, bomb, and twice, which names a part twice.
+    A fault is a number (an HTTP status), a key of DRIPS or RAW, or one of `answer`, or drop.
     """
 
     faults: list[int | str] = field(default_factory=list)
     headers: dict[str, str] = field(default_factory=dict)
     bodies: list[dict[str, Any]] = field(default_factory=list)
-    keys: list[str] = field(default_factory=list)
     asked: list[dict[str, str]] = field(default_factory=list)
     url: str = ""
     halt: threading.Event = field(default_factory=threading.Event)
 
 
-def _purpose(body: dict[str, Any]) -> str:
-    system = body["messages"][0]["content"]
-    if "perception of an assistive robot" in system:
-        return "perception"
-    return "execution" if "voice of an assistive robot" in system else "behaviour"
-
-
-def _completion(content: str, **choice: Any) -> dict[str, Any]:
+def completion(content: str | None, **choice: Any) -> bytes:
     message = {"role": "assistant", "content": content} | choice.pop("message", {})
-    return {
-        "choices": [{"index": 0, "finish_reason": "stop", "message": message} | choice],
-        "usage": {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110},
-    }
+    choice = {"index": 0, "finish_reason": "stop", "message": message} | choice
+    return json.dumps({"choices": [choice]}).encode()
 
 
-def _answer(fault: int | str, body: dict[str, Any], key: str) -> tuple[int, bytes]:
-    good = json.dumps(GOOD[_purpose(body)])
+def answer(fault: int | str, body: dict[str, Any], key: str) -> tuple[int, bytes]:
+    system = body["messages"][0]["content"]
+    names = {"perception of an assistive robot": "perception", "voice of an": "execution"}
+    purpose = next((name for words, name in names.items() if words in system), "behaviour")
+    good = json.dumps(GOOD[purpose])
     if isinstance(fault, int):
         return fault, b'{"error": {"message": "told to fail"}}'
-    if fault == "echo":
-        told = {"error": {"message": f"Incorrect: {key}"}}
-        return 401, json.dumps(told).encode()
-    if fault == "say":
-        said = GOOD["behaviour"] | {"verbal": f"So: {key}."}
-        return 200, json.dumps(_completion(json.dumps(said))).encode()
-    if fault == "bomb":
-        return 200, gzip.compress(gzip.compress(good.encode() + b" " * 30_000_000))
-    if fault == "twice":
-        return 200, json.dumps(_completion(good[:-1] + f", {good[1:]}")).encode()
-    if fault == "not-json":
-        return 200, b"<html>busy</html>"
-    if fault == "not-object":
-        return 200, b"[1, 2]"
-    if fault == "no-choice":
-        return 200, b'{"choices": []}'
-    found = {
-        "malformed": _completion('{"nonverbal": "Looks'),
-        "wrong-schema": _completion('{"nonverbal": 5, "mood": "fine"}'),
-        "fenced": _completion(f"```json\n{good}\n```"),
-        "cut": _completion(good, finish_reason="length"),
-        "refusal": _completion("", message={"content": None, "refusal": "I cannot."}),
-        "filtered": _completion(good, finish_reason="content_filter"),
-    }.get(fault, _completion(good))
-    return 200, json.dumps(found).encode()
+    if fault == "echo":  # the key, in an error
+        return 401, json.dumps({"error": {"message": f"Incorrect: {key}"}}).encode()
+    return 200, RAW.get(fault) or {
+        "say": completion(json.dumps(GOOD["behaviour"] | {"verbal": f"So: {key}."})),
+        "bomb": gzip.compress(gzip.compress(good.encode() + b" " * 30_000_000 * (fault == "bomb"))),
+        "twice": completion(good[:-1] + f", {good[1:]}"),
+        "malformed": completion('{"nonverbal": "Looks'),
+        "wrong-schema": completion('{"nonverbal": 5, "mood": "fine"}'),
+        "fenced": completion(f"```json\n{good}\n```"),
+        "cut": completion(good, finish_reason="length"),
+        "refusal": completion(None, message={"refusal": "I cannot."}),
+        "filtered": completion(good, finish_reason="content_filter"),
+    }.get(fault, completion(good))
 
 
 @contextmanager
 def fake_endpoint(*faults: int | str, tls: bool = False, **headers: str) -> Iterator[FakeEndpoint]:
     """Serve on a free loopback port until the block ends; errors bear the headers."""
-    state = FakeEndpoint(
-        faults=list(faults), headers={re.sub("_", "-", k): v for k, v in headers.items()}
-    )
+    state = FakeEndpoint(list(faults), {key.replace("_", "-"): v for key, v in headers.items()})
 
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:
-            length = int(self.headers["Content-Length"])
-            body = json.loads(self.rfile.read(length))
-            key = self.headers.get("Authorization", "").removeprefix("Bearer ")
+            body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
             state.bodies.append(body)
-            state.keys.append(key)
             state.asked.append(dict(self.headers))
             fault = state.faults.pop(0) if state.faults else "none"
-            if fault == "drop":
-                self.close_connection = True
-                return
-            if fault == "slow":
-                state.halt.wait()  # longer than anybody waits
-            status, data = _answer(fault, body, key)
+            with suppress(OSError):  # the other side has left
+                if fault in DRIPS:
+                    self.drip(*DRIPS[str(fault)])
+                elif fault != "drop":
+                    key = self.headers.get("Authorization", "").removeprefix("Bearer ")
+                    self.reply(fault, *answer(fault, body, key))
+
+        def drip(self, first: bytes, drop: bytes) -> None:
+            self.wfile.write(first)
+            while not state.halt.wait(0.02):
+                for number in range(len(drop)):
+                    self.wfile.write(drop[number : number + 1])
+                    self.wfile.flush()
+
+        def reply(self, fault: int | str, status: int, data: bytes) -> None:
             self.send_response(status)
-            for name, value in state.headers.items():
-                if status != 200:
-                    self.send_header(name, value)
-            if fault == "bomb":
-                self.send_header("Content-Encoding", "gzip, gzip")
-            self.send_header("Content-Length", str(len(data)))
+            told = state.headers if status != 200 else {}
+            told = told | ({"Content-Encoding": "gzip, gzip"} if fault == "bomb" else {})
+            for name, value in (told | {"Content-Length": str(len(data))}).items():
+                self.send_header(name, value)
             self.end_headers()
-            try:
-                self.wfile.write(data)
-            except OSError:
-                return
+            self.wfile.write(data)
 
         def log_message(self, *_: object) -> None:
             return
 
-    server = (Quiet if tls else ThreadingHTTPServer)(("127.0.0.1", 0), Handler)
+    class Server(ThreadingHTTPServer):
+        def handle_error(self, *_: object) -> None:
+            """Say nothing of connections that cannot be served."""
+
+    server = Server(("127.0.0.1", 0), Handler)
     if tls:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.load_cert_chain(CERTIFICATE)
@@ -153,101 +129,3 @@ def fake_endpoint(*faults: int | str, tls: bool = False, **headers: str) -> Iter
         server.shutdown()
         thread.join()
         server.server_close()
-
-
-@dataclass
-class RawServer:
-    """What a raw server was sent."""
-
-    port: int = 0
-    received: bytearray = field(default_factory=bytearray)
-    halt: threading.Event = field(default_factory=threading.Event)
-
-    @property
-    def url(self) -> str:
-        """The address of an endpoint here."""
-        return f"http://127.0.0.1:{self.port}/v1"
-
-
-@contextmanager
-def raw_server(script: Callable[[RawServer, socket.socket], None]) -> Iterator[RawServer]:
-    """Listen on a free loopback port until the block ends, and play a script for each connection.
-
-    After the script the connection stays open until the other side ends it.
-    """
-    state, threads = RawServer(), list[threading.Thread]()
-
-    def serve(line: socket.socket) -> None:
-        with line:
-            line.settimeout(0.05)
-            try:
-                script(state, line)
-                while not state.halt.is_set():
-                    if listen(state, line) == b"":
-                        break
-            except OSError:
-                pass
-
-    def accept() -> None:
-        while not state.halt.is_set():
-            if select.select([listener], [], [], 0.02)[0]:
-                line, _ = listener.accept()
-                threads.append(threading.Thread(target=serve, args=(line,)))
-                threads[-1].start()
-
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        state.port = listener.getsockname()[1]
-        accepting = threading.Thread(target=accept)
-        accepting.start()
-        try:
-            yield state
-        finally:
-            state.halt.set()
-            for thread in [accepting, *threads]:
-                thread.join()
-
-
-def listen(state: RawServer, line: socket.socket) -> bytes | None:
-    """Keep what comes in; return it, or None where nothing came in for a moment."""
-    try:
-        data = line.recv(65_536)
-    except TimeoutError:
-        return None
-    state.received += data
-    return data
-
-
-def hear(state: RawServer, line: socket.socket) -> None:
-    """Keep what comes in until a whole question is there."""
-    while not state.halt.is_set():
-        head, end, body = bytes(state.received).partition(b"\r\n\r\n")
-        length = re.search(rb"(?i)content-length: *(\d+)", head)
-        if end and length and len(body) >= int(length[1]):
-            return
-        listen(state, line)
-
-
-def saying(answer: bytes) -> Callable[..., None]:
-    """Return a script that answers a question with these bytes."""
-
-    def script(state: RawServer, line: socket.socket) -> None:
-        hear(state, line)
-        line.sendall(answer)
-
-    return script
-
-
-def dripping(first: bytes, drop: bytes, pause: float = 0.02) -> Callable[..., None]:
-    """Return a script that waits for a question, and answers one byte after the other."""
-
-    def script(state: RawServer, line: socket.socket) -> None:
-        while listen(state, line) is None and not state.halt.is_set():
-            pass
-        line.sendall(first)
-        while not state.halt.is_set():
-            for number in range(len(drop)):
-                line.sendall(drop[number : number + 1])
-                if state.halt.wait(pause):
-                    return
-
-    return script
