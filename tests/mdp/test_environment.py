@@ -1,7 +1,5 @@
 """The Gymnasium environments: their interface, their law, and a learner that is not ours."""
 
-import subprocess
-import sys
 import tomllib
 from collections import Counter
 from importlib import import_module
@@ -30,45 +28,22 @@ def care_env(**settings: Any) -> Any:
 @pytest.mark.parametrize("readings", READINGS, ids=str)
 @pytest.mark.parametrize("columns", [("status",), ("subtask", "trial", "status")])
 def test_gymnasium_accepts_the_scenario(readings: dict[str, str], columns: tuple[str, ...]) -> None:
-    env = gymnasium.make(
-        YUAN,
-        readings=readings,
-        columns=columns,
-        render_mode="ansi",
-    )
-    check_env(env.unwrapped)
-
-
-def test_gymnasium_accepts_a_model() -> None:
+    check_env(care_env(readings=readings, columns=columns, render_mode="ansi"))
     check_env(MDPEnv(Scenario.load("tea").compile()), skip_render_check=True)
+    with pytest.raises(ModelError, match="render mode"):
+        MDPEnv(Scenario.load("tea").compile(), render_mode="human")
 
 
-def test_it_is_made_by_its_name() -> None:
+def test_it_is_registered_by_its_entry_point_and_made_by_its_name() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    module, _, function = project["entry-points"]["gymnasium.envs"]["exact_mdp"].partition(":")
+    gymnasium.registry.pop(YUAN)
+    getattr(import_module(module), function)()
     env = gymnasium.make(YUAN, tasks=[3, 1], columns=("trial", "status"))
     assert env.observation_space.n == 80
     assert env.unwrapped.scenario.tasks == (3, 1)
     _, info = env.reset(seed=1)
     assert info["state"] == "subtask 0, trial 0, status 0000"
-
-
-def test_the_entry_point_registers_it() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    points = project["entry-points"]["gymnasium.envs"]
-    module, _, function = points["exact_mdp"].partition(":")
-    gymnasium.registry.pop(YUAN)
-    getattr(import_module(module), function)()
-    assert YUAN in gymnasium.registry
-
-
-def test_without_gymnasium_the_error_names_the_extra() -> None:
-    code = (
-        "import sys; sys.modules['gymnasium'] = None\n"
-        "from exact_mdp import ModelError\n"
-        "try:\n    from exact_mdp import MDPEnv\n"
-        "except ModelError as error:\n    print(error.fix)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert "exact-mdp[models]" in done.stdout, done.stderr
 
 
 @pytest.mark.parametrize("number", range(4))
@@ -173,11 +148,6 @@ def test_starts_are_drawn_from_the_start_distribution() -> None:
     env.reset(seed=3)
     share = np.mean([env.reset()[0] for _ in range(2000)])
     assert abs(share - 0.75) < 4 * np.sqrt(0.75 * 0.25 / 2000)
-
-
-def test_an_unknown_render_mode_is_refused() -> None:
-    with pytest.raises(ModelError, match="render mode"):
-        MDPEnv(Scenario.load("tea").compile(), render_mode="human")
 
 
 def test_a_learner_from_elsewhere_learns_in_it() -> None:
