@@ -110,6 +110,7 @@ def closure(graph: sp.csr_array, first: Mask) -> Mask:
     return reached[:-1]
 
 
+@once
 def numbered_in_order(mdp: MDP) -> bool:
     """Return whether every transition leads to a higher number, terminal states apart.
 
@@ -212,7 +213,7 @@ class Backward:
             return rank, left
         lists: list[Any] = [*(part.tolist() for part in parts), len(start)]
         join(*lists)
-        return np.array(lists[5]), np.array(lists[3], dtype=bool)
+        return np.array(lists[5], dtype=np.int64), np.array(lists[3], dtype=bool)
 
 
 def join(

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, suggest
-from exact_mdp.mdp.graph import endless, numbered_in_order
+from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import AverageSolution, solve_average
-from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.bounds import is_acyclic
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
 from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance
 from exact_mdp.solvers.dynamic.known import opposite
@@ -201,7 +201,7 @@ def solve(
     if endless(mdp):
         return solve_total(mdp, partial(solve, solver=solver, tol=tol))
     if solver == "auto":
-        if numbered_in_order(mdp) or levels(mdp) is not None:
+        if is_acyclic(mdp):
             return settled(_within(BackwardInduction().solve(mdp), tol))
         return settled(ModifiedPolicyIteration(tol=tol, start=start).solve(mdp))
     return settled(_with_settings(_named(solver), tol=tol, start=start).solve(mdp))

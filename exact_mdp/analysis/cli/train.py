@@ -33,7 +33,7 @@ from exact_mdp.solvers.learning.sampler import as_policy
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Schedule
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_values import policy_values
+from exact_mdp.solvers.values.layers import policy_values
 
 LISTED_ROWS = 1000  # policies over more rows are left to the files of --out
 SHOWN = 10  # policies in the table

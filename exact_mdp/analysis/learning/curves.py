@@ -21,7 +21,7 @@ from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, stream, tables
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_values import policy_values
+from exact_mdp.solvers.values.layers import policy_values
 
 if TYPE_CHECKING:
     from pandas import DataFrame

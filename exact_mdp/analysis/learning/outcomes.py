@@ -28,7 +28,7 @@ from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Rows, rows_of
 from exact_mdp.solvers.solution import Bounded, regrets
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.policy_values import policy_values
+from exact_mdp.solvers.values.layers import policy_values
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -12,9 +12,9 @@ and c' may have either sign. With w = 1 and γ < 1 these are the bounds of MacQu
 a contraction in the norm weighted by w (Bertsekas and Tsitsiklis, Neuro-Dynamic Programming, 1996,
 proposition 2.2). The weights are the discounted number of steps to the end, the most there can be:
 
-    acyclic models               w(s) = 1 + γ + … + γ^(level(s) - 1)
-    other models at γ < 1        w(s) = 1 + γ + …, where 1 will do as well
-    other models at γ = 1        w(s) ≈ greatest expected number of steps, by policy iteration
+    acyclic models               by backward induction
+    other models at γ < 1        all the same, where 1 will do as well
+    other models at γ = 1        by policy iteration
 
 and the margins are verified. Every d and m comes with a bound on its rounding error, see
 `solvers.bounds.gains`.
@@ -24,12 +24,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from exact_mdp.mdp.graph import require_termination, topological_levels
+from exact_mdp.mdp.graph import (
+    numbered_in_order,
+    require_termination,
+    runs_in_order,
+    topological_levels,
+)
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats, Integers, spans
 from exact_mdp.solvers.bounds.gains import (
     SLACK,
     TINY,
@@ -46,6 +52,7 @@ from exact_mdp.solvers.solution import SolverError, Status
 
 WEIGHT_ITERATIONS = 1000
 LONGEST_WALK = 1000
+MANY = 500_000  # transitions: NumPy takes as long for them as loading a compiled loop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,6 +153,41 @@ def _comes_back(mdp: MDP) -> bool:
     return False
 
 
+def is_acyclic(mdp: MDP) -> bool:
+    """Return whether no state can come back to itself, terminal states apart."""
+    return numbered_in_order(mdp) or levels(mdp) is not None
+
+
+def backward(mdp: MDP, reward: Floats) -> Floats:
+    """Return (S,) the optimal values of an acyclic model, for rewards (L,), from the end on."""
+    value, level = np.zeros(mdp.n_states), None if numbered_in_order(mdp) else levels(mdp)
+    order = np.arange(mdp.n_states) if level is None else np.argsort(-level, kind="stable")
+    if mdp.n_transitions >= MANY:
+        from exact_mdp.solvers.kernels import bellman
+
+        leak = float(1 - mdp.discount_exact)
+        model = bellman.model_of(mdp, reward, np.ones(1), leak)
+        bellman.relax(order[::-1], model, value, 0.0)
+        return value
+    matrix, first, ends = mdp.transition, mdp.pair_offsets, mdp.pair_offsets
+    if level is None:
+        cuts = runs_in_order(mdp)
+    else:
+        cuts = np.flatnonzero(np.diff(level[order], prepend=-1, append=-1))
+        rows = spans(first[order], first[order + 1])
+        matrix, reward = matrix[rows], reward[rows]
+        ends = np.concatenate([[0], np.cumsum(np.diff(first)[order])])
+    for s, t in reversed([*pairwise(cuts.tolist())]):
+        here, (l, m) = order[s:t], (ends[s], ends[t])
+        if mdp.terminal[here[0]]:
+            continue
+        i, j = matrix.indptr[l], matrix.indptr[m]
+        flow = matrix.data[i:j] * value[matrix.indices[i:j]]
+        q = reward[l:m] + mdp.discount * np.add.reduceat(flow, matrix.indptr[l:m] - i)
+        value[here] = np.maximum.reduceat(q, ends[s:t] - l)
+    return value
+
+
 @once
 def margin_weights(mdp: MDP) -> Weights:
     """Return verified weights; computed once for each model."""
@@ -154,16 +196,10 @@ def margin_weights(mdp: MDP) -> Weights:
 
 
 def _candidate(mdp: MDP) -> Floats:
-    rate = mdp.discount
-    live = ~mdp.terminal
-    level = levels(mdp)
-    if rate == 0 or (level is None and rate < 1):
-        return live.astype(np.float64)
-    if level is None:
-        return _expected_steps(mdp)
-    if rate == 1:
-        return level.astype(np.float64)
-    return np.asarray(-np.expm1(level * np.log(rate)) / (1 - rate))
+    rate, live = mdp.discount, ~mdp.terminal
+    if is_acyclic(mdp):
+        return backward(mdp, np.ones(mdp.n_pairs))
+    return live.astype(np.float64) if rate < 1 else _expected_steps(mdp)
 
 
 def _expected_steps(mdp: MDP) -> Floats:
@@ -225,11 +261,3 @@ def _why_not(mdp: MDP, weight: Floats) -> str:
         return "the end is too many steps away"
     lost = float(1 - mdp.discount_exact)
     return f"1 - γ is {lost:.2g}, of which rounding leaves too little"
-
-
-def ladder(step: Floats, rate: float, total: Floats) -> None:
-    """Write into `total` what errors add up to: t_k = max(t_(k-1), rate t_(k-1) + step_k)."""
-    before = 0.0
-    for k, more in enumerate(step.tolist()[1:], start=1):
-        before = max(before, rate * before + more)
-        total[k] = before

@@ -200,8 +200,9 @@ class Values:
         """Improve each state in turn by what others have become."""
         from exact_mdp.solvers.kernels import bellman
 
-        for backward in (False, True):
-            bellman.relax(backward, self._model, self.value, self.level)
+        upward = np.arange(self.mdp.n_states)
+        for order in (upward, upward[::-1]):
+            bellman.relax(order, self._model, self.value, self.level)
         self.relaxed, self.spent = True, self.spent + 4 * self.mdp.n_transitions
 
     def evaluate(self, found: Pass, goal: float) -> None:
@@ -304,18 +305,7 @@ class Values:
     def _model(self) -> Any:
         from exact_mdp.solvers.kernels import bellman
 
-        mdp, matrix = self.mdp, self.mdp.transition
-        return bellman.Model(
-            offsets=mdp.pair_offsets,
-            indptr=matrix.indptr,
-            indices=matrix.indices,
-            data=matrix.data,
-            reward=mdp.reward,
-            margin=self.weights.margin,
-            ended=mdp.terminal,
-            discount=mdp.discount,
-            leak=self.facts.leak,
-        )
+        return bellman.model_of(self.mdp, self.mdp.reward, self.weights.margin, self.facts.leak)
 
 
 def iterate(

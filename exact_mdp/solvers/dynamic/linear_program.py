@@ -33,10 +33,10 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError, extra, suggest
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma, rounding_facts
-from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gains, gamma, rounding_facts
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain, transposed
 from exact_mdp.solvers.dynamic.iterate import of_costs
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
@@ -82,10 +82,12 @@ class LinearProgram:
         found = PolicyIteration(start=start).solve(model)
         if objective is not None:
             self._check(objective, model, found.value)
-        met, residual = visits(model, found.pairs)
-        lower, upper = _sides(model, found, met, residual)
+        chain, alpha = policy_chain(model, found.pairs)[0], model.start_distribution
+        system = LinearSystem(chain, model.discount, order=levels(model))
+        visits = transposed(system).solve(alpha, UNIT * alpha)
+        lower, upper = _sides(model, found, visits)
         occupancy = np.zeros(model.n_pairs)
-        occupancy[found.pairs] = met
+        occupancy[found.pairs] = np.where(model.terminal, 0.0, visits.value)
         return replace(
             found,
             method=self.name,
@@ -148,37 +150,11 @@ def optimised(problem: Any, solver: str) -> int:
     return int(problem.solver_stats.num_iters or 0)
 
 
-def visits(mdp: MDP, pairs: Integers) -> tuple[Floats, Floats]:
-    """Return (S,) the discounted visits y of a policy from the start, and what they lack.
-
-    |α - y + γ Pᵀ y| is at most the second (S,), for the exact α, γ and P of the policy. Both are 0
-    in terminal states, where nothing is earned.
-    """
-    chain, _ = policy_chain(mdp, pairs)
-    flow, rate, alpha = sp.csr_array(chain.T), mdp.discount, mdp.start_distribution
-    level = levels(mdp)
-    value = LinearSystem(flow, rate, order=None if level is None else -level).approximate(alpha)
-    live, terms = ~mdp.terminal, np.diff(flow.indptr) + 6
-    residual = np.abs(alpha - value + rate * (flow @ value))
-    residual += gamma(terms) * (alpha + rate * (flow @ np.abs(value))) + 4 * UNIT * np.abs(value)
-    tiny = TINY * (terms + 1) * (1 + float(np.abs(value).max()))
-    return value * live, (residual * SLACK + tiny) * live
-
-
-def _sides(mdp: MDP, found: Solution, met: Floats, residual: Floats) -> tuple[float, float]:
-    """Return lower and upper bound on the optimal start value, from visits and from values.
-
-    With f = α - y + γ Pᵀ y, the start value of the policy is r y + f V^π.
-    """
+def _sides(mdp: MDP, found: Solution, visits: FixedPoint) -> tuple[float, float]:
+    """Return lower and upper bound on the optimal start value, from visits and from values."""
     reward, facts = np.where(mdp.terminal, 0.0, mdp.reward[found.pairs]), rounding_facts(mdp)
-    terms = gamma(mdp.n_states + np.diff(mdp.table.offsets)[found.pairs] + 8) * np.abs(reward)
-    if len(facts.reward_error):
-        terms = terms + facts.reward_error[found.pairs]
-    below = float(reward @ met)
-    doubt = float(residual @ (np.abs(found.value) + found.state_error))
-    doubt += float(terms @ np.abs(met))
-    alpha = mdp.start_distribution
-    top = float(alpha @ found.value)
-    above = float(alpha @ found.state_error)
-    above += float(gamma(mdp.n_states + 4)) * float(alpha @ np.abs(found.value))
-    return below - doubt * SLACK - UNIT * abs(below), top + above * SLACK + UNIT * abs(top)
+    below, size = float(reward @ visits.value), np.abs(visits.value)
+    error = facts.reward_errors(mdp, 0, mdp.n_pairs)[found.pairs]
+    doubt = float(np.abs(reward) @ visits.error + error @ (size + visits.error))
+    doubt += float(gamma(mdp.n_states + 2)) * float(np.abs(reward) @ size)
+    return below - doubt * SLACK, found.start.interval[1]

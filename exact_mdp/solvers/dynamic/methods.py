@@ -13,6 +13,7 @@ Shin, Management Science 24, 1978; Howard, Dynamic Programming and Markov Proces
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -22,20 +23,45 @@ from exact_mdp.solvers.solution import Solution
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValueIteration:
-    """Improve the values sweep by sweep until their error bound is at most `tol`.
-
-    Once a hundred sweeps do not bring the bounds closer by a tenth, or after 10,000, each is
-    followed by the linear equations of its policy, so that chains that mix slowly end, too.
+class Improving(ABC):
+    """A method that improves values step by step until their error bound is at most `tol`.
 
     Parameters
     ----------
     tol : float, optional
         Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
     max_iterations : int
-        Sweeps after which to give up, with a SolverError.
+        Steps after which to give up, with a SolverError.
     start : (S,) floats or PolicyLike, optional
         Values to begin with, or a policy whose values are meant; 0 unless given.
+    """
+
+    tol: float | None = None
+    max_iterations: int = 1_000_000
+    start: Any = field(default=None, repr=False, compare=False)
+
+    name: ClassVar[str]
+    evaluates: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @abstractmethod
+    def step(self, values: Values, found: Pass, goal: float) -> None:
+        """Improve the values after a pass over all pairs; see `iterate`."""
+
+    @of_costs
+    def solve(self, model: MDP) -> Solution:
+        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
+        return iterate(model, self, self.step, tol=self.tol, evaluates=self.evaluates)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValueIteration(Improving):
+    """Improve the values sweep by sweep; see `Improving` for the settings.
+
+    Once a hundred sweeps do not bring the bounds closer by a tenth, or after 10,000, every second
+    one gives way to the linear equations of its policy, so that chains that mix slowly end, too.
 
     Examples
     --------
@@ -44,35 +70,18 @@ class ValueIteration:
     10.0
     """
 
-    tol: float | None = None
-    max_iterations: int = 1_000_000
-    start: Any = field(default=None, repr=False, compare=False)
-
     name: ClassVar[str] = "value-iteration"
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-    @of_costs
-    def solve(self, model: MDP) -> Solution:
-        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
-        return iterate(model, self, lambda values, found, goal: values.take(found), tol=self.tol)
+    def step(self, values: Values, found: Pass, goal: float) -> None:
+        """Take T V."""
+        values.take(found)
 
 
 @dataclass(frozen=True, kw_only=True)
-class GaussSeidel:
-    """Improve the values state by state until their error bound is at most `tol`.
+class GaussSeidel(Improving):
+    """Improve the values state by state; an ordinary sweep before each gives the bounds.
 
-    Before each such sweep an ordinary one gives the bounds; see `ValueIteration` for the rest.
-
-    Parameters
-    ----------
-    tol : float, optional
-        Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
-    max_iterations : int
-        Pairs of sweeps after which to give up, with a SolverError.
-    start : (S,) floats or PolicyLike, optional
-        Values to begin with, or a policy whose values are meant; 0 unless given.
+    See `ValueIteration` for chains that mix slowly, and `Improving` for the settings.
 
     Examples
     --------
@@ -81,41 +90,20 @@ class GaussSeidel:
     10.0
     """
 
-    tol: float | None = None
-    max_iterations: int = 1_000_000
-    start: Any = field(default=None, repr=False, compare=False)
-
     name: ClassVar[str] = "gauss-seidel"
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-    @of_costs
-    def solve(self, model: MDP) -> Solution:
-        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
-
-        def step(values: Values, found: Pass, goal: float) -> None:
-            values.take(found)
-            values.relax()
-
-        return iterate(model, self, step, tol=self.tol)
+    def step(self, values: Values, found: Pass, goal: float) -> None:
+        """Take T V, and sweep upward and downward."""
+        values.take(found)
+        values.relax()
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModifiedPolicyIteration:
-    """Policy iteration with evaluation by sweeps, until the error bound is at most `tol`.
+class ModifiedPolicyIteration(Improving):
+    """Policy iteration with evaluation by sweeps; see `Improving` for the settings.
 
     A sweep for one policy costs the A-th part of a full one. Sweeps go on until the error within
     the policy is a tenth of what was left; see `Values.evaluate` for chains that mix slowly.
-
-    Parameters
-    ----------
-    tol : float, optional
-        Greatest absolute error in any state; 1e-9 · max(1, |V|) unless given.
-    max_iterations : int
-        Policies to improve before giving up, with a SolverError.
-    start : (S,) floats or PolicyLike, optional
-        Values to begin with, or a policy whose values are meant; 0 unless given.
 
     Examples
     --------
@@ -124,26 +112,17 @@ class ModifiedPolicyIteration:
     10.0
     """
 
-    tol: float | None = None
     max_iterations: int = 10_000
-    start: Any = field(default=None, repr=False, compare=False)
 
     name: ClassVar[str] = "modified-policy-iteration"
+    evaluates: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-    @of_costs
-    def solve(self, model: MDP) -> Solution:
-        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
-
-        def step(values: Values, found: Pass, goal: float) -> None:
-            if values.passes == 1:  # the first policy is greedy for the next reward alone
-                values.take(found)
-            else:
-                values.evaluate(found, goal)
-
-        return iterate(model, self, step, tol=self.tol, evaluates=True)
+    def step(self, values: Values, found: Pass, goal: float) -> None:
+        """Evaluate the policy; the first one is greedy for the next reward alone."""
+        if values.passes == 1:
+            values.take(found)
+        else:
+            values.evaluate(found, goal)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,9 +1,8 @@
-"""Compiled loops: sampling, tabular learning, and values of many policies. The only numba here.
+"""Compiled loops: sampling, tabular learning, sweeps. The only numba here.
 
 This package is imported when a loop is first needed; machine code is kept from run to run.
 """
 
-from exact_mdp.solvers.kernels.layered import policy_values
 from exact_mdp.solvers.kernels.learning import Tables, alias_tables, learn, rollouts
 
-__all__ = ["Tables", "alias_tables", "learn", "policy_values", "rollouts"]
+__all__ = ["Tables", "alias_tables", "learn", "rollouts"]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
+from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.kernels.linear import Rows
 
@@ -32,6 +33,14 @@ class Model(NamedTuple):
     ended: Numbers
     discount: float
     leak: float
+
+
+def model_of(mdp: MDP, reward: Floats, margin: Floats, leak: float) -> Model:
+    """Return what compiled loops take of a model."""
+    matrix = mdp.transition
+    rows = matrix.indptr, matrix.indices, matrix.data
+    ended = mdp.terminal
+    return Model(mdp.pair_offsets, *rows, reward, margin, ended, mdp.discount, leak)
 
 
 @inlined
@@ -135,14 +144,13 @@ def take_rows(model: Model, pairs: Integers, rows: Rows) -> int:
 
 
 @compiled
-def relax(backward: bool, model: Model, value: Floats, level: float) -> None:
-    """Make `value` (S,) satisfy max d = level in each state in turn, upward or downward in number.
+def relax(order: Integers, model: Model, value: Floats, level: float) -> None:
+    """Make `value` (S,) satisfy max d = level in each state in turn, in the `order` (S,).
 
     Gauss-Seidel: a state's gain is divided by 1 - γ P(l, s), so that staying is summed up at once.
     """
-    states = len(value)
-    for number in range(states):
-        state = at(states - 1 - number if backward else number)
+    for number in order:
+        state = at(number)
         if model.ended[state]:
             continue
         own, best = value[state], -np.inf

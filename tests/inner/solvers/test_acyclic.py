@@ -15,12 +15,10 @@ from strategies import Rows, models
 from exact_mdp import MDP, READINGS, ModelError, Scenario, solve
 from exact_mdp.mdp.care import compile as blocks
 from exact_mdp.mdp.care.compile import check_explicit, size
-from exact_mdp.mdp.graph import numbered_in_order, runs_in_order, topological_levels
+from exact_mdp.mdp.graph import numbered_in_order, runs_in_order
 from exact_mdp.mdp.table import OutcomeTable
 from exact_mdp.mdp.validate import check_model
-from exact_mdp.solvers.dynamic import backward_induction as layered
-
-FIELDS = ("value", "pairs", "level", "above", "below")
+from exact_mdp.solvers.bounds import bounds
 
 
 def acyclic(rows: Rows, *, floats: bool) -> MDP | None:
@@ -30,21 +28,15 @@ def acyclic(rows: Rows, *, floats: bool) -> MDP | None:
 
 @pytest.mark.parametrize("floats", [False, True])
 @given(rows=models())
-def test_both_forms_of_the_pass_give_the_same_bits(floats: bool, rows: Rows) -> None:
+def test_loops_and_numpy_find_the_same(floats: bool, rows: Rows) -> None:
     mdp = acyclic(rows, floats=floats)
     if mdp is None:
         return
-    levels = [topological_levels(mdp)]
-    levels += [None] if numbered_in_order(mdp) else []
-    passes = [
-        form(mdp, level)
-        for level in levels
-        for form in (layered._array_pass, layered._compiled_pass)
-    ]
-    for found in passes[1:]:
-        for name in FIELDS:
-            assert np.array_equal(getattr(found, name), getattr(passes[0], name)), name
-    assert passes[0].level.tolist() == levels[0].tolist()
+    found = [bounds.backward(mdp, mdp.reward)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bounds, "MANY", 0)
+        found.append(bounds.backward(mdp, mdp.reward))
+    assert np.allclose(*found, rtol=1e-12, atol=1e-12 * np.abs(mdp.reward).max())
 
 
 def test_an_order_that_is_not_that_of_the_numbers() -> None:
@@ -70,16 +62,6 @@ def test_runs_do_not_lead_to_themselves() -> None:
     cuts = runs_in_order(mdp)
     assert np.diff(cuts).max() == 16
     assert (cuts[0], cuts[-1]) == (0, mdp.n_states)
-
-
-def test_the_compiled_form_finds_the_same() -> None:
-    mdp = Scenario.load("yuan2025").with_(tasks=[40]).compile()
-    found = layered._array_pass(mdp, None)
-    compiled = layered._compiled_pass(mdp, None)
-    for name in FIELDS:
-        assert np.array_equal(getattr(found, name), getattr(compiled, name))
-    for one in (found, compiled):
-        assert np.array_equal(one.bounded(mdp).state_error, found.bounded(mdp).state_error)
 
 
 # ---- sizes -----------------------------------------------------------------------------------

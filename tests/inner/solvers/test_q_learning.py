@@ -21,7 +21,7 @@ from exact_mdp import (
     solve,
 )
 from exact_mdp.solvers.learning.sampler import as_policy, child, rows_of, stream, tables
-from exact_mdp.solvers.values.policy_values import policy_values
+from exact_mdp.solvers.values.layers import policy_values
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
