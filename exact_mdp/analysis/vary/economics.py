@@ -1,8 +1,7 @@
 """Cost-effectiveness of strategies under uncertainty, as health economists report it.
 
-A strategy is a policy held fixed. In every draw of the parameters its expected effect E (quality-
-adjusted life years, say) and its expected cost C are worked out: totals of two components of the
-model's reward. At a willingness to pay λ for one unit of effect
+A strategy is a policy held fixed; its effect E (quality-adjusted life years, say) and its cost C
+are expected totals of two components of the reward. At a willingness to pay λ for a unit of effect
 
     NMB(λ) = λ E - C                                  net monetary benefit,
     CEAC   = share of draws in which a strategy has the greatest NMB,
@@ -10,10 +9,9 @@ model's reward. At a willingness to pay λ for one unit of effect
     EVPI   = E[max NMB] - max E[NMB],
     ICER   = (C₂ - C₁) / (E₂ - E₁)                    of neighbours on the efficient frontier
 
-(Fenwick, Claxton and Sculpher, Health Economics 10, 2001, for the curve and the frontier). A
-strategy is *dominated* if another costs no more and has no less effect, and *extendedly dominated*
-if a mixture of two others does. Which policies are efficient at all, among those that can be,
-`tradeoff` says: the rates between neighbours of its front are their ICERs.
+(Fenwick, Claxton and Sculpher, Health Economics 10, 2001). A strategy is *dominated* if another
+costs no more and has no less effect, *extendedly dominated* if a mixture of two others does. Which
+policies are efficient among all, `tradeoff` says: the rates between neighbours are their ICERs.
 """
 
 from __future__ import annotations
@@ -84,19 +82,17 @@ class CostEffectiveness(Pictured):
 
         Strategies that are equally good share a draw.
         """
-        shares = []
-        for each in np.atleast_1d(np.asarray(wtp, dtype=float)):
-            value = self.net_benefit(float(each))
-            best = value == value.max(axis=1, keepdims=True)
-            shares.append((best / best.sum(axis=1, keepdims=True)).mean(axis=0))
-        return np.array(shares)
+        values = np.array([self.net_benefit(float(each)) for each in np.atleast_1d(wtp)])
+        best = values == values.max(axis=2, keepdims=True)
+        return np.asarray((best / best.sum(axis=2, keepdims=True)).mean(axis=1))
 
     def frontier(self, wtp: ArrayLike) -> list[tuple[str, float]]:
         """Return the best strategy on average, and the share of draws in which it is the best."""
-        every = np.atleast_1d(np.asarray(wtp, dtype=float))
-        best = [int(self.net_benefit(float(each)).mean(axis=0).argmax()) for each in every]
-        shares = self.acceptability(every)
-        return [(self.strategies[n], float(shares[row, n])) for row, n in enumerate(best)]
+        found = []
+        for each, shares in zip(np.atleast_1d(wtp), self.acceptability(wtp), strict=True):
+            best = int(self.net_benefit(float(each)).mean(axis=0).argmax())
+            found.append((self.strategies[best], float(shares[best])))
+        return found
 
     def evpi(self, wtp: float) -> MeanLoss:
         """Return what knowing all parameters before choosing a strategy would be worth."""

@@ -1,18 +1,16 @@
 """Probabilistic sensitivity analysis: the parameters drawn, each draw re-solved to optimality.
 
-Every draw is a model of its own. It is solved (the policy re-optimised), and policies are evaluated
-in it (held fixed): the one asked about, today's optimum, and *candidates*, those among the optima
-of the draws that win most in the draws where the others lose most. The *acceptability curve* of a
-policy is the probability that its regret is at most Δ, by Δ (after Chen, Ayer and Chhatwal, Medical
-Decision Making 37, 2017). What knowing all parameters before choosing would be worth is
+Policies are held fixed in every draw: the one asked about, today's optimum, and *candidates*, those
+among the optima of the draws that win most where the others lose most. The *acceptability curve* of
+a policy is the probability that its regret is at most Δ, by Δ (after Chen, Ayer and Chhatwal,
+Medical Decision Making 37, 2017). What knowing all parameters before choosing would be worth is
 
     EVPI = E[max_π V^π] - max_π E[V^π] = E[V*] - max_π E[V^π].
 
-The best of all policies for uncertain parameters is hard to find (Steimle, Kaufman and Denton, IISE
-Transactions 53, 2021), so EVPI is given by two ends: the upper one takes the best policy found; the
-lower one lets everything but the first action be chosen in full knowledge, EVPI ≥ min_a E[V* -
-Q*(start, a)]. Where reward weights alone are uncertain, the best policy is the optimum at their
-means, and EVPI is one number. Every difference is that of pairs in the same draw.
+The best of all policies is hard to find (Steimle, Kaufman and Denton, IISE Transactions 53, 2021),
+so EVPI has two ends: the upper one takes the best policy found; the lower one lets all but the
+first action be chosen in full knowledge, EVPI ≥ min_a E[V* - Q*(start, a)]. Where reward weights
+alone are uncertain, the best policy is the optimum at their means, and the ends are one.
 """
 
 from __future__ import annotations
@@ -187,14 +185,16 @@ class PSA(Pictured):
 
     def acceptability(self, tolerances: ArrayLike, candidate: int = 0) -> list[Estimated]:
         """Return the probability that the candidate loses at most Δ, for each Δ."""
-        regret = np.sort(self.regret(candidate))
-        inside = np.searchsorted(regret, np.asarray(tolerances, dtype=float), side="right")
-        return [share_of(int(n), len(self)) for n in inside]
+        return [share_of(int(n), len(self)) for n in self._inside(tolerances, candidate)]
 
     def accepted(self, tolerances: ArrayLike, candidate: int = 0) -> tuple[Floats, Floats, Floats]:
         """Return the same probabilities with the ends of Wilson's 95 % intervals."""
-        share = np.array([each.value for each in self.acceptability(tolerances, candidate)])
-        return share, *wilson(np.rint(share * len(self)), len(self))
+        inside = self._inside(tolerances, candidate)
+        return inside / len(self), *wilson(inside, len(self))
+
+    def _inside(self, tolerances: ArrayLike, candidate: int) -> Integers:
+        regret = np.sort(self.regret(candidate))
+        return np.searchsorted(regret, np.asarray(tolerances, dtype=float), side="right")
 
     def probability_optimal(self) -> tuple[Floats, Floats, Floats]:
         """Return (X, A) shares of draws in which each action is optimal, and Wilson's intervals."""
@@ -532,7 +532,7 @@ def psa(
     }
     draws = np.concatenate(blocks_of_draws)
     pieces = [(at * solver.block, some) for at, some in enumerate(blocks_of_draws)]
-    work = partial(_solve_block, solver, chosen.names)
+    work = partial(_block, solver.solved, chosen.names)
     blocks = run(solver, "solved", work, pieces, key, rest, **how)
     solved = {"draws": draws} | joined(blocks, ("start", "error", "lost", "cut"))
     tell_cut(family, chosen.names, draws, solved["cut"])
@@ -540,7 +540,7 @@ def psa(
     def valued(policies: Sequence[Floats]) -> Arrays:
         """Return value and error (D, N) of policies in every draw."""
         told = digest(*policies)
-        work, name = partial(_value_block, solver, chosen.names, policies), f"values-{told[:12]}"
+        work, name = partial(_block, solver.values, chosen.names, policies), f"values-{told[:12]}"
         more = key | {"policies": told}
         return joined(run(solver, name, work, pieces, more, rest, **how))
 
@@ -574,19 +574,10 @@ def psa(
     )
 
 
-def _solve_block(solver: DrawSolver, names: tuple[str, ...], piece: tuple[int, Floats]) -> Arrays:
-    first, draws = piece
-    return solver.solved(names, draws, first)
-
-
-def _value_block(
-    solver: DrawSolver,
-    names: tuple[str, ...],
-    policies: Sequence[Floats],
-    piece: tuple[int, Floats],
-) -> Arrays:
-    first, draws = piece
-    return solver.values(names, draws, policies, first)
+def _block(method: Callable[..., Arrays], names: tuple[str, ...], *given: Any) -> Arrays:
+    """Do what a solver does with one piece of draws, which comes last."""
+    *more, (first, draws) = given
+    return method(names, draws, *more, first)
 
 
 def _selected(

@@ -1,13 +1,9 @@
 """Global sensitivity: Sobol indices over the parameters' ranges.
 
-Parameters are independent and uniform over their ranges. At each draw of a design the model is
-solved again, and a policy held fixed is evaluated, which gives three outputs Y: the value of the
-optimum, that of the policy, and the policy's regret. All results are estimates.
+Parameters are independent and uniform over their ranges. The outputs Y are the value of the
+optimum, that of a policy held fixed, and the policy's regret. Of the variance of Y, θ_i decides
 
-Sobol indices say which share of the variance of Y the parameter θ_i decides,
-
-    S_i  = Var(E[Y | θ_i]) / Var(Y)          first order: alone,
-    ST_i = E[Var(Y | θ_others)] / Var(Y)     total: alone and with others.
+    S_i  = Var(E[Y | θ_i]) / Var(Y)   alone,    ST_i = E[Var(Y | θ_others)] / Var(Y)   with others.
 
 A and B are two independent halves of the points of one scrambled Sobol sequence, and AB_i is A with
 the column of θ_i from B: n (P + 2) draws for P parameters. Then

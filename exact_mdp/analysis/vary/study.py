@@ -2,15 +2,12 @@
 
 A point is a row of values of some parameters; the others keep today's. Every point is a model of
 its own: it is solved to optimality (the policy re-optimised), and each given policy is evaluated in
-it (the policy held fixed). A tornado, curves along one or two parameters, the corners of a box,
-Sobol indices and the draws of a probabilistic analysis are designs of points, and summaries of
-their tables.
+it (the policy held fixed). A tornado, a grid, Sobol indices and the draws of a probabilistic
+analysis are designs of points, and summaries of their tables.
 
 A care scenario goes through batched loops that never form the model (`solvers.care`). Small models
-are built and then solved many at once (`solvers.batch`), others one by one. Points are done in
-blocks of a fixed size, in any number of threads or processes, so that the same points give the same
-bytes. Blocks of draws have a stream of random numbers each, and a larger sample begins with the
-blocks of a smaller one.
+are solved many at once (`solvers.batch`), others one by one. Points are done in blocks of a fixed
+size, in any number of threads or processes, so that the same points give the same bytes.
 """
 
 from __future__ import annotations

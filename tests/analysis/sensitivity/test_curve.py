@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -60,20 +59,6 @@ shares = st.integers(1, 6)
 PUTERMAN = MDP.from_outcomes(
     [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])], "1/2"
 )
-
-
-def test_nothing_is_claimed_in_an_open_bracket() -> None:
-    """Policies are proven between brackets: one that is wide, and not checked, proves nothing."""
-    found = curve(PUTERMAN, "discount", (0, "99/100"))
-    low, high = found.pieces
-    whole = replace(low, high=(found.range.low, found.range.high))
-    assert "no piece covers" in replace(found, pieces=(whole,)).violations()[0]
-    late = replace(high, low=(found.range.low, found.range.high))
-    assert "no piece covers" in replace(found, pieces=(late,)).violations()[0]
-    wide = (F(1, 2), F(98, 100))
-    apart = replace(high, low=wide, section=replace(high.section))
-    forged = replace(found, pieces=(replace(low, high=wide), apart))
-    assert any("next to" in fault for fault in forged.violations())
 
 
 @settings(max_examples=25, deadline=None)

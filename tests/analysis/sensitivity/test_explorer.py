@@ -24,8 +24,6 @@ from exact_mdp import (
     certify,
     check,
     explore,
-    gradient,
-    moving,
     parametric,
     save,
 )
@@ -105,25 +103,6 @@ def tea() -> Any:
     if not KEPT:
         KEPT.append(explore(TEA, *BOTH, ranges=RANGES, policy="random", n=3))
     return KEPT[0]
-
-
-@pytest.mark.parametrize(("fire", "not_fire"), [(0.1, 0.9), (0.2, 0.8), (0.25, 0.75)])
-def test_rows_of_floats_that_miss_1_are_followed(fire: float, not_fire: float) -> None:
-    """Today's model is on the curve like any other, also where 0.1 and 0.9 are not 1."""
-    assert (F(fire) + F(not_fire) == 1) == (fire == 0.25)
-    wait = [[fire, not_fire, 0], [fire, 0, not_fire], [fire, 0, not_fire]]
-    mdp = MDP.from_arrays([wait, [[1, 0, 0]] * 3], [[0, 0], [0, 1], [4, 2]], 0.96)
-    family = moving(mdp, {"fire": [(0, 0), (2, 0), (4, 0)]}, {})
-    (curve,) = explore(family, "fire", policy=[0, 0, 0]).curves
-    assert (curve.claim, curve.violations()) == ("certified", [])
-    for at in (F(fire), F(fire) + F(1, 1000)):
-        assert certify(family.at({"fire": at})).start_value == curve.at(at)
-    assert float(curve.at(F(fire))) == pytest.approx(certify(mdp).value_float[0], rel=1e-12)
-    step = F(1, 10**9)
-    slope = (curve.at(F(fire) + step) - curve.at(F(fire) - step)) / (2 * step)
-    found = gradient(family)["fire"].value
-    assert found is not None
-    assert found.value == pytest.approx(float(slope), rel=1e-6)
 
 
 def test_it_is_a_result() -> None:

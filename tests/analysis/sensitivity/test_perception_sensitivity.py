@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from cli_runner import run
 
-from exact_mdp import MDP, Scenario, evaluate, independent, parametric, perceived, psa, solve
+from exact_mdp import MDP, Scenario, evaluate, independent, perceived, solve
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 SET = ("--set", "tasks=[1]", "--set", "max_trial=2")
@@ -74,17 +74,6 @@ def test_a_tornado_is_that_of_the_policy_held_fixed(mdp: MDP, seen: Path) -> Non
     assert f"{found['bars'][0]['fixed_value_low']:.6g}" in flat
 
 
-def test_bars_are_sorted_by_what_is_shown(seen: Path) -> None:
-    """A policy that always goes one way minds other parameters than the optimum does."""
-    names = [word for p in SMALL.names if "influence" in p for word in ("--parameter", p)]
-    found = ask("tornado", seen, *names)
-    swings = [bar["fixed_swing"] for bar in found["bars"]]
-    assert swings == sorted(swings, reverse=True)
-    assert [bar["swing"] for bar in found["bars"]] != sorted(
-        (bar["swing"] for bar in found["bars"]), reverse=True
-    )
-
-
 def test_a_gradient_is_that_of_the_mixed_policy_and_says_what_is_certified(
     mdp: MDP, seen: Path
 ) -> None:
@@ -101,18 +90,6 @@ def test_a_gradient_is_that_of_the_mixed_policy_and_says_what_is_certified(
     plain = run("gradient", "yuan2025", *SET, *ANGER, "--json").result
     assert plain["perception"] is None
     assert "claim_of" not in plain
-
-
-def test_draws_are_evaluations(mdp: MDP, seen: Path, plan: Path) -> None:
-    model = parametric(SMALL)
-    for form in (PLAN, solve(mdp).policy):  # by status, and by state
-        policy = perceived(mdp, form, ROUGH)
-        drawn = psa(SMALL, 20, rng=1, policy=policy)
-        for number in (0, 7):
-            there = model.at(dict(zip(drawn.names, drawn.draws[number].tolist(), strict=True)))
-            value = evaluate(there, policy).mean
-            assert drawn.values[number, 0] == pytest.approx(value, rel=1e-12)
-            assert drawn.optimal[number] == pytest.approx(solve(there).start_value, rel=1e-12)
 
 
 @pytest.mark.parametrize("form", ["optimal", "plan"])

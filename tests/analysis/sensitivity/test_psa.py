@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_models import burning, forest
 from scipy.special import betainc
 
 from exact_mdp import (
@@ -57,22 +56,6 @@ def test_every_draw_is_solved_and_every_policy_evaluated_in_it(care: Any) -> Non
         for n, candidate in enumerate(care.candidates):
             told = evaluate(mdp, candidate.weights)
             assert abs(care.values[d, n] - told.mean) <= care.value_error[d, n] + told.start.error
-
-
-def test_moments_are_those_of_an_independent_loop() -> None:
-    found = psa(SMALL, 4000, rng=1, effective_sample_size=20)
-    mean = np.array([float(SMALL[name]) for name in found.names])
-    drawn = np.random.default_rng(99).beta(20 * mean, 20 * (1 - mean), size=(30, len(mean)))
-    loop = np.empty(len(drawn))
-    lost = np.empty(len(drawn))
-    for d, row in enumerate(drawn.tolist()):
-        mdp = SMALL.with_(parameters=dict(zip(found.names, row, strict=True))).compile()
-        loop[d] = solve(mdp).start_value
-        lost[d] = loop[d] - evaluate(mdp, found.candidates[0].weights).mean
-    for ours, theirs in ((found.optimal, loop), (found.regret(), lost)):
-        error = np.hypot(ours.std() / len(ours) ** 0.5, theirs.std() / len(theirs) ** 0.5)
-        assert abs(ours.mean() - theirs.mean()) < 4 * error
-    assert found.optimal.std() == pytest.approx(loop.std(), rel=4 / (2 * len(loop)) ** 0.5)
 
 
 def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: Any) -> None:
@@ -202,22 +185,6 @@ def test_cut_off_chances_are_counted() -> None:
         over |= numbers[f"base.{target}"] + np.sum(pushes, axis=0) > 1
     assert found.clipped.value == pytest.approx(over.mean())
     assert found.clipped.value > 0.3
-
-
-def test_a_published_model_with_an_uncertain_row() -> None:
-    """Forest management (pymdptoolbox): a fire's chance is known from ten years."""
-    model = burning("24/25")
-    known = uncertainty(model, names=["fire"], default=10)
-    found = psa(model, 24, rng=9, uncertain=known)
-    assert found.labels == tuple(forest("24/25").space.labels(range(3)))
-    g = 0.96
-    for d in range(0, 24, 5):
-        p, v = found.draws[d, 0], np.zeros(3)
-        for _ in range(3000):  # the published model, by value iteration
-            waiting = np.array([0, 0, 4]) + g * (p * v[0] + (1 - p) * v[[1, 2, 2]])
-            v = np.maximum(waiting, np.array([0, 1, 2]) + g * v[0])
-        assert found.optimal[d] == pytest.approx(v[0], rel=1e-9)
-    assert found.evpi().low.value <= found.evpi().high.value
 
 
 @pytest.mark.parametrize(

@@ -15,17 +15,6 @@ F = Fraction
 HALF = F(1, 2)
 
 
-def chain() -> Parametric:
-    """V = p (2 + q (3 + 4 r)): each step is passed with its own probability, or all is over."""
-    gains, end = (2, 3, 4), 3
-    rows: list[Any] = [
-        (state, 0, [(HALF, min(state + 1, end), gain), (HALF, 4, 0)])
-        for state, gain in enumerate(gains)
-    ]
-    rows += [(3, 0, [(1, 3, 0)]), (4, 0, [(1, 4, 0)])]
-    return moving(MDP.from_outcomes(rows, 1), {n: [(i, i + 1)] for i, n in enumerate("pqr")})
-
-
 def choice() -> Parametric:
     """V = max(p, q): two actions, each earns 1 with its own probability."""
     rows = [
@@ -37,68 +26,7 @@ def choice() -> Parametric:
     return moving(MDP.from_outcomes(rows, 1), {"p": [(0, 1)], "q": [(1, 1)]})
 
 
-CHAIN_RANGES = {"p": (F(1, 2), F(9, 10)), "q": (F(1, 10), F(3, 5)), "r": (0, 1)}
-
-
-def mean(low: F, high: F) -> F:
-    return (low + high) / 2
-
-
-def square(low: F, high: F) -> F:
-    """E[x²] of a uniform x."""
-    return (low * low + low * high + high * high) / 3
-
-
-def closed_form() -> tuple[F, dict[str, F], dict[str, F]]:
-    """Variance, first-order and total indices of p (2 + q (3 + 4 r)), worked out by hand.
-
-    With m for means and s for second moments, u = 3 + 4 r, w = 2 + q u:
-    E[w] = 2 + m_q m_u,  E[w²] = 4 + 4 m_q m_u + s_q s_u,  V = p w.
-    """
-    spans = {name: tuple(map(F, span)) for name, span in CHAIN_RANGES.items()}
-    m = {name: mean(*span) for name, span in spans.items()}
-    s = {name: square(*span) for name, span in spans.items()}
-    m_u, s_u = 3 + 4 * m["r"], 9 + 24 * m["r"] + 16 * s["r"]
-    v = {name: s[name] - m[name] ** 2 for name in "pqr"}
-    v_u = s_u - m_u**2
-    m_w, s_w = 2 + m["q"] * m_u, 4 + 4 * m["q"] * m_u + s["q"] * s_u
-    variance = s["p"] * s_w - (m["p"] * m_w) ** 2
-    first = {
-        "p": v["p"] * m_w**2,
-        "q": m["p"] ** 2 * m_u**2 * v["q"],
-        "r": m["p"] ** 2 * m["q"] ** 2 * v_u,
-    }
-    total = {"p": v["p"] * s_w, "q": s["p"] * s_u * v["q"], "r": s["p"] * s["q"] * v_u}
-    return (
-        variance,
-        {name: part / variance for name, part in first.items()},
-        {name: part / variance for name, part in total.items()},
-    )
-
-
 # ---- Sobol ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def of_chain() -> Any:
-    return sobol(chain(), ranges=CHAIN_RANGES, n=128, rng=0)
-
-
-def test_indices_are_those_of_the_closed_form(of_chain: Any) -> None:
-    variance, first, total = closed_form()
-    assert of_chain.names == ("p", "q", "r")
-    assert of_chain.draws == 128 * 5
-    found = of_chain.optimal
-    assert found.sd == pytest.approx(float(variance) ** 0.5, rel=0.02)
-    for place, name in enumerate("pqr"):
-        assert found.first[place] == pytest.approx(float(first[name]), abs=0.02)
-        assert found.total[place] == pytest.approx(float(total[name]), abs=0.02)
-        # The intervals are of a purely random sample and wider than the scrambled one's error.
-        assert abs(found.first[place] - float(first[name])) < found.first_half[place] < 0.2
-        assert abs(found.total[place] - float(total[name])) < found.total_half[place] < 0.2
-    assert of_chain.regret.constant
-    assert of_chain.regret.mean == 0
-    np.testing.assert_allclose(of_chain.fixed.first, found.first, atol=1e-9)
 
 
 def test_the_maximum_of_two_and_the_regret_of_one_have_known_indices() -> None:
@@ -135,14 +63,21 @@ def test_seed_zero_is_a_seed_and_workers_change_nothing(tmp_path: Path) -> None:
 # ---- draws ---------------------------------------------------------------------------------------
 
 
-def test_an_index_that_is_not_there_is_not_a_number(of_chain: Any) -> None:
-    frame = of_chain.frame("regret")
+def test_an_index_that_is_not_there_is_not_a_number() -> None:
+    """The first action is best everywhere, so that nothing is lost by it."""
+    ranges = {"p": (F(3, 5), 1), "q": (0, F(2, 5))}
+    found = sobol(choice(), policy="always:0", ranges=ranges, n=32, rng=0)
+    assert (found.names, found.draws) == (("p", "q"), 32 * 4)
+    assert found.regret.constant
+    assert found.regret.mean == 0
+    np.testing.assert_allclose(found.fixed.first, found.optimal.first, atol=1e-9)
+    frame = found.frame("regret")
     assert frame["total (share of variance)"].isna().all()
     assert frame.attrs["sd (reward)"] == 0
-    assert set(of_chain.frame()["claim"]) == {"estimated"}
-    assert of_chain.frame()["parameter"][0] == "q"
+    assert set(found.frame()["claim"]) == {"estimated"}
+    assert found.frame()["parameter"][0] == "p"
     with pytest.raises(ModelError, match="unknown output"):
-        of_chain.frame("loss")
+        found.frame("loss")
 
 
 @pytest.mark.parametrize(

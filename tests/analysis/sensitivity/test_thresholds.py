@@ -6,9 +6,8 @@ from itertools import pairwise
 import pytest
 from care_oracle import END, Oracle, oracle_of
 from cases.puterman import two_state
-from made_models import burning
 
-from exact_mdp import MDP, Family, Parameter, Scenario, certify, thresholds
+from exact_mdp import MDP, Family, Parameter, Scenario, thresholds
 
 F = Fraction
 SMALL = {"tasks": [1], "max_trial": 2}
@@ -26,29 +25,6 @@ def test_puterman_leaves_at_ten_elevenths() -> None:
     assert (switch.state, switch.before, switch.after) == (0, ("1",), ("0",))
     assert found.stable() == (0, one.low)
     assert found.radius == one.low - F(1, 2)
-
-
-def test_published_forest_fire_against_a_scan() -> None:
-    family = burning("9/10")
-    found = thresholds(family, "fire", (F(1, 100), F(99, 100)))
-    assert found.found
-    scan(family, "fire", found, F(1, 100), F(99, 100), 60)
-
-
-def scan(family, name, found, low, high, steps) -> None:
-    """Between neighbouring thresholds the optimal pairs are the same everywhere."""
-    cuts = [t for t in found.found if not t.touch]
-    ends = [low, *(end for t in cuts for end in (t.low, t.high)), high]
-    for a, b in list(pairwise(ends))[::2]:
-        grid = [a + (b - a) * F(k, 3) for k in range(4)]
-        sets = [certify(family.at({name: value})).optimal_pairs for value in grid]
-        assert (sets[1] == sets[2]).all()
-    for k in range(steps):
-        left = low + (high - low) * F(k, steps)
-        right = low + (high - low) * F(k + 1, steps)
-        one, two = (certify(family.at({name: value})).optimal_pairs for value in (left, right))
-        inside = [t for t in cuts if left <= t.high and t.low <= right]
-        assert (one == two).all() or inside
 
 
 @pytest.mark.parametrize(

@@ -152,6 +152,13 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
     assert "no piece covers" in replace(found, pieces=found.pieces[:1]).violations()[0]
     elsewhere = replace(low.section, high=low.low[0])
     assert any("outside" in w for w in broken(found, 0, section=elsewhere))
+    # One bracket that is wide, between sections, where nothing is checked, proves nothing.
+    whole = (found.range.low, found.range.high)
+    assert "no piece covers" in broken(found, 1, low=whole)[0]
+    wide = (F(1, 2), F(98, 100))
+    apart = replace(high, low=wide, section=replace(high.section))
+    forged = replace(found, pieces=(replace(low, high=wide), apart))
+    assert any("next to" in fault for fault in forged.violations())
 
 
 def nearer(bracket: tuple[Fraction, Fraction]) -> tuple[Fraction, Fraction]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from fractions import Fraction
 from fractions import Fraction as F
 from importlib import import_module
 from math import isfinite
@@ -37,7 +36,6 @@ from exact_mdp.analysis.vary.one_way import Point
 from exact_mdp.analysis.vary.ranges import around, spans_of
 from exact_mdp.analysis.vary.study import Study, lost_by, study
 from exact_mdp.mdp.care import scenario as care_scenario
-from exact_mdp.mdp.parametric.row_change import pieces, row_change, transition_entries
 
 sobol_module = import_module("exact_mdp.analysis.vary.sobol")
 solver_module = import_module("exact_mdp.analysis.vary.study")
@@ -236,42 +234,6 @@ def scenario(**readings: str) -> Scenario:
 
 
 # ---- parametric models -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "readings"),
-    [
-        ("base.anger", {"skip_onset": "base"}),
-        ("influence.disengagement.anger", {"influence_on_present": "additive"}),
-        ("assistance.supportive.anger.onset", {}),
-        ("reward.trial", {"trial_cost": "failed-trials"}),
-        ("skip.anger.persistence", {"skip_timestep": "own"}),
-    ],
-)
-def test_polynomials_of_rows_hold_everywhere_between_breakpoints(name, readings) -> None:
-    family = parametric(scenario(**readings))
-    value = next(p.value for p in family.parameters if p.name == name)
-    left, right = pieces(family, name, value)
-    piece = right or left
-    assert piece is not None
-    change = row_change(family, name, piece)
-    low = F(-9) if piece.low is None else piece.low
-    high = F(9) if piece.high is None else piece.high
-    for share in (F(1, 7), F(5, 7), F(1)):
-        place = low + share * (high - low)
-        expected = rows_at(family, name, place)
-        found = rows_at(family, name, value)
-        for k, key in enumerate(change.transition.key.tolist()):
-            powers = enumerate(change.transition.coefficients, start=1)
-            found[key] = found.get(key, F(0)) + sum(
-                column[k] * (place - value) ** power for power, column in powers
-            )
-        assert {key: p for key, p in found.items() if p} == expected
-
-
-def rows_at(family: Parametric, name: str, value: Fraction) -> dict[int, Fraction]:
-    key, top, bottom = transition_entries(family.at({name: value}))
-    return {k: F(int(a), int(b)) for k, a, b in zip(key.tolist(), top, bottom, strict=True)}
 
 
 def test_a_wide_range_ends_where_the_parameter_does() -> None:

@@ -2,12 +2,10 @@
 
     dV/dθ = Σ_l d(l) c(l),    c(l) = ∂r(l) + γ Σ_s' ∂P(l, s') V(s') + ∂γ Σ_s' P(l, s') V(s')
 
-d is the policy's discounted occupancy and V its value. With the policy re-optimised, the same holds
-of the optimum by the envelope theorem (Milgrom and Segal, Econometrica 70, 2002) where one policy
-is optimal. Where several are, V* has a derivative on each side, the greatest or least among their
-own: the optimum of the model that is left with optimal actions and earns c. Where a parameter sits
-on a breakpoint of the rows, each side has its own ∂P. The elasticity is (θ / V) dV/dθ, the change
-of the value in per cent for one per cent of the parameter.
+d is the policy's discounted occupancy and V its value. The same holds of the optimum (the envelope
+theorem: Milgrom and Segal, Econometrica 70, 2002) where one policy is optimal. Where several are,
+V* has a derivative on each side: the optimum of the model that is left with optimal actions and
+earns c. At a breakpoint of the rows, each side has its own ∂P. The elasticity is (θ / V) dV/dθ.
 
 In floating point, with V and d each within e_V and e_d of the exact ones,
 
@@ -18,9 +16,10 @@ gaps within the error bound count as ties, and are refused.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,11 +36,12 @@ from exact_mdp.mdp.graph import endless, is_acyclic, reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.row_change import RowChange, pieces, row_change
+from exact_mdp.mdp.parametric.polynomial_rows import ratios
+from exact_mdp.mdp.parametric.row_change import RowChange, pieces, row_change, transition_entries
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.mdp.table import Floats, Integers, Numbers, common, integers
+from exact_mdp.mdp.table import Integers, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, difference, in_float
 from exact_mdp.solvers.solver import solve
@@ -49,7 +49,6 @@ from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
-    from flint import fmpq
     from pandas import DataFrame
 
 
@@ -366,7 +365,36 @@ def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, 
     }
 
 
-# ---- rationals -----------------------------------------------------------------------------------
+# ---- one pass ------------------------------------------------------------------------------------
+
+
+def _moves(
+    mdp: MDP, change: RowChange, kind: Callable[[Fraction], Any], rows: tuple[Integers, Numbers]
+) -> tuple[Integers, Numbers, Integers, Numbers]:
+    """Return keys and slopes of discounted transitions, and of rewards, in numbers of one kind.
+
+    `rows` are the keys of the transition matrix's entries, and the probabilities.
+    """
+    slopes, gains = (
+        np.array([kind(each) for each in part.slope], dtype=rows[1].dtype)
+        for part in (change.transition, change.reward)
+    )
+    keys, slopes = change.transition.key, slopes * kind(mdp.discount_exact)
+    if change.discount:
+        keys = np.concatenate([keys, rows[0]])
+        slopes = np.concatenate([slopes, rows[1] * kind(change.discount)])
+    return keys, slopes, change.reward.key, gains
+
+
+def _earned(
+    keys: Integers, slopes: Numbers, gain_keys: Integers, gains: Numbers, value: Numbers, pairs: int
+) -> Numbers:
+    """Return c(l) (L,) from values (S,)."""
+    earned = np.zeros(pairs, dtype=value.dtype)
+    pair, following = np.divmod(keys, len(value))
+    np.add.at(earned, pair, slopes * value[following])
+    np.add.at(earned, gain_keys, gains)
+    return earned
 
 
 class _ExactPass:
@@ -380,53 +408,37 @@ class _ExactPass:
         chain = PolicyChain.of(mdp, policy)
         if mdp.discount_exact == 1:
             chain.require_end()
-        self.rate = rational(mdp.discount_exact)
         values = self.certificate or exact_policy(chain)
-        self.value: list[fmpq] = [*map(rational, values.value)]
+        self.value = np.array([*map(rational, values.value)], dtype=object)
         self.start = Certified(value=values.start_value)
-        stay = rational(0) if self.rate == 1 else 1 / (1 - self.rate)
-        self.uses: dict[int, fmpq] = {}
+        self.uses = np.array([rational(0)] * mdp.n_pairs, dtype=object)
         for state, seen in enumerate(exact_visits(chain).value):
             if seen:
-                amount = rational(seen) * (stay if mdp.terminal[state] else 1)
+                leak = 1 - mdp.discount_exact
+                amount = rational(seen / leak if mdp.terminal[state] and leak else seen)
                 for pair, weight in chain.exact_weights(state).items():
                     self.uses[pair] = amount * rational(weight)
 
+    @cached_property
+    def rows(self) -> tuple[Integers, Numbers]:
+        entries = transition_entries(self.mdp)
+        return entries[0], np.array(ratios(entries), dtype=object)
+
     def slope(self, change: RowChange, sign: int) -> Certified:
         """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
-        if self.certificate is None or self.certificate.unique:
-            earned = self._earnings(change, [pair for pair, uses in self.uses.items() if uses])
-            total = sum(
-                (self.uses.get(pair, 0) * gain for pair, gain in earned.items()), rational(0)
-            )
-            return Certified(value=fraction(total))
-        earned = self._earnings(change, range(self.mdp.n_pairs))
+        unique = self.certificate is None or self.certificate.unique
+        keys, slopes, *rewards = _moves(self.mdp, change, rational, self.rows)
+        if unique:  # other pairs count for nothing
+            used = np.asarray(self.uses != 0, dtype=bool)[keys // self.mdp.n_states]
+            keys, slopes = keys[used], slopes[used]
+        earned = _earned(keys, slopes, *rewards, self.value, self.mdp.n_pairs)
+        _refuse_endless(self.mdp, earned != 0, change.name)
+        if self.certificate is None or unique:
+            return Certified(value=fraction(rational(0) + self.uses @ earned))
         tied = np.flatnonzero(self.certificate.optimal_pairs)
-        gained = [sign * fraction(earned.get(pair, rational(0))) for pair in tied.tolist()]
-        return Certified(
-            value=sign * Fraction(proven(_earning(self.mdp, tied, gained)).start_value)
-        )
-
-    def _earnings(self, change: RowChange, pairs: Iterable[int]) -> dict[int, fmpq]:
-        """Return c(l) = ∂r + γ ∂P V + ∂γ P V of some pairs, where it is not zero by rule."""
-        mdp, zero, wanted = self.mdp, rational(0), dict.fromkeys(pairs)
-        earned: dict[int, fmpq] = {}
-        moved = zip(change.transition.key.tolist(), change.transition.slope, strict=True)
-        for key, slope in moved:
-            pair, following = divmod(key, mdp.n_states)
-            if pair in wanted:
-                ahead = self.rate * rational(slope) * self.value[following]
-                earned[pair] = earned.get(pair, zero) + ahead
-        for pair, slope in zip(change.reward.key.tolist(), change.reward.slope, strict=True):
-            if pair in wanted or mdp.terminal[mdp.pair_state[pair]]:
-                earned[pair] = earned.get(pair, zero) + rational(slope)
-        for pair in wanted if change.discount else ():
-            row = mdp.table.row(pair)
-            ahead = sum((rational(p) * self.value[following] for p, following, _ in row), zero)
-            earned[pair] = earned.get(pair, zero) + rational(change.discount) * ahead
-        if self.rate == 1:
-            _refuse_endless(mdp, [pair for pair, gain in earned.items() if gain], change.name)
-        return earned
+        gained = [sign * fraction(rational(0) + each) for each in earned[tied]]
+        best = proven(_earning(self.mdp, tied, gained)).start_value
+        return Certified(value=sign * Fraction(best))
 
 
 def _earning(mdp: MDP, pairs: Integers, gained: Sequence[Fraction]) -> MDP:
@@ -445,18 +457,15 @@ def _earning(mdp: MDP, pairs: Integers, gained: Sequence[Fraction]) -> MDP:
     )
 
 
-def _refuse_endless(mdp: MDP, pairs: Sequence[int], name: str) -> None:
+def _refuse_endless(mdp: MDP, earns: NDArray[np.bool_], name: str) -> None:
     """Raise ModelError where a parameter makes a terminal state earn, without end at discount 1."""
-    for pair in pairs:
-        if mdp.terminal[mdp.pair_state[pair]]:
-            raise ModelError(
-                "a terminal state would earn for ever",
-                where=f"parameter {name}, {mdp.where(pair)}",
-                fix="choose a discount below 1",
-            )
-
-
-# ---- floats --------------------------------------------------------------------------------------
+    wrong = np.flatnonzero(earns.astype(bool) & mdp.terminal[mdp.pair_state])
+    if mdp.discount_exact == 1 and len(wrong):
+        raise ModelError(
+            "a terminal state would earn for ever",
+            where=f"parameter {name}, {mdp.where(int(wrong[0]))}",
+            fix="choose a discount below 1",
+        )
 
 
 class _BoundedPass:
@@ -471,11 +480,11 @@ class _BoundedPass:
             tied = sign * gain.value >= -2 * (solution.error_bound + gain.noise)
             _refuse_ties(mdp, tied)
             policy = solution
-        self.found = evaluate(mdp, policy)
-        chain = self.found.chain
-        live = ~np.isnan(self.found.value)
-        self.value = np.where(live, self.found.value, 0.0)
-        self.value_error = np.where(live, self.found.error, 0.0)
+        found = evaluate(mdp, policy)
+        self.start, chain = found.numbers["mean"], found.chain
+        live = ~np.isnan(found.value)
+        self.value = np.where(live, found.value, 0.0)
+        self.value_error = np.where(live, found.error, 0.0)
         seen = chain.discounted.visits
         stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
         factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights
@@ -483,39 +492,21 @@ class _BoundedPass:
         rounding = float(gamma(8 + chain.roundings)) / max(1 - mdp.discount, UNIT)
         rounding = rounding if stay else float(gamma(4 + chain.roundings))
         self.doubt = seen.error[mdp.pair_state] * factor * SLACK + rounding * self.uses
-
-    @property
-    def start(self) -> Bounded:
-        """The policy's value at the start."""
-        return self.found.numbers["mean"]
+        pair = np.repeat(np.arange(mdp.n_pairs), np.diff(mdp.transition.indptr))
+        self.rows = pair * mdp.n_states + mdp.transition.indices, mdp.transition.data
 
     def slope(self, change: RowChange, _: int) -> Bounded:
         """Return the derivative; both sides are alike where one policy is optimal."""
-        mdp, rate = self.mdp, self.mdp.discount
-        earned, size, off = np.zeros((3, mdp.n_pairs))
-        pair, state = np.divmod(change.transition.key, mdp.n_states)
-        slope = rate * _floats(change.transition.slope)
-        np.add.at(earned, pair, slope * self.value[state])
-        np.add.at(size, pair, np.abs(slope * self.value[state]))
-        np.add.at(off, pair, np.abs(slope) * self.value_error[state])
-        gain = _floats(change.reward.slope)
-        np.add.at(earned, change.reward.key, gain)
-        np.add.at(size, change.reward.key, np.abs(gain))
-        if change.discount:
-            growth = float(change.discount)
-            earned += growth * (mdp.transition @ self.value)
-            size += abs(growth) * (mdp.transition @ np.abs(self.value))
-            off += abs(growth) * (mdp.transition @ self.value_error)
-        if mdp.discount_exact == 1:
-            _refuse_endless(mdp, np.flatnonzero(size).tolist(), change.name)
-        terms = int(np.diff(mdp.transition.indptr).max()) * 2 + mdp.n_pairs + 8
+        moves, count = _moves(self.mdp, change, float, self.rows), self.mdp.n_pairs
+        keys, slopes, gain_keys, gains = moves[0], np.abs(moves[1]), moves[2], np.abs(moves[3])
+        earned = _earned(*moves, self.value, count)
+        size = _earned(keys, slopes, gain_keys, gains, np.abs(self.value), count)
+        off = _earned(keys, slopes, gain_keys, 0 * gains, self.value_error, count)
+        _refuse_endless(self.mdp, size > 0, change.name)
+        terms = int(np.diff(self.mdp.transition.indptr).max()) * 2 + self.mdp.n_pairs + 8
         used = self.uses + self.doubt
         error = self.doubt @ size + used @ off + float(gamma(terms)) * (used @ size)
         return Bounded(value=float(self.uses @ earned), error=float(error * SLACK + TINY * terms))
-
-
-def _floats(numbers: Numbers) -> Floats:
-    return np.array([float(number) for number in numbers], dtype=np.float64)
 
 
 def _refuse_ties(mdp: MDP, tied: NDArray[np.bool_]) -> None:
