@@ -427,11 +427,11 @@ class _ExactPass:
     def slope(self, change: RowChange, sign: int) -> Certified:
         """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
         unique = self.certificate is None or self.certificate.unique
-        keys, slopes, *rewards = _moves(self.mdp, change, rational, self.rows)
+        keys, slopes, gain_keys, gains = _moves(self.mdp, change, rational, self.rows)
         if unique:  # other pairs count for nothing
             used = np.asarray(self.uses != 0, dtype=bool)[keys // self.mdp.n_states]
             keys, slopes = keys[used], slopes[used]
-        earned = _earned(keys, slopes, *rewards, self.value, self.mdp.n_pairs)
+        earned = _earned(keys, slopes, gain_keys, gains, self.value, self.mdp.n_pairs)
         _refuse_endless(self.mdp, earned != 0, change.name)
         if self.certificate is None or unique:
             return Certified(value=fraction(rational(0) + self.uses @ earned))
