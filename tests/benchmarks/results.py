@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ INK = (
     "#999933", "#882255",
 )  # fmt: skip
 LARGE = 5e6  # bytes of arrays from which on memory says more of the model than of the process
-Rows = Sequence[dict[str, Any]]
+Row = dict[str, Any]
+Rows = Sequence[Row]
 
 
 def write(rows: Rows, bandwidth: float, folder: Path) -> None:
@@ -47,6 +48,10 @@ def write(rows: Rows, bandwidth: float, folder: Path) -> None:
 
 
 def _page(rows: Rows, bandwidth: float) -> list[str]:
+    dates = _between(row["measured"] for row in rows if "measured" in row) or "not dated"
+    minutes = sum(row.get("spent", 0.0) for row in rows) / 60
+    rounds = _between(len(row["seconds"]) for row in rows if "seconds" in row)
+    rounds += " round" if rounds == "1" else " rounds"
     lines = [
         "# Timings beside other solvers",
         "",
@@ -57,13 +62,13 @@ def _page(rows: Rows, bandwidth: float) -> list[str]:
         "on both sides, but for Storm.",
         "",
         *_summary(rows),
-        f"{_dates(rows)}; {_processor()}, {os.cpu_count()} cores, Python "
+        f"{dates}; {_processor()}, {os.cpu_count()} cores, Python "
         f"{platform.python_version()}; one read of memory runs at {bandwidth / 1e9:.0f} GB/s. "
         + ", ".join(f"{name} {_version(name)}" for name in PACKAGES)
         + ".",
         "",
-        f"Written by `make bench`, whose runs took {_spent(rows):.0f} minutes. Each solver is "
-        f"given the same arrays, in a process of its own, in turn, in {_rounds(rows)}; a time is "
+        f"Written by `make bench`, whose runs took {minutes:.0f} minutes. Each solver is "
+        f"given the same arrays, in a process of its own, in turn, in {rounds}; a time is "
         "the best of three repeats or more, half a second of them, after a first call, and "
         "includes what a user waits for: taking over the arrays, finding structure, solving, "
         "bounding. Python lists for mdpsolver and Storm's matrix are made beforehand, untimed, and "
@@ -96,58 +101,81 @@ def _page(rows: Rows, bandwidth: float) -> list[str]:
     return lines
 
 
-def _cells(row: dict[str, Any], rows: Rows) -> list[str]:
+def _cells(row: Row, rows: Rows) -> list[str]:
     head = [f"{row['states']:,}", f"{row['transitions']:,}", row["contender"]]
+    error = f"{row['error']:.1e}" if "error" in row else ""
     if row["verdict"] != "right":
-        error = f"{row['error']:.1e}" if "error" in row else ""
         return [*head, row["verdict"], "", "", "", "", error, ""]
-    whole = f"{np.median(row['seconds']):.4g} ({np.median(row['first']):.2g})"
-    alone = row["note"] == ALONE
+    alone, memory = row["note"] == ALONE, ""
+    if row["bytes"] >= LARGE:  # rows of older runs have the memory of all calls alone
+        first = row.get("first memory")
+        memory = f"{row['memory'] / row['bytes']:.1f}"
+        memory += "" if first is None else f" ({first / row['bytes']:.1f})"
     return [
         *head,
-        "" if alone else whole,
-        "" if alone else _ratio(row, rows, "seconds"),
+        "" if alone else f"{np.median(row['seconds']):.4g} ({np.median(row['first']):.2g})",
+        "" if alone else _times(row, rows, "seconds"),
         f"{np.median(row['solving']):.4g}",
-        _ratio(row, rows, "solving"),
-        _memory(row) if row["bytes"] >= LARGE else "",
-        f"{row['error']:.1e}",
+        _times(row, rows, "solving"),
+        memory,
+        error,
         "" if row["bound"] is None else f"{row['bound']:.1e}",
     ]
 
 
-def _memory(row: dict[str, Any]) -> str:
-    """Return memory in multiples of the arrays; rows of older runs have that of all calls alone."""
-    shown = f"{row['memory'] / row['bytes']:.1f}"
-    first = row.get("first memory")
-    return shown if first is None else f"{shown} ({first / row['bytes']:.1f})"
+def _times(row: Row, rows: Rows, what: str) -> str:
+    """How many times ours it took: the ratio of medians, and the range over rounds."""
+    for ours in rows:
+        same = (ours["family"], ours["size"]) == (row["family"], row["size"])
+        if same and ours["contender"] in (OURS, OURS + " LP") and what in ours and ours is not row:
+            ratios = [a / b for a, b in zip(row[what], ours[what], strict=False)]
+            middle = np.median(row[what]) / np.median(ours[what])
+            return f"{middle:.2g} ({min(ratios):.2g} to {max(ratios):.2g})"
+    return ""
 
 
-def best_ratio(ours: dict[str, Any], rows: Rows) -> tuple[float, str] | None:
-    """Return our time over that of the best peer on the same model, and who that is."""
-    found = []
-    for row in rows:
-        same = (row["family"], row["states"]) == (ours["family"], ours["states"])
-        if same and row["verdict"] == "right" and not row["contender"].startswith(OURS):
-            what = "solving" if row["note"] == ALONE else "seconds"
-            found.append((min(ours[what]) / min(row[what]), row["contender"]))
-    return max(found) if found else None
-
-
-def _leading(rows: Rows) -> list[tuple[dict[str, Any], float, str]]:
-    """Return our rows with their ratio to the best peer, and its name."""
-    ours = [row for row in rows if row["contender"] in (OURS, OURS + " LP")]
-    found = [(row, best_ratio(row, rows)) for row in ours if row["verdict"] == "right"]
-    return [(row, *best) for row, best in found if best is not None]
+def _leading(rows: Rows) -> list[tuple[Row, float, str]]:
+    """Our rows with our time over that of the best peer on the same model, and who that is."""
+    leading = []
+    right = [row for row in rows if row["verdict"] == "right"]
+    for ours in (row for row in right if row["contender"] in (OURS, OURS + " LP")):
+        ratios = []
+        for row in right:
+            same = (row["family"], row["states"]) == (ours["family"], ours["states"])
+            if same and not row["contender"].startswith(OURS):
+                what = "solving" if row["note"] == ALONE else "seconds"
+                ratios.append((min(ours[what]) / min(row[what]), row["contender"]))
+        if ratios:
+            leading.append((ours, *max(ratios)))
+    return leading
 
 
 def _summary(rows: Rows) -> list[str]:
     lines = ["| model | states | ours / best peer | best peer | first call of a process |"]
     lines += ["|---|---:|---:|---|---:|"]
     for row, ratio, peer in _leading(rows):
-        first = f"{np.median(row['first']):.2g} s"
-        states = f"{row['states']:,}"
-        lines.append(f"| {row['family']} | {states} | {ratio:.2g} | {peer} | {first} |")
+        cells = row["family"], f"{row['states']:,}", f"{ratio:.2g}", peer
+        lines.append(f"| {' | '.join(cells)} | {np.median(row['first']):.2g} s |")
     return [*lines, ""]
+
+
+def _between(values: Iterable[Any]) -> str:
+    """The least and the largest of some values, in words."""
+    ordered = sorted(set(values))
+    return " to ".join(map(str, dict.fromkeys([*ordered[:1], *ordered[-1:]])))
+
+
+# ---- figures -------------------------------------------------------------------------------------
+
+
+def _line(ax: plt.Axes, number: int, x: Sequence[float], y: Sequence[float], label: str) -> None:
+    ax.loglog(
+        x, y, linestyle=LINES[number % len(LINES)], marker=MARKS[number % len(MARKS)],
+        color=INK[number % len(INK)], markersize=4, label=label,
+    )  # fmt: skip
+    for axis in (ax.xaxis, ax.yaxis):  # powers of ten as numbers, and nothing between them
+        axis.set_major_formatter(lambda x, _: f"{x:,.0f}" if 1 <= x < 1e6 else f"{x:g}")
+        axis.set_minor_formatter(NullFormatter())
 
 
 def _ratios(rows: Rows) -> plt.Figure:
@@ -156,104 +184,50 @@ def _ratios(rows: Rows) -> plt.Figure:
     leading = _leading(rows)
     for number, family in enumerate(dict.fromkeys(row["family"] for row, *_ in leading)):
         own = sorted((row["states"], ratio) for row, ratio, _ in leading if row["family"] == family)
-        ax.loglog(
-            *zip(*own, strict=True), linestyle=LINES[number % len(LINES)],
-            marker=MARKS[number % len(MARKS)], color=INK[number % len(INK)],
-            markersize=4, label=family,
-        )  # fmt: skip
+        _line(ax, number, *zip(*own, strict=True), label=family)
     ax.axhline(1, color="0.6", linewidth=1)
     ax.set(xlabel="states", ylabel="our time / that of the best peer")
-    _plain(ax)
     ax.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
-def _plain(ax: plt.Axes) -> None:
-    """Have the powers of ten written as numbers, and nothing between them."""
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_formatter(lambda x, _: f"{x:,.0f}" if 1 <= x < 1e6 else f"{x:g}")
-        axis.set_minor_formatter(NullFormatter())
-
-
-def _dates(rows: Rows) -> str:
-    dates = sorted({row["measured"] for row in rows if "measured" in row})
-    return " to ".join(dict.fromkeys([*dates[:1], *dates[-1:]])) or "not dated"
-
-
-def _spent(rows: Rows) -> float:
-    """Return the minutes that the runs behind the rows took."""
-    return sum(row.get("spent", 0.0) for row in rows) / 60
-
-
-def _rounds(rows: Rows) -> str:
-    """Return how often each solver was run, in words: least to most."""
-    counts = sorted({len(row["seconds"]) for row in rows if "seconds" in row})
-    number = " to ".join(map(str, dict.fromkeys([*counts[:1], *counts[-1:]])))
-    return f"{number} round{'s' * (counts != [1])}"
-
-
-def _ratio(row: dict[str, Any], rows: Rows, what: str) -> str:
-    """Return how many times ours it took: the ratio of medians, and the range over rounds."""
-    for ours in rows:
-        same = (ours["family"], ours["size"]) == (row["family"], row["size"])
-        if same and ours["contender"] in (OURS, OURS + " LP") and what in ours:
-            pairs = [a / b for a, b in zip(row[what], ours[what], strict=False)]
-            middle = np.median(row[what]) / np.median(ours[what])
-            if ours is not row:
-                return f"{middle:.2g} ({min(pairs):.2g} to {max(pairs):.2g})"
-    return ""
-
-
 def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
+    """Draw seconds or bytes against size: a panel for each family, a colour for each solver."""
     families = list(dict.fromkeys(row["family"] for row in rows))
     known = list(dict.fromkeys(row["contender"].removesuffix(" LP") for row in rows))
     columns = min(3, len(families))
     height = -(-len(families) // columns)
-    figure, axes = plt.subplots(
-        height, columns, figsize=(3.4 * columns, 2.4 * height), squeeze=False, layout="constrained"
-    )
+    size = (3.4 * columns, 2.4 * height)
+    figure, axes = plt.subplots(height, columns, figsize=size, squeeze=False, layout="constrained")
     for ax, family in zip(axes.flat, families, strict=False):
         mine = [row for row in rows if row["family"] == family and row["verdict"] == "right"]
         for name in dict.fromkeys(row["contender"] for row in mine):
-            number = known.index(name.removesuffix(" LP"))  # one colour in every panel
             own = [row for row in mine if row["contender"] == name]
-            ax.loglog(
-                [row["states"] for row in own], [max(_number(row, what), 1e-9) for row in own],
-                linestyle=LINES[number % len(LINES)], marker=MARKS[number % len(MARKS)],
-                color=INK[number % len(INK)], markersize=4, label=known[number],
-            )  # fmt: skip
+            amount = [max(float(np.median(row[what])), 1e-9) for row in own]
+            number = known.index(name.removesuffix(" LP"))
+            _line(ax, number, [row["states"] for row in own], amount, known[number])
         sizes = {row["states"]: row["bytes"] for row in rows if row["family"] == family}
-        amount = np.array(list(sizes.values())) / (bandwidth if what == "seconds" else 1)
-        once = "reading the arrays once" if what == "seconds" else "the arrays themselves"
-        ax.loglog(list(sizes), amount, color="0.6", linewidth=1, label=once)
+        once = np.array(list(sizes.values())) / (bandwidth if what == "seconds" else 1)
+        label = "reading the arrays once" if what == "seconds" else "the arrays themselves"
+        ax.loglog(list(sizes), once, color="0.6", linewidth=1, label=label)
         ax.set(title=family, xlabel="states", ylabel="seconds" if what == "seconds" else "bytes")
-        _plain(ax)
         if max(sizes) < 10 * min(sizes):  # hardly a power of ten between them
             ax.set_xticks(list(sizes))
     for ax in list(axes.flat)[len(families) :]:
         ax.set_axis_off()
-    shown = dict[str, Any]()
-    for ax in axes.flat:
-        handles, labels = ax.get_legend_handles_labels()
-        shown |= dict(zip(labels, handles, strict=True))
-    figure.legend(
-        shown.values(), shown.keys(), frameon=False, fontsize=8, ncols=columns,
-        loc="outside lower center",
-    )  # fmt: skip
+    shown = {label: handle for ax in axes.flat
+             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}  # fmt: skip
+    figure.legend(shown.values(), shown.keys(), frameon=False, fontsize=8, ncols=columns,
+                  loc="outside lower center")  # fmt: skip
     return figure
 
 
-def _number(row: dict[str, Any], what: str) -> float:
-    return float(np.median(row["seconds"])) if what == "seconds" else float(row["memory"])
-
-
 def _processor() -> str:
-    """Return what the machine says of its processor, where it says anything."""
+    """What the machine says of its processor, where it says anything."""
     known = Path("/proc/cpuinfo")
-    for line in known.read_text().splitlines() if known.exists() else ():
-        if line.startswith("model name"):
-            return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
+    lines = known.read_text().splitlines() if known.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
 
 
 def _version(name: str) -> str:

@@ -19,16 +19,12 @@ FAMILY = "queue γ=0.9999"
     ids=lambda work: work.name,
 )
 def test_workloads_are_models(workload: Workload, tmp_path: Path) -> None:
-    sums = np.asarray(workload.transition.sum(axis=1))
-    assert np.abs(sums - 1).max() < 1e-12
+    assert np.abs(np.asarray(workload.transition.sum(axis=1)) - 1).max() < 1e-12
     assert (np.diff(workload.first) > 0).all()
     workload.save(tmp_path / "work.npz")
     again = Workload.load(tmp_path / "work.npz")
-    assert (again.name, again.states, again.discount) == (
-        workload.name,
-        workload.states,
-        workload.discount,
-    )
+    for name in ("name", "states", "discount"):
+        assert getattr(again, name) == getattr(workload, name)
     assert (again.transition != workload.transition).nnz == 0
     value, proven = compare.reference(workload)
     assert np.abs(compare.backup(workload, value) - value).max() <= proven < 1e-6
@@ -39,11 +35,7 @@ def test_workloads_are_models(workload: Workload, tmp_path: Path) -> None:
     [(0.0, None, "right"), (1e-3, None, "wrong"), (0.0, 1e-8, "right"), (5e-7, 1e-8, "wrong")],
 )
 def test_an_answer_is_held_against_the_reference_and_its_own_bound(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    off: float,
-    bound: float | None,
-    verdict: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, off: float, bound: float | None, verdict: str
 ) -> None:
     workload = queue(20)
     value, _ = compare.reference(workload)
@@ -58,34 +50,29 @@ def test_an_answer_is_held_against_the_reference_and_its_own_bound(
 
     monkeypatch.setattr(compare, "_in_a_process", answer)
     rows = {row["contender"]: row for row in compare.measure(FAMILY, workload, 2, tmp_path)}
-    assert rows[OURS]["verdict"] == "right"
-    assert rows[PEER]["verdict"] == verdict
-    assert ("seconds" in rows[PEER]) == (verdict == "right")
+    right = verdict == "right"
+    assert (rows[OURS]["verdict"], rows[PEER]["verdict"]) == ("right", verdict)
+    assert ("seconds" in rows[PEER]) == right
     assert rows["mdpsolver MPI"]["verdict"].startswith("no answer")
     write(list(rows.values()), 1e10, tmp_path)
-    (line,) = [
-        line
-        for line in (tmp_path / "RESULTS.md").read_text().splitlines()
-        if f"| 290 | {PEER} |" in line
-    ]
-    assert ("2 (2 to 2)" in line) == (verdict == "right")
-    assert ("| wrong |" in line) == (verdict == "wrong")
-    assert (tmp_path / "results_time.png").stat().st_size > 1000
     page = (tmp_path / "RESULTS.md").read_text()
+    (line,) = [line for line in page.splitlines() if f"| 290 | {PEER} |" in line]
+    assert ("2 (2 to 2)" in line) == right
+    assert ("| wrong |" in line) == (not right)
+    assert (f"| {FAMILY} | 20 | 0.5 | {PEER} |" in page) == right
     assert page.index("results_ratio.png") < page.index("results_time.png")
-    assert (f"| {FAMILY} | 20 | 0.5 | {PEER} |" in page) == (verdict == "right")
+    assert (tmp_path / "results_time.png").stat().st_size > 1000
     # Of models as small as this, memory says nothing.
     assert not (tmp_path / "results_memory.png").exists()
-    assert "results_memory" not in (tmp_path / "RESULTS.md").read_text()
+    assert "results_memory" not in page
 
 
 def test_we_are_timed_in_a_process_of_our_own(tmp_path: Path) -> None:
-    workload = queue(20)
+    workload, values = queue(20), tmp_path / "values.npy"
     workload.save(tmp_path / "work.npz")
-    values = tmp_path / "values.npy"
-    found = compare._in_a_process(tmp_path / "work.npz", FAMILY, OURS, values)
-    assert found is not None
-    assert 0 < found["solving"] <= found["seconds"]
-    assert max(found["memory"], found["first memory"]) < 500e6  # not that of this process
+    row = compare._in_a_process(tmp_path / "work.npz", FAMILY, OURS, values)
+    assert row is not None
+    assert 0 < row["solving"] <= row["seconds"]
+    assert max(row["memory"], row["first memory"]) < 500e6  # not that of this process
     value, proven = compare.reference(workload)
-    assert np.abs(np.load(values) - value).max() <= found["bound"] + proven
+    assert np.abs(np.load(values) - value).max() <= row["bound"] + proven
