@@ -32,27 +32,13 @@ from exact_mdp.mdp.table import Integers, Numbers, common, integers, multiply, s
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chances:
-    """Which parameters add up to the chance of each status.
+    """Which parameters add up to the chance of each status."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        The P parameters of the scenario, in its order.
-    bits : (2^n, n)
-        The status vectors; the first status is the most significant digit.
-    terms : (U, n) ints
-        Positions in `names` of the terms of each of U different chances; P where there is none.
-    step : (2^n, A, n) ints
-        Which chance p_i(s, a) is.
-    skip : (2^n, n) ints
-        Which chance z_i(s) is.
-    """
-
-    names: tuple[str, ...]
-    bits: Integers
-    terms: Integers
-    step: Integers
-    skip: Integers
+    names: tuple[str, ...]  # the P parameters of the scenario, in its order
+    bits: Integers  # (2^n, n) the status vectors; the first status is the most significant digit
+    terms: Integers  # (U, n) positions in `names` of the terms of each of U chances; P for none
+    step: Integers  # (2^n, A, n) which chance p_i(s, a) is
+    skip: Integers  # (2^n, n) which chance z_i(s) is
 
     def sums(self, scenario: Tables) -> tuple[Numbers, int]:
         """Return (U,) the sums of terms, not cut off, as integers over one denominator."""
@@ -203,14 +189,7 @@ class Laws:
 
 
 class ExactChances:
-    """The chances of a scenario as fractions, and the laws that they make.
-
-    Attributes
-    ----------
-    found : Chances
-    top, bottom : (U,) lists of int
-        Each chance in its lowest terms.
-    """
+    """The chances of a scenario as fractions in lowest terms, and the laws that they make."""
 
     def __init__(self, scenario: Tables) -> None:
         self.found = chances(scenario)

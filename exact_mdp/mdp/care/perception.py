@@ -5,18 +5,14 @@ timestep. A policy π that acts on what it perceives is, in the true state, the 
 
     π_C(a | s) = Σ_z C(s, z) π(a | z),
 
-which can be evaluated like any other. The other columns are perceived correctly. Files may state
-rationals; each number, and each probability π_C, is rounded to the nearest float, and exact results
-are exact for these: 0.9 is then the binary fraction nearest to it.
+which can be evaluated like any other. Files may state rationals; each number, and each probability
+π_C, is rounded to the nearest float, and exact results are exact for these.
 
 From N(s, z) examples of the true status s and the perceived status z, a row is estimated as
-
-    C(s, z) = (N(s, z) + α) / (N(s) + α Z)
-
-with a pseudo-count α for each of the Z cells: the frequencies at α = 0, and the posterior mean
-under a Dirichlet prior otherwise. α = 1/Z, the prior of Perks (1947), has the weight of one
-example for each row. Rows are drawn from Dirichlet(N(s, ·) + α). The interval of one status's
-sensitivity or specificity is that of Clopper and Pearson (Biometrika 26, 1934).
+C(s, z) = (N(s, z) + α) / (N(s) + α Z), with a pseudo-count α for each of the Z cells: the
+frequencies at α = 0, else the posterior mean under a Dirichlet prior, from whose posterior,
+Dirichlet(N(s, ·) + α), rows are drawn. α = 1/Z (Perks 1947) has the weight of one example for each
+row. Intervals of rates are those of Clopper and Pearson (Biometrika 26, 1934).
 """
 
 from __future__ import annotations
@@ -110,35 +106,30 @@ def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> F
     return matrix
 
 
-def checked(confusion: ArrayLike, *, size: int, where: str) -> Floats:
-    """Return a (size, size) matrix whose rows are distributions, or raise ModelError."""
-    matrix = float_array(confusion)
+def checked(confusion: ArrayLike, *, size: int, where: str, places: Sequence[str] = ()) -> Floats:
+    """Return a (size, size) matrix whose rows, at `places`, are distributions; else ModelError."""
+    matrix, label = float_array(confusion), statuses_of(size).label
     if matrix.shape != (size, size):
         raise ModelError(
             f"a confusion matrix of shape {matrix.shape}",
             where=where,
             fix=f"give {size} true by {size} perceived statuses",
         )
-    for row in range(size):
-        _check_row(matrix[row], statuses_of(size).label(row), f"{where}, row {row}")
+    for true, row in enumerate(matrix):
+        with located(places[true] if places else f"{where}, row {true}"):
+            if len(wrong := np.flatnonzero(~(row >= 0))):
+                seen = int(wrong[0])
+                raise ModelError(
+                    f"status {label(true)} is seen as {label(seen)} with probability "
+                    f"{row[seen]:.12g}",
+                    fix="give a number from 0 to 1",
+                )
+            if not abs(row.sum() - 1) <= FLOAT_ROW_TOLERANCE:
+                raise ModelError(
+                    f"the row of status {label(true)} sums to {row.sum():.12g}, not 1",
+                    fix="correct a probability in this row, or add what is missing",
+                )
     return matrix
-
-
-def _check_row(row: Floats, label: str, where: str) -> None:
-    if not (row >= 0).all():
-        seen = int(np.flatnonzero(~(row >= 0))[0])
-        raise ModelError(
-            f"status {label} is seen as {statuses_of(len(row)).label(seen)} with probability "
-            f"{row[seen]:.12g}",
-            where=where,
-            fix="give a number from 0 to 1",
-        )
-    if not abs(row.sum() - 1) <= FLOAT_ROW_TOLERANCE:
-        raise ModelError(
-            f"the row of status {label} sums to {row.sum():.12g}, not 1",
-            where=where,
-            fix="correct a probability in this row, or add what is missing",
-        )
 
 
 def statuses_of(size: int) -> Column:
@@ -155,6 +146,17 @@ def status_size(model: MDP) -> int:
             fix='give Scenario.load("yuan2025").compile(), or another scenario, compiled',
         )
     return model.space.column("status").size
+
+
+def status_names(model: MDP) -> tuple[str, ...]:
+    """Return the names of the statuses, the most significant bit first; numbers where unnamed."""
+    names, bits = _named(model), status_size(model).bit_length() - 1
+    return tuple(names) if len(names) == bits else tuple(f"bit {bit}" for bit in range(bits))
+
+
+def _named(model: MDP) -> list[str]:
+    names = (parameter.name for parameter in model.parameters)
+    return [name.removeprefix("base.") for name in names if name.startswith("base.")]
 
 
 # ---- counts --------------------------------------------------------------------------------------
@@ -245,18 +247,14 @@ class Counted:
             Without a prior, under which what was not seen would be impossible.
         """
         if self.prior == 0:
-            raise ModelError(
-                "no prior to draw from",
-                where="counts",
-                fix=f"give one, such as prior=1/{len(self.counts)}",
-            )
+            fix = f"give one, such as prior=1/{len(self.counts)}"
+            raise ModelError("no prior to draw from", where="counts", fix=fix)
         # A Dirichlet row is a row of gamma variates divided by its sum.
         drawn = rng.gamma(self.counts + self.prior, size=(n, *self.counts.shape))
         total = drawn.sum(axis=2, keepdims=True)
         if not (total > 0).all():
-            raise ModelError(
-                f"the prior {self.prior} is too small to draw from", where="counts", fix="raise it"
-            )
+            what = f"the prior {self.prior} is too small to draw from"
+            raise ModelError(what, where="counts", fix="raise it")
         return np.asarray(drawn / total)
 
     def rates(self, statuses: Sequence[str], level: float = LEVEL) -> dict[str, dict[str, Rate]]:
@@ -269,27 +267,19 @@ class Counted:
         >>> rate.right, round(rate.low, 4), rate.high
         (10, 0.6915, 1.0)
         """
-        numbers = np.arange(len(self.counts))
-        found: dict[str, dict[str, Rate]] = {}
-        for place, name in enumerate(statuses):
-            bit = numbers >> (len(statuses) - 1 - place) & 1
-            found[name] = {}
-            for what, present in (("sensitivity", 1), ("specificity", 0)):
-                rows = self.counts[bit == present]
-                right, total = int(rows[:, bit == present].sum()), int(rows.sum())
-                low, high = interval(right, total, level)
-                found[name][what] = Rate(right=right, total=total, low=low, high=high)
-        return found
+        from scipy import stats
 
+        def rate(rows: NDArray[np.bool_]) -> Rate:
+            right, total = int(self.counts[rows][:, rows].sum()), int(self.counts[rows].sum())
+            ends = stats.binomtest(right, total).proportion_ci(level) if total else (0.0, 1.0)
+            return Rate(right=right, total=total, low=float(ends[0]), high=float(ends[1]))
 
-def interval(right: int, total: int, level: float = LEVEL) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval of a proportion."""
-    from scipy import stats
-
-    tail, beta = (1 - level) / 2, stats.beta
-    low = 0.0 if right == 0 else float(beta.ppf(tail, right, total - right + 1))
-    high = 1.0 if right == total else float(beta.ppf(1 - tail, right + 1, total - right))
-    return low, high
+        numbers, shift = np.arange(len(self.counts)), len(statuses) - 1
+        present = {name: (numbers >> (shift - k) & 1) == 1 for k, name in enumerate(statuses)}
+        return {
+            name: {"sensitivity": rate(bit), "specificity": rate(~bit)}
+            for name, bit in present.items()
+        }
 
 
 def counted(
@@ -325,22 +315,20 @@ def counted(
     return _tally(pairs, size, prior)
 
 
-def _tally(pairs: Iterable[tuple[str, object, object]], size: int, prior: float) -> Counted:
+def _tally(pairs: Iterable[Sequence[Any]], size: int, prior: float) -> Counted:
     """Return the counts of places, true and perceived statuses."""
     column, table = statuses_of(size), np.zeros((size, size), dtype=np.int64)
 
-    def status(value: object) -> int:
+    def status(value: Any) -> int:
         if isinstance(value, str):
             return column.parse(value)
-        number = -1
-        if isinstance(value, int | np.integer) and not isinstance(value, bool):
-            number = int(value)
-        if not 0 <= number < size:
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not whole or not 0 <= value < size:
             raise ModelError(
                 f"{value!r} is not a status",
                 fix=f"give a number from 0 to {size - 1}, or a label such as {column.label(0)}",
             )
-        return number
+        return int(value)
 
     for place, true, seen in pairs:
         with located(place, instead=True):
@@ -365,13 +353,26 @@ def read(path: str | Path, model: MDP) -> Floats:
         counts = read_counts(path, model)
         with located(where, instead=True):
             return counts.mean
-    if suffix == ".csv":
-        matrix = _matrix_of_rows(read_text(path), model.space.column("status"), where)
-    elif suffix == ".toml":
-        matrix = _matrix_of_rates(read_text(path, most=SMALL), model, where)
-    else:
+    if suffix == ".toml":
+        return independent(*_rates(read_text(path, most=SMALL), _named(model), where))
+    if suffix != ".csv":
         raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
-    return checked(matrix, size=size, where=where)
+    labels = list(map(model.space.column("status").label, range(size)))
+    fix = f"name the statuses in order: status,{labels[0]},…,{labels[-1]}"
+    rows: dict[str, tuple[str, list[float]]] = {}
+    for place, label, *words in _csv_rows(read_text(path), where, ["status", *labels], fix):
+        if label not in labels or label in rows:
+            raise ModelError(
+                f"status {label!r} is unknown or appears twice",
+                where=place,
+                fix="give one row for each status",
+            )
+        rows[label] = place, [_probability(word, place) for word in words]
+    for label in labels:
+        if label not in rows:
+            raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
+    places, matrix = zip(*map(rows.__getitem__, labels), strict=True)
+    return checked(matrix, size=size, where=where, places=places)
 
 
 def holds_examples(path: str | Path) -> bool:
@@ -392,28 +393,16 @@ def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
     `statuses` must name the model's.
     """
     text, where, suffix = read_text(path), str(path), Path(path).suffix.lower()
-    if suffix == ".csv":
-        rows = _csv_rows(text, where, PAIRS, "write true,perceived first")
-        pairs: Iterable[Any] = [(place, *row) for place, row in rows]
-    elif suffix == ".jsonl":
-        pairs = _pairs_of_lines(text, where, _named(model))
-    else:
+    if suffix not in (".csv", ".jsonl"):
         raise ModelError(f"unknown kind of examples {where!r}", fix="give a .csv or .jsonl file")
+    if suffix == ".csv":
+        pairs: Iterable[Any] = _csv_rows(text, where, PAIRS, "write true,perceived first")
+    else:
+        pairs = _recorded(text, where, _named(model))
     return _tally(pairs, status_size(model), prior)
 
 
-def _named(model: MDP) -> list[str]:
-    names = (parameter.name for parameter in model.parameters)
-    return [name.removeprefix("base.") for name in names if name.startswith("base.")]
-
-
-def status_names(model: MDP) -> tuple[str, ...]:
-    """Return the names of the statuses, the most significant bit first; numbers where unnamed."""
-    names, bits = _named(model), status_size(model).bit_length() - 1
-    return tuple(names) if len(names) == bits else tuple(f"bit {bit}" for bit in range(bits))
-
-
-def _csv_rows(text: str, where: str, header: list[str], fix: str) -> list[tuple[str, list[str]]]:
+def _csv_rows(text: str, where: str, header: list[str], fix: str) -> list[list[str]]:
     """Return the place and the words of each row below a header, all of the header's length."""
     try:
         lines = [line for line in csv.reader(io.StringIO(text), strict=True) if line]
@@ -422,16 +411,15 @@ def _csv_rows(text: str, where: str, header: list[str], fix: str) -> list[tuple[
     rows = [[word.strip() for word in line] for line in lines]
     if not rows or rows[0] != header:
         raise ModelError(f"the header is not {','.join(header)}", where=where, fix=fix)
-    found = [(f"{where}, line {number}", row) for number, row in enumerate(rows[1:], start=2)]
-    for place, row in found:
+    placed = [[f"{where}, line {number}", *row] for number, row in enumerate(rows[1:], start=2)]
+    for place, *row in placed:
         if len(row) != len(header):
             raise ModelError(f"{len(row)} values in a row", where=place, fix="correct the line")
-    return found
+    return placed
 
 
-def _pairs_of_lines(
-    text: str, where: str, names: list[str]
-) -> Iterator[tuple[str, object, object]]:
+def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, object, object]]:
+    """Yield the place, the true and the perceived status of each example of a recording."""
     lines = text.split("\n")
     for number, line in enumerate(lines, start=1):
         place = f"{where}, line {number}"
@@ -456,41 +444,23 @@ def _pairs_of_lines(
             yield place, entry["status"], entry["perceived"]
 
 
-def _matrix_of_rows(text: str, column: Column, where: str) -> Floats:
-    labels = [column.label(value) for value in range(column.size)]
-    fix = f"name the statuses in order: status,{labels[0]},…,{labels[-1]}"
-    rows: dict[str, list[float]] = {}
-    for place, (label, *words) in _csv_rows(text, where, ["status", *labels], fix):
-        if label not in labels or label in rows:
-            raise ModelError(
-                f"status {label!r} is unknown or appears twice",
-                where=place,
-                fix="give one row for each status",
-            )
-        rows[label] = [_probability(word, place) for word in words]
-        _check_row(np.array(rows[label]), label, place)
-    for label in labels:
-        if label not in rows:
-            raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
-    return np.array([rows[label] for label in labels])
-
-
-def _matrix_of_rates(text: str, model: MDP, where: str) -> Floats:
-    names, content = _named(model), toml_of(text, where)
-    rates = []
-    for table in ("sensitivity", "specificity"):
-        given = content.pop(table, None)
-        if not isinstance(given, dict):
+def _rates(text: str, names: Sequence[str], where: str) -> list[list[float]]:
+    """Return the sensitivity and the specificity of each status."""
+    content, tables = toml_of(text, where), ("sensitivity", "specificity")
+    for table in tables:
+        if not isinstance(content.get(table), dict):
             raise ModelError(f"the table [{table}] is missing", where=where, fix="add it")
-        for name in given:
+        for name in content[table]:
             known(name, names, "status", where)
         for name in names:
-            if name not in given:
+            if name not in content[table]:
                 raise ModelError(f"{table}.{name} is missing", where=where, fix="state it")
-        rates.append([_probability(given[name], f"{where}, {table}.{name}") for name in names])
     for key in content:
-        known(key, ("sensitivity", "specificity"), "key", where)
-    return independent(*rates)
+        known(key, tables, "key", where)
+    return [
+        [_probability(content[table][name], f"{where}, {table}.{name}") for name in names]
+        for table in tables
+    ]
 
 
 def _probability(value: object, where: str) -> float:

@@ -24,35 +24,17 @@ class Care(NamedTuple):
     """How a care model follows from the numbers of its tables; made by `solvers.care`.
 
     A vector of numbers holds the P parameters, 0, and the discount.
-
-    Attributes
-    ----------
-    terms : (U, n) int64
-        Positions of the numbers that add up to each of U different chances.
-    step, skip : (n, A·V), (n, V) int64
-        Which chance each status has in each row: under each action, and on a skip.
-    bits : (V, n) bool
-    statuses, assist : (n,), (A,) int64
-        Positions of the reward weights of statuses and of actions.
-    charges : (G, C) int64
-        Positions of the weights that add up to each of G different gains.
-    gains : (3, 3, 2) int64
-        Which gain each event earns, by place of the subtask and flag.
-    places, kept : (K,), (3, 2) int64
-    trials, flags, now, next : int
-    own : bool
-        As in `mdp.care.rules.Rules`.
     """
 
-    terms: Numbers
-    step: Numbers
-    skip: Numbers
-    bits: Numbers
-    statuses: Numbers
-    assist: Numbers
-    charges: Numbers
-    gains: Numbers
-    places: Numbers
+    terms: Numbers  # (U, n) positions of the numbers that add up to each of U different chances
+    step: Numbers  # (n, A·V) which chance each status has in each row, under each action,
+    skip: Numbers  # (n, V) and on a skip
+    bits: Numbers  # (V, n) bool
+    statuses: Numbers  # (n,) positions of the reward weights of statuses
+    assist: Numbers  # (A,) and of actions
+    charges: Numbers  # (G, C) positions of the weights that add up to each of G different gains
+    gains: Numbers  # (3, 3, 2) which gain each event earns, by place of the subtask and flag
+    places: Numbers  # (K,) from here on as in `mdp.care.rules.Rules`
     kept: Numbers
     trials: int
     flags: int
@@ -62,38 +44,24 @@ class Care(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Arrays to work in, one set for each thread; every array is written before it is read.
+    """Arrays to work in, one set for each thread; every array is written before it is read."""
 
-    Attributes
-    ----------
-    numbers : (P+2,)
-    chance, gain, assist : (U,), (G,), (A,)
-    p, q : (A·V,)
-    law, skip : (V, A·V), (V, V)
-        Next vector first.
-    own : (V, V)
-        A policy's law.
-    vector : (6, V)
-        Costs (next, present), what a skip returns, a stage's continuation and value, and what an
-        action's own reward adds.
-    ahead, here : (flags, V)
-        Values at the start of the next and of this subtask.
-    """
-
-    numbers: Floats
-    chance: Floats
-    gain: Floats
-    assist: Floats
-    p: Floats
-    q: Floats
-    law: Floats
-    skip: Floats
-    own: Floats
-    vector: Floats
-    ahead: Floats
-    here: Floats
+    numbers: Floats  # (P+2,)
+    chance: Floats  # (U,)
+    gain: Floats  # (G,)
+    assist: Floats  # (A,)
+    p: Floats  # (A·V,)
+    q: Floats  # (A·V,)
+    law: Floats  # (V, A·V) next vector first, as in the following two
+    skip: Floats  # (V, V)
+    own: Floats  # (V, V) a policy's law
+    vector: Floats  # (6, V), see below
+    ahead: Floats  # (flags, V) values at the start of the next subtask
+    here: Floats  # (flags, V) and of this one
 
 
+# Costs (next, present), what a skip returns, a stage's continuation and value, and what an action's
+# own reward adds.
 NEXT, PRESENT, BEYOND, U, M, EXTRA = range(6)
 
 

@@ -29,37 +29,19 @@ class Tables(NamedTuple):
 
     A position is the number of a pair; behind those come the actions that terminal states are
     given where a learner looks beyond the end. An entry is a number in a flat (K·A,) Q-table.
-
-    Attributes
-    ----------
-    low, high : (S,) int64
-        Positions of each state's actions: low[s] … high[s]-1.
-    entry : (L+X,) int64
-        Entry of the Q-table that each position reads.
-    offsets : (L+1,) int64
-        Alias columns of pair l are offsets[l] … offsets[l+1]-1.
-    cut : (N,) float64
-        Where each column passes from its own outcome to its alias.
-    next, gain : (2N,) int64, float64
-        Next state and reward: of column i itself at 2i, of its alias at 2i + 1.
-    terminal : (S,) bool
-    start, start_total : (B,) int64, (B,) float64
-        First states and their cumulative probabilities.
-    row_offsets, row_entry : (K+1,), (…,) int64
-        Entries that a greedy policy compares in each of the K rows of the Q-table.
     """
 
-    low: Numbers
+    low: Numbers  # (S,) positions of each state's actions: low[s] … high[s]-1
     high: Numbers
-    entry: Numbers
-    offsets: Numbers
-    cut: Floats
-    next: Numbers
-    gain: Floats
-    terminal: Numbers
-    start: Numbers
-    start_total: Floats
-    row_offsets: Numbers
+    entry: Numbers  # (L+X,) entry of the Q-table that each position reads
+    offsets: Numbers  # (L+1,) alias columns of pair l are offsets[l] … offsets[l+1]-1
+    cut: Floats  # (N,) where each column passes from its own outcome to its alias
+    next: Numbers  # (2N,) next state of column i itself at 2i, of its alias at 2i + 1
+    gain: Floats  # (2N,) and the reward
+    terminal: Numbers  # (S,) bool
+    start: Numbers  # (B,) first states
+    start_total: Floats  # (B,) their cumulative probabilities
+    row_offsets: Numbers  # (K+1,) entries that a greedy policy compares in each of the K rows
     row_entry: Numbers
 
 

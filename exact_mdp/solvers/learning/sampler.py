@@ -31,21 +31,12 @@ Seed: TypeAlias = RNG | SeedSequence
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
-    """Rows of a Q-table, by the columns of the state that it reads.
+    """Rows of a Q-table, by the columns of the state that it reads."""
 
-    Attributes
-    ----------
-    space : StateSpace
-        What a row stands for.
-    key : (S,) int64
-        The row that each state reads.
-    offered : (K, A) bool
-        Actions to be compared in each row: those of its states with a choice, or, where it has
-        none, of all its states.
-    """
-
-    space: StateSpace
-    key: Integers
+    space: StateSpace  # what each of the K rows stands for
+    key: Integers  # (S,) the row that each state reads
+    # (K, A) actions to be compared in each row: those of its states with a choice, or, where it
+    # has none, of all its states
     offered: NDArray[np.bool_]
 
 

@@ -43,30 +43,16 @@ ROOM = 2**22  # outcomes in one block
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """K rows of n outcomes.
+    """K rows of n outcomes."""
 
-    Attributes
-    ----------
-    place : (K,) int64
-        Positions of the rows among the pairs that were asked for.
-    pair : (K,) int64
-    outcome : (K, n) int64
-        Numbers of the outcomes in the model's table.
-    filled : (K, n) bool
-        True where a copy of the first outcome stands in.
-    next, probability, gain : (K, n)
-    largest : (K,)
-        The greatest |gain| of each row.
-    """
-
-    place: Integers
-    pair: Integers
-    outcome: Integers
-    filled: NDArray[np.bool_]
-    next: Integers
-    probability: Floats
-    gain: Floats
-    largest: Floats
+    place: Integers  # (K,) positions of the rows among the pairs that were asked for
+    pair: Integers  # (K,)
+    outcome: Integers  # (K, n) numbers of the outcomes in the model's table
+    filled: NDArray[np.bool_]  # (K, n) true where a copy of the first outcome stands in
+    next: Integers  # (K, n)
+    probability: Floats  # (K, n)
+    gain: Floats  # (K, n)
+    largest: Floats  # (K,) the greatest |gain| of each row
 
 
 class Ambiguity(Protocol):
@@ -286,18 +272,12 @@ def radius_of(given: object, what: str) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inner:
-    """What nature makes of rows: its optimum lies in [low, high], and q gives about `value`.
-
-    Attributes
-    ----------
-    low, high, value : (U,)
-    laws : list of (K, n), one for each block
-    """
+    """What nature makes of U rows: its optimum lies in [low, high], and laws give about `value`."""
 
     low: Floats
     high: Floats
     value: Floats
-    laws: list[Floats]
+    laws: list[Floats]  # (K, n) of each block
 
 
 def blocks_of(model: MDP, pairs: Integers) -> list[Block]:
