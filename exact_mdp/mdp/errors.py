@@ -230,7 +230,8 @@ def named_options(function: F) -> F:
             for name in options:
                 if f"unexpected keyword argument '{name}'" in str(error):
                     known = signature(function).parameters
-                    raise no_option(name, known, function.__name__) from error
+                    place = function.__qualname__.partition(".")[0]  # of a method, its class
+                    raise no_option(name, known, place) from error
             raise
 
     return cast("F", asked)

@@ -34,7 +34,7 @@ from exact_mdp.mdp.errors import (
     words_of,
 )
 from exact_mdp.mdp.forms.explore import FromFunction
-from exact_mdp.mdp.forms.names import Names, Told, object_key, text_of
+from exact_mdp.mdp.forms.names import ByNumber, Names, object_key, text_of
 from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
@@ -145,7 +145,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         for name, numbers in (("probabilities", self.table.weight), ("rewards", self.table.gain)):
             if numbers.dtype == np.float64:
                 fill(self, f"float_{name}", True)
-        fill(self, "start", Told(self.start))
+        fill(self, "start", ByNumber(self.start))
         if self.observations is not None:
             fill(self, "observations", whole_numbers(self.observations, "observations"))
         if self.time_limit is not None:
@@ -466,7 +466,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         (0, 0, 0)
         """
         if action is ...:
-            if not isinstance(state, tuple) or len(state) != 2 or self.space.holds(state):
+            if not isinstance(state, tuple) or len(state) != 2 or self.space.lookup.holds(state):
                 raise ModelError(
                     f"{state!r} is not a state and an action", where="pair", fix="give both"
                 )

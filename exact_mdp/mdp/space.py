@@ -7,7 +7,6 @@ product, such as an absorbing end. Nothing is stored per state, so a million sta
 
 from __future__ import annotations
 
-import re
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,18 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, no_such, suggest, words_of
-from exact_mdp.mdp.forms.names import (
-    Names,
-    ObjectKey,
-    Reading,
-    object_key,
-    parts_of,
-    text_of,
-)
+from exact_mdp.mdp.forms.names import Names, object_key, whole_of
 
 Integers = NDArray[np.int64]
 TIME = "time"
-WHOLE = re.compile(r"-?[1-9]\d{0,17}|0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,14 +46,15 @@ class Column:
         check_names(self.words, what, where=f"column {self.name}")
 
     @cached_property
-    def word_values(self) -> dict[str, int]:
-        """The value of each word."""
-        return {word: value for value, word in enumerate(self.words)}
-
-    @cached_property
-    def of_object(self) -> dict[ObjectKey, int]:
-        """The value of each object, by `names.object_key`."""
-        return {object_key(thing): value for value, thing in enumerate(self.objects)}
+    def lookup(self) -> Names:
+        """Which value is meant by a name, a number, or the object that it was made of."""
+        return Names(
+            what=self.name,
+            size=self.size,
+            words={word: value for value, word in enumerate(self.words)},
+            label=self.label,
+            objects={object_key(thing): value for value, thing in enumerate(self.objects)},
+        )
 
     def label(self, value: int) -> str:
         """Return the printed form of one value."""
@@ -71,48 +63,31 @@ class Column:
         return format(value, f"0{self.bits}b") if self.bits else str(value)
 
     def thing(self, value: int) -> Hashable:
-        """Return what a value stands for: its object, else its word, a whole number as an int."""
-        if self.objects or not self.words:
-            return self.objects[value] if self.objects else value
-        word = self.words[value]
-        return int(word) if self._whole and WHOLE.fullmatch(word) else word
-
-    @cached_property
-    def _whole(self) -> bool:
-        """Whether some words are whole numbers, and no others consist of digits."""
-        digits = [word for word in self.words if word.removeprefix("-").isdigit()]
-        return bool(digits) and all(WHOLE.fullmatch(word) for word in digits)
+        """Return what a value stands for: its object, else its word, else the value itself."""
+        return self.objects[value] if self.objects else self.words[value] if self.words else value
 
     def number(self, value: object) -> int:
         """Return the value that a text or a number is: see `mdp.forms.names`."""
-        if isinstance(value, str):
-            return self.parse(value)
-        names = Names(
-            what=self.name,
-            size=self.size,
-            words=self.word_values,
-            label=self.label,
-            objects=self.of_object,
-        )
-        return names.number(value)
+        return self.parse(value) if isinstance(value, str) else self.lookup.number(value)
 
     def parse(self, label: str) -> int:
         """Return the value that prints as `label`; raises ModelError where there is none."""
         text = label.strip()
         if self.words:
-            for word in (label, text):
-                if word in self.word_values:
-                    return self.word_values[word]
+            value = self.lookup.words.get(label, self.lookup.words.get(text))
             fix = suggest(text, self.words)
         elif self.bits:
-            if len(text) == self.bits and set(text) <= {"0", "1"}:
-                return int(text, 2)
+            digits = len(text) == self.bits and set(text) <= {"0", "1"}
+            value = int(text, 2) if digits else None
             fix = f"write {self.bits} digits, each 0 or 1, such as {self.label(0)}"
         else:
-            if text.isascii() and text.isdigit() and len(text) < 19 and int(text) < self.size:
-                return int(text)
+            value = whole_of(text)
+            value = value if value is not None and value < self.size else None
             fix = f"write a whole number from 0 to {self.size - 1}"
-        raise ModelError(f"unknown {self.name} {label!r}", where=f"column {self.name}", fix=fix)
+        if value is None:
+            where = f"column {self.name}"
+            raise ModelError(f"unknown {self.name} {label!r}", where=where, fix=fix)
+        return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,22 +131,6 @@ class StateSpace:
     def names(self) -> tuple[str, ...]:
         """Column names."""
         return tuple(column.name for column in self.columns)
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Names of the parts of a state given as a tuple: columns, or fields of named tuples."""
-        return (
-            self.names
-            if len(self.columns) > 1
-            else parts_of(self.columns[0].objects)
-            if self.columns
-            else ()
-        )
-
-    @property
-    def numbered(self) -> bool:
-        """Whether names of states are whole numbers, so that numbers count nothing."""
-        return self._names.numbered
 
     @property
     def untimed(self) -> StateSpace | None:
@@ -227,15 +186,16 @@ class StateSpace:
         return {self.label(state): state for state in range(self.size)}
 
     @cached_property
-    def _names(self) -> Names:
-        alone = self.columns[0] if len(self.columns) == 1 else None
+    def lookup(self) -> Names:
+        """Which state is meant by a name, a number, an object or column values."""
+        alone = self.columns[0].lookup if len(self.columns) == 1 else None
         extra = {name: self.regular + place for place, name in enumerate(self.extra)}
         return Names(
             what="state",
             size=self.size,
-            words=extra | (alone.word_values if alone else {}),
+            words=extra | {**(alone.words if alone else {})},
             label=self.label,
-            objects=alone.of_object if alone else {},
+            objects=alone.objects if alone else {},
             otherwise=self._in_columns,
         )
 
@@ -244,19 +204,13 @@ class StateSpace:
         if len(self.columns) == 1 and self.columns[0].words:  # without a list of all states
             name = f"{self.columns[0].name} "
             printed = isinstance(state, str) and state.startswith(name)
-            return (
-                self.columns[0].word_values.get(str(state).removeprefix(name)) if printed else None
-            )
+            return self.lookup.words.get(str(state).removeprefix(name)) if printed else None
         if isinstance(state, str):
             return self._number.get(state)
         if not isinstance(state, tuple) or len(state) != len(self.columns):
             return None
         cells = zip(self.columns, state, strict=True)
         return self.index(**{column.name: column.number(value) for column, value in cells})
-
-    def readings(self, states: Iterable[object]) -> list[Reading]:
-        """Return the one or two readings of states given together: see `mdp.forms.names`."""
-        return self._names.readings(states)
 
     def number(self, state: object) -> int:
         """Return the number of a state, given as that, as an object, by name or by column values.
@@ -272,33 +226,11 @@ class StateSpace:
         >>> [space.number(state) for state in (2, "3", (1, "r"), "row 0, side r", "end")]
         [2, 3, 3, 1, 4]
         """
-        return self._names.number(state)
+        return self.lookup.number(state)
 
     def numbers(self, states: object) -> list[int]:
-        """Return the numbers of states that are given together, as `number` does of one."""
-        return self._names.numbers(states)
-
-    def knows(self, state: object) -> bool:
-        """Return whether something is an object that a state was made of, or has its text."""
-        return self._names.knows(state)
-
-    def holds(self, state: object) -> bool:
-        """Return whether something is a state, given in any way."""
-        try:
-            return self.number(state) >= 0
-        except ModelError:
-            return False
-
-    def named(self, state: object) -> bool:
-        """Return whether an object is a state of that name.
-
-        Examples
-        --------
-        >>> space = StateSpace(columns=(Column(name="state", size=2, words=("(0, 0)", "7")),))
-        >>> space.named((0, 0)), space.named((0, 1))
-        (True, False)
-        """
-        return text_of(state) in self._names.words
+        """Return the numbers of some states, as `number` does of one."""
+        return self.lookup.numbers(states)
 
     def _inside(self, state: int) -> int:
         if not 0 <= state < self.size:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields
 from fractions import Fraction
@@ -26,8 +25,8 @@ from exact_mdp.mdp.errors import (
     of_type,
     suggest,
 )
-from exact_mdp.mdp.forms.names import ByNumber, Told, labels_of
-from exact_mdp.mdp.forms.numbers import as_given, refuse_masked
+from exact_mdp.mdp.forms.names import ByNumber
+from exact_mdp.mdp.forms.numbers import as_given, is_table, refuse_masked
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.rows import meant
 from exact_mdp.mdp.space import StateSpace
@@ -282,31 +281,30 @@ def _check_discount(value: Fraction) -> None:
         )
 
 
-def as_start(start: object, space: StateSpace) -> tuple[tuple[int, Fraction], ...]:
+def as_start(start: object, space: StateSpace) -> ByNumber:
     """Return an initial distribution from a state, from {state: probability}, or from a vector.
 
     Without any it is the first state. `mdp.forms.names` says which state is meant, and `mdp.rows`
     what floats mean.
     """
-    if start is None or (isinstance(start, ByNumber) and not start):
-        return ((0, Fraction(1)),)
+    if start is None:
+        return ByNumber([(0, Fraction(1))])
     with located("start"):
-        if isinstance(start, Told):
+        if isinstance(start, ByNumber):
             weights = dict(start)
-        elif _are_pairs(start) and not space.knows(start):
-            if any(map(space.holds, start)):
+        elif _are_pairs(start) and not space.lookup.knows(start):
+            if any(map(space.lookup.holds, start)):
                 raise ModelError(
                     "each of the pairs may be a state, or a state and its probability",
                     fix="give {state: probability}",
                 )
             weights = _once(space.numbers([s for s, _ in start]), [p for _, p in start])
         else:
-            found = by_state(start, space)
-            given = {space.number(start): 1} if found is None else found
-            weights = _of_short_floats(given)
+            given = by_state(start, space)
+            weights = _of_short_floats({space.number(start): 1} if given is None else given)
         chances = map(exact, meant([as_given(weight) for weight in weights.values()]))
-        told = dict(zip(weights, chances, strict=True))
-    return tuple((state, weight) for state, weight in sorted(told.items()) if weight != 0)
+        pairs = sorted(zip(weights, chances, strict=True))
+    return ByNumber((state, weight) for state, weight in pairs if weight != 0)
 
 
 def _of_short_floats(weights: dict[int, Any]) -> dict[int, Any]:
@@ -324,14 +322,11 @@ def _of_short_floats(weights: dict[int, Any]) -> dict[int, Any]:
     return {state: weight / total for state, weight in given.items()} if near else weights
 
 
-def by_state(numbers: object, space: StateSpace) -> dict[int, Any] | None:
+def by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
     """Return numbers by state from {state: number} or from a vector; None for anything else."""
     refuse_masked(numbers)
-    pandas = sys.modules.get("pandas")  # who has a table has imported it
-    if pandas is not None and isinstance(numbers, pandas.Series):
-        return _once(space.numbers(labels_of(numbers.index, space.parts)), numbers.tolist())
-    if isinstance(numbers, ByNumber):
-        return dict(numbers)
+    if is_table(numbers) and numbers.ndim == 1:
+        return _once(space.numbers(_labels(numbers.index, space)), numbers.tolist())
     if isinstance(numbers, Mapping):
         return _once(space.numbers(numbers), numbers.values())
     if (isinstance(numbers, np.ndarray) and numbers.ndim == 1) or (
@@ -344,6 +339,27 @@ def by_state(numbers: object, space: StateSpace) -> dict[int, Any] | None:
             )
         return dict(enumerate(numbers))
     return None
+
+
+def _labels(index: Any, space: StateSpace) -> list[Any]:
+    """Return the labels of an index of pandas, its levels in the order of the columns they name.
+
+    Levels without names are in that order; so are all where the parts of a state have no names.
+    """
+    column = space.columns[0] if len(space.columns) == 1 else None
+    things = column.objects if column else ()
+    fields = {getattr(thing, "_fields", ()) for thing in things if isinstance(thing, tuple)}
+    fields = fields if column else {space.names}
+    parts = fields.pop() if len(fields) == 1 else ()
+    if index.nlevels < 2 or not {*index.names} - {None} or not parts:
+        return list(index)
+    if {*index.names} != {*parts} or index.nlevels != len(parts):
+        raise ModelError(
+            f"the levels of the index are {', '.join(map(str, index.names))}",
+            where="index",
+            fix=f"name them {', '.join(parts)}, in any order, or leave out all names",
+        )
+    return list(index.reorder_levels(list(parts)))
 
 
 def _once(states: Sequence[int], numbers: Iterable[object]) -> dict[int, Any]:
@@ -364,7 +380,7 @@ def _is_state(given: object, space: StateSpace) -> bool:
     if not isinstance(given, tuple):
         return False
     many = len(space.columns) > 1 and len(given) == len(space.columns)
-    return many or any(column.objects for column in space.columns) or space.named(given)
+    return many or any(each.objects for each in space.columns) or space.lookup.knows(given)
 
 
 def _check_pairs(model: Parts) -> None:

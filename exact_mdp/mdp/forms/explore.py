@@ -17,7 +17,7 @@ import numpy as np
 
 from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, located, of_type
-from exact_mdp.mdp.forms.names import ByNumber, Told
+from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.rows import meant
@@ -113,7 +113,7 @@ def explored(
     max_states = counted(max_states, "max_states")
     of_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
     states, rows = Numbering(), list[Row]()
-    if isinstance(start, Told):
+    if isinstance(start, ByNumber):
         raise ModelError(
             "the start of a model goes by numbers, and a function knows states as objects",
             where="start",
@@ -160,7 +160,7 @@ def explored(
         every = (amount for amounts in _amounts(outcomes_of) for amount in amounts.values())
         names["float_rewards"] = any(isinstance(as_given(amount), float) for amount in every)
         found = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in found]
-    places = ByNumber({states.number[state]: chance for state, chance in begins.items()})
+    places = ByNumber((states.number[state], chance) for state, chance in begins.items())
     return found, names | {"start": places, "labels": flags}
 
 

@@ -8,14 +8,13 @@ what it is, "0" too. A state without actions is an end: it stays put for ever an
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.forms.names import text_of, value_of
+from exact_mdp.mdp.forms.names import names_of, whole_of
 from exact_mdp.mdp.space import Column, StateSpace
 
 Row = tuple[Hashable, Hashable, Sequence[tuple[Any, Hashable, Any]]]
@@ -52,31 +51,12 @@ class Numbering:
 
 
 def _is_whole(thing: Any) -> bool:
-    value = value_of(thing)
-    return value is not None and value.denominator == 1
+    return not isinstance(thing, str) and whole_of(thing) is not None
 
 
 def _counted(things: Sequence[Any]) -> bool:
     """Return whether things are the whole numbers 0 … n-1, which need no names."""
     return all(map(_is_whole, things)) and [*things] == [*range(len(things))]
-
-
-def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:
-    """Return a name for each thing, no two the same.
-
-    Examples
-    --------
-    >>> names_of([(0, 1), "up", 1, "1"], "state")
-    ('(0, 1)', "'up'", '1', "'1'")
-    """
-    for form in (text_of, repr):
-        names = tuple(map(form, things))
-        if len(set(names)) == len(names):
-            return names
-    twice = Counter(names).most_common(1)[0][0]
-    raise ModelError(
-        f"two {what}s are both called {twice}", where=f"{what}s", fix="give them different names"
-    )
 
 
 def numbered(

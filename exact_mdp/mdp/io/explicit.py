@@ -124,7 +124,7 @@ def model_of(
     return MDP.from_outcomes(
         [*rows, *((end, 0, [(1, end, 0)]) for end in ends)],
         1 if discount is None else discount,
-        start=ByNumber({int(initial[0]): 1}) if start is None else start,
+        start=ByNumber([(int(initial[0]), 1)]) if start is None else start,
         space=StateSpace.plain(states, found.words),
         actions=found.action_names,
         labels=labels,

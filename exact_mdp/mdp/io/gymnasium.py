@@ -172,7 +172,7 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
     if "labels" not in names:
         over = np.isin(np.arange(space.size), [*ends, *([goal] if appended else [])])
         names["labels"] = ({END: over} if over.any() else {}) | _of_the_map(bare, space.size)
-    return "from_outcomes", (listed,), names | {"start": ByNumber(start), "space": space}
+    return "from_outcomes", (listed,), names | {"start": start, "space": space}
 
 
 def _refuse_changed(env: Any) -> None:
@@ -388,9 +388,9 @@ def _start(env: Any) -> Any:
             fix="pass start=, a state or {state: probability}",
         )
     if _whole(given):
-        return ByNumber({int(given): 1})
+        return ByNumber([(int(given), 1)])
     if isinstance(given, Mapping) and all(map(_whole, given)):
-        return ByNumber({int(state): chance for state, chance in given.items()})
+        return ByNumber((int(state), chance) for state, chance in given.items())
     if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str):
         return list(given)
     raise ModelError(

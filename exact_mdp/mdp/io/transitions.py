@@ -37,7 +37,7 @@ from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, extra, of_type, suggest
 from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
-from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
 
@@ -515,7 +515,7 @@ class Record:
             "pair_state": pair[begins, 0].copy(),
             "pair_action": pair[begins, 1].copy(),
             "observations": observations,
-            "space": StateSpace(columns=StateSpace.plain(len(states), states).columns, extra=extra),
+            "space": StateSpace(columns=(_column(states),), extra=extra),
             "actions": actions,
             "discount_exact": rate,
             "start": tuple((s, Fraction(n, episodes)) for s, n in sorted(begun.items())),
@@ -581,3 +581,12 @@ def _sorted(numbers: Mapping[Any, int]) -> tuple[Integers, tuple[str, ...]]:
             what = f"{name!r} is both a number and a text"
             raise ModelError(what, where="names", fix="use one kind of names")
     return np.argsort(order), tuple(names[n] for n in order)
+
+
+def _column(names: tuple[str, ...]) -> Column:
+    """Return the column of states by their names, which are numbers where all of them are whole."""
+    whole = [int(n) for n in names if n.removeprefix("-").isdecimal() and str(int(n)) == n]
+    if whole == [*range(len(names))]:
+        return Column(name="state", size=len(whole))
+    things = tuple(whole) if len(whole) == len(names) else ()
+    return Column(name="state", size=len(names), words=names, objects=things)

@@ -19,14 +19,13 @@ NaN, +inf, and -inf for every action offered are refused. For costs the infiniti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, no_such, suggest
+from exact_mdp.mdp.errors import ModelError, no_such
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
@@ -64,47 +63,58 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
       fix:   say which: kind="policy" (--kind policy) or kind="q" (--kind q)
     """
     array = by_time(model, array, 0, of_actions=True)
-    layout = _layout(model, array.shape)
-    fits = are_distributions(array, layout.counts)
-    wrong = np.flatnonzero(layout.counts & ~fits)
-    if kind == "auto" and not layout.counts.any():  # it is asked at other values of a parameter
-        wrong = np.flatnonzero(~fits & (layout.offered.sum(axis=1) > 1))
-    elif len(wrong) and kind != "q" and model.indifferent.any():
-        choosing = _layout(model, array.shape, ~model.indifferent)
-        if kind == "policy" or choosing.counts.any():
-            layout = choosing
-            wrong = np.flatnonzero(layout.counts & ~fits)
-    if kind == "q" or (kind == "auto" and len(wrong)):
-        rule = _greedy(array, layout, costs=model.sense == "min")
-        return layout.parts(rule, values=array, source=Q_TABLE)
-    if len(wrong):
-        row = int(wrong[0])
-        raise ModelError(
-            f"action probabilities are {array[row].tolist()}, not a distribution",
-            where=f"policy, {layout.space.label(row)}",
-            fix="make them at least 0, with sum 1",
-        )
+    space, actions, offered = _layout(model, array.shape)
+    row, costs = rows_read(model, space), model.sense == "min"
+
+    def read_by(states: Flags) -> Flags:
+        """Return (K,) which rows some states (S,) read."""
+        rows = np.zeros(space.size, dtype=bool)
+        rows[row[states]] = True
+        return rows
+
+    counts = read_by(model.asked)
+    fits = are_distributions(array, counts)
+    wrong = counts & ~fits
+    if kind == "auto" and not counts.any():  # it is asked at other values of a parameter
+        wrong = ~fits & (offered.sum(axis=1) > 1)
+    elif wrong.any() and kind != "q":
+        choosing = read_by(model.asked & ~model.indifferent)
+        if kind == "policy" or choosing.any():
+            counts, wrong = choosing, choosing & ~fits
+    if kind == "q" or (kind == "auto" and wrong.any()):
+        rule = _greedy(array, offered, counts, space, costs=costs)
+        read = {"rule": rule, "values": array, "source": Q_TABLE}
+        return {"space": space, "actions": actions, **read}
+    if wrong.any():
+        raise no_distribution(array[wrong][0].tolist(), space.label(int(np.flatnonzero(wrong)[0])))
     alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
-    mixed = np.flatnonzero(layout.counts & ~np.asarray(alone, dtype=bool))
-    if kind == "auto" and model.sense == "min" and not len(mixed):
-        real = _layout(model, array.shape, ~model.indifferent)
-        least = _greedy(array, layout, costs=True)
-        mixed = np.flatnonzero(real.counts & (array[np.arange(len(array)), least] != 1))
-    if kind == "auto" and len(mixed):
+    mixed = counts & ~np.asarray(alone, dtype=bool)
+    if kind == "auto" and costs and not mixed.any():  # a cost of 1 is not the least
+        least = _greedy(array, offered, counts, space, costs=True)
+        mixed = read_by(model.asked & ~model.indifferent)
+        mixed &= array[np.arange(len(array)), least] != 1
+    if kind == "auto" and mixed.any():
         raise ModelError(
             "the rows may be probabilities or action values, which differ",
-            where=f"policy, {layout.space.label(int(mixed[0]))}",
+            where=f"policy, {space.label(int(np.flatnonzero(mixed)[0]))}",
             fix=SAY,
         )
     floats = np.where(fits[:, None], array, 0).astype(np.float64)
-    lost = ((floats == 0) & np.asarray(array != 0)).any(axis=1) & fits
-    if (lost & layout.counts).any():
-        first = int(np.flatnonzero(lost & layout.counts)[0])
-        raise too_small(f"policy, {layout.space.label(first)}")
-    kept = fits & ~lost
+    lost = fits & ((floats == 0) & np.asarray(array != 0)).any(axis=1)
+    if (lost & counts).any():
+        raise too_small(f"policy, {space.label(int(np.flatnonzero(lost & counts)[0]))}")
     table: Numbers = np.full(array.shape, np.nan, dtype=np.result_type(array, np.float64))
-    table[kept] = array[kept]
-    return layout.parts(table, source=PROBABILITIES)
+    table[fits & ~lost] = array[fits & ~lost]
+    return {"space": space, "actions": actions, "rule": table, "source": PROBABILITIES}
+
+
+def no_distribution(row: list[Any], label: str) -> ModelError:
+    """Return the error to raise for probabilities that are none."""
+    return ModelError(
+        f"action probabilities are {row}, not a distribution",
+        where=f"policy, {label}",
+        fix="make them at least 0, with sum 1",
+    )
 
 
 def too_small(where: str) -> ModelError:
@@ -114,13 +124,6 @@ def too_small(where: str) -> ModelError:
         where=where,
         fix="give 0",
     )
-
-
-def check_action(name: str, actions: Sequence[str], where: str) -> int:
-    """Return the number of a named action, or raise ModelError with the place."""
-    if name not in actions:
-        raise ModelError(f"unknown action {name!r}", where=where, fix=suggest(name, actions))
-    return list(actions).index(name)
 
 
 def numbers_of(given: object) -> Numbers:
@@ -161,34 +164,16 @@ def _plain(number: Any) -> Any:
     return number.item() if isinstance(number, np.generic) else number
 
 
-class _Layout(NamedTuple):
-    """What the rows and columns of an array are over.
-
-    `offered` (K, A) says what can be chosen, `counts` (K,) which rows a state with a choice reads.
-    """
-
-    space: StateSpace
-    actions: tuple[str, ...]
-    offered: Flags
-    counts: Flags
-
-    def parts(self, rule: Numbers, **more: Any) -> Parts:
-        return {"space": self.space, "actions": self.actions, "rule": rule, **more}
-
-
 def space_read(model: MDP, shape: tuple[int, ...]) -> StateSpace | None:
     """Return what the rows of a table of some shape are; None where no reading fits."""
     try:
-        return _layout(model, shape).space
+        return _layout(model, shape)[0]
     except ModelError:
         return None
 
 
-def _layout(model: MDP, shape: tuple[int, ...], asked: Flags | bool = True) -> _Layout:
-    """Return what an array of some shape is over; raises ModelError where no reading fits.
-
-    Rows count that one of the states `asked` (S,) reads.
-    """
+def _layout(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str, ...], Flags]:
+    """Return what rows and columns of an array are over, and (K, A) what can be chosen."""
     actions = model.actions
     space = space_of(model, shape[0]) if shape[1:] == (model.n_actions,) else None
     expected = [f"({model.n_states}, {model.n_actions}) over all states"]
@@ -201,60 +186,51 @@ def _layout(model: MDP, shape: tuple[int, ...], asked: Flags | bool = True) -> _
         actions = tuple(model.actions[number] for number in numbers)
         space = StateSpace(columns=(column,)) if shape == (column.size, len(actions)) else None
         expected.append(f"({column.size}, {len(actions)}) over the statuses")
-    if space is None and shape[::-1] == (model.n_states, model.n_actions):
-        raise ModelError(
-            f"an array of shape {shape} has a row for each action: it is the wrong way round",
-            where="policy",
-            fix=f"give its transpose, of shape {shape[::-1]}: a row for each state",
-        )
     if space is None:
+        turned = shape[::-1] == (model.n_states, model.n_actions)
         raise ModelError(
-            f"an array of shape {shape} is no policy of this model",
+            f"an array of shape {shape} "
+            + (
+                "has a row for each action: it is the wrong way round"
+                if turned
+                else "is no policy of this model"
+            ),
             where="policy",
-            fix=f"give {' or '.join(expected)}",
+            fix=f"give its transpose, of shape {shape[::-1]}: a row for each state"
+            if turned
+            else f"give {' or '.join(expected)}",
         )
-    row = rows_read(model, space)
-    counts = np.zeros(space.size, dtype=bool)
-    counts[row[model.asked & asked]] = True
-    offered = np.ones((space.size, len(actions)), dtype=bool)
+    offered = np.full((space.size, len(actions)), actions is not model.actions)
     if actions is model.actions:
-        offered[:] = False
-        offered[row[model.pair_state], model.pair_action] = True
-    return _Layout(space=space, actions=actions, offered=offered, counts=counts)
+        offered[rows_read(model, space)[model.pair_state], model.pair_action] = True
+    return space, actions, offered
 
 
-def _greedy(values: Numbers, layout: _Layout, *, costs: bool) -> Integers:
+def _greedy(
+    values: Numbers, offered: Flags, counts: Flags, space: StateSpace, *, costs: bool
+) -> Integers:
     """Return (K,) the greedy actions of action values (K, A), -1 for rows that say nothing."""
-    worst, best = "-inf", "+inf"
-    if costs:  # the greatest of their negations, which unsigned and least integers do not have
-        values = -(values.astype(object) if values.dtype.kind in "iu" else values)
-        worst, best = best, worst
-    offered = layout.offered
-    never = np.asarray(values == -np.inf) | ~offered
-    silent = np.zeros(len(values), dtype=bool)
+    worst, best = ("+inf", "-inf") if costs else ("-inf", "+inf")
+    if values.dtype.kind in "iu":
+        values = values.astype(object)  # beside infinities, and without overflow
+    values = -values if costs else values
+    never, silent = np.asarray(values == -np.inf) | ~offered, np.zeros(len(values), dtype=bool)
     for what, rows in (
         ("an action value is NaN", (np.asarray(values != values) & offered).any(axis=1)),
         (f"an action value is {best}", (np.asarray(values == np.inf) & offered).any(axis=1)),
         (f"every action offered has the value {worst}", never.all(axis=1)),
     ):
-        wrong = np.flatnonzero(rows & layout.counts)
+        wrong = np.flatnonzero(rows & counts)
         if len(wrong):
             raise ModelError(
                 what,
-                where=f"Q-table, {layout.space.label(int(wrong[0]))}",
+                where=f"Q-table, {space.label(int(wrong[0]))}",
                 fix=f"give a number for every available action; {worst} for one never to be taken",
             )
         silent |= rows
     # Rows that do not count in this model may in another, at other values of its parameters.
-    chosen = np.argmax(np.where(offered & ~silent[:, None], values, _least(values)), axis=1)
+    chosen = np.argmax(np.where(offered & ~silent[:, None], values, -np.inf), axis=1)
     return np.asarray(np.where(offered[np.arange(len(chosen)), chosen] & ~silent, chosen, -1))
-
-
-def _least(values: Numbers) -> Any:
-    """Return a number of the array's own type that none of its values is below."""
-    if values.dtype.kind in "iu":
-        return values.min() if values.size else values.dtype.type(0)
-    return -np.inf if values.dtype == object else values.dtype.type(-np.inf)
 
 
 def are_distributions(array: Numbers, asked: Flags) -> Flags:
@@ -274,13 +250,12 @@ def are_distributions(array: Numbers, asked: Flags) -> Flags:
         inside = np.asarray((array >= 0) & (array <= 1 + FLOAT_ROW_TOLERANCE), bool).all(axis=1)
     rows = array[inside].astype(np.float64)
     off = np.abs(rows.sum(axis=1) - 1)
-    found = np.zeros(len(array), dtype=bool)
-    found[inside] = off <= FLOAT_ROW_TOLERANCE
-    if (asked & inside & ~found).any():
+    fits = np.zeros(len(array), dtype=bool)
+    fits[inside] = off <= FLOAT_ROW_TOLERANCE
+    if (asked & inside & ~fits).any():
         rounding = (array.shape[1] + 1) * _unit_roundoff(rows[asked[inside]])
-        with np.errstate(divide="ignore"):
-            found[inside] |= off <= (rounding / (1 - rounding) if rounding < 1 else 0.0)
-    return found
+        fits[inside] |= off <= (rounding / (1 - rounding) if rounding < 1 else 0.0)
+    return fits
 
 
 def _unit_roundoff(numbers: Floats) -> float:
@@ -325,6 +300,61 @@ def rows_read(model: MDP, space: StateSpace) -> Integers:
                 fix="use a policy made for this model",
             )
     return model.space.rows(space.columns)
+
+
+def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
+    """Return the policy of an array: numbers of actions, probabilities or action values."""
+    timed = model.space.untimed is not None
+    if array.ndim == 2 and array.shape[1] == 1 < model.n_actions and not timed:
+        array = array[:, 0]  # a column of action numbers
+    if array.dtype.kind in "iu" and kind != "q":
+        if array.ndim == 1:
+            _refuse_names(model, array)
+            return action_numbers(model, array)
+        if timed and array.ndim == 2 and by_time(model, array, 0).ndim == 1:
+            if array.shape[1] != model.n_actions:
+                return action_numbers(model, array)
+            if kind == "auto" and ((array >= 0) & (array < model.n_actions)).all():
+                raise ModelError(
+                    f"an array of shape {array.shape} may be action numbers by time and state, or "
+                    "a table of states and actions, which differ",
+                    where="policy",
+                    fix='give probabilities (N, S, A), or say kind="q" (--kind q) of a Q-table',
+                )
+    if array.ndim == 2 or (timed and array.ndim == 3):
+        return policy_of_array(model, array, kind)
+    if array.ndim == 1 and array.dtype.kind == "f":
+        raise ModelError(
+            "action numbers are whole numbers, not floats",
+            where="policy",
+            fix="give them as integers: policy.astype(int)",
+        )
+    raise ModelError(
+        f"a policy of shape {array.shape} and type {array.dtype}",
+        where="policy",
+        fix=f"give ({model.n_states},) action numbers, or ({model.n_states}, {model.n_actions}) "
+        "probabilities or action values",
+    )
+
+
+def _refuse_names(model: MDP, numbers: Numbers) -> None:
+    """Raise ModelError where action numbers may as well be names of actions, which differ."""
+    answers = np.unique(numbers).tolist()
+    named = [next(iter(model.action_names.named(number)), None) for number in answers]
+    for number, meant in zip(answers, named, strict=True):
+        if meant is None or None in named:
+            continue
+        fix = "give names, as text or in {state: action}, or Policy.from_choices(model, numbers)"
+        if not 0 <= number < model.n_actions:
+            raise ModelError(
+                f"{number} is the name of an action, but the numbers of an array count from 0 to "
+                f"{model.n_actions - 1} in the model's order",
+                where="policy",
+                fix=fix,
+            )
+        if number != meant:
+            error = model.action_names.either(number, meant, number)
+            raise ModelError(error.what, where="policy", fix=fix)
 
 
 def action_numbers(model: MDP, given: Numbers) -> Parts:

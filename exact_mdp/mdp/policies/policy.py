@@ -22,16 +22,15 @@ from exact_mdp.mdp.errors import ModelError, check_names, located, no_such, of_t
 from exact_mdp.mdp.forms.numbers import is_table
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies import files
+from exact_mdp.mdp.policies import choices as reading
 from exact_mdp.mdp.policies.arrays import (
     KINDS,
     Q_TABLE,
-    Parts,
     action_numbers,
     are_distributions,
-    by_time,
+    no_distribution,
     numbers_of,
-    policy_of_array,
+    of_array,
     rows_read,
     space_read,
 )
@@ -116,64 +115,36 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 where="policy",
                 fix="give one row for each combination of the columns it reads",
             )
-        rule, shares = (
-            (self._checked_numbers(given), None) if numbers else self._checked_table(given)
-        )
+        if numbers:
+            wrong = (given < -1) | (given >= len(self.actions))
+            if wrong.any():
+                raise no_such("action", given[wrong][0], len(self.actions), where="policy")
+            rule, shares = np.array(given, dtype=np.int64), None
+        else:
+            rule, shares = self._distributions(given)
         rule.setflags(write=False)
         object.__setattr__(self, "rule", rule)
         object.__setattr__(self, "shares", shares)
 
-    def _checked_numbers(self, given: Numbers) -> Numbers:
-        if ((given < -1) | (given >= len(self.actions))).any():
-            wrong = given[(given < -1) | (given >= len(self.actions))][0]
-            raise no_such("action", wrong, len(self.actions), where="policy")
-        return np.array(given, dtype=np.int64)
-
-    def _checked_table(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
+    def _distributions(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
         """Return the rule of a table, action numbers where they say it all, and its shares."""
         table = float_array(given).copy()
         silent = np.asarray(np.isnan(table).all(axis=1))
         wrong = ~silent & ~are_distributions(given, ~silent)
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
-            raise ModelError(
-                f"action probabilities are {table[row].tolist()}, not a distribution",
-                where=f"policy, {self.space.label(row)}",
-                fix="make them at least 0, with sum 1",
-            )
+            raise no_distribution(table[row].tolist(), self.space.label(row))
         total = table.sum(axis=1, keepdims=True)
         short = (np.abs(total - 1) > FLOAT_ROW_TOLERANCE).any()  # rows of a shorter type
         shares = _shares(given, table, exactly=short) if self.shares is None else self.shares
         if short:
             table /= np.where(silent[:, None], 1.0, total)
         if shares is not None:
-            shares = self._checked_shares(shares, table)
+            shares = _checked(np.array(shares), table)
         alone = (table == 1).any(axis=1) & (np.count_nonzero(table, axis=1) == 1)
         if (alone | silent).all():
             return np.where(silent, -1, (table == 1).argmax(axis=1)), None
         return table, shares
-
-    def _checked_shares(self, given: Numbers, table: Floats) -> Numbers:
-        """Return exact shares, read-only, or raise ModelError where they are not the table's."""
-        shares: Numbers = np.array(given)
-        right = shares.shape == table.shape and shares.dtype.kind in "iuO"
-        if right:
-            # The sums of the rows have to fit as well.
-            narrow = magnitude(shares) * len(self.actions) < EXACT_IN_INT64
-            shares = shares.astype(np.int64 if narrow else object)
-            total = shares.sum(axis=1, keepdims=True)
-            known = np.asarray(total > 0, dtype=bool)
-            ratio = divide(shares, np.broadcast_to(np.where(known, total, 1), shares.shape))
-            same = np.abs(ratio - np.nan_to_num(table)) <= FLOAT_ROW_TOLERANCE
-            right = bool(same.all() and ((shares > 0) == (table > 0)).all())
-        if not right:
-            raise ModelError(
-                "the exact shares differ from the table",
-                where="policy",
-                fix="give whole numbers in proportion to each row of the table",
-            )
-        shares.setflags(write=False)
-        return shares
 
     def __repr__(self) -> str:
         over = ", ".join(self.columns) or "no column"
@@ -199,40 +170,13 @@ class Policy(ByFields, NDArrayOperatorsMixin):
     def __getitem__(self, key: Any) -> Any:
         return self.rule[key]
 
-    def __eq__(self, other: object) -> Any:
-        return self.rule == (other.rule if isinstance(other, Policy) else other)
-
-    def __ne__(self, other: object) -> Any:
-        return self.rule != (other.rule if isinstance(other, Policy) else other)
-
     __hash__ = object.__hash__
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """(K,) of a deterministic policy, (K, A) of a mixed one."""
-        return self.rule.shape
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """The type of the array: whole numbers of a deterministic policy, floats of a mixed one."""
-        return self.rule.dtype
-
-    @property
-    def ndim(self) -> int:
-        """1 of a deterministic policy, 2 of a mixed one."""
-        return self.rule.ndim
-
-    def tolist(self) -> list[Any]:
-        """Return the array as lists of Python numbers."""
-        return list(self.rule.tolist())
-
-    if not TYPE_CHECKING:  # where types are checked, a name that nobody knows stays an error
-
-        def __getattr__(self, name: str) -> Any:
-            """Return an attribute of the array."""
-            if name in ("rule", "shares") or name.startswith("_") or not hasattr(np.ndarray, name):
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            return getattr(self.rule, name)
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the array."""
+        if name in ("rule", "shares") or name.startswith("_") or not hasattr(np.ndarray, name):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return getattr(self.rule, name)
 
     # ---- what it says ------------------------------------------------------------------------
 
@@ -292,13 +236,17 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             return rows.assign(action=[self.actions[a] if a >= 0 else None for a in chosen])
         mixed: Any = self.table[:first]
         if self.shares is not None:
-            mixed = [
-                [Fraction(int(share), total) for share in row] if total else [np.nan] * len(row)
-                for row in self.shares[:first]
-                for total in [int(sum(row))]
-            ]
+            mixed = [self._chances(row) or [np.nan] * len(self.actions) for row in range(first)]
         table = pandas.DataFrame(mixed, columns=list(self.actions))
         return pandas.concat([rows, table], axis=1)
+
+    def _chances(self, row: int) -> list[Any]:
+        """Return the exact probability of each action in a row; nothing where it says nothing."""
+        if self.shares is None:
+            chances = self.table[row].tolist()
+            return [] if np.isnan(chances).all() else chances
+        total = int(sum(self.shares[row]))
+        return [Fraction(int(share), total) for share in self.shares[row]] if total else []
 
     def _repr_html_(self) -> str:
         return as_html(repr(self), self._rows(min(len(self), ROWS_SHOWN)), rows=len(self))
@@ -471,83 +419,58 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             raise ModelError(
                 f"{kind!r} is not a kind of array", where="kind", fix=f"choose {', '.join(KINDS)}"
             )
-        if isinstance(policy, str | Path) and Path(policy).suffix.lower() in (".npy", ".npz"):
-            array = read_array(policy, called="q")
-            with located(str(policy)):
-                return cls(**_of_array(model, array, kind))
-        given: Any = policy
-        _refuse_others(given)
-        if isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.kind in "UOb":
-            given = given.tolist()  # of names or objects, perhaps
-        if not isinstance(given, Policy) and hasattr(given, "policy"):
-            if hasattr(given, "q") and callable(given.policy):
-                array, own = numbers_of(given.q), getattr(given, "space", None)
-                if isinstance(own, StateSpace) and own != space_read(model, array.shape):
-                    return cls.of(model, given.policy(model))
-                return cls(**_of_array(model, array, "q" if kind == "auto" else kind))
-            if isinstance(given.policy, np.ndarray):
-                return cls._solved(model, given)
-            given = given.policy if isinstance(given.policy, Policy) else given
-        if isinstance(given, Policy):
-            found = given
-        elif isinstance(given, str | Path):
-            found = cls._of_words(model, given, kind)
-        elif isinstance(given, Mapping):
-            found = cls._of_states(model, files.from_mapping, given, kind)
-        elif callable(given):
-            found = cls._of_states(model, files.from_function, given, kind)
-        elif isinstance(given, list | tuple) and given and _are_actions(model, given, kind):
-            found = cls._of_states(model, files.from_list, given, kind)
-        else:
-            return cls(**_of_array(model, numbers_of(given), kind))
-        if kind == "q" and found.read_as != "q":
+        _refuse_others(policy)
+        policy_read = cls._read(model, policy, kind)
+        if kind == "q" and policy_read.read_as != "q":
             raise ModelError(
                 "this is a policy, not a Q-table",
                 where="policy",
                 fix="leave kind out, or give an array of action values, or a file of one",
             )
-        return found
+        return policy_read
 
     @classmethod
-    def _solved(cls, model: MDP, found: Solved) -> Policy:
-        """Return the policy of a certificate, by the names of its own model where it knows that."""
-        own = getattr(found, "mdp", None)
-        if isinstance(own, MDP) and np.shape(found.policy) == (own.n_states,):
-            policy = cls(space=own.space, actions=own.actions, rule=np.asarray(found.policy))
-            policy.weights(model)
-            return policy
-        return cls.from_choices(model, found.policy)
-
-    @classmethod
-    def _of_states(
-        cls, model: MDP, read: Callable[..., list[files.Form]], given: Any, kind: str
-    ) -> Policy:
+    def _read(cls, model: MDP, given: Any, kind: str) -> Policy:
+        if isinstance(given, Policy):
+            return given
+        if hasattr(given, "policy"):
+            return cls._learned(model, given, kind)
+        if isinstance(given, str | Path):
+            if given == "random":
+                return cls.uniform(model)
+            if isinstance(given, str) and given.startswith("always:"):
+                return cls.always(model, given.removeprefix("always:"))
+            with located(str(given)):
+                if Path(given).suffix.lower() in (".npy", ".npz"):
+                    return cls(**of_array(model, read_array(given, called="q"), kind))
+                return cls(**reading.of_file(model, given, kind))
+        if isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.kind in "UOb":
+            given = given.tolist()  # of names or objects, perhaps
         with located("policy"):
-            return cls._of_forms(model, read(model, given, kind))
+            if isinstance(given, Mapping):
+                return cls(**reading.of_mapping(model, given, kind))
+            if callable(given):
+                return cls(**reading.of_function(model, given, kind))
+            if isinstance(given, list | tuple) and given and _are_actions(model, given, kind):
+                return cls(**reading.of_list(model, given))
+            return cls(**of_array(model, numbers_of(given), kind))
 
     @classmethod
-    def _of_forms(cls, model: MDP, forms: list[files.Form]) -> Policy:
-        """Return the first reading; raise the error of another that fits the model and differs."""
-        found = cls(**forms[0].parts())
-        weights = found.weights(model)
-        for form in forms[1:]:
-            try:
-                other = cls(**form.parts())
-                same = other.shares is None and np.array_equal(weights, other.weights(model))
-            except ModelError:  # it does not fit
-                continue
-            if not same:
-                raise form.error or AssertionError
-        return found
-
-    @classmethod
-    def _of_words(cls, model: MDP, given: str | Path, kind: str) -> Policy:
-        if given == "random":
-            return cls.uniform(model)
-        if isinstance(given, str) and given.startswith("always:"):
-            return cls.always(model, given.removeprefix("always:"))
-        with located(str(given)):
-            return cls._of_forms(model, files.read(given, model, kind))
+    def _learned(cls, model: MDP, given: Any, kind: str) -> Policy:
+        """Return the policy of a solution, a certificate or a learner with its Q-table."""
+        if hasattr(given, "q") and callable(given.policy):
+            array, own = numbers_of(given.q), getattr(given, "space", None)
+            if isinstance(own, StateSpace) and own != space_read(model, array.shape):
+                return cls._read(model, given.policy(model), kind)
+            return cls(**of_array(model, array, "q" if kind == "auto" else kind))
+        own = getattr(given, "mdp", None)
+        if not isinstance(given.policy, np.ndarray):
+            return cls._read(model, given.policy, kind)
+        if not isinstance(own, MDP) or np.shape(given.policy) != (own.n_states,):
+            return cls.from_choices(model, given.policy)
+        policy = cls(space=own.space, actions=own.actions, rule=np.asarray(given.policy))
+        policy.weights(model)  # it goes by the names of its own model
+        return policy
 
     @classmethod
     def uniform(cls, model: MDP) -> Policy:
@@ -677,23 +600,18 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         ModelError
             For another ending, and where the path cannot be written to.
         """
-        taken = {key: self._taken(key) for key in range(self.space.regular)}
-        rows = {key: row for key, row in taken.items() if row}
-        files.write(path, self.space, rows, mixed=not self.deterministic)
+        rows = {key: self._taken(key) for key in range(self.space.regular)}
+        said = {key: row for key, row in rows.items() if row}
+        reading.write(path, self.space, said, mixed=not self.deterministic)
 
-    def _taken(self, key: int) -> dict[str, float | str]:
+    def _taken(self, row: int) -> dict[str, float | str]:
         """Return the actions of one row with their probabilities: a decimal or "p/q", exact."""
-        if self.rule.ndim == 1:
-            return {self.actions[self.rule[key]]: 1.0} if self.rule[key] >= 0 else {}
-        found: dict[str, float | str] = {}
-        for action in np.flatnonzero(self.rule[key] > 0).tolist():
-            chance: float | str = float(self.rule[key, action])
-            if self.shares is not None:
-                row = self.shares[key].tolist()
-                share = Fraction(row[action], sum(row))
-                chance = float(share) if Fraction(repr(float(share))) == share else str(share)
-            found[self.actions[action]] = chance
-        return found
+        taken: dict[str, float | str] = {}
+        for action, chance in zip(self.actions, self._chances(row), strict=False):
+            if chance:
+                short = isinstance(chance, float) or Fraction(repr(float(chance))) == chance
+                taken[action] = float(chance) if short else str(chance)
+        return taken
 
 
 class Solved(Protocol):
@@ -737,73 +655,6 @@ def _are_actions(model: MDP, given: Sequence[Any], kind: str) -> bool:
     return all(isinstance(x, str) or (isinstance(x, kinds) and known(x)) for x in given)
 
 
-def _refuse_names(model: MDP, numbers: Numbers) -> None:
-    """Raise ModelError where action numbers may as well be names of actions, which differ."""
-    answers = np.unique(numbers).tolist()
-    try:
-        named = model.action_names.readings(answers)[0].numbers
-    except ModelError:  # these are no names
-        return
-    for number, meant in zip(answers, named, strict=True):
-        if number != meant and number < model.n_actions:
-            error = model.action_names.either(number, meant, number)
-            fix = "give names, such as {state: action}, or Policy.from_choices(model, numbers)"
-            raise ModelError(error.what, where="policy", fix=fix)
-    outside = [number for number in answers if not 0 <= number < model.n_actions]
-    if outside:
-        raise ModelError(
-            f"{outside[0]} is the name of an action, but the numbers of an array count from 0 to "
-            f"{model.n_actions - 1} in the model's order",
-            where="policy",
-            fix="give names, as text or in {state: action}, or numbers in that order",
-        )
-
-
-def _of_array(model: MDP, array: Numbers, kind: str) -> Parts:
-    timed = model.space.untimed is not None
-    if array.ndim == 2 and array.shape[1] == 1 < model.n_actions and not timed:
-        array = array[:, 0]  # a column of action numbers
-    whole = array.dtype.kind in "iu" and kind != "q"
-    if whole and array.ndim == 1:
-        _refuse_names(model, array)
-    if whole and timed and array.ndim == 2 and by_time(model, array, 0).ndim == 1:
-        if array.shape[1] != model.n_actions:
-            return action_numbers(model, array)
-        if kind == "auto":
-            _refuse_two_meanings(model, array)
-    if array.ndim == 2 or (timed and array.ndim == 3):
-        return policy_of_array(model, array, kind)
-    if whole and array.ndim == 1:
-        return action_numbers(model, array)
-    if array.ndim == 1 and array.dtype.kind == "f":
-        raise ModelError(
-            "action numbers are whole numbers, not floats",
-            where="policy",
-            fix="give them as integers: policy.astype(int)",
-        )
-    raise ModelError(
-        f"a policy of shape {array.shape} and type {array.dtype}",
-        where="policy",
-        fix=f"give ({model.n_states},) action numbers, or ({model.n_states}, {model.n_actions}) "
-        "probabilities or action values",
-    )
-
-
-def _refuse_two_meanings(model: MDP, array: Numbers) -> None:
-    """Raise ModelError where (N, S) action numbers may as well be (S, A) of something else."""
-    try:
-        numbers = Policy(**action_numbers(model, array)).weights(model)
-    except ModelError:  # these are not action numbers
-        return
-    if (numbers != Policy(**policy_of_array(model, array)).weights(model)).any():
-        raise ModelError(
-            f"an array of shape {array.shape} may be action numbers by time and state, or a table "
-            "of states and actions, which differ",
-            where="policy",
-            fix='give probabilities (N, S, A), or say kind="q" (--kind q) of a Q-table',
-        )
-
-
 def _shares(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
     """Return (K, A) exact shares of the numbers given; None where the floats say as much.
 
@@ -819,3 +670,23 @@ def _shares(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
     rows = [in_proportion(chances[k]) if k in chances else None for k in range(len(table))]
     none = [0] * table.shape[1]
     return np.array([row or none for row in rows], dtype=object).reshape(table.shape)
+
+
+def _checked(shares: Numbers, table: Floats) -> Numbers:
+    """Return exact shares, read-only, or raise ModelError where they are not the table's."""
+    right = shares.shape == table.shape and shares.dtype.kind in "iuO"
+    if right:
+        narrow = magnitude(shares) * table.shape[1] < EXACT_IN_INT64  # sums of rows fit as well
+        shares = shares.astype(np.int64 if narrow else object)
+        total = shares.sum(axis=1, keepdims=True)
+        below = np.broadcast_to(np.where(total > 0, total, 1), shares.shape)
+        same = np.abs(divide(shares, below) - np.nan_to_num(table)) <= FLOAT_ROW_TOLERANCE
+        right = bool(same.all() and ((shares > 0) == (table > 0)).all())
+    if not right:
+        raise ModelError(
+            "the exact shares differ from the table",
+            where="policy",
+            fix="give whole numbers in proportion to each row of the table",
+        )
+    shares.setflags(write=False)
+    return shares
