@@ -17,21 +17,20 @@ Long lists are pinned by their length and their first entries.
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import math
 import os
 import shlex
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from fractions import Fraction
-from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from support.cli_runner import Done
+from support.cli_runner import run as command
 
 FOLDER = Path(__file__).parent
 ANSWERS, CERTIFICATES = FOLDER / "answers", FOLDER / "certificates"
@@ -48,33 +47,11 @@ LONGEST, SHOWN = 24, 6  # entries of a list, and how many of a longer one are pi
 EXACT, SEEDED = 1e-9, 1e-12
 
 
-@dataclass(frozen=True)
-class Done:
-    """How a command ended."""
-
-    status: int
-    out: str
-    err: str
-
-
-def main() -> Callable[[Sequence[str]], int]:
-    """Return what the installed program calls."""
-    (entry,) = entry_points(group="console_scripts", name="exact-mdp")
-    loaded: Callable[[Sequence[str]], int] = entry.load()
-    return loaded
-
-
 def run(line: str, tmp: Path, *more: str) -> Done:
     """Run one command in this process, in the folder of the golden files."""
     words = [word.format(tmp=tmp.as_posix(), qvbs=QVBS) for word in shlex.split(line)]
-    out, err = io.StringIO(), io.StringIO()
-    with (
-        contextlib.chdir(FOLDER),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        status = main()([*words, *more, "--json"])
-    return Done(status, out.getvalue(), err.getvalue())
+    with contextlib.chdir(FOLDER):
+        return command(*words, *more, "--json")
 
 
 def answer(case: str | list[str], tmp: Path) -> dict[str, Any]:
@@ -86,15 +63,11 @@ def answer(case: str | list[str], tmp: Path) -> dict[str, Any]:
     earlier = set(tmp.iterdir())
     done = run(lines[-1], tmp)
     assert done.status in (0, 1), f"{lines[-1]}: {done.err}"
-    found = {
-        "status": done.status,
-        "answer": trimmed(json.loads(done.out.replace(tmp.as_posix(), "{tmp}"))),
-    }
-    tables = {
-        path.name: path.read_text("utf-8").split()
-        for path in sorted({*tmp.glob("*.csv")} - earlier)
-    }
-    return found | {"files": trimmed(tables)} if tables else found
+    body = trimmed(json.loads(done.out.replace(tmp.as_posix(), "{tmp}")))
+    new = sorted({*tmp.glob("*.csv")} - earlier)
+    tables = {path.name: path.read_text("utf-8").split() for path in new}
+    files = {"files": trimmed(tables)} if tables else {}
+    return {"status": done.status, "answer": body} | files
 
 
 def trimmed(value: Any) -> Any:
@@ -168,9 +141,8 @@ def floats(value: Any) -> Iterator[float]:
 
 
 def is_bound(key: str) -> bool:
-    return key in ("regret_bound", "error") or key.endswith(
-        ("error_bound", "value_error", " error")
-    )
+    ends = ("error_bound", "value_error", " error", "regret_bound")
+    return key == "error" or key.endswith(ends)
 
 
 def bounds(node: Any) -> Iterator[float]:

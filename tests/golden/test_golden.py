@@ -8,8 +8,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import tomllib
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -123,38 +121,11 @@ def test_the_models_are_still_built_as_they_were_saved(tmp_path: Path) -> None:
 # ---- the reproduction ----------------------------------------------------------------------------
 
 
-def test_pinned_claims_are_what_the_commands_answer(tmp_path: Path) -> None:
-    pinned = tomllib.loads(
-        (ROOT / "exact_mdp" / "paper_repro" / "expected.toml").read_text("utf-8")
-    )
-
-    def asked(line: str) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(run(line, tmp_path).out)
-        return found
-
-    results = json.loads((ROOT / "exact_mdp" / "paper_repro" / "results.json").read_text("utf-8"))
-    entries = {each["name"]: each.get("entries", {}) for each in results["claims"]}
-    claimed = entries["table3"] | {f"reward.{k}": v for k, v in entries["table4"].items()}
-    tables = asked("info yuan2025")["parameters"]
-    shared = claimed.keys() & tables.keys()
-    assert len(shared) == 33
-    for name in shared:
-        assert Fraction(tables[name]) == Fraction(claimed[name]), name
-    found = asked("evaluate yuan2025 random")
-    allowed = pinned["return.random"]["tolerance"] + found["error_bound"]
-    assert abs(found["mean"] - pinned["return.random"]["value"]) <= allowed
-    found = asked("solve yuan2025 --certify")
-    assert abs(found["start_value"] - results["values"]["optimal"]) <= 1e-9
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_quick_reproduction_gives_the_pinned_numbers(tmp_path: Path) -> None:
-    subprocess.run(
-        [sys.executable, "-m", "exact_mdp.paper_repro", "--quick", "--out", tmp_path],
-        cwd=ROOT,
-        check=True,
-    )
+    words = [sys.executable, "-m", "exact_mdp.paper_repro", "--quick", "--out", tmp_path]
+    subprocess.run(words, cwd=ROOT, check=True)
     found = json.loads((tmp_path / "numbers.json").read_text("utf-8"))
     pinned = json.loads((FOLDER / "numbers.json").read_text("utf-8"))
     assert [entry["name"] for entry in found] == [entry["name"] for entry in pinned]

@@ -421,3 +421,35 @@ def test_audits_can_be_pickled(criterion: Any) -> None:
     audit = check(Scenario.load("yuan2025").compile(), "random", criterion=criterion)
     again = pickle.loads(pickle.dumps(audit))
     assert (repr(again), again.message()) == (repr(audit), audit.message())
+
+
+def test_an_audit_says_what_it_compares_and_what_is_lost() -> None:
+    """Rewards, costs, averages, limits that nothing keeps, and totals without end."""
+    chances, rewards = [[[0, 1], [0, 1]]] * 2, [[1, 3], [0, 0]]
+    mdp = MDP.from_arrays(chances, rewards, layout="ass", components={"c": [[1, 2], [0, 0]]})
+    costs = mdp.with_(sense="min")
+    for model, policy, best, own in ((mdp, [0, 0], 3, 1), (costs, [1, 0], 1, 3)):
+        audit = check(model, policy)
+        assert audit.message().splitlines()[::2] == [
+            "read as a policy, discount 1, start state 0",
+            f"optimal value {best}, learned {own}; not optimal in 1 of 1 states with a choice",
+        ]
+        assert audit.regret.optimal_value.tolist() == [best, 0]
+        assert audit.regret.learned_value.tolist() == [own, 0]
+        assert audit.relative_regret == 2 / best
+    still = MDP.from_arrays([np.eye(2)] * 2, rewards, layout="ass")
+    average = check(still, [0, 0], criterion="average")
+    assert average.question == "read as a policy, reward per step, start state 0"
+    none = check(mdp, [0, 0], subject_to={"c": ">= 100"})
+    assert none.message().endswith("there is no optimum to compare with; learned 1")
+    assert "failed: no policy keeps c >= 100" in repr(none)
+    assert np.isnan([none.agreement, none.agreement_by_visits]).all()
+    # For ever 1 in state 1, to which state 0 may go: what leaves them loses all.
+    endless = MDP.from_outcomes(
+        [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 5)]), (1, 0, [(1, 1, 1)]), (1, 1, [(1, 2, 0)]),
+         (2, 0, [(1, 2, 0)])]
+    )  # fmt: skip
+    lost = check(endless, [1, 1, 0])
+    assert (lost.value.value, lost.relative_regret) == (inf, None)
+    assert lost.regret.gap.tolist() == [0, inf, 0, inf, 0]
+    assert lost.regret.optimal_pairs.tolist() == [True, False, True, False, True]
