@@ -22,6 +22,7 @@ from oracle import fixed_point, visits
 from exact_mdp import MDP, Policy, Scenario
 
 Outcome = tuple[F, int, F, bool]
+Law = dict[F, F]
 DISCOUNTS = (F(0), F(1, 2), F(19, 20), F(9999, 10_000), F(1))
 REWARDS = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(10**9), F(1, 10**9), F(20)])
 WEIGHTS = st.sampled_from([1, 1, 2, 3, 7, 1000])
@@ -47,15 +48,13 @@ class Case:
         ]
         mdp = MDP.from_outcomes(rows, self.discount, start=self.start)
         happens = {
-            (s, a, t, F(kind(r))): event
-            for (s, a), outcomes in self.rows.items()
+            (*key, t, F(kind(r))): event
+            for key, outcomes in self.rows.items()
             for _, t, r, event in outcomes
         }
-        marks = [
-            happens[int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), t, r]
-            for pair in range(mdp.n_pairs)
-            for _, t, r in mdp.table.row(pair)
-        ]
+        keys = zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True)
+        marks = [happens[*key, t, r] for pair, key in enumerate(keys)
+                 for _, t, r in mdp.table.row(pair)]  # fmt: skip
         # The second bit is an event that never happens.
         table = replace(mdp.table, event=np.array(marks, dtype=np.uint8))
         return mdp.with_(table=table, events=("hit", "miss"))
@@ -67,37 +66,28 @@ class Case:
     @cached_property
     def outcomes(self) -> dict[int, list[Outcome]]:
         """What can follow each state under the policy: exactly what the floats stand for."""
-        found: dict[int, list[Outcome]] = defaultdict(list)
+        listed: dict[int, list[Outcome]] = defaultdict(list)
         for s, a in sorted(self.rows):
             total = sum(F(float(w)) for (state, _), w in self.policy.items() if state == s)
             share = F(float(self.policy[s, a])) / total
             row = self.rows[s, a] if share else []
             chances = meant([float(p) if self.floats else p for p, *_ in row]) if row else []
             for p, (_, t, r, event) in zip(chances, row, strict=True):
-                found[s].append((share * F(p), t, F(float(r)) if self.floats else r, event))
-        return found
+                listed[s].append((share * F(p), t, F(float(r)) if self.floats else r, event))
+        return listed
+
+    # ---- where it leads --------------------------------------------------------------------------
 
     @cached_property
     def terminal(self) -> set[int]:
-        return {
-            s
-            for s in range(self.n_states)
-            if all(
-                t == s and r == 0
-                for (state, _), row in self.rows.items()
-                for _, t, r, _ in row
-                if state == s
-            )
-        }
+        moving = {s for (s, _), row in self.rows.items() for _, t, r, _ in row if t != s or r}
+        return set(range(self.n_states)) - moving
 
     def closed(self, states: set[int], step: Callable[[int, int], bool]) -> set[int]:
         """All states related to `states` by any number of steps."""
-        found = set(states)
-        while True:
-            more = {s for s in range(self.n_states) if any(step(s, t) for t in found)} - found
-            if not more:
-                return found
-            found |= more
+        while more := {s for s in range(self.n_states) if any(step(s, t) for t in states)} - states:
+            states = states | more
+        return states
 
     def leads(self, s: int, t: int) -> bool:
         return s not in self.terminal and any(t == x for _, x, _, _ in self.outcomes[s])
@@ -117,41 +107,48 @@ class Case:
     def ends(self) -> bool:
         return self.reached <= self.ending
 
-    def solve(
-        self, constant: Callable[[Outcome], F], rate: F, among: set[int], through: bool = True
-    ) -> dict[int, F]:
-        """x(s) = E[constant + rate x(next)], x = 0 outside `among`; events stop it on demand."""
-        moves: list[dict[int, F]] = [defaultdict(F) for _ in range(self.n_states)]
-        right = [F(0)] * self.n_states
-        for s in among:
-            for outcome in self.outcomes[s]:
-                p, t, _, event = outcome
-                right[s] += p * constant(outcome)
-                moves[s][t] += rate * p * (through or not event)
-        return dict(enumerate(fixed_point(right, moves)))
-
     @cached_property
     def live(self) -> set[int]:
         return (self.ending if self.discount == 1 else set(range(self.n_states))) - self.terminal
 
+    # ---- what it is worth ------------------------------------------------------------------------
+
+    def moves(self, rate: F, among: set[int], through: bool = True) -> list[dict[int, F]]:
+        """The rows of the chain, of some states alone; events stop it on demand."""
+        moves: list[dict[int, F]] = [defaultdict(F) for _ in range(self.n_states)]
+        for s in among:
+            for p, t, _, event in self.outcomes[s]:
+                moves[s][t] += rate * p * (through or not event)
+        return moves
+
+    def solve(
+        self, constant: Callable[[Outcome], F], rate: F, among: set[int], through: bool = True
+    ) -> list[F]:
+        """x(s) = E[constant + rate x(next)], x = 0 outside `among`."""
+        right = [
+            sum((o[0] * constant(o) for o in self.outcomes[s] if s in among), F(0))
+            for s in range(self.n_states)
+        ]
+        return fixed_point(right, self.moves(rate, among, through))
+
     @cached_property
-    def value(self) -> dict[int, F]:
+    def value(self) -> list[F]:
         return self.solve(lambda o: o[2], self.discount, self.live)
 
     @cached_property
-    def variance(self) -> dict[int, F]:
+    def variance(self) -> list[F]:
         """By the second moment: E[G²] = E[r² + 2 γ r V' + γ² G'²]."""
         g, v = self.discount, self.value
         square = self.solve(lambda o: o[2] ** 2 + 2 * g * o[2] * v[o[1]], g * g, self.live)
-        return {s: square[s] - v[s] ** 2 for s in v}
+        return [x - y**2 for x, y in zip(square, v, strict=True)]
 
-    def mean(self, values: dict[int, F]) -> F:
+    def mean(self, values: list[F]) -> F:
         return sum((weight * values[s] for s, weight in self.start.items()), F(0))
 
     @cached_property
     def total_variance(self) -> F:
-        mean = self.mean(self.value)
-        return self.mean({s: self.variance[s] + (self.value[s] - mean) ** 2 for s in self.value})
+        mean, pairs = self.mean(self.value), zip(self.variance, self.value, strict=True)
+        return self.mean([own + (value - mean) ** 2 for own, value in pairs])
 
     @cached_property
     def steps(self) -> F:
@@ -163,13 +160,9 @@ class Case:
         among = self.closed(happening - self.terminal, self.leads)
         return self.mean(self.solve(lambda o: F(o[3]), F(1), among, through=False))
 
-    def visits(self, rate: F, among: set[int]) -> dict[int, F]:
+    def visits(self, rate: F, among: set[int]) -> list[F]:
         """Expected visits of each state, in which only those `among` lead on."""
-        moves: list[dict[int, F]] = [defaultdict(F) for _ in range(self.n_states)]
-        for s in among:
-            for p, t, _, _ in self.outcomes[s]:
-                moves[s][t] += rate * p
-        return dict(enumerate(visits(self.start, moves)))
+        return visits(self.start, self.moves(rate, among))
 
 
 @st.composite
@@ -181,8 +174,7 @@ def cases(
     weights: st.SearchStrategy[int] = WEIGHTS,
 ) -> Case:
     """Draw a model with joint rewards, events, self loops and ends, and a mixed policy."""
-    n_states = draw(st.integers(1, 5))
-    acyclic = draw(st.booleans())
+    n_states, acyclic = draw(st.integers(1, 5)), draw(st.booleans())
     rows: dict[tuple[int, int], list[Outcome]] = {}
     policy: dict[tuple[int, int], F] = {}
     for s in range(n_states):
@@ -201,21 +193,58 @@ def cases(
             ]
         shares = [draw(st.sampled_from([0, 0, 1, 2])) for _ in actions]
         shares[draw(st.integers(0, len(actions) - 1))] += 1
-        for a, share in zip(actions, shares, strict=True):
-            policy[s, a] = F(share, sum(shares))
+        policy |= {(s, a): F(n, sum(shares)) for a, n in zip(actions, shares, strict=True)}
     chosen = draw(st.lists(st.integers(0, n_states - 1), min_size=1, max_size=2, unique=True))
     odds = [draw(weights) for _ in chosen]
+    start = {s: F(weight, sum(odds)) for s, weight in zip(chosen, odds, strict=True)}
     return Case(
-        n_states=n_states,
-        rows=rows,
-        discount=draw(st.sampled_from(discounts)),
-        start={s: F(weight, sum(odds)) for s, weight in zip(chosen, odds, strict=True)},
-        policy=policy,
-        floats=draw(st.booleans()),
+        n_states=n_states, rows=rows, discount=draw(st.sampled_from(discounts)), start=start,
+        policy=policy, floats=draw(st.booleans()),
+    )  # fmt: skip
+
+
+SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])
+LAWFUL = cases(discounts=(F(1),), rewards=SMALL, weights=st.integers(1, 3))
+
+
+def brute_force(case: Case, steps: int) -> tuple[Law, F]:
+    """Follow every way of an episode for some steps: the law of the ended ones, and the rest."""
+    moving: dict[tuple[int, F], F] = {(s, F(0)): weight for s, weight in case.start.items()}
+    ended: Law = defaultdict(F)
+    for step in range(steps + 1):
+        following: dict[tuple[int, F], F] = defaultdict(F)
+        for (s, total), mass in moving.items():
+            if s in case.terminal:
+                ended[total] += mass
+            elif step == steps:
+                following[s, total] += mass
+            else:
+                for p, t, r, _ in case.outcomes[s]:
+                    following[t, total + r] += mass * p
+        moving = following
+    return dict(ended), sum(moving.values(), F(0))
+
+
+def is_acyclic(case: Case) -> bool:
+    return brute_force(case, case.n_states)[1] == 0
+
+
+def coin(*rewards: object, ways: int = 1) -> MDP:
+    """One of some rewards at random, several times over."""
+    rows = [
+        (step, 0, [(F(1, len(rewards)), step + 1, reward) for reward in rewards])
+        for step in range(ways)
+    ]
+    return MDP.from_outcomes([*rows, (ways, 0, [(1, ways, 0)])])
+
+
+def geometric(stay: str, reward: object = -1) -> MDP:
+    return MDP.from_outcomes(
+        [(0, 0, [(stay, 0, reward), (1 - F(stay), 1, 0)]), (1, 0, [(1, 1, 0)])]
     )
 
 
-# ---- the care model --------------------------------------------------------------------------
+# ---- the care model ------------------------------------------------------------------------------
 
 
 def careful(state: State) -> dict[str, F]:
@@ -265,47 +294,3 @@ def care(
     )
     oracle = Oracle(readings, tasks=tasks, max_trial=max_trial, discount=discount)
     return scenario.compile(), oracle
-
-
-Law = dict[F, F]
-SMALL = st.sampled_from([F(0), F(1), F(-1), F(1, 2), F(-7, 3), F(5)])
-LAWFUL = cases(discounts=(F(1),), rewards=SMALL, weights=st.integers(1, 3))
-
-
-def brute_force(case: Case, steps: int) -> tuple[Law, F]:
-    """Follow every way of an episode for some steps: the law of the ended ones, and the rest."""
-    moving: dict[tuple[int, F], F] = defaultdict(F)
-    for s, weight in case.start.items():
-        moving[s, F(0)] += weight
-    ended: Law = defaultdict(F)
-    for step in range(steps + 1):
-        following: dict[tuple[int, F], F] = defaultdict(F)
-        for (s, total), mass in moving.items():
-            if s in case.terminal:
-                ended[total] += mass
-            elif step == steps:
-                following[s, total] += mass
-            else:
-                for p, t, r, _ in case.outcomes[s]:
-                    following[t, total + r] += mass * p
-        moving = following
-    return dict(ended), sum(moving.values(), F(0))
-
-
-def is_acyclic(case: Case) -> bool:
-    return brute_force(case, case.n_states)[1] == 0
-
-
-def coin(*rewards: object, ways: int = 1) -> MDP:
-    """One of some rewards at random, several times over."""
-    rows = [
-        (step, 0, [(F(1, len(rewards)), step + 1, reward) for reward in rewards])
-        for step in range(ways)
-    ]
-    return MDP.from_outcomes([*rows, (ways, 0, [(1, ways, 0)])])
-
-
-def geometric(stay: str, reward: object = -1) -> MDP:
-    return MDP.from_outcomes(
-        [(0, 0, [(stay, 0, reward), (1 - F(stay), 1, 0)]), (1, 0, [(1, 1, 0)])]
-    )

@@ -75,7 +75,7 @@ def test_every_number_lies_within_its_error_bound(case: Case) -> None:
         assert found.steps == inf
     # The bounds mean something: they are near what double precision can do.
     size = max(abs(r) for row in case.rows.values() for _, _, r, _ in row)
-    longest = 1 + sum(abs(x) for x in case.value.values()) + size
+    longest = 1 + sum(abs(x) for x in case.value) + size
     assert found.start.error <= 1e-9 * longest * max(1, found.steps if case.ends else 10_000)
 
 
