@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 import subprocess
 import sys
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 
 PACKAGES = ("exact-mdp", "numpy", "scipy", "python-flint", "cvxpy", "clarabel", "highspy", "numba")
@@ -39,13 +37,6 @@ def run_record(
         "commit": _commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-
-
-def write_record(result: str | Path, record: dict[str, Any]) -> Path:
-    """Write the record beside a result, F.run.json for F.npz, and return its path."""
-    path = Path(result).with_suffix(".run.json")
-    write_atomically(path, json.dumps(record, indent=2) + "\n")
-    return path
 
 
 def _versions() -> dict[str, str]:

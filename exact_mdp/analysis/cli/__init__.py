@@ -80,7 +80,7 @@ def _reporting(words: list[str]) -> Told | None:
     def write(message: str) -> None:
         junit = import_module("exact_mdp.analysis.gate.junit")
         first = message.partition("\n")[0]
-        case = junit.Case(name="check", error=first, text=message)
+        case = junit.Case("check", "error", first, message)
         with suppress(ValueError, OSError):  # reported by the command, or about something worse
             junit.write_junit(path, title, [case], seconds=0.0, properties={})
 

@@ -8,12 +8,10 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
-import click
-
 from exact_mdp.analysis import github
 from exact_mdp.analysis.cli.given import Given, advice
 from exact_mdp.analysis.cli.render import markdown
-from exact_mdp.analysis.cli.words import check_outputs, limits_from, settings_of
+from exact_mdp.analysis.cli.words import check_outputs, limits_from, refuse, settings_of, typed
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.junit import Case, write_junit
@@ -99,20 +97,12 @@ def check(
         records=FILE (trajectories), columns.state=NAME, behaviour=FILE (its probabilities).
     """
     started, single = perf_counter(), len(learned) == 1
-    of_one: dict[str, Any] = {
-        "--html": html,
-        "--confidence": confidence,
-        "--by": by,
-        "--evidence": evidence,
-    }
-    of_one |= {"--evidence": evidence, "--no-explain": no_explain}
-    of_many: dict[str, Any] = {"--share": share, "--alpha": alpha, "--prove": prove}
-    where, fix = "several policies", "leave it out"
     if single:
-        where, fix = "a single policy", "name the policy of each run, as in runs/*.npy"
-    for option, value in (of_many if single else of_one).items():
-        if value:
-            raise ModelError(f"{option} does not apply to {where}", where=option, fix=fix)
+        of_many = {"--share": share, "--alpha": alpha, "--prove": prove}
+        refuse(of_many, "a single policy", "name the policy of each run, as in runs/*.npy")
+    else:
+        of_one: dict[str, Any] = {"--html": html, "--confidence": confidence, "--by": by}
+        refuse(of_one | {"--evidence": evidence, "--no-explain": no_explain}, "several policies")
     check_outputs((junit, (".xml",)), (html, (".html",)))
     github.check_summary()
     asked: dict[str, Any] = {
@@ -127,22 +117,17 @@ def check(
         found, report = _audited(given, learned[0], not no_explain, asked, confidence, by, evidence)
     else:
         policies = (given.policy(name) for name in learned)
-        asked |= {
-            "share": share or "9/10",
-            "alpha": alpha or "1/100",
-            "prove": prove,
-        }
+        asked |= {"share": share or "9/10", "alpha": alpha or "1/100", "prove": prove}
         found = check_trainer(given.mdp, policies, runs=len(learned), **asked)
         report = given.report(found.report(learned))
     name = learned[0] if single else f"{len(report.facts['policies'])} policies"
     passed = "passed" if found.passed else "failed"
     report = replace(report, title=f"{name} in {given.loaded.name}: {passed}")
-    why = report.facts.get("representation")
-    text = found.message(explain=why is not None) if isinstance(found, Audit) else found.message()
+    text = found.message(explain=report.facts.get("representation") is not None)
     if junit is not None:
         _junit(junit, given, found, report, text, perf_counter() - started)
     if html is not None and isinstance(found, Audit):
-        words = shlex.join(["exact-mdp", *click.get_current_context().find_root().obj])
+        words = shlex.join(["exact-mdp", *typed()])
         page = audit_page(found, report, given.loaded.name, name, rerun=words, first=ON_PAGE)
         write_atomically(html, page)
     github.summarise(markdown(report))
@@ -189,7 +174,7 @@ def _junit(
     path: str, given: Given, found: Audit | TrainerAudit, report: Report, text: str, seconds: float
 ) -> None:
     cases = [
-        Case(name=each.name) if each.passed else Case(name=each.name, failure=each.told, text=text)
+        Case(each.name) if each.passed else Case(each.name, "failure", each.told, text)
         for each in found.verdicts
     ]
     properties = {"model": given.loaded.name, "claim": str(found.claim)}

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
+from exact_mdp.analysis.cli.words import typed
 from exact_mdp.analysis.pages.page import ADVICE
+from exact_mdp.analysis.record import run_record
 from exact_mdp.mdp.care import perception as seeing
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, Posed, parametric
@@ -145,6 +150,27 @@ class Given:
         facts = {**self.head, **more, **found.facts}
         return replace(found, facts=facts, notes=(*found.notes, *self.notes))
 
+    def record(self, solver: str, seed: int | None = None) -> str:
+        """Return the record of a result, as JSON."""
+        name = self.loaded.name
+        made = run_record(self.mdp, model=name, solver=solver, seed=seed, command=typed())
+        return json.dumps(made, indent=2) + "\n"
+
+    def saved(
+        self, report: Report, out: str | None, name: str, made: tuple[str, int], *also: Path
+    ) -> Report:
+        """Write a report and its record into a folder; `also` are the files that are there.
+
+        `made` are solver and seed.
+        """
+        if out is None:
+            return report
+        paths = [Path(out, name), *also, Path(out, "run.json")]
+        report = replace(report, facts={**report.facts, "written": [str(path) for path in paths]})
+        write_atomically(paths[0], report.json() + "\n")
+        write_atomically(paths[-1], self.record(*made))
+        return report
+
 
 def given(
     model: str,
@@ -218,13 +244,6 @@ def given(
             )
     if horizon is not None:
         loaded = replace(loaded, mdp=loaded.mdp.within(horizon))
-    mdp, limit = loaded.mdp, loaded.mdp.time_limit
-    head: dict[str, Any] = {"model": loaded.name}
-    if "start" in has:
-        words = question.words() if question else None
-        head |= {"sense": Shown(mdp.sense), "question": words, "start": start}
-    if "criterion" in has:
-        head["criterion"] = Shown(criterion, "reward per step" if average else None)
     found = Given(
         endless=endless,
         loaded=loaded,
@@ -235,25 +254,38 @@ def given(
         perception=perception,
         kind=kind,
         head={},
-        notes=(*_limit_note(limit, "horizon" in has and not average), *advice(endless)),
+        notes=(*_limit_note(loaded.mdp, "horizon" in has and not average), *advice(endless)),
     )
     if "policy" in has and (policy or perception) is not None:
         same = (policy or "optimal", perception) == ("optimal", None) and "kind" not in has
         taken: Any = "optimal" if same else found.policy(policy or "optimal")
         found = replace(found, taken=taken)
-        if "kind" in has:  # what was read comes first
-            head = {"read_as": Shown(taken.read_as, taken.source or None)} | head
-            head["policy"] = policy
+    return replace(found, head=_head(found, has, criterion, start))
+
+
+def _head(found: Given, has: Sequence[str], criterion: str, start: str | None) -> dict[str, Any]:
+    """Return how a report begins; what a policy was read as comes first."""
+    mdp, horizon, perception = found.mdp, found.horizon, found.perception
+    head: dict[str, Any] = {"model": found.loaded.name}
+    if "start" in has:
+        words = found.question.words() if found.question else None
+        head |= {"sense": Shown(mdp.sense), "question": words, "start": start}
+    if "criterion" in has:
+        head["criterion"] = Shown(criterion, "reward per step" if found.average else None)
+    if found.taken is not None and "kind" in has:
+        read = Shown(found.taken.read_as, found.taken.source or None)
+        head = {"read_as": read} | head | {"policy": found.form}
     if "perception" in has:
         said = perception and f"{perception}, which the policy acts on"
         head |= {"perception": Shown(perception, said)}
     head |= {"discount": mdp.discount}
     if "horizon" in has:
         head["horizon"] = Shown(horizon, None if horizon is None else f"{horizon:,} steps")
-    return replace(found, head=head)
+    return head
 
 
-def _limit_note(limit: int | None, has_horizon: bool) -> list[str]:
+def _limit_note(mdp: MDP, has_horizon: bool) -> list[str]:
+    limit = mdp.time_limit
     if limit is None:
         return []
     also = f": --horizon {limit}" if has_horizon else ""

@@ -27,6 +27,20 @@ NAMED = 1000  # pairs that nobody took, in JSON
 MOST_RARE = 20  # rows of the table
 SHOWN = 4  # states of a policy that never ends, and start states, that are printed
 
+ONE_ACTION = "only one action was ever taken: there is nothing to choose"
+LIKE_CUT = (
+    "the column {0!r} is not used: where it marks the rows after which an episode was cut off, add "
+    "--column truncated={0}; where it marks the ends, leave next_state empty there"
+)
+UNKNOWN = (
+    "nobody knows what follows where episodes were cut off and no record leaves: robust and "
+    "off-policy intervals allow every total there; the estimate takes it for 0"
+)
+ENDS = (
+    "a state that no record leaves is taken for an end, worth 0: where episodes were cut off "
+    "there, no verdict holds: record what follows"
+)
+
 
 def new(file: str) -> Report:
     """Write a commented scenario to change.
@@ -223,22 +237,10 @@ def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: 
     }
     title, keys = f"pairs observed fewer than {rare} times", ("state", "action", "observations")
     table = Table(title=title, columns=dict(zip(keys, keys, strict=True)), first=MOST_RARE)
-    notes = ["only one action was ever taken: there is nothing to choose"] * (mdp.n_actions == 1)
-    notes += [
-        f"the column {name!r} is not used: where it marks the rows after which an episode was cut "
-        f"off, add --column truncated={name}; where it marks the ends, leave next_state empty there"
-        for name in record.ignored
-    ]
-    notes += [
-        "nobody knows what follows where episodes were cut off and no record leaves: robust and "
-        "off-policy intervals allow every total there; the estimate takes it for 0"
-    ] * bool(unknown)
-    notes += [
-        "a state that no record leaves is taken for an end, worth 0: where episodes were cut off "
-        "there, no verdict holds: record what follows"
-    ] * bool(ends)
-    title = f"model from {file}"
-    return Report(title=title, facts=facts, tables={"rare": table}, notes=[*notes, ADVICE])
+    notes = [ONE_ACTION] * (mdp.n_actions == 1)
+    notes += [LIKE_CUT.format(name) for name in record.ignored]
+    notes += [UNKNOWN] * bool(unknown) + [ENDS] * bool(ends) + [ADVICE]
+    return Report(title=f"model from {file}", facts=facts, tables={"rare": table}, notes=notes)
 
 
 def convert(

@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import ulp
+from pathlib import Path
 from typing import Any
 
-import click
-
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import check_outputs, limits_from, number_of
+from exact_mdp.analysis.cli.words import check_outputs, limits_from, number_of, refuse
 from exact_mdp.analysis.optimum import (
     Contradiction,
     limited_report,
     optimum,
 )
-from exact_mdp.analysis.record import run_record, write_record
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import endless
+from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.solvers.exact import codec
@@ -91,10 +90,7 @@ def solve(
     mdp, average = given.mdp, given.average
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
-        for option, used in (refused | {"--criterion average": average}).items():
-            if used:
-                what, fix = f"{option} does not apply to limits", f"leave {option} out"
-                raise ModelError(what, where="--subject-to", fix=fix)
+        refuse(refused | {"--criterion average": average}, "limits")
         limited = solve_model(mdp, subject_to=limits_from(subject_to))
         if faults := limited.violations():
             raise Contradiction(f"the proof does not hold: {faults[0]}")
@@ -112,13 +108,9 @@ def solve(
             where="--certificate",
             fix="add --certify, which proves the exact values",
         )
-    found = optimum(
-        mdp,
-        method,
-        None if tol is None else number_of(tol, "--tol"),
-        certify=certify,
-        criterion="average" if average else "total",
-    )
+    error = None if tol is None else number_of(tol, "--tol")
+    criterion: Criterion = "average" if average else "total"
+    found = optimum(mdp, method, error, certify=certify, criterion=criterion)
     if certificate:
         proof = found.certificate or certified(mdp, bounded=True, solution=found.solution)
         proof.save(certificate)
@@ -129,9 +121,7 @@ def solve(
     written = [path for path in (policy_out, out, certificate) if path]
     solver = found.solution.solver if found.solution else found.method
     for path in written:
-        words = click.get_current_context().find_root().obj
-        record = run_record(mdp, model=given.loaded.name, solver=solver, command=words)
-        write_record(path, record)
+        write_atomically(Path(path).with_suffix(".run.json"), given.record(solver))
     report = found.report()
     return given.report(replace(report, facts={**report.facts, "written": written}))
 

@@ -11,7 +11,7 @@ from typing import Any
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import check_outputs, number_of
 from exact_mdp.analysis.perception.accuracy import confusion_at
-from exact_mdp.analysis.perception.errors import ErrorCosts, error_costs
+from exact_mdp.analysis.perception.errors import error_costs
 from exact_mdp.analysis.perception.values import value_under_counts
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
@@ -21,7 +21,7 @@ from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import Report, Shown, Table, at_most, between
+from exact_mdp.mdp.report import Report, Shown, between
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.risk import share_of
 from exact_mdp.solvers.solver import solve
@@ -160,56 +160,21 @@ def perception(
     optimum = solve(mdp)
     chosen = policy_of(mdp, optimum if policy == "optimal" else policy)
     costs = error_costs(mdp, chosen, matrix)
-    facts: dict[str, Any] = {
-        "policy": policy,
-        "perception": perception or f"accuracy {accuracy}",
-        "claim": Shown(costs.value.claim),
-        "perfect": optimum.start,
-        "taken_as_true": costs.value,
-        "counted": None,
-    }
+    counted = None
     if counts is not None:
         spread = value_under_counts(mdp, chosen, counts, rng=seed, n=draws)
         mean = {"mean": spread.value.value, "standard_error": spread.value.standard_error}
         rest = {"interval": list(spread.interval), "level": spread.level}
         rest |= {"draws": len(spread.draws), "seed": seed, "claim": spread.value.claim}
         said = f"{spread.level:.0%} in {between(*spread.interval)} (estimated)"
-        facts["counted"] = Shown(mean | rest, said)
-    return given.report(_error_report(costs, facts))
-
-
-def _error_report(costs: ErrorCosts, facts: dict[str, Any]) -> Report:
-    names = ("missed", "seen", "by_sensitivity", "by_specificity")
-    errors = {
-        status: dict(zip(names, (*lost, *costs.rates[status]), strict=True))
-        for status, lost in costs.by_status.items()
-    }
-    confusions = {"loss": costs.loss, "marginal": costs.marginal, "error_bound": costs.error}
-    frame = costs.frame()
-    true, seen, loss, marginal = frame.columns[:4]
-    return Report(
-        title="errors of perception",
-        facts=facts | {"errors": errors, "confusions": Shown(confusions)},
-        tables={
-            "errors": Table(
-                title="what errors cost where the status seen is taken for true (within "
-                f"{at_most(costs.error)})",
-                columns={
-                    "status": "",
-                    "missed": "missed:.4f",
-                    "seen wrongly": "seen:.4f",
-                    "per unit of sensitivity": "by_sensitivity:.4f",
-                    "of specificity": "by_specificity:.4f",
-                },
-            ),
-            "costliest": Table(
-                title="the costliest confusions",
-                rows=frame,
-                columns={"true": true, "perceived": seen, "loss": f"{loss}:.4f"}
-                | {"per unit of probability": f"{marginal}:.4f"},
-                first=12,
-            ),
-        },
+        counted = Shown(mean | rest, said)
+    return given.report(
+        costs.report(),
+        policy=policy,
+        perception=perception or f"accuracy {accuracy}",
+        perfect=optimum.start,
+        taken_as_true=costs.value,
+        counted=counted,
     )
 
 

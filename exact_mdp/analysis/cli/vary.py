@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,13 +9,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import click
 from tqdm import tqdm
 
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import check_outputs, pairs_of
+from exact_mdp.analysis.cli.words import check_outputs, pairs_of, typed
 from exact_mdp.analysis.pages.explorer import explore as explorer_of
-from exact_mdp.analysis.record import run_record
 from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.corners import worst_point
 from exact_mdp.analysis.vary.curves.curve import curve as curve_of
@@ -293,7 +290,8 @@ def psa(
     how = _work(n_jobs, out)
     found = psa_of(model, n, rng=seed, uncertain=chosen, policy=policy, **how)
     report = found.report(given.form or "optimal")
-    return _saved(_report(given, "psa", report, effective_sample_size=size), given, out, seed)
+    report = _report(given, "psa", report, effective_sample_size=size)
+    return given.saved(report, out, "psa.json", ("psa", seed))
 
 
 def sobol(
@@ -336,7 +334,7 @@ def sobol(
     )
     start = claimed("start_value", solve(given.mdp).start)
     report = _report(given, "sobol", found.report(), **start, without_range=without)
-    return _saved(report, given, out, seed)
+    return given.saved(report, out, "sobol.json", ("sobol", seed))
 
 
 # ---- the worst case ------------------------------------------------------------------------------
@@ -475,8 +473,7 @@ def explore(
         given.family, *parameters, ranges=spans, policy=policy, said=given.form, n=points
     )
     found = replace(found, model=given.loaded.name)
-    words = click.get_current_context().find_root().obj or ()
-    write_atomically(html, found.page(rerun=shlex.join(["exact-mdp", *words])))
+    write_atomically(html, found.page(rerun=shlex.join(["exact-mdp", *typed()])))
     return given.report(found.report(), written=html)
 
 
@@ -558,18 +555,3 @@ def _work(n_jobs: int | None, out: str | None) -> dict[str, Any]:
     if out is not None and not out.strip():
         raise ModelError("--out is empty", where="--out", fix="name a folder")
     return {"n_jobs": n_jobs, "folder": out, "progress": True}
-
-
-def _saved(report: Report, given: Given, out: str | None, seed: int) -> Report:
-    """Write the result and the record of its making into the folder of --out."""
-    if out is None:
-        return report
-    kind = report.facts["kind"]
-    paths = [Path(out, f"{kind}.json"), Path(out, "run.json")]
-    report = replace(report, facts={**report.facts, "written": [str(path) for path in paths]})
-    context = click.get_current_context(silent=True)
-    words = (context.find_root().obj or ()) if context is not None else ()
-    record = run_record(given.mdp, model=given.loaded.name, solver=kind, seed=seed, command=words)
-    write_atomically(paths[0], report.json() + "\n")
-    write_atomically(paths[1], json.dumps(record, indent=2) + "\n")
-    return report

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +41,19 @@ class Whole(Converter):
             where=where,
             fix="choose one in that range",
         )
+
+
+def refuse(options: Mapping[str, Any], of: str, fix: str = "leave it out") -> None:
+    """Raise ModelError for the first of some options that is given."""
+    for option, value in options.items():
+        if value:
+            raise ModelError(f"{option} does not apply to {of}", where=option, fix=fix)
+
+
+def typed() -> list[str]:
+    """Return the words of this command."""
+    context = click.get_current_context(silent=True)
+    return [] if context is None else list(context.find_root().obj or ())
 
 
 def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:

@@ -23,7 +23,7 @@ from typing import Any
 
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.average import average_loss
-from exact_mdp.analysis.gate.data.interval import Evidence, confidence_of
+from exact_mdp.analysis.gate.data.interval import confidence_of
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior
 from exact_mdp.analysis.gate.data.robust import Robust
@@ -40,7 +40,8 @@ from exact_mdp.solvers.solution import SolverError
 from exact_mdp.solvers.solver import Criterion, is_average, mdp_of, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
-EVIDENCE: dict[str, Any] = {"robust": Robust, "posterior": Posterior, "off-policy": OffPolicy}
+Evidence = Robust | Posterior | OffPolicy
+EVIDENCE: dict[str, type[Evidence]] = {kind.by: kind for kind in (Robust, Posterior, OffPolicy)}
 
 
 @named_options
@@ -204,18 +205,13 @@ def _evidence(by: object) -> Evidence:
         if by not in EVIDENCE:
             fix = suggest(by, EVIDENCE)
             raise ModelError(f"unknown kind of interval {by!r}", where="by", fix=fix)
-        kind: Evidence = EVIDENCE[by]()
-        return kind
-    if isinstance(by, type) or not isinstance(by, Evidence):
-        raise ModelError(
-            f"{by!r} is not a kind of interval",
-            where="by",
-            fix='give "robust", "posterior" or "off-policy", or one of their classes',
-        )
+        return EVIDENCE[by]()
+    if not isinstance(by, Evidence):
+        fix = 'give "robust", "posterior" or "off-policy", or one of their classes'
+        raise ModelError(f"{by!r} is not a kind of interval", where="by", fix=fix)
     return by
 
 
-@named_options
 def assert_policy_optimal(
     model: MDP | Scenario,
     policy: PolicyLike,

@@ -10,58 +10,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from exact_mdp.mdp.io.files import write_atomically
 
 # What XML 1.0 does not allow, in section 2.2.
 FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+TYPES = {"failure": "regret", "error": "error"}  # elements, and the types that they state
 
-KINDS = {"failure": "regret", "error": "error"}  # elements, and the types that they state
 
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """One test case: what failed, or why there is no verdict, each on one line; None where neither.
-
-    `text` is the full message.
-    """
+class Case(NamedTuple):
+    """A test case: its name; "failure" or "error", or "" where it passed; a line and a text."""
 
     name: str
-    failure: str | None = None
-    error: str | None = None
+    kind: str = ""
+    message: str = ""
     text: str = ""
-
-
-def junit(
-    suite: str, cases: Sequence[Case], *, seconds: float, properties: Mapping[str, str]
-) -> bytes:
-    """Return a report of one suite of test cases."""
-    failures = sum(case.failure is not None for case in cases)
-    errors = sum(case.error is not None for case in cases)
-    counts = {"tests": len(cases), "failures": failures, "errors": errors, "skipped": 0}
-    shared = {name: str(count) for name, count in counts.items()} | {"time": f"{seconds:.3f}"}
-    root = ElementTree.Element("testsuites", {"name": "exact-mdp"} | shared)
-    at = datetime.now(UTC).isoformat(timespec="seconds")
-    group = ElementTree.SubElement(root, "testsuite", {"name": _clean(suite)} | shared)
-    group.set("timestamp", at)
-    listed = ElementTree.SubElement(group, "properties")
-    for name, value in properties.items():
-        ElementTree.SubElement(listed, "property", name=_clean(name), value=_clean(value))
-    for case in cases:
-        time = f"{seconds / len(cases):.3f}"
-        place = {"classname": _clean(suite), "name": _clean(case.name), "time": time}
-        element = ElementTree.SubElement(group, "testcase", place)
-        for kind, message in (("failure", case.failure), ("error", case.error)):
-            if message is not None:
-                named = {"message": _clean(message), "type": KINDS[kind]}
-                ElementTree.SubElement(element, kind, named).text = _clean(case.text)
-    ElementTree.indent(root)
-    report: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-    return report + b"\n"
 
 
 def write_junit(
@@ -72,9 +39,28 @@ def write_junit(
     seconds: float,
     properties: Mapping[str, str],
 ) -> None:
-    """Write the report, the whole file or none; raises ModelError where that fails."""
-    write_atomically(path, junit(suite, cases, seconds=seconds, properties=properties))
+    """Write the report of one suite, the whole file or none; ModelError where that fails."""
 
+    def add(parent: ElementTree.Element, tag: str, **texts: str) -> ElementTree.Element:
+        texts = {name: FORBIDDEN.sub("?", text) for name, text in texts.items()}
+        return ElementTree.SubElement(parent, tag, texts)
 
-def _clean(text: str) -> str:
-    return FORBIDDEN.sub("?", text)
+    kinds = [case.kind for case in cases]
+    counts = {"tests": len(cases), "failures": kinds.count("failure")}
+    counts |= {"errors": kinds.count("error"), "skipped": 0}
+    shared = {name: str(count) for name, count in counts.items()} | {"time": f"{seconds:.3f}"}
+    root = ElementTree.Element("testsuites", {"name": "exact-mdp"} | shared)
+    at = datetime.now(UTC).isoformat(timespec="seconds")
+    group = add(root, "testsuite", name=suite, **shared, timestamp=at)
+    listed = add(group, "properties")
+    for name, value in properties.items():
+        add(listed, "property", name=name, value=value)
+    for case in cases:
+        time = f"{seconds / len(cases):.3f}"
+        element = add(group, "testcase", classname=suite, name=case.name, time=time)
+        if case.kind:
+            below = add(element, case.kind, message=case.message, type=TYPES[case.kind])
+            below.text = FORBIDDEN.sub("?", case.text)
+    ElementTree.indent(root)
+    report: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    write_atomically(path, report + b"\n")

@@ -26,7 +26,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
 from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, ties
-from exact_mdp.analysis.gate.waiting import to_blame
+from exact_mdp.analysis.gate.waiting import taking, to_blame
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP
@@ -34,11 +34,12 @@ from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.bounds import Bounds, lower, margin_weights, verify
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
+from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, regret
 from exact_mdp.solvers.solver import solve
@@ -178,27 +179,65 @@ def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
 
 
 def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
-    if endless(mdp):
-        return _without_end(mdp, chain, best)
-    own = best if best.optimal_pairs[chain.pairs].all() else exact_policy(chain)
-    lost, ideal = best.start_value - own.start_value, policy_taking(mdp, best.optimal_pairs)
-    movable = partial(forgiven, mdp, (chain, _rounded(own)), (ideal, _rounded(best)))
-    optimal, gap = _gaps(mdp, best, ideal)
-    if lost and optimal[chain.pairs].all() and lost > movable():
+    """Return the exact regret.
+
+    At discount 1 where some policy never ends, a pair that keeps the value of a state need not
+    attain it, so that the policy is judged by its own model, in which it is the only one. Rounding
+    is forgiven on the way to where a policy stays for ever, and none there.
+    """
+    unending = endless(mdp)
+    own: ExactPolicy | Certificate = best
+    if unending:
+        own = proven(model_of(chain))
+    elif not best.optimal_pairs[chain.pairs].all():
+        own = exact_policy(chain)
+    value, mine = best.value_float, own.value_float
+    lost = _less(best.start_value, own.start_value, mdp)
+    ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
+    movable: Callable[[], Fraction] = Fraction
+    if isinstance(lost, Fraction):
+        both = (_settled(each) if unending else each for each in (chain, ideal))
+        movable = partial(forgiven, mdp, *zip(both, (_rounded(own), _rounded(best)), strict=True))
+    by_state = _differences(best.h, own.h)
+    if unending:
+        with np.errstate(invalid="ignore"):
+            apart = np.where(value == mine, 0.0, value - mine)
+        by_state = np.where(np.isfinite(value) & np.isfinite(mine), by_state, apart)
+        optimal, gap = _unending_gaps(mdp, chain, best, by_state)
+    else:
+        optimal, gap = _gaps(mdp, best, ideal)
+    tied = optimal[chain.pairs].all()
+    if not unending and lost and tied and lost > movable():
         optimal, gap = _gaps(mdp, best, None)  # each loses little, and all of them too much
+    elif unending and lost and lost <= movable():  # what all of it loses is rounding: so each part
+        used = (chain.chosen > 0) & chain.reached[mdp.pair_state]
+        optimal, gap = optimal | used, np.where(used, 0.0, gap)
     return Regret(
         optimal=best.start,
         learned=Certified(value=own.start_value),
         at_start=Certified(value=lost),
-        optimal_value=best.value_float,
-        learned_value=own.value_float,
-        by_state=_differences(best.h, own.h),
+        optimal_value=value,
+        learned_value=mine,
+        by_state=by_state,
         optimal_pairs=optimal,
         unclear=np.zeros(mdp.n_pairs, dtype=bool),
         gap=gap,
         optimum=best,
         movable=movable,
     )
+
+
+def _less(best: Fraction | float, own: Fraction | float, mdp: MDP) -> Fraction | float:
+    """Return the optimum less a policy's value; ModelError where both are infinite."""
+    if isinstance(best, Fraction) and isinstance(own, Fraction):
+        return best - own
+    if best == own:
+        raise ModelError(
+            "the optimum and the policy are both infinite, so that nothing can be compared",
+            where="the total at discount 1",
+            fix=ways_out(mdp),
+        )
+    return inf
 
 
 def _rounded(known: ExactPolicy | Certificate) -> FixedPoint:
@@ -214,68 +253,19 @@ def _reached(known: FixedPoint) -> FixedPoint:
     return FixedPoint(value=value, error=error)
 
 
-def policy_taking(mdp: MDP, marked: Flags) -> PolicyChain:
-    """Return the chain that takes the first marked pair (L,) of every state."""
-    numbers = np.where(marked, np.arange(mdp.n_pairs), mdp.n_pairs)
-    chosen = np.zeros(mdp.n_pairs)
-    chosen[np.minimum.reduceat(numbers, mdp.pair_offsets[:-1])] = 1.0
-    return PolicyChain(mdp=mdp, chosen=chosen)
-
-
-def _without_end(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
-    """Return the regret at discount 1 where some policy never ends.
-
-    Rounding is forgiven on the way to where a policy stays for ever, and none there. A pair that
-    keeps the value of a state need not attain it, so that the policy is judged by its own model, in
-    which it is the only one.
-    """
-    own = proven(model_of(chain))
-    if own.start_value == best.start_value and isinstance(best.start_value, float):
-        raise ModelError(
-            "the optimum and the policy are both infinite, so that nothing can be compared",
-            where="the total at discount 1",
-            fix=ways_out(mdp),
-        )
-    value, mine = best.value_float, own.value_float
-    same = best.value == own.value  # infinite ones, too
-    with np.errstate(invalid="ignore"):
-        by_state = np.where(same, 0.0, value - mine)
-        known = np.where(np.isfinite(value), value, 0.0)
-        gap = -gains(mdp, known).value
-        # A pair that is in a state of infinite value, or may lead to one, is optimal or loses all.
-        beyond = ~np.isfinite(value)
-        gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
-    lost: Fraction | float = Fraction(0)
-    if best.start_value != own.start_value:
-        lost = inf
-        if isinstance(best.start_value, Fraction) and isinstance(own.start_value, Fraction):
-            lost = best.start_value - own.start_value
-    ideal = PolicyChain(mdp=mdp, chosen=(mdp.pair_action == best.policy[mdp.pair_state]) * 1.0)
-    movable: Callable[[], Fraction] = Fraction
-    if isfinite(lost):
-        movable = partial(
-            forgiven, mdp, (_settled(chain), _rounded(own)), (_settled(ideal), _rounded(best))
-        )
+def _unending_gaps(
+    mdp: MDP, chain: PolicyChain, best: Certificate, by_state: Floats
+) -> tuple[Flags, Floats]:
+    """Return which pairs are optimal, and the gaps of the others, where some policy never ends."""
+    value = best.value_float
+    beyond = ~np.isfinite(value)
+    gap = -gains(mdp, np.where(beyond, 0.0, value)).value
+    # A pair that is in a state of infinite value, or may lead to one, is optimal or loses all.
+    gap[(mdp.transition @ beyond > 0) | beyond[mdp.pair_state]] = inf
     # What keeps a value without attaining it is found where the policy stays for ever.
     optimal = np.array(best.optimal_pairs)
     optimal[to_blame(chain, best, by_state)] = False
-    if lost and lost <= movable():  # what all of it loses is rounding, and so each part
-        tied = (chain.chosen > 0) & chain.reached[mdp.pair_state]
-        optimal |= tied
-        gap[tied] = 0.0
-    return Regret(
-        optimal=best.start,
-        learned=own.start,
-        at_start=Certified(value=lost),
-        optimal_value=value,
-        learned_value=mine,
-        by_state=by_state,
-        optimal_pairs=optimal,
-        unclear=np.zeros(mdp.n_pairs, dtype=bool),
-        gap=np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0)),
-        optimum=best,
-        movable=movable,
-    )
+    return optimal, np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0))
 
 
 def _settled(chain: PolicyChain) -> PolicyChain:
@@ -326,20 +316,18 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     else:
         found = evaluate(mdp, chain)
         own = FixedPoint(value=found.value, error=found.error)
-    value, single = optimum.value, chain.pure
-    near = ActionBounds.of(mdp, optimum)
-    best = at_start(mdp, FixedPoint(value=value, error=optimum.state_error))
-    mine = at_start(mdp, own)
-    taken = np.zeros(mdp.n_pairs, dtype=bool)
-    taken[optimum.pairs] = True
-    ideal, known = policy_taking(mdp, taken), FixedPoint(value=value, error=optimum.state_error)
+    known, near = (
+        FixedPoint(value=optimum.value, error=optimum.state_error),
+        ActionBounds(mdp, optimum),
+    )
+    best, mine, ideal = at_start(mdp, known), at_start(mdp, own), taking(mdp, optimum.pairs)
     loses = _losing(ideal, known, near.least_gap)
     lost: Certified | Bounded
     if near.all_best(chain):
         lost = Certified(value=Fraction(0))
     else:
         lost = regret(best, mine)
-        if single and (high := near.narrow(optimum, chain)) < lost.interval[1]:
+        if chain.pure and (high := near.narrow(optimum, chain)) < lost.interval[1]:
             low = max(0.0, lost.interval[0])
             middle = min(max(float(lost.value), low), max(high, low))
             lost = Bounded(value=middle, error=max(middle - low, high - middle) * SLACK)
@@ -347,9 +335,9 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         optimal=best,
         learned=mine,
         at_start=lost,
-        optimal_value=value,
+        optimal_value=known.value,
         learned_value=own.value,
-        by_state=np.maximum(value - own.value, 0.0),
+        by_state=np.maximum(known.value - own.value, 0.0),
         optimal_pairs=~loses,
         unclear=~loses & (near.most_gap > 0),
         gap=np.where(loses, near.gap, 0.0),
@@ -384,7 +372,6 @@ def _optimum(mdp: MDP) -> Bounds:
     return better if better.error <= found.error else found
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ActionBounds:
     """What bounds on V* say of each pair.
 
@@ -399,36 +386,21 @@ class ActionBounds:
         it is proven to be optimal.
     """
 
-    mdp: MDP
-    added: Gain
-    low: Floats
-    high: Floats
-    gap: Floats
-    least_gap: Floats
-    most_gap: Floats
-
-    @classmethod
-    def of(cls, mdp: MDP, optimum: Bounds) -> ActionBounds:
-        """Return what is known of a model's actions."""
+    def __init__(self, mdp: MDP, optimum: Bounds) -> None:
         # Q*(l) - V(s) = d(l) + γ P_l (V* - V), and low · w ≤ V* - V ≤ high · w.
-        near = gains(mdp, optimum.value)
+        self.mdp, self.added = mdp, gains(mdp, optimum.value)
+        value, error = self.added.value, self.added.error
         flow = mdp.discount * (mdp.transition @ optimum.weight)
-        off = near.error + 4 * UNIT * (np.abs(near.value) + near.error) + TINY
-        low = near.value - off + _outward(optimum.low * flow, -1)
-        high = near.value + off + _outward(optimum.high * flow, 1)
-        low, high = _outward(low, -1, 4 * UNIT), _outward(high, 1, 4 * UNIT)
+        off = error + 4 * UNIT * (np.abs(value) + error) + TINY
+        low = value - off + _outward(optimum.low * flow, -1)
+        high = value + off + _outward(optimum.high * flow, 1)
+        self.low, self.high = _outward(low, -1, 4 * UNIT), _outward(high, 1, 4 * UNIT)
         first, state = mdp.pair_offsets[:-1], mdp.pair_state
-        best = np.maximum.reduceat(near.value, first)[state]
-        most = np.where(mdp.forced[state], low, _largest_other(mdp, high))
-        return cls(
-            mdp=mdp,
-            added=near,
-            low=low,
-            high=high,
-            gap=best - near.value,
-            least_gap=_outward(np.maximum.reduceat(low, first)[state] - high, -1, 4 * UNIT),
-            most_gap=np.maximum(_outward(most - low, 1, 4 * UNIT), 0.0),
-        )
+        best = np.maximum.reduceat(self.low, first)[state]
+        self.gap = np.maximum.reduceat(value, first)[state] - value
+        self.least_gap = _outward(best - self.high, -1, 4 * UNIT)
+        most = np.where(mdp.forced[state], self.low, _largest_other(mdp, self.high))
+        self.most_gap = np.maximum(_outward(most - self.low, 1, 4 * UNIT), 0.0)
 
     def narrow(self, optimum: Bounds, chain: PolicyChain) -> float:
         """Return an upper bound on the regret that is narrow where the policy is nearly optimal."""

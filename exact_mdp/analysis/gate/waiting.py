@@ -105,17 +105,17 @@ def shares(chain: PolicyChain, by_state: Floats, gap: Floats, wrong: Flags) -> F
     return np.where(blamed, whole[label] / np.maximum(number[label], 1), 0.0)
 
 
-def _taken(best: Certificate) -> Floats:
-    """Return (L,) 1 for the pairs of the certificate's policy."""
-    found = np.zeros(len(best.optimal_pairs))
-    found[best.pairs] = 1.0
-    return found
+def taking(mdp: MDP, pairs: Integers) -> PolicyChain:
+    """Return the chain of a policy that takes these pairs (S,)."""
+    chosen = np.zeros(mdp.n_pairs)
+    chosen[pairs] = 1.0
+    return PolicyChain(mdp=mdp, chosen=chosen)
 
 
 def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
     """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
     pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
-    sign, stays = best.infinite_sign, kept(PolicyChain(mdp=mdp, chosen=_taken(best))) >= 0
+    sign, stays = best.infinite_sign, kept(taking(mdp, best.pairs)) >= 0
     stays |= mdp.terminal
     if not endless(mdp) or len(pairs) < 2 or stays[state] or sign[state] < 0:
         return pairs

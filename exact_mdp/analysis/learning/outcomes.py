@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,14 @@ from exact_mdp.analysis.gate.columns import BestPolicy, best_policy
 from exact_mdp.analysis.vary.intervals import wilson
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.report import Report, Shown, Table, number
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Rows, rows_of
 from exact_mdp.solvers.solution import Bounded, regrets
 from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.layers import policy_values
 
 if TYPE_CHECKING:
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CANDIDATES = 5
+LISTED_ROWS = 1000  # policies over more rows are left to files
+SHOWN = 10  # policies in the table
 Interval = tuple[float, float]
 
 
@@ -62,6 +66,11 @@ class Outcomes(Pictured):
         The optimal value at the start.
     best : BestPolicy or None
         The best policy that reads what the learner reads; None where that is everything.
+    candidates : tuple of (int, (K,) ints)
+        The policies that were greedy in the last episodes of the first run, the most often first,
+        with the number of episodes.
+    steps, cut_short : int
+        Steps of all runs, and episodes that did not end.
     """
 
     mdp: MDP
@@ -75,6 +84,9 @@ class Outcomes(Pictured):
     changed: NDArray[np.bool_]
     optimum: Bounded
     best: BestPolicy | None
+    candidates: tuple[tuple[int, Numbers], ...]
+    steps: int
+    cut_short: int
 
     def __repr__(self) -> str:
         return (
@@ -167,6 +179,140 @@ class Outcomes(Pictured):
             }
         )
 
+    def report(self) -> Report:
+        """Return what the runs ended with."""
+        best, regret, runs = self.best, self.regret, self.runs
+        optimal, ends = self.interval_of(self.optimal_fraction), self.regret_interval
+        quantiles = ", ".join(
+            f"{float(q):.0%}: {number(v)}" for q, v in _spread(regret)["quantiles"].items()
+        )
+        apart = "" if ends is None else f" (95 %: {_percent(ends, '.4g')})"
+        rows = zip(self.frame().to_dict("records"), self.policies[self.counts > 0], strict=True)
+        selected, learning = self.selected_regret, self.learning_error
+        facts = {
+            "seeds": runs,
+            "columns": self.rows.space.names,
+            "claim": Shown("estimated"),
+            "value_claim": Shown("bounded"),
+            "optimal_value": Shown(self.optimum.value, self.optimum),
+            "optimal_value_error": Shown(self.optimum.error),
+            "random_value": evaluate(self.mdp, "random").mean,
+            "best_value": Shown(self.best_value.value, self.best_value),
+            "best_value_upper_bound": Shown(best.upper_bound if best else self.optimum.value),
+            "best_value_proven": best.proven if best else True,
+            "regret": Shown(
+                _spread(regret) | {"mean_interval": ends},
+                f"mean regret {number(float(regret.mean()))}{apart}; quantiles {quantiles}",
+            ),
+            "optimal_fraction": Shown(
+                self.optimal_fraction,
+                f"{self.optimal_fraction:.1%} of the runs end optimal (95 %: {_percent(optimal)})",
+            ),
+            "optimal_fraction_interval": Shown(optimal),
+            "learning_error": Shown(_spread(learning), f"mean {number(float(learning.mean()))}"),
+            "best_fraction": Shown(self.best_fraction, f"{self.best_fraction:.1%}"),
+            "best_fraction_interval": Shown(self.interval_of(self.best_fraction)),
+            "selected": Shown(
+                {"regret": _spread(selected), "optimal_fraction": float((selected == 0).mean())},
+                f"mean regret of the best of five {number(float(selected.mean()))}",
+            ),
+            "first_run": Shown(self.first_run),
+            "policies": [
+                row | self._share(int(row["count"])) | {"policy": self._named(policy)}
+                for row, policy in rows
+            ],
+            "distinct_in_last": {
+                str(many): {"count": count, "interval": self.interval_of(count / runs)}
+                for many, count in self.last_counts.items()
+            },
+            "changed_in_last": {
+                self.rows.space.label(row): self._share(count)
+                for row, count in enumerate(self.changed.sum(axis=0).tolist())
+                if count
+            },
+            "steps": self.steps,
+            "cut_short": self.cut_short,
+            "written": [],
+        }
+        return Report(title="training", facts=facts, tables=_tables(facts, runs))
+
+    @property
+    def first_run(self) -> dict[str, Any]:
+        """The policies that were greedy most often in the last episodes of the first run."""
+        top = self.candidates[:CANDIDATES]
+        policies = np.array([policy for _, policy in top])
+        values = policy_values(self.mdp, self.rows, policies)
+        each = zip(top, values.value.tolist(), values.error.tolist(), strict=True)
+        return {
+            "episodes": sum(count for count, _ in self.candidates),
+            "distinct": len(self.candidates),
+            "top": [
+                {"episodes": n, "value": value, "error_bound": error, "policy": self._named(policy)}
+                for (n, policy), value, error in each
+            ],
+        }
+
+    def _share(self, count: int) -> dict[str, Any]:
+        return {"fraction": count / self.runs, "interval": self.interval_of(count / self.runs)}
+
+    def _named(self, choices: Numbers) -> dict[str, str] | None:
+        """Return {row: action}, or None where there are too many rows to list."""
+        space, names = self.rows.space, self.mdp.actions
+        if space.size > LISTED_ROWS:
+            return None
+        alone = len(space.columns) == 1 and not space.extra
+        label = space.columns[0].label if alone else space.label
+        return {label(row): names[action] for row, action in enumerate(choices.tolist())}
+
+
+def _percent(interval: Interval, form: str = ".1%") -> str:
+    return f"{interval[0]:{form}} to {interval[1]:{form}}"
+
+
+def _spread(values: Floats) -> dict[str, Any]:
+    quantiles = zip(map(str, QUANTILES), np.quantile(values, QUANTILES).tolist(), strict=True)
+    return {
+        "mean": float(values.mean()),
+        "mean_interval": None,
+        "quantiles": dict(quantiles),
+        "greatest": float(values.max()),
+    }
+
+
+def _tables(facts: dict[str, Any], runs: int) -> dict[str, Table]:
+    most = facts["policies"][0]["policy"]
+
+    def named(policy: dict[str, str] | None) -> str:
+        if policy is None:
+            return "as most runs"
+        shown = {row: a for row, a in policy.items() if policy is most or a != most[row]}
+        return ", ".join(f"{row} {action}" for row, action in shown.items())
+
+    changed = [{"row": row} | each for row, each in facts["changed_in_last"].items()]
+    changed.sort(key=lambda each: -each["fraction"])
+    last = [
+        {"many": int(many), "share": each["count"] / runs} | each
+        for many, each in facts["distinct_in_last"].items()
+    ]
+    return {
+        "policies": Table(
+            title="final greedy policies, and where they differ from the first",
+            rows=[each | {"policy": named(each["policy"])} for each in facts["policies"]],
+            columns={"runs": "count", "value": "value", "regret": "regret", "policy": "policy"},
+            first=SHOWN,
+        ),
+        "distinct_in_last": Table(
+            title="how many policies are greedy in the last episodes of a run",
+            rows=[each | {"interval": _percent(each["interval"])} for each in last],
+            columns={"policies": "many", "runs": "count", "share": "share:.1%", "95 %": "interval"},
+        ),
+        "changed_in_last": Table(
+            title="where these policies differ",
+            rows=[each | {"interval": _percent(each["interval"])} for each in changed],
+            columns={"row": "row", "share of runs": "fraction:.1%", "95 %": "interval"},
+        ),
+    }
+
 
 def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> Outcomes:
     """Return the final policies of runs on a model and their values at its discount.
@@ -234,6 +380,9 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
         changed=np.array(changed),
         optimum=solve(mdp).start,
         best=best_policy(mdp, rows.space.names) if partial and bound else None,
+        candidates=tuple((n, runs[0].policies[k]) for k, n in runs[0].last_counts().items()),
+        steps=sum(run.steps for run in runs),
+        cut_short=sum(run.cut_short for run in runs),
     )
 
 

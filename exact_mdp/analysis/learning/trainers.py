@@ -153,8 +153,8 @@ class TrainerAudit(Pictured):
             "at most, whenever one stops"
         )
 
-    def message(self) -> str:
-        """Return in words what was found, and of the run that lost most why."""
+    def message(self, *, explain: bool = False) -> str:
+        """Return in words what was found, and of the run that lost most why, as an audit does."""
         open_ = "is not proven to be " + ("below" if self.passed else "at least")
         told = {True: "is at least", False: "is not at least", None: open_}[self.proven]
         lines = [
@@ -164,7 +164,7 @@ class TrainerAudit(Pictured):
         ]
         if self.within < len(self.audits):
             name = self.names[self.audits.index(self.worst)]
-            lines += [f"the run that lost most, {name}:", self.worst.message(explain=False)]
+            lines += [f"the run that lost most, {name}:", self.worst.message(explain=explain)]
         return "\n".join(lines)
 
     def report(self, policies: Sequence[str] | None = None) -> Report:

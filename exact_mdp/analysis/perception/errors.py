@@ -28,6 +28,7 @@ from exact_mdp.analysis.perception.values import Passes
 from exact_mdp.mdp.care.perception import by_place, checked, status_names
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, at_most
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK
@@ -108,6 +109,41 @@ class ErrorCosts(Pictured):
         ]
         names = ["true", "perceived", "loss (reward)", "loss per unit of probability (reward)"]
         return pandas.DataFrame(sorted(rows, key=lambda row: -row[2]), columns=names)
+
+    def report(self) -> Report:
+        """Return the value, what the errors of each status cost, and the costliest confusions."""
+        names = ("missed", "seen", "by_sensitivity", "by_specificity")
+        frame, digits = self.frame(), ".4f"
+        true, seen, loss, marginal = frame.columns
+        headings = ("missed", "seen wrongly", "per unit of sensitivity", "of specificity")
+        each = {title: f"{name}:{digits}" for title, name in zip(headings, names, strict=True)}
+        costs = {"loss": f"{loss}:{digits}", "per unit of probability": f"{marginal}:{digits}"}
+        confusions = {"loss": self.loss, "marginal": self.marginal, "error_bound": self.error}
+        return Report(
+            title="errors of perception",
+            facts={
+                "claim": Shown(self.value.claim),
+                "taken_as_true": self.value,
+                "errors": {
+                    status: dict(zip(names, (*lost, *self.rates[status]), strict=True))
+                    for status, lost in self.by_status.items()
+                },
+                "confusions": Shown(confusions),
+            },
+            tables={
+                "errors": Table(
+                    title="what errors cost where the status seen is taken for true (within "
+                    f"{at_most(self.error)})",
+                    columns={"status": "", **each},
+                ),
+                "costliest": Table(
+                    title="the costliest confusions",
+                    rows=frame,
+                    columns={"true": true, "perceived": seen, **costs},
+                    first=12,
+                ),
+            },
+        )
 
 
 def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCosts:

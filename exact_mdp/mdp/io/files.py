@@ -22,6 +22,7 @@ from typing import BinaryIO
 from exact_mdp.mdp.errors import ModelError
 
 STANDARD_INPUT = "-"
+PART = 2**20  # bytes of it that are read together
 SMALL = 2**24
 LARGE = 2**28
 LARGEST = 2**32
@@ -60,9 +61,11 @@ def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
     A path of "-" is standard input.
     """
     if str(path) == STANDARD_INPUT:
-        data = sys.stdin.buffer.read(most + 1)
-        if len(data) > most:
-            raise too_large(path, len(data), most)
+        data = bytearray()  # in parts: what is asked for at once is room that is taken at once
+        while part := sys.stdin.buffer.read(PART):
+            data += part
+            if len(data) > most:
+                raise too_large(path, len(data), most)
         yield io.BytesIO(data)
         return
     with _open(path) as file:

@@ -183,7 +183,8 @@ class Record:
                 )
         self.frame = frame
         self.where = str(frame) if isinstance(frame, str | Path) else "transitions"
-        self._of_file = Path(self.where).suffix.lower() == ".csv"
+        parquet = Path(self.where).suffix.lower() == ".parquet"
+        self._of_file = isinstance(frame, str | Path) and not parquet
         self.numbers: dict[str, dict[Any, int]] = {
             name: {} for name in ("episode", "state", "action", "reward")
         }

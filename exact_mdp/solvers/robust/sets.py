@@ -283,14 +283,23 @@ class Inner:
 def blocks_of(model: MDP, pairs: Integers) -> list[Block]:
     """Return the rows of some pairs (U,), in blocks."""
     table = model.table
-    probability, gain = table.probabilities(), table.gains()
     start, length = table.offsets[pairs], np.diff(table.offsets)[pairs]
+    return side_by_side(pairs, (start, length), (table.next, table.probabilities(), table.gains()))
+
+
+def side_by_side(
+    pairs: Integers, rows: tuple[Integers, Integers], outcomes: tuple[Integers, Floats, Floats]
+) -> list[Block]:
+    """Return rows (U,) by where they start and their length, in blocks.
+
+    Outcomes are next states, probabilities, which need not sum to 1, and rewards.
+    """
+    (start, length), (following, probability, gain), found = rows, outcomes, []
     width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
-    found = []
     for n in np.unique(width).tolist():
-        rows = np.flatnonzero(width == n)
-        for first in range(0, len(rows), max(1, ROOM // n)):
-            place = rows[first : first + max(1, ROOM // n)]
+        alike = np.flatnonzero(width == n)
+        for first in range(0, len(alike), max(1, ROOM // n)):
+            place = alike[first : first + max(1, ROOM // n)]
             column = np.arange(n)
             filled = column >= length[place][:, None]
             outcome = start[place][:, None] + np.where(filled, 0, column)
@@ -301,7 +310,7 @@ def blocks_of(model: MDP, pairs: Integers) -> list[Block]:
                     pair=np.asarray(pairs[place]),
                     outcome=outcome,
                     filled=filled,
-                    next=table.next[outcome],
+                    next=following[outcome],
                     probability=p / p.sum(axis=1, keepdims=True),
                     gain=gain[outcome],
                     largest=np.abs(gain[outcome]).max(axis=1),

@@ -32,33 +32,6 @@ def test_an_average_is_solved_proven_and_verified(model: Path, tmp_path: Path) -
     assert run("check", model, tmp_path / "policy.csv", *AVERAGE).status == 0
 
 
-@pytest.mark.parametrize("method", ["policy-iteration", "value-iteration", "linear-program"])
-def test_methods_agree(model: Path, method: str) -> None:
-    found = run("solve", model, *AVERAGE, "--method", method, "--json").result
-    assert abs(found["start_value"] - 3.24) <= found["error_bound"] < 1e-8
-    assert (found["claim"], found["method"]) == ("bounded", method)
-
-
-def test_a_policy_is_evaluated_per_step(model: Path) -> None:
-    found = run("evaluate", model, "random", *AVERAGE, "--json").result
-    assert abs(found["mean"] - 117 / 160) <= found["error_bound"]
-    assert found["components"]["reward"] == pytest.approx(117 / 160)
-    assert found["by_state"]["state 0"]["share"] == pytest.approx(0.55)
-    assert "share" in run("evaluate", model, "optimal", *AVERAGE).out
-
-
-def test_the_gate_counts_per_step(model: Path) -> None:
-    assert run("check", model, "optimal", *AVERAGE).status == 0
-    found = run("check", model, "always:1", *AVERAGE, "--json").result
-    assert (found["passed"], found["exact_regret"], found["criterion"]) == (
-        False,
-        "81/25",
-        "average",
-    )
-    costs = [each["cost"] for each in found["disagreements"]]
-    assert sum(costs) == pytest.approx(3.24)
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -4,14 +4,12 @@ import io
 import json
 import re
 import warnings
-from collections.abc import Mapping
 from fractions import Fraction
-from math import sqrt
 from pathlib import Path
 
 import numpy as np
 import pytest
-from care_oracle import ACTIONS, END, Oracle, State, oracle_of
+from care_oracle import END, Oracle, State, oracle_of
 from cli_runner import run
 
 from exact_mdp import Policy, Scenario, fingerprint, load
@@ -26,37 +24,7 @@ TWINS = (  # two actions that do the same at the same price: the optimum is not 
 )
 
 
-def uniformly(state: State) -> Mapping[str, Fraction]:
-    return dict.fromkeys(ACTIONS, Fraction(1, len(ACTIONS)))
-
-
 # ---- info ------------------------------------------------------------------------------------
-
-
-def test_info_describes_the_care_model() -> None:
-    found = run("info", "yuan2025", "--json").result
-    expected = {
-        "model": "yuan2025",
-        "states": 241,
-        "pairs": 961,
-        "transitions": 8065,
-        "actions": 4,
-        "discount": 1.0,
-        "terminates": True,
-        "acyclic": True,
-        "never_ends": None,
-        "reachable": len(Oracle().reachable()),
-    }
-    assert found.items() >= expected.items()
-    assert found["action_names"] == list(ACTIONS)
-    assert found["model_hash"] == fingerprint(load("yuan2025"))
-
-
-def test_info_names_a_policy_that_never_ends() -> None:
-    found = run("info", "gymnasium:FrozenLake-v1", "--json").result
-    assert (found["terminates"], found["acyclic"], found["states"]) == (False, False, 16)
-    assert found["never_ends"]["states"] > 0
-    assert set(found["never_ends"]["policy"].values()) <= set(found["action_names"])
 
 
 def test_settings_change_the_model() -> None:
@@ -159,15 +127,6 @@ def test_every_method_finds_the_same(method: str) -> None:
     assert abs(found["start_value"] - oracle.value(oracle.start)) <= found["error_bound"]
 
 
-def test_solve_a_model_without_statuses() -> None:
-    words = ("gymnasium:FrozenLake-v1", "--discount", "99/100", "--json", "--certify")
-    found = json.loads(run("solve", *words).out)
-    assert found["start_value"] == pytest.approx(0.542, abs=5e-4)
-    assert (found["policy"], found["stationary"]) == (None, None)
-    assert len(found["policy_by_state"]) == 16
-    assert found["claim"] == "certified"
-
-
 def test_a_tolerance_out_of_reach_is_told_of() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("default")
@@ -204,91 +163,6 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
 
 
 # ---- evaluate, returns, simulate -------------------------------------------------------------
-
-
-@pytest.mark.parametrize("words", [SMALL, (*SMALL, *COLUMN_TO_ROW, "--discount", "19/20")])
-def test_evaluate_agrees_with_the_oracle(words: tuple[str, ...]) -> None:
-    oracle = described(words)
-    exact = oracle.evaluate(uniformly, distribution=False)
-    found = run("evaluate", "yuan2025", "random", *words, "--json").result
-    assert found["claim"] == "bounded"
-    assert abs(found["mean"] - exact["mean"]) <= found["error_bound"] < 1e-9
-    assert found["sd"] == pytest.approx(sqrt(exact["variance"]))
-    assert found["steps"] == pytest.approx(float(exact["steps"]))
-    assert found["skip_probability"] == pytest.approx(float(exact["skip_probability"]))
-    assert sum(found["components"].values()) == pytest.approx(found["mean"])
-    for name, total in exact["components"].items():
-        assert found["components"][name] == pytest.approx(float(total), abs=1e-12)
-    assert (found["quantiles"] is None) == ("--discount" in words)
-
-
-def test_a_policy_that_may_never_end_has_no_number_of_steps() -> None:
-    words = ("gymnasium:FrozenLake-v1", "always:0", "--discount", "0.9", "--json")
-    found = json.loads(run("evaluate", *words).out)
-    assert (found["ends"], found["steps"], found["skip_probability"]) == (
-        True,
-        found["steps"],
-        None,
-    )
-    words = ("gymnasium:CliffWalking-v1", "always:0", "--discount", "0.9")
-    found = run("evaluate", *words, "--json").result
-    assert (found["ends"], found["steps"]) == (False, "inf")
-    assert found["mean"] == pytest.approx(-10)
-    assert "it may never end" in run("evaluate", *words).out
-
-
-def test_quantiles_rise() -> None:
-    found = run("evaluate", "yuan2025", "random", *SMALL, "--json").result["quantiles"]
-    assert list(found) == ["0.05", "0.25", "0.5", "0.75", "0.95"]
-    assert sorted(found.values()) == list(found.values())
-
-
-def test_returns_agree_with_the_oracle() -> None:
-    words = ("--set", "tasks=[1]", "--set", "reward.timestep=-1/2", "--set", "reward.trial=1/3")
-    exact = described(words).evaluate(uniformly)["distribution"]
-    found = run("returns", "yuan2025", "random", *words, "--exact", "--json").result
-    assert {Fraction(value) for value in found["distribution"]} == set(exact)
-    for value, chance in found["distribution"].items():
-        assert abs(chance - exact[Fraction(value)]) <= found["error_bound"]
-    given = {Fraction(x): Fraction(p) for x, p in found["exact_distribution"].items()}
-    assert given == exact
-    assert found["mean"] == pytest.approx(float(sum(x * p for x, p in exact.items())))
-
-
-def test_whole_returns_are_printed_as_integers() -> None:
-    found = run("returns", "yuan2025", "optimal", "--json").result
-    assert all(re.fullmatch(r"-?[0-9]+", value) for value in found["distribution"])
-    assert sum(found["distribution"].values()) == pytest.approx(1)
-    mean = sum(int(value) * chance for value, chance in found["distribution"].items())
-    assert found["mean"] == pytest.approx(mean)
-    assert "exact_distribution" not in found
-
-
-def test_simulate_agrees_with_evaluate() -> None:
-    words = ("yuan2025", "random", "--set", "tasks=[1]")
-    exact = run("evaluate", *words, "--json").result
-    found = run("simulate", *words, "--episodes", 20_000, "--json").result
-    assert (found["claim"], found["episodes"], found["seed"]) == ("estimated", 20_000, 0)
-    assert abs(found["mean"] - exact["mean"]) < 4 * found["standard_error"]
-    assert found["standard_error"] == pytest.approx(exact["sd"] / sqrt(20_000), rel=0.05)
-    shown = run("simulate", *words, "--episodes", 20_000).out
-    assert f"(estimated, standard error {found['standard_error']:.2g})" in shown
-    same = run("simulate", *words, "--episodes", 20_000, "--seed", 0, "--json")
-    assert same.result == found
-    other = run("simulate", *words, "--episodes", 20_000, "--seed", 1, "--json").result
-    assert other["mean"] != found["mean"]
-
-
-def test_convert_keeps_the_model(tmp_path: Path) -> None:
-    path = tmp_path / "tea.npz"
-    found = run("convert", "tea", path, "--set", "max_trial=2", "--json").result
-    assert found["written"] == str(path)
-    saved = load("tea", sets=["max_trial=2"])
-    assert fingerprint(load(path)) == fingerprint(saved)
-    first = run("solve", "tea", "--set", "max_trial=2", "--json", "--certify").result
-    again = run("solve", path, "--json", "--certify").result
-    for key in ("exact_start_value", "policy", "stationary", "unique"):
-        assert again[key] == first[key]
 
 
 def test_verify_tells_proofs_from_what_is_none(tmp_path: Path) -> None:

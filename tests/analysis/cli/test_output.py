@@ -31,6 +31,29 @@ def test_tables_are_plain_text_without_loss(monkeypatch: pytest.MonkeyPatch) -> 
     assert re.search(r"^101 +demonstrate$", done.out, re.MULTILINE)
 
 
+SMALL = "--set tasks=[1] --set max_trial=2"
+TEXTS = {
+    f"psa yuan2025 {SMALL} --samples 30 --n-jobs 1": "EVPI|share of draws|expected loss|re-solved",
+    f"tornado yuan2025 {SMALL} --policy random": "start value at both ends, policy held fixed",
+    f"threshold yuan2025 {SMALL} --parameter base.anger": "start value",
+    f"one-way yuan2025 {SMALL} --parameter base.anger --points 3": "0.04",
+    f"robust yuan2025 {SMALL} --set-kind kl --radius 1/100": "worst case",
+    f"robust yuan2025 {SMALL} --set-kind box --radius 1/10": "worst case",
+    f"tradeoff yuan2025 {SMALL} anger steps --policy random": "policies beside the front",
+    "train tea --seeds 4 --learner epochs=5": "mean regret|of the runs end optimal|95 %",
+    "evaluate gymnasium:CliffWalking-v1 always:0 --discount 0.9": "it may never end",
+    f"simulate yuan2025 random {SMALL} --episodes 50": "(estimated, standard error ",
+    "check yuan2025 random --no-explain": "FAILED|the costliest first|value lost",
+}
+
+
+@pytest.mark.parametrize("line", TEXTS)
+def test_people_read_words_and_tables(line: str) -> None:
+    done = run(*line.split())
+    assert done.status == line.startswith("check")
+    assert [words for words in TEXTS[line].split("|") if words not in done.out] == []
+
+
 def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
     names = ["[bold]no markup[/bold]", "Zustand β :smile:"]
     mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0], states=names, actions=["[red]go"])

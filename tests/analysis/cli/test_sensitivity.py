@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from cli_runner import run
 
-from exact_mdp import MDP, Scenario, psa, save, sobol, solve, worst_point
+from exact_mdp import MDP, Scenario, save, sobol, worst_point
 
 YUAN = Scenario.load("yuan2025")
 SMALL = YUAN.with_(tasks=[1], max_trial=2)
@@ -59,13 +59,6 @@ def test_first_orders_above_the_total_are_called_noise() -> None:
     assert "the first order is above the total" in said
 
 
-def test_the_same_seed_gives_the_same_words() -> None:
-    words = ("--samples", 16, "--parameter", "base.anger", "--parameter", "reward.anger")
-    first = ask("sobol", *words)
-    assert ask("sobol", *words, "--seed", 0, "--n-jobs", 1) == first
-    assert ask("sobol", *words, "--seed", 1)["total"] != first["total"]
-
-
 def test_sobol_keeps_its_work(tmp_path: Path) -> None:
     words = (*HELD, "--samples", 4, "--parameter", "base.anger", "--out", tmp_path / "kept")
     found = ask("sobol", *words)
@@ -85,18 +78,6 @@ def test_a_regret_of_nothing_has_no_indices() -> None:
     text = run("sobol", "yuan2025", *SET, "--samples", 4, "--parameter", "discount")
     assert text.status == 0
     assert "shares of the variance of the start value" in text.out
-
-
-def test_the_regret_of_a_policy_has_a_tornado() -> None:
-    names = ("--parameter", "base.anger", "--parameter", "discount")
-    words = ("tornado", "yuan2025", *SET, *HELD, *names)
-    found = run(*words, "--json").result
-    assert found["regret"] == pytest.approx(found["start_value"] - found["policy_value"])
-    for bar in found["bars"]:
-        for end in ("low", "high"):
-            lost = bar[f"value_{end}"] - bar[f"fixed_value_{end}"]
-            assert bar[f"regret_{end}"] == pytest.approx(lost, abs=1e-9)
-    assert "start value at both ends, policy held fixed" in run(*words).out
 
 
 def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
@@ -121,19 +102,6 @@ def test_an_option_of_another_analysis_is_refused(words: str) -> None:
     assert f"exact-mdp {kind} --help" in done.err
 
 
-def test_points_along_one_range_and_over_two() -> None:
-    words = ("--parameter", "base.anger", "--policy", "always:directive", "--points", 3)
-    along = ask("one-way", *words)
-    assert [point["at"] for point in along["points"]] == pytest.approx([0.04, 0.05, 0.06])
-    both = ask("two-way", *words, "--parameter", "base.confusion")
-    assert both["parameters"] == ["base.anger", "base.confusion"]
-    middle = [point for point in both["points"] if point["y"] == both["points"][4]["y"]]
-    for mine, other in zip(along["points"], middle, strict=True):
-        for key in ("value", "fixed_value", "regret"):
-            assert mine[key] == pytest.approx(other[key], rel=1e-12, abs=1e-9)
-    assert along["points"][1]["value"] == pytest.approx(along["start_value"], rel=1e-12)
-
-
 def test_grids_ask_for_as_many_parameters_as_they_vary() -> None:
     for kind, names in (("one-way", ()), ("two-way", ("--parameter", "base.anger"))):
         done = run(kind, "tea", *names)
@@ -144,21 +112,6 @@ def test_grids_ask_for_as_many_parameters_as_they_vary() -> None:
 # ---- robust -------------------------------------------------------------------------------------
 
 ONE = ("--set", "tasks=[1]")
-
-
-def test_the_default_is_intervals_of_a_fifth() -> None:
-    found = run("robust", "yuan2025", *ONE, "--json").result
-    assert (found["set_kind"], found["radius"], found["claim"]) == ("interval", 0.2, "bounded")
-    assert found["worst_case"]["value"] < found["start_value"] < found["best_case"]["value"]
-    assert found["worst_case"]["error_bound"] < 1e-6
-
-
-@pytest.mark.parametrize(("kind", "radius"), [("l1", "0.1"), ("kl", "1/100"), ("box", "1/10")])
-def test_the_other_sets(kind: str, radius: str) -> None:
-    words = ("--set-kind", kind, "--radius", radius, "--policy", "always:supportive")
-    done = run("robust", "yuan2025", *ONE, "--set", "max_trial=2", *words)
-    assert done.status == 0, done.err
-    assert "worst case" in done.out
 
 
 def test_a_box_tells_the_worst_point_found() -> None:
@@ -197,18 +150,6 @@ def test_a_model_that_need_not_end_is_refused_at_discount_1() -> None:
 # ---- derivatives, bars and thresholds -----------------------------------------------------------
 
 
-def test_command_gradient() -> None:
-    found = run("gradient", "yuan2025", *SET, "--json").result
-    assert found["claim"] == "certified"
-    assert set(found["derivatives"]) == set(SMALL.names) | {"discount"}
-    assert found["derivatives"]["reward.task-complete"] == 1
-    assert found["exact_derivatives"]["reward.task-complete"] == "1"
-    assert found["steps"]["max_trial"]["one_more"] is not None
-    fixed = run("gradient", "yuan2025", *SET, "--policy", "random", "--json").result
-    assert fixed["policy"] == "fixed"
-    assert fixed["start_value"] < found["start_value"]
-
-
 def test_command_tornado_and_threshold(tmp_path: Path) -> None:
     file = tmp_path / "ranges.toml"
     file.write_text('"reward.assist.non-directive" = [-10, 0]', "utf-8")
@@ -230,40 +171,6 @@ def test_command_tornado_and_threshold(tmp_path: Path) -> None:
 
 
 # ---- psa ----------------------------------------------------------------------------------------
-
-
-def test_psa_prints_what_scripts_read() -> None:
-    words = ("psa", "yuan2025", "--samples", "400", "--seed", "3", "--json")
-    found = run(*words).result
-    assert {"start_value", "acceptability", "evpi", "evppi", "p_optimal"} <= set(found)
-    assert found["draws"] == 400
-    assert found["seed"] == 3
-    assert found["claim"] == "estimated"
-    assert found["start_value"] == pytest.approx(solve(YUAN.compile()).start_value)
-    direct = psa(YUAN, 400, rng=3)
-    assert found["value"]["mean"] == pytest.approx(direct.optimal.mean())
-    assert found["evpi"] == pytest.approx(direct.evpi().high.value)
-    low, high = (found["evpi_bounds"][end]["value"] for end in ("low", "high"))
-    assert 0 <= low <= high == found["evpi"]
-    assert set(found["drawn"]) == set(direct.names)
-    assert set(found["p_optimal"]) == {f"{number:04b}" for number in range(16)}
-    assert found["acceptability"]["probability"][0] == pytest.approx((direct.regret() == 0).mean())
-    assert found["evppi"]["base.*"] >= 0
-    assert found["regret"]["few_draws"] == (found["regret"]["draws_that_carry_it"] < 50)
-    assert all(each["reliable"] != bool(each["doubts"]) for each in found["evppi_details"].values())
-    assert run(*words, "--n-jobs", "2").result == found
-
-
-def test_psa_holds_the_policy_that_is_named() -> None:
-    found = run(
-        "psa", "yuan2025", "--samples", 300, "--policy", "always:directive", "--json"
-    ).result
-    assert found["policy"] == "always:directive"
-    assert found["regret"]["mean"] > 50
-    assert found["acceptability"]["probability"][0] == 0
-    told = run("psa", "yuan2025", "--samples", 300).out
-    for words in ("EVPI", "share of draws", "expected loss", "each re-solved"):
-        assert words in told
 
 
 CHANCES = (Fraction(3, 10), Fraction(2, 5))
@@ -297,14 +204,6 @@ def test_psa_draws_rewards_and_the_discount_of_any_model_where_they_are_stated(
         "discount": "beta",
     }
     assert found["value"]["mean"] == pytest.approx(2, abs=0.3)
-
-
-def test_psa_keeps_its_work(tmp_path: Path) -> None:
-    words = ("psa", "yuan2025", "--samples", 60, "--out", tmp_path, "--json")
-    found = run(*words).result
-    assert run(*words).result == found
-    kept = json.loads((tmp_path / "psa.json").read_text())
-    assert kept["evpi"] == found["evpi"]
 
 
 def test_a_file_with_a_slip_of_the_pen_is_refused(tmp_path: Path) -> None:

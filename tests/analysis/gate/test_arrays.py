@@ -161,15 +161,6 @@ def test_numbers_beyond_floats_are_compared_too(mdp: MDP) -> None:
         assert check(mdp, table).passed
 
 
-def test_what_was_taken_is_said(mdp: MDP) -> None:
-    """`taken` and the results of audits and evaluations name the reading."""
-    q = whole([[3, 1], [1, 2]])
-    assert Policy.of(mdp, q).source == "a Q-table: its greedy policy"
-    assert Policy.of(mdp, q).values is q
-    assert evaluate(mdp, q).read_as == "q"
-    assert evaluate(mdp, "random").read_as == "policy"
-
-
 # ---- policies that are none of the model's -----------------------------------------------------
 
 
@@ -288,19 +279,6 @@ def test_every_form_of_a_policy_and_of_a_q_table(tmp_path: Path) -> None:
 def test_what_does_not_fit_the_model_is_refused(learned: object) -> None:
     with pytest.raises(ModelError):
         check(SMALL.compile(), learned)
-
-
-def test_probabilities_say_nothing_of_the_end() -> None:
-    mdp = SMALL.compile()
-    table = np.full((mdp.n_states, 4), 0.25)
-    table[-1] = 0.0  # the end, where nothing is chosen
-    uniform = check(mdp, "random").regret.at_start
-    assert check(mdp, table, kind="policy").regret.at_start == uniform
-    with pytest.raises(ModelError, match="may be probabilities or action values"):
-        check(mdp, table)
-    table[0] = 0.3
-    with pytest.raises(ModelError, match="not a distribution"):
-        check(mdp, table, kind="policy")
 
 
 def test_action_numbers_that_are_not_whole_are_refused() -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from care_oracle import Oracle, acting
 from cli_runner import launch, main, run
-from made_models import forest
 
 from exact_mdp import (
     MDP,
@@ -21,8 +20,6 @@ from exact_mdp import (
     assert_policy_optimal,
     best_policy,
     check,
-    save,
-    solve,
 )
 
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
@@ -86,36 +83,6 @@ def test_planted_policies_get_the_right_verdict(mdp: MDP, tmp_path: Path) -> Non
         assert found["regret_by_state"]["subtask 0, trial 0, status 0000"] == found["regret"]
 
 
-def test_limits_decide(mdp: MDP, tmp_path: Path) -> None:
-    path = tmp_path / "p.json"
-    Policy.of(mdp, spoiled(by_status(mdp), "1000")).write(path)
-    plain = run("check", "yuan2025", path, *SMALL, "--json").result
-    lost, relative = plain["regret"], plain["relative_regret"]
-    assert relative == pytest.approx(lost / abs(plain["optimal_value"]))
-    for words, status in (
-        ((), 1),
-        (("--max-regret", lost * 1.001), 0),
-        (("--max-regret", lost * 0.999), 1),
-        (("--max-regret", plain["exact_regret"]), 0),
-        (("--max-relative-regret", relative * 1.001), 0),
-        (("--max-relative-regret", relative * 0.999), 1),
-        (("--max-regret", lost * 2, "--max-relative-regret", relative / 2), 1),
-        (("--max-regret", lost * 2, "--max-relative-regret", relative * 2), 0),
-    ):
-        done = run("check", "yuan2025", path, *SMALL, *words, "--json")
-        assert (done.status, done.result["passed"]) == (status, status == 0)
-        assert len(done.result["checks"]) == max(1, len(words) // 2)
-
-
-@pytest.mark.parametrize("learned", ["optimal", "random", "always:directive"])
-def test_policies_by_name(mdp: MDP, learned: str) -> None:
-    done = run("check", "yuan2025", learned, *SMALL, "--json")
-    audit = check(mdp, solve(mdp) if learned == "optimal" else learned)
-    assert done.status == (0 if learned == "optimal" else 1)
-    assert done.result["regret"] == pytest.approx(float(audit.regret.at_start.value), abs=1e-12)
-    assert done.result["claim"] == "certified"
-
-
 def test_reasons(mdp: MDP, tmp_path: Path) -> None:
     q = np.random.default_rng(0).normal(size=(16, 4))
     np.save(tmp_path / "q.npy", q)
@@ -129,29 +96,6 @@ def test_reasons(mdp: MDP, tmp_path: Path) -> None:
     bare = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json", "--no-explain").result
     assert (bare["representation"], bare["rows"]) == (None, None)
     assert bare["regret"] == found["regret"]
-
-
-def test_text_for_people(mdp: MDP, tmp_path: Path) -> None:
-    np.save(tmp_path / "q.npy", np.random.default_rng(0).normal(size=(16, 4)))
-    done = run("check", "yuan2025", tmp_path / "q.npy", *SMALL)
-    assert (done.status, done.err) == (1, "")
-    for text in ("FAILED", "regret", "costliest", "changed alone", "status"):
-        assert text in done.out
-    done = run("check", "yuan2025", "optimal", *SMALL)
-    assert (done.status, done.err) == (0, "")
-    assert "passed" in done.out
-
-
-def test_models_that_are_no_scenarios(tmp_path: Path) -> None:
-    save(forest("24/25"), tmp_path / "forest.npz")
-    np.save(tmp_path / "q.npy", np.array([[1.0, 0], [0, 1], [0, 1]]) * 11.2)
-    done = run("check", tmp_path / "forest.npz", tmp_path / "q.npy", "--json")
-    assert done.status == 1
-    assert done.result["learned_value"] == pytest.approx(10800 / 932, abs=1e-12)
-    assert done.result["optimal_value"] == pytest.approx(74.6496, abs=1e-12)
-    assert done.result["representation"] is None  # it reads all there is
-    (tmp_path / "p.csv").write_text("state,action\n0,0\n1,0\n2,0\n")
-    assert run("check", tmp_path / "forest.npz", tmp_path / "p.csv").status == 0
 
 
 # ---- reports -----------------------------------------------------------------------------------
@@ -322,14 +266,6 @@ def test_bad_input_becomes_an_error_case(tmp_path: Path, line: str) -> None:
     assert found is not None
     assert found.get("message") == done.err.partition("\n")[0]
     assert str(found.text).strip() == done.err.strip()
-
-
-def test_a_verdict_is_written_as_before(tmp_path: Path) -> None:
-    path = stale(tmp_path)
-    assert run("check", "tea", "random", "--junit", path).status == 1
-    root = ElementTree.parse(path).getroot()
-    assert (root.get("failures"), root.get("errors")) == ("1", "0")
-    assert root.find(".//error") is None
 
 
 def test_help_and_refused_names_of_reports_write_nothing(tmp_path: Path) -> None:

@@ -116,16 +116,6 @@ def test_curves_are_the_reference_models_values() -> None:
             assert value == pytest.approx(float(wanted), abs=found.error + 1e-12 * abs(wanted))
 
 
-def test_curves_are_evaluations(care: MDP) -> None:
-    found = accuracy_curves(care, POLICY, levels=[0.6, 0.93])
-    for name, values in found.values.items():
-        for x, value in zip(found.levels, values, strict=True):
-            right = [
-                x if name in (status, "all") else 1 for status in Scenario.load("yuan2025").statuses
-            ]
-            assert value == pytest.approx(worth(care, independent(right, right)), rel=1e-12)
-
-
 def test_models_whose_errors_have_no_price() -> None:
     """States that come back, and actions that reveal the status."""
     space = StateSpace(columns=(Column(name="status", size=2, bits=1),), extra=("end",))

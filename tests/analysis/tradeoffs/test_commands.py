@@ -22,30 +22,6 @@ def as_read(mdp: MDP, folder: Path, policy: object) -> Policy:
     return Policy.of(mdp, folder / "own.json")
 
 
-def test_a_front_as_json(tmp_path: Path) -> None:
-    found = run("tradeoff", "yuan2025", *TWO, *SMALL, "--policy", "random", "--json").result
-    front = tradeoff(Scenario.load("yuan2025").with_(tasks=[1], max_trial=2), ["anger", TWO[1]])
-    assert (found["names"], found["claim"]) == (["anger", "done"], "certified")
-    got = [tuple(Fraction(v["values"][n]) for n in found["names"]) for v in found["vertices"]]
-    assert got == front.vertices
-    assert [(e["from"], e["to"]) for e in found["edges"]] == [
-        (n, n + 1) for n in range(len(got) - 1)
-    ]
-    assert [Fraction(e["rate"]) for e in found["edges"]] == [e.rate for e in front.edges]
-    mdp = front.mdp
-    for vertex, point in zip(found["vertices"], front.vertices, strict=True):
-        assert front.totals(as_read(mdp, tmp_path, vertex["policy"])) == point
-    assert Fraction(found["policies"][0]["distance"]) == front.distance("random") > 0
-    text = run("tradeoff", "yuan2025", *TWO, *SMALL, "--policy", "random")
-    assert (text.status, "policies beside the front" in text.out) == (0, True)
-
-
-def test_a_front_of_three_totals_as_json() -> None:
-    found = run("tradeoff", "yuan2025", *TWO, "steps", *SMALL, "--json").result
-    assert {len(facet["weights"]) for facet in found["facets"]} == {3}
-    assert all(edge["rate"].keys() == {"anger", "done", "steps"} for edge in found["edges"])
-
-
 def test_limits_as_json(tmp_path: Path) -> None:
     words = ("solve", "yuan2025", *SMALL, "--subject-to", "anger >= -1/10", "--json")
     found = run(*words, "--policy-out", str(tmp_path / "p.csv")).result

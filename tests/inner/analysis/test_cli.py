@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp import MDP, ModelError, Policy, Scenario
-from exact_mdp.analysis.gate.junit import Case, junit, write_junit
+from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.mdp.report import Report, at_most, decimal, digits_of, number, ratio
 from exact_mdp.mdp.table import beside
@@ -220,8 +220,9 @@ def test_a_piece_whose_numbers_were_changed_is_damaged(tmp_path) -> None:
 
 def test_what_xml_cannot_hold(tmp_path: Path) -> None:
     nasty = 'a\x00b\x1b[0m<&>"\ud800\uffff ]]> é \U0001f600\n'
-    case = Case(name=nasty, failure=nasty, text=nasty)
-    root = ElementTree.fromstring(junit(nasty, [case], seconds=1, properties={nasty: nasty}))
+    case, path = Case(nasty, "failure", nasty, nasty), tmp_path / "r.xml"
+    write_junit(path, nasty, [case], seconds=1, properties={nasty: nasty})
+    root = ElementTree.fromstring(path.read_bytes())
     failure = root.find(".//failure")
     assert failure is not None
     assert failure.text == 'a?b?[0m<&>"?? ]]> é \U0001f600\n'

@@ -465,11 +465,3 @@ def test_the_bound_is_that_of_the_theorem(seed: int) -> None:
 
 
 # ---- what needs more records -------------------------------------------------------------------
-
-
-def test_records_that_show_the_same_again_count_as_the_sets_foresee() -> None:
-    frame = recorded(np.random.default_rng(3), 60)
-    twice = pd.concat([frame, frame.assign(episode=frame.episode + 10**6)])
-    one, other = (RowSets.of(MDP.from_transitions(x, "9/10"), 0.05, (0, 1)) for x in (frame, twice))
-    assert other.radius == pytest.approx(with_more(one, one.counted).radius)
-    assert other.reward[1] == pytest.approx(with_more(one, one.counted).reward[1])

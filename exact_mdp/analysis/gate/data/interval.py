@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Integers, exact, shown
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
-from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -113,21 +112,6 @@ class RegretInterval(Result):
         return pandas.DataFrame([ends | dict(self.found)])
 
 
-@runtime_checkable
-class Evidence(Protocol):
-    """What an interval is made by; settings are its fields."""
-
-    by: str
-
-    def interval(
-        self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
-    ) -> RegretInterval:
-        """Return the interval for a policy of a model with counts, or of episodes that stop.
-
-        With a horizon `chain` is the policy in `mdp.within(horizon)`.
-        """
-
-
 def confidence_of(given: object) -> Fraction:
     """Return a confidence between 0 and 1.
 
@@ -161,32 +145,27 @@ def observations_of(mdp: MDP) -> Integers:
 
 def of_process(mdp: MDP) -> tuple[str, ...]:
     """Return what every interval takes for true of the process behind a model's counts."""
-    ends, never = entered(mdp), never_taken(mdp)
-    # Where actions that nobody took are offered all the same, `Robust.assumptions` says so.
-    offered = set(zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True))
-    pairs = [pair for pair in map(tuple, never.tolist()) if pair not in offered]
-    untaken = [f"{mdp.space.label(state)}: {mdp.actions[action]}" for state, action in pairs]
-    return (
+    begin = "the recorded episodes begin as those of the process do, each drawn by itself"
+    if mdp.episodes is None:
+        begin = "episodes begin as the model says"
+    told = [
         "the process has the states and actions that were recorded, and what follows a state and "
         "an action depends on these alone",
-        "episodes begin as the model says"
-        if mdp.episodes is None
-        else "the recorded episodes begin as those of the process do, each drawn by itself",
-        *(
-            [
-                f"nothing is earned any more after {_some(ends)}: entered and never left, taken "
-                "for ends"
-            ]
-            if ends
-            else []
-        ),
-        *([f"what nobody took is not to be had: {_some(untaken)}"] if untaken else []),
-        *(
-            ["only one action was ever taken, and no other is to be had: nothing can be lost"]
-            if mdp.n_actions == 1
-            else []
-        ),
-    )
+        begin,
+    ]
+    if ends := entered(mdp):
+        text = "nothing is earned any more after {}: entered and never left, taken for ends"
+        told.append(text.format(_some(ends)))
+    # Where actions that nobody took are offered all the same, `Robust.assumptions` says so.
+    offered = set(zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True))
+    if never := [(s, a) for s, a in never_taken(mdp).tolist() if (s, a) not in offered]:
+        names = [f"{mdp.space.label(state)}: {mdp.actions[action]}" for state, action in never]
+        told.append(f"what nobody took is not to be had: {_some(names)}")
+    if mdp.n_actions == 1:
+        told.append(
+            "only one action was ever taken, and no other is to be had: nothing can be lost"
+        )
+    return tuple(told)
 
 
 def named(mdp: MDP, states: Flags) -> str:

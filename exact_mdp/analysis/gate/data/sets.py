@@ -33,11 +33,10 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.robust.divergence import Likelihood
-from exact_mdp.solvers.robust.sets import Block, Inner, entries, inner
+from exact_mdp.solvers.robust.sets import Block, Inner, entries, inner, side_by_side
 
 KNOWN = "known"
 HALVINGS = 60
-ONE_BLOCK = 2**14  # outcomes that are asked about together, however long the rows
 Given = Literal["known"] | tuple[object, object] | None
 
 
@@ -157,20 +156,14 @@ class RowSets:
             rounding = (np.count_nonzero(weights) + 2) * size
             return float(weights @ value + (rounding if most else -rounding))
         seen = np.flatnonzero(weights)
-        p, none = weights[seen] / weights[seen].sum(), np.zeros((1, len(seen) + 1))
-        radius = _radius(p, 0 * seen, np.array([self.episodes]), self.mdp.n_states, self.share)
-        block = Block(
-            place=np.array([0]),
-            pair=np.array([0]),
-            outcome=none.astype(np.int64),
-            filled=none > 0,
-            next=np.append(seen, self.mdp.n_states)[None],  # the last one: any other state
-            probability=np.append(p, 0.0)[None],
-            gain=none,
-            largest=np.zeros(1),
-        )
+        p, n = np.append(weights[seen] / weights[seen].sum(), 0.0), len(seen) + 1
+        states = np.append(seen, self.mdp.n_states)  # the last one: any other state
+        first = np.array([0])
+        block = side_by_side(first, (first, np.array([n])), (states, p, np.zeros(n)))
+        episodes = np.array([self.episodes])
+        radius = _radius(p[:-1], 0 * seen, episodes, self.mdp.n_states, self.share)
         values = np.append(value, value.max() if most else value.min())
-        found = inner(Likelihood(radius=radius), [block], values, discount=1.0, against=not most)
+        found = inner(Likelihood(radius=radius), block, values, discount=1.0, against=not most)
         return float(found.high[0] if most else found.low[0])
 
     @cached_property
@@ -216,34 +209,13 @@ class RowSets:
 
         The states' numbers end with one for that outcome.
         """
-        counts, pairs = self.counts, self.pairs
-        length = np.diff(counts.indptr)
-        gains = self.gains if self.known else np.zeros(counts.nnz)
-        width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
-        if len(width) * width.max() <= ONE_BLOCK:
-            width[:] = width.max()
-        found = []
-        for n in np.unique(width).tolist():
-            place = np.flatnonzero(width == n)
-            filled = np.arange(n) >= length[place][:, None]
-            at = counts.indptr[place][:, None] + np.where(filled, 0, np.arange(n))
-            p = np.where(filled, 0.0, counts.data[at])
-            p /= p.sum(axis=1, keepdims=True)
-            one = np.ones((len(place), 1))
-            earned = np.hstack([gains[at], gain * one * self.known])
-            found.append(
-                Block(
-                    place=place,
-                    pair=pairs[place],
-                    outcome=np.hstack([at, (-one).astype(np.int64)]),
-                    filled=np.hstack([filled, one < 0]),
-                    next=np.hstack([counts.indices[at], one.astype(np.int64) * self.mdp.n_states]),
-                    probability=np.hstack([p, 0 * one]),
-                    gain=earned,
-                    largest=np.abs(earned).max(axis=1),
-                )
-            )
-        return found
+        ends = self.counts.indptr
+        seen = self.gains if self.known else np.zeros(self.counts.nnz)
+        following = np.insert(self.counts.indices, ends[1:], self.mdp.n_states)
+        gains = np.insert(seen, ends[1:], gain * self.known)
+        rows = ends[:-1] + np.arange(len(self.pairs)), np.diff(ends) + 1
+        outcomes = following.astype(np.int64), np.insert(self.counts.data, ends[1:], 0.0), gains
+        return side_by_side(self.pairs, rows, outcomes)
 
     @cached_property
     def _blocks(self) -> tuple[list[Block], list[Block]]:
