@@ -14,12 +14,12 @@ from exact_mdp.analysis.plots.style import (
     MARKS,
     WHITE,
     Look,
-    about,
     axes_or_new,
     legend_beside,
     name_rows,
     picture,
     swatch,
+    titled,
 )
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.table import Floats
@@ -72,8 +72,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     reach = float(np.abs(places).max()) + RADIUS + 0.03
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     ax.set_axis_off()
-    ax.set_title(about("Who raises whom, in points of chance per timestep", scenario.name))
-    return ax
+    return titled(ax, "Who raises whom, in points of chance per timestep", scenario.name)
 
 
 def _influence(ax: Axes, start: Floats, end: Floats, amount: float) -> None:
@@ -124,8 +123,7 @@ def plot_status_transitions(
     ax = axes_or_new(ax, high=6.0)
     _vector_map(ax, law, threshold)
     ax.set(xlabel="status after the action", ylabel=f"status now: {', '.join(statuses)}")
-    ax.set_title("How the status moves in one step (chances in %)")
-    return ax
+    return titled(ax, "How the status moves in one step (chances in %)")
 
 
 def _vector_map(ax: Axes, shares: Floats, threshold: float) -> None:
@@ -167,8 +165,7 @@ def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> A
     ax.set_xlabel("accuracy of perception (sensitivity = specificity)")
     ax.set_ylabel("value at the start (reward)")
     legend_beside(ax, title="read with this accuracy")
-    ax.set_title("What a policy is worth by how well the status is read")
-    return ax
+    return titled(ax, "What a policy is worth by how well the status is read")
 
 
 @picture
@@ -186,8 +183,7 @@ def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
     ax.set_xlabel("loss against perfect perception (reward)")
     words = ("present, not seen", "absent, but seen")
     legend_beside(ax, [*map(swatch, words, fills)])
-    ax.set_title("What errors in reading each status cost")
-    return ax
+    return titled(ax, "What errors in reading each status cost")
 
 
 @picture
@@ -213,5 +209,4 @@ def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax, high=6.0)
     _vector_map(ax, confusion, 0.05)
     ax.set(xlabel="perceived status", ylabel="true status")
-    ax.set_title("How each status is perceived (chances in %)")
-    return ax
+    return titled(ax, "How each status is perceived (chances in %)")

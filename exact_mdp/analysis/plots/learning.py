@@ -13,12 +13,12 @@ from exact_mdp.analysis.plots.style import (
     BLUE,
     HATCHES,
     INK,
-    LINES,
     Look,
-    about,
     axes_or_new,
     level,
+    line,
     picture,
+    titled,
 )
 from exact_mdp.analysis.vary.intervals import wilson
 from exact_mdp.mdp.table import Floats
@@ -70,16 +70,16 @@ def plot_learning_curves(
     ax = axes_or_new(ax)
     every = curves if isinstance(curves, Mapping) else {"mean over a window": curves}
     for number, (label, curve) in enumerate(every.items()):
-        colour, line = INK[number % len(INK)], LINES[number % len(LINES)]
+        form = line(number)
         parts = np.array_split(curve.sampled, max(len(curve.sampled) // BIN, 1))
         at = np.linspace(0, len(curve.sampled) - 1, len(parts))
         low, high = ([f(part) for part in parts] for f in (np.min, np.max))
         band = "range of sampled means" if len(every) == 1 else None
-        ax.fill_between(at, low, high, color=colour, alpha=0.22, linewidth=0, label=band)
+        ax.fill_between(at, low, high, color=form["color"], alpha=0.22, linewidth=0, label=band)
         if np.ptp(curve.value) > 0:
-            ax.plot(curve.value, ".", color=colour, markersize=1, alpha=0.3)
+            ax.plot(curve.value, ".", color=form["color"], markersize=1, alpha=0.3)
         at, smooth = smoothed(curve.value, window)
-        ax.plot(at, smooth, color=colour, linestyle=line, linewidth=1.6, label=label)
+        ax.plot(at, smooth, linewidth=1.6, label=label, **form)
     ax.set_title("Value of the greedy policy while it learns")
     return _by_epoch(ax, "return (reward)", optimum)
 
@@ -113,13 +113,13 @@ def plot_value_bands(
     """
     ax = axes_or_new(ax)
     for number, (label, curves) in enumerate(values.items()):
-        colour, line = INK[number % len(INK)], LINES[number % len(LINES)]
+        form = line(number)
         low, high = np.quantile(curves, [0.05, 0.95], axis=0)
         at, middle = smoothed(curves.mean(axis=0), window)
         below, above = smoothed(low, window)[1], smoothed(high, window)[1]
         band = "5 to 95 % of the runs" if len(values) == 1 else None
-        ax.fill_between(at, below, above, color=colour, alpha=0.25, linewidth=0, label=band)
-        ax.plot(at, middle, color=colour, linestyle=line, linewidth=1.4, label=label)
+        ax.fill_between(at, below, above, color=form["color"], alpha=0.25, linewidth=0, label=band)
+        ax.plot(at, middle, linewidth=1.4, label=label, **form)
     ax.set_title("Exact value of the greedy policy, mean over runs")
     return _by_epoch(ax, "value (reward)", optimum)
 
@@ -171,15 +171,13 @@ def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = 
             regret,
             np.arange(len(regret)) / (len(regret) - 1),
             where="post",
-            color=INK[number % len(INK)],
-            linestyle=LINES[number % len(LINES)],
+            **line(number),
             label=f"{label}:\nmean {each.regret.mean():.2f}, optimal {each.optimal_fraction:.1%}",
         )
     ax.set_xlim(left=0)
     ax.set(ylim=(0, 1.02), xlabel="exact regret of the final policy (reward)")
     ax.set_ylabel("share of runs that lose at most this")
-    ax.set_title(about("What trained policies lose", next(iter(every.values())).mdp.name))
-    return ax
+    return titled(ax, "What trained policies lose", next(iter(every.values())).mdp.name)
 
 
 @picture
@@ -195,8 +193,7 @@ def plot_trainer(found: TrainerAudit, *, ax: Axes | None = None) -> Axes:
     level(ax, float(found.share), "share required")
     ax.set(xlabel="run", ylabel="share of runs within the limits", ylim=(-0.02, 1.02))
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set_title(about("How often the trainer is good enough", found.audits[0].mdp.name))
-    return ax
+    return titled(ax, "How often the trainer is good enough", found.audits[0].mdp.name)
 
 
 @picture
@@ -246,5 +243,4 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
         )
     ax.set(xlabel="policies greedy in the last episodes", ylabel="share of runs")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set_title("How many policies a run ends between")
-    return ax
+    return titled(ax, "How many policies a run ends between")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots.style import axes_or_new, picture
+from exact_mdp.analysis.plots.style import axes_or_new, picture, titled
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.values.returns import ReturnDistribution
@@ -48,8 +48,7 @@ def plot_return_distribution(
         title = f"never ends, and is infinite, with probability {distribution.never_ends:.4g}"
     else:
         ax.axvline(mean, color="black", linestyle="--", linewidth=1, label="mean")
-    ax.set_title(f"{label or 'Distribution of the return'}: {title}")
-    return ax
+    return titled(ax, f"{label or 'Distribution of the return'}: {title}")
 
 
 @picture
@@ -65,5 +64,4 @@ def plot_simulation(found: Simulation, *, ax: Axes | None = None) -> Axes:
         mean = f"mean {found.value}"
         ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=mean)
     ax.set(xlabel="return (reward)", ylabel="episodes")
-    ax.set_title(f"Returns of {len(found.returns):,} simulated episodes")
-    return ax
+    return titled(ax, f"Returns of {len(found.returns):,} simulated episodes")

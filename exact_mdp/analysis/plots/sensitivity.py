@@ -23,7 +23,6 @@ from exact_mdp.analysis.plots.style import (
     LINES,
     WHITE,
     Look,
-    about,
     action_styles,
     axes_or_new,
     bars_across,
@@ -31,6 +30,7 @@ from exact_mdp.analysis.plots.style import (
     name_rows,
     picture,
     swatch,
+    titled,
 )
 from exact_mdp.analysis.vary.intervals import tolerances_of
 from exact_mdp.analysis.vary.ranges import unit_of
@@ -89,8 +89,7 @@ def plot_gradient(found: Gradient, *, most: int = 15, ax: Axes | None = None) ->
     words = {True: ("raises the value", HIGH), False: ("lowers the value", LOW)}
     handles = [swatch(*words[way]) for way in sorted({*rises}, reverse=True)]
     legend_beside(ax, handles, title="a higher parameter")
-    ax.set_title(about("Which parameters move the value most", found.model))
-    return ax
+    return titled(ax, "Which parameters move the value most", found.model)
 
 
 @picture
@@ -116,8 +115,7 @@ def plot_tornado(
     ax.set_xlabel(f"{OUTPUT[output]} (reward)")
     legend_beside(ax, [swatch("at the low end", LOW), swatch("at the high end", HIGH)])
     what = "regret" if output == "regret" else "value"
-    ax.set_title(about(f"Tornado: the {what} at both ends of each range", found.model))
-    return ax
+    return titled(ax, f"Tornado: the {what} at both ends of each range", found.model)
 
 
 @picture
@@ -131,8 +129,7 @@ def plot_value_curves(found: Curve, *, ax: Axes | None = None) -> Axes:
         ax.plot(at, values, linestyle=line, color=BLACK, label=label)
     _mark_today(ax, float(found.parameter.value), min(at), max(at))
     ax.set(xlabel=_axis(found.parameter), ylabel="value at the start (reward)")
-    ax.set_title(about(f"The value along {found.parameter.name}", found.model))
-    return ax
+    return titled(ax, f"The value along {found.parameter.name}", found.model)
 
 
 def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fraction) -> None:
@@ -172,8 +169,7 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
         ax.plot([], [], " ", label=f"beyond the picture: {drawn[sizes.argmax()]:.3g}")
     _mark_today(ax, float(found.parameter.value), found.range.low, found.range.high)
     ax.set(xlabel=_axis(found.parameter), ylabel=f"value at the start (reward; {found.claim})")
-    ax.set_title(about(f"The optimal value along {name}", found.mdp.name))
-    return ax
+    return titled(ax, f"The optimal value along {name}", found.mdp.name)
 
 
 @picture
@@ -226,8 +222,7 @@ def plot_thresholds(
     ax.set(xticks=[], xlim=(-0.02, 1.02), ylim=(len(every) - 0.4, -0.6))
     handles, labels = ax.get_legend_handles_labels()
     legend_beside(ax, [*dict(zip(labels, handles, strict=True)).values()])
-    ax.set_title(about("How far each parameter may move", every[0].model))
-    return ax
+    return titled(ax, "How far each parameter may move", every[0].model)
 
 
 @picture
@@ -259,8 +254,8 @@ def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = N
     today = (float(found.x.value), float(found.y.value))
     (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
     legend_beside(ax, [*handles, mark])
-    ax.set(xlabel=_axis(found.x), ylabel=_axis(found.y), title=about(what, found.mdp.name))
-    return ax
+    ax.set(xlabel=_axis(found.x), ylabel=_axis(found.y))
+    return titled(ax, what, found.mdp.name)
 
 
 @picture
@@ -281,8 +276,7 @@ def plot_robust_curve(found: RobustCurve, *, ax: Axes | None = None) -> Axes:
         form["markerfacecolor"] = shade if shade == "0" else "white"
         ax.plot(radii, [value.value for value in values], line, **form)
     ax.set(xlabel=RADIUS[found.kind], ylabel="value at the start (reward)")
-    ax.set_title(about("Values where the tables may be wrong", every[0].mdp.name))
-    return ax
+    return titled(ax, "Values where the tables may be wrong", every[0].mdp.name)
 
 
 @picture
@@ -314,8 +308,7 @@ def plot_sobol(
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
     ax.set_xlabel("share of the variance")
     legend_beside(ax, title=f"{indices.confidence:.0%} intervals")
-    ax.set_title(about(f"Variance of the {OUTPUT[output]}", indices.model))
-    return ax
+    return titled(ax, f"Variance of the {OUTPUT[output]}", indices.model)
 
 
 # ---- draws -------------------------------------------------------------------------------------
@@ -360,8 +353,7 @@ def plot_acceptability(
     if at.max() > 0:
         ax.set_xlim(0, at.max())
     ax.set_ylabel("probability that the regret is at most Δ")
-    ax.set_title(about("How often each policy is good enough", draws.model))
-    return ax
+    return titled(ax, "How often each policy is good enough", draws.model)
 
 
 @picture
@@ -379,8 +371,7 @@ def plot_cost_effectiveness(
         ax.plot(at, share, linestyle=line, color=colour, label=name)
     ax.set(xlabel="willingness to pay for one unit of effect", ylim=(-0.02, 1.02))
     ax.set_ylabel("share of draws in which it is the best")
-    ax.set_title("Cost-effectiveness acceptability curves")
-    return ax
+    return titled(ax, "Cost-effectiveness acceptability curves")
 
 
 @picture
@@ -414,8 +405,7 @@ def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
     ax.set_yticks(range(len(labels)), labels)
     ax.set(xlabel="action", ylabel="status at subtask 0, trial 0" if draws.compiled else "state")
     ax.tick_params(length=0)
-    ax.set_title(about("Share of draws in which each action is optimal", draws.model))
-    return ax
+    return titled(ax, "Share of draws in which each action is optimal", draws.model)
 
 
 def _share(value: float) -> str:

@@ -28,7 +28,6 @@ from exact_mdp.analysis.plots.style import (
     BLUE,
     ORANGE,
     Look,
-    about,
     action_styles,
     axes_or_new,
     cell,
@@ -37,6 +36,7 @@ from exact_mdp.analysis.plots.style import (
     narrow,
     picture,
     swatch,
+    titled,
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -108,8 +108,7 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
     names = {styles[n].short: styles[n].name for n in range(len(styles))}
     handles = [swatch(_named(styles[n].short, names), styles[n]) for n in sorted(used)]
     _explain(ax, model, layout, handles)
-    ax.set_title(about("What the policy does", model.name))
-    return ax
+    return titled(ax, "What the policy does", model.name)
 
 
 @picture
@@ -186,8 +185,7 @@ def plot_states(
             cell(ax, *where, style, font=_font(layout), **look)
         _colours(ax, scale, SHADES, label)
         _explain(ax, model, layout, signs)
-    ax.set_title(about(f"{what} of each state{acting}", model.name))
-    return ax
+    return titled(ax, f"{what} of each state{acting}", model.name)
 
 
 @picture
@@ -249,8 +247,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
         words.append("grey: no choice or no visit")
     _explain(ax, mdp, layout, [*map(_words, words), *_signs(mdp, layout)])
     lost = f"regret at the start {float(audit.regret.at_start.value):.4g}"
-    ax.set_title(about(f"Where the policy is not optimal; {lost}", mdp.name))
-    return ax
+    return titled(ax, f"Where the policy is not optimal; {lost}", mdp.name)
 
 
 @picture

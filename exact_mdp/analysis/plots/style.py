@@ -168,9 +168,10 @@ def axes_or_new(ax: Axes | None, names: Sequence[str] = (), high: float = 4.2) -
     return plt.subplots(figsize=(wide, high), layout="constrained")[1]
 
 
-def about(what: str, model: str = "") -> str:
-    """Return a title: what is shown, and of which model."""
-    return f"{what} \N{EN DASH} {model}" if model else what
+def titled(ax: Axes, what: str, model: str = "") -> Axes:
+    """Return the axes with a title: what is shown, and of which model."""
+    ax.set_title(f"{what} \N{EN DASH} {model}" if model else what)
+    return ax
 
 
 def legend_beside(ax: Axes, handles: Sequence[Any] | None = None, title: str = "") -> None:
@@ -213,6 +214,11 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
     """Name the rows 0, 1, …, the first on top."""
     ax.set_yticks(range(len(names)), names)
     ax.invert_yaxis()
+
+
+def line(number: int) -> Look:
+    """Return colour and dashes of one of several lines."""
+    return {"color": INK[number % len(INK)], "linestyle": LINES[number % len(LINES)]}
 
 
 def level(ax: Axes, value: float, label: str = "optimum") -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots.style import BLACK, BLUE, INK, MARKS, about, axes_or_new, picture
+from exact_mdp.analysis.plots.style import BLACK, BLUE, INK, MARKS, axes_or_new, picture, titled
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.policies.policy import PolicyLike
 
@@ -52,8 +52,7 @@ def draw_front(
             ax.plot([x, x + sign], [y, y + sign], color=BLACK, linewidth=0.8, linestyle=":")
     ax.set_xlabel(f"expected total of {found.names[0]}")
     ax.set_ylabel(f"expected total of {found.names[1]}")
-    ax.set_title(f"The front of {found.names[1]} against {found.names[0]}")
-    return ax
+    return titled(ax, f"The front of {found.names[1]} against {found.names[0]}")
 
 
 @picture
@@ -84,5 +83,4 @@ def plot_mean_cvar(found: MeanCVaR, *, ax: Axes | None = None) -> Axes:
     what = "return" if found.mdp.sense == "max" else "cost"
     ax.set_xlabel(f"mean {what} of all episodes")
     ax.set_ylabel(f"mean {what} of the worst {float(found.level):.3g} of them")
-    ax.set_title(about("The mean against the worst episodes", found.mdp.name))
-    return ax
+    return titled(ax, "The mean against the worst episodes", found.mdp.name)
