@@ -13,7 +13,7 @@ the rows pass from one polynomial to another.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from math import prod
@@ -32,7 +32,7 @@ from exact_mdp.analysis.vary.curves.checker import (
     piece_violations,
 )
 from exact_mdp.analysis.vary.curves.roots import roots, roots_on, sign, simple
-from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, WIDTH, Sweep, below_one, pieces_of
+from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, WIDTH, below_one, pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
@@ -235,10 +235,7 @@ class ValueFunction(Pictured):
                 wrong.append(f"no piece covers {shown(end[1])}")
         if ends[-1] != (self.range.high,) * 2:
             wrong.append(f"no piece covers {shown(self.range.high)}")
-        shares = None
-        if self.chain is not None:
-            weights = map(self.chain.exact_weights, range(self.mdp.n_states))
-            shares = [[*each.items()] for each in weights]
+        shares = None if self.chain is None else _shares(self.chain)
         sign = -1 if self.mdp.sense == "min" else 1
         return wrong + piece_violations(
             self.family, self.parameter.name, self.pieces, shares, sign=sign
@@ -398,8 +395,10 @@ def curve(
     if name == DISCOUNT and ranges is None and relative is None and span.high < 1:
         span = Range(low=span.low, high=NEARLY_ONE)
     span = below_one(family, name, span)
-    pieces, sweeps = pieces_of(family, name, span, sign)
-    chain = None if policy is None else PolicyChain.of(mdp, policy)
+    chain, mix = None if policy is None else PolicyChain.of(mdp, policy), None
+    if chain is not None:
+        mix = [[(pair, rational(w)) for pair, w in each] for each in _shares(chain)]
+    pieces, sweeps = pieces_of(family, name, span, sign, mix)
     if chain is not None and chain.policy is not None:
         ends = np.logical_and.reduce([np.array(each.gaps.terminal) for each in sweeps])
         open_ = np.flatnonzero(chain.policy.silent(mdp) & mdp.terminal & ~ends)
@@ -413,7 +412,7 @@ def curve(
     return ValueFunction(
         parameter=parameter_of(family, name),
         range=span,
-        pieces=tuple(pieces if chain is None else _with_fixed(pieces, sweeps, chain)),
+        pieces=tuple(pieces),
         mdp=mdp,
         family=family,
         chain=chain,
@@ -421,15 +420,6 @@ def curve(
     )
 
 
-def _with_fixed(
-    pieces: Sequence[CurvePiece], sweeps: Sequence[Sweep], chain: PolicyChain
-) -> Iterator[CurvePiece]:
-    """Yield pieces with the values of a policy that is held fixed."""
-    weights = map(chain.exact_weights, range(chain.mdp.n_states))
-    mix = [[(pair, rational(w)) for pair, w in each.items()] for each in weights]
-    for sweep in sweeps:
-        values = sweep.gaps.values_of(mix)
-        fixed = sweep.ratio(values)
-        for piece in pieces:
-            if piece.section is sweep.section:
-                yield replace(piece, fixed=fixed, fixed_values=values)
+def _shares(chain: PolicyChain) -> list[list[tuple[int, Fraction]]]:
+    """Return the pairs that a policy takes in each state, with their probabilities."""
+    return [[*chain.exact_weights(state).items()] for state in range(chain.mdp.n_states)]

@@ -23,7 +23,7 @@ import numpy as np
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.vary.base_case import unending
 from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, RationalFunction, Section
-from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Values
+from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Mix, Values
 from exact_mdp.analysis.vary.curves.roots import Root, odd_part, roots, sign, simple, variations
 from exact_mdp.analysis.vary.ranges import Range
 from exact_mdp.mdp.errors import ModelError
@@ -51,9 +51,9 @@ At = Callable[[Fraction], MDP]
 
 
 class Sweep:
-    """A walk over one section of a parameter, on which rows are polynomials."""
+    """A walk over one section of a parameter, on which rows are polynomials; `mix` is held."""
 
-    def __init__(self, base: MDP, change: RowChange, sign: int) -> None:
+    def __init__(self, base: MDP, change: RowChange, sign: int, mix: Mix | None) -> None:
         low, high = change.piece.low, change.piece.high
         assert low is not None
         assert high is not None
@@ -61,6 +61,7 @@ class Sweep:
         self.low, self.high = low - self.origin, high - self.origin
         self.section = Section(low=low, high=high, origin=self.origin)
         self.gaps = Gaps(base, change, self.low, self.high)
+        self.fixed = None if mix is None else self.gaps.values_of(mix)
         self.ahead: dict[int, list[tuple[Root, bool]]] = {}
         self.policy: Integers = np.empty(0, dtype=np.int64)
 
@@ -71,36 +72,30 @@ class Sweep:
         steps = ((self.high - self.low) / 64 * Fraction(3, 64) ** k for k in count())
         here = self._cross(first, ((self.low, self.low + step) for step in steps))[1]
         before: Bracket = (self.low, self.low)
-        while (root := self._next(here)) is not None:
-            optimal, touches = self._optimal(), self._touches(here, root.low)
-            values = self.gaps.values
-            after = self._cross(root, self._brackets(root, here))
-            yield self._piece(before, after, optimal, touches, values)
+        last = False
+        while not last:
+            root = self._next(here)
+            optimal = np.array([poly.degree() < 0 for poly in self.gaps.gap])
+            values, ended, last = self.gaps.values, None, root is None
+            touches = self._touches(here, self.high if root is None else root.low)
+            if root is None:
+                after, end = (self.high, self.high), rational(self.high)
+                ended = np.array([poly(end) == 0 for poly in self.gaps.gap])
+            else:
+                after = self._cross(root, self._brackets(root, here))
+            yield CurvePiece(
+                low=(before[0] + self.origin, before[1] + self.origin),
+                high=(after[0] + self.origin, after[1] + self.origin),
+                optimal=optimal,
+                value=self.ratio(values),
+                fixed=None if self.fixed is None else self.ratio(self.fixed),
+                section=self.section,
+                values=values,
+                fixed_values=self.fixed,
+                touches=tuple(touches),
+                ended=ended,
+            )
             here, before = after[1], after
-        end, touches = rational(self.high), self._touches(here, self.high)
-        ended = np.array([poly(end) == 0 for poly in self.gaps.gap])
-        last = (self.high, self.high)
-        yield self._piece(before, last, self._optimal(), touches, self.gaps.values, ended)
-
-    def _piece(
-        self,
-        before: Bracket,
-        after: Bracket,
-        optimal: np.ndarray,
-        touches: list[tuple[Fraction, Fraction, int]],
-        values: Values,
-        ended: np.ndarray | None = None,
-    ) -> CurvePiece:
-        return CurvePiece(
-            low=(before[0] + self.origin, before[1] + self.origin),
-            high=(after[0] + self.origin, after[1] + self.origin),
-            optimal=optimal,
-            value=self.ratio(values),
-            section=self.section,
-            values=values,
-            touches=tuple(touches),
-            ended=ended,
-        )
 
     def ratio(self, values: Values) -> RationalFunction:
         """Return the value at the start as a function of the parameter, with the sign of costs."""
@@ -108,9 +103,6 @@ class Sweep:
         shared = top.gcd(below)
         shift = flint.fmpq_poly([rational(-self.origin), 1])
         return RationalFunction.of((self.sign * (top / shared)(shift), (below / shared)(shift)))
-
-    def _optimal(self) -> np.ndarray:
-        return np.array([poly.degree() < 0 for poly in self.gaps.gap])
 
     # ---- the roots ahead -------------------------------------------------------------------------
 
@@ -253,11 +245,11 @@ def optimum(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
 
 
 def pieces_of(
-    family: Parametric, name: str, span: Range, sign: int
+    family: Parametric, name: str, span: Range, sign: int, mix: Mix | None
 ) -> tuple[list[CurvePiece], list[Sweep]]:
     """Return the pieces over a range, and the sections that they are on; sign is -1 for costs.
 
-    Raises ModelError where some policy never ends at discount 1.
+    `mix` is a policy held fixed. Raises ModelError where some policy never ends at discount 1.
     """
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
 
@@ -270,7 +262,7 @@ def pieces_of(
         base, change = _middle(family, at, name, low, high)
         if _endless(at, base, change):
             raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
-        sweep = Sweep(base, change, sign)
+        sweep = Sweep(base, change, sign, mix)
         found += sweep.pieces(optimum(base)[0] if policy is None else policy)
         policy = sweep.policy
         sweeps.append(sweep)
