@@ -88,11 +88,11 @@ class CostEffectiveness(Pictured):
 
     def frontier(self, wtp: ArrayLike) -> list[tuple[str, float]]:
         """Return the best strategy on average, and the share of draws in which it is the best."""
-        found = []
+        frontier = []
         for each, shares in zip(np.atleast_1d(wtp), self.acceptability(wtp), strict=True):
             best = int(self.net_benefit(float(each)).mean(axis=0).argmax())
-            found.append((self.strategies[best], float(shares[best])))
-        return found
+            frontier.append((self.strategies[best], float(shares[best])))
+        return frontier
 
     def evpi(self, wtp: float) -> MeanLoss:
         """Return what knowing all parameters before choosing a strategy would be worth."""

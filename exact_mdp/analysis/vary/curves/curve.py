@@ -196,16 +196,16 @@ class ValueFunction(Pictured):
                 places += [] if inside is None else [(inside, True, False)]
         last = self.pieces[-1]
         places.append((last.high, _root_on(sides, last, last.high), True))
-        found, begun = list[Interval](), last.high
+        intervals, begun = list[Interval](), last.high
         for (at, root, joint), (left, right) in zip(places, pairwise([*keeps, False]), strict=True):
             apart = root and joint and at[0] < at[1]  # what happens in between is not known
             if left and (apart or not right):
-                found.append(Interval(low=begun, high=at))
+                intervals.append(Interval(low=begun, high=at))
             if right and (apart or not left):
                 begun = at
             if root and not left and not right:
-                found.append(Interval(low=at, high=at))
-        return tuple(found)
+                intervals.append(Interval(low=at, high=at))
+        return tuple(intervals)
 
     def _margins(self, piece: CurvePiece, most: Fraction, share: Fraction) -> list[fmpq_poly]:
         """Return polynomials of which one is not negative where the limit is kept.

@@ -132,13 +132,13 @@ class Sweep:
 
     def _touches(self, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction, int]]:
         """Return the brackets between two points, and pairs, of gaps that are 0 at one point."""
-        found = []
+        touches = []
         for pair in range(len(self.gaps.gap)):
             for root, turns in self._roots(pair, low):
                 near = root if turns else root.narrowed(WIDTH)
                 if not turns and low <= near.low and near.high <= high:
-                    found.append((near.low + self.origin, near.high + self.origin, pair))
-        return sorted(found)
+                    touches.append((near.low + self.origin, near.high + self.origin, pair))
+        return sorted(touches)
 
     # ---- beyond a root ---------------------------------------------------------------------------
 
