@@ -31,12 +31,21 @@ class IntervalCase:
         return self.name
 
 
-def outcome(low: object, high: object, to: int, reward: object = 0) -> Outcome:
-    return F(str(low)), F(str(high)), to, F(str(reward))
+def rows(text: str) -> tuple[tuple[int, int, Sequence[Outcome]], ...]:
+    """Rows of "state action: outcome, …", each "low high next reward", the reward perhaps left out.
 
-
-def sure(to: int, reward: object = 0) -> list[Outcome]:
-    return [outcome(1, 1, to, reward)]
+    An outcome of one number, or of two, is certain: the next state, and perhaps a reward.
+    """
+    listed = []
+    for line in filter(None, map(str.strip, text.splitlines())):
+        head, _, tail = line.partition(":")
+        outcomes = []
+        for words in (part.split() for part in tail.split(",")):
+            low, high, to, *reward = words if len(words) > 2 else ["1", "1", *words]
+            outcomes.append((F(low), F(high), int(to), F(reward[0] if reward else 0)))
+        state, action = map(int, head.split())
+        listed.append((state, action, outcomes))
+    return tuple(listed)
 
 
 def games(*values: object, state: int = 0) -> dict[Game, dict[int, Fraction]]:
@@ -45,94 +54,65 @@ def games(*values: object, state: int = 0) -> dict[Game, dict[int, Fraction]]:
     return {game: {state: F(str(v))} for game, v in zip(order, values, strict=True)}
 
 
-STORM = "moves-rwth/storm resources/examples/testfiles/imdp"
-STORM_TESTS = "RobustMdpModelCheckerTest.cpp / RobustMDPModelCheckingTest"
-
-
-def tiny_01() -> IntervalCase:
+def storm(
+    number: str, text: str, *answers: object, state: int = 0, near: float = 0.0
+) -> IntervalCase:
     return IntervalCase(
-        name="storm-tiny-01",
-        source=f"{STORM}/tiny-01.drn; {STORM_TESTS}, Tiny01maxmin",
-        rows=(
-            (0, 0, [outcome("0.4", "0.9", 1, 1), outcome("0.5", "0.8", 2)]),
-            (1, 0, sure(1)),
-            (2, 0, sure(2)),
-        ),
+        name=f"storm-tiny-{number}",
+        source=f"moves-rwth/storm resources/examples/testfiles/imdp/tiny-{number}.drn; "
+        f"RobustMdpModelCheckerTest.cpp / RobustMDPModelCheckingTest, Tiny{number}maxmin",
+        rows=rows(text),
         discount=F(1),
-        values=games("0.4", "0.5", "0.5", "0.4"),
+        values=games(*answers, state=state),
+        tolerance=near,
+        start=state,
     )
 
 
-def tiny_03() -> IntervalCase:
-    row = [outcome("0.4", "0.9", 1, 1), outcome("0.5", "0.8", 2)]
-    return IntervalCase(
-        name="storm-tiny-03",
-        source=f"{STORM}/tiny-03.drn; {STORM_TESTS}, Tiny03maxmin",
-        rows=((0, 0, row), (0, 1, row), (1, 0, sure(1)), (2, 0, sure(2))),
-        discount=F(1),
-        values=games("0.4", "0.5", "0.5", "0.4"),
-    )
-
-
-def tiny_04() -> IntervalCase:
-    """The self loop in state 1 goes to state 5 instead: whoever stays for ever earns nothing."""
-    row = [outcome("0.4", "0.9", 3, 1), outcome("0.5", "0.8", 4)]
-    return IntervalCase(
-        name="storm-tiny-04",
-        source=f"{STORM}/tiny-04.drn; {STORM_TESTS}, Tiny04maxmin",
-        rows=(
-            (
-                0,
-                0,
-                [outcome("0.4", "0.4", 1), outcome("0.3", "0.3", 2), outcome("0.1", "0.6", 3, 1)],
-            ),
-            (1, 0, sure(5)),
-            (1, 1, sure(2)),
-            (2, 0, row),
-            (2, 1, row),
-            (2, 2, sure(0)),
-            (3, 0, sure(3)),
-            (4, 0, sure(4)),
-            (5, 0, sure(5)),
-        ),
-        discount=F(1),
-        values=games(1, 1, "0.42857", "0.42"),
-        tolerance=1e-4,
-    )
-
-
-def tiny_05() -> IntervalCase:
-    return IntervalCase(
-        name="storm-tiny-05",
-        source=f"{STORM}/tiny-05.drn; {STORM_TESTS}, Tiny05maxmin",
-        rows=(
-            (0, 0, sure(0)),
-            (1, 0, sure(1)),
-            (2, 0, [outcome("0.3", "0.4", 0, 1), outcome("0.4", "0.9", 1)]),
-        ),
-        discount=F(1),
-        values=games("0.3", "0.4", "0.4", "0.3", state=2),
-        start=2,
-    )
+FORK = ".4 .9 1 1, .5 .8 2"
+# In the fourth, the self loop of state 1 goes to state 5: whoever stays for ever earns nothing.
+TINY = (
+    storm("01", f"0 0: {FORK}\n1 0: 1\n2 0: 2", ".4", ".5", ".5", ".4"),
+    storm("03", f"0 0: {FORK}\n0 1: {FORK}\n1 0: 1\n2 0: 2", ".4", ".5", ".5", ".4"),
+    storm(
+        "04",
+        """
+        0 0: .4 .4 1, .3 .3 2, .1 .6 3 1
+        1 0: 5
+        1 1: 2
+        2 0: .4 .9 3 1, .5 .8 4
+        2 1: .4 .9 3 1, .5 .8 4
+        2 2: 0
+        3 0: 3
+        4 0: 4
+        5 0: 5
+        """,
+        *(1, 1, "0.42857", "0.42"),
+        near=1e-4,
+    ),
+    storm("05", "0 0: 0\n1 0: 1\n2 0: .3 .4 0 1, .4 .9 1", ".3", ".4", ".4", ".3", state=2),
+)
 
 
 def robot_storm() -> IntervalCase:
     """Reaching goal2 at δ = 0.1; states 4 and 5 form a loop and are one state here, 4."""
-    p, q = F("0.4"), F("0.6")
     return IntervalCase(
         name="storm-robot-goal2",
-        source=f"{STORM}/robot.prism, after prismmodelchecker/prism prism-examples/imdps/simple; "
-        f"{STORM_TESTS}, RobotMinMaxTest",
-        rows=(
-            (0, 0, [outcome("0.6", "0.6", 1), outcome("0.4", "0.4", 0)]),
-            (0, 1, [outcome("0.8", "0.8", 2, 1), *(outcome("0.1", "0.1", to) for to in (1, 4))]),
-            (1, 0, [outcome("0.8", "0.9", 2, 1), outcome("0.1", "0.2", 1)]),
-            (1, 1, [(p, q, 4, F(0)), (1 - q, 1 - p, 2, F(1))]),
-            (2, 0, sure(2)),
-            (3, 0, sure(3)),
-            (4, 0, [outcome("0.6", "0.6", 2, 1), outcome("0.4", "0.4", 4)]),
-            (4, 1, [outcome("0.9", "0.9", 2, 1), outcome("0.1", "0.1", 4)]),
-            (4, 2, sure(3)),  # going round for ever
+        source="moves-rwth/storm resources/examples/testfiles/imdp/robot.prism, after "
+        "prismmodelchecker/prism prism-examples/imdps/simple; "
+        "RobustMdpModelCheckerTest.cpp / RobustMDPModelCheckingTest, RobotMinMaxTest",
+        rows=rows(  # the last but one: going round for ever
+            """
+            0 0: .6 .6 1, .4 .4 0
+            0 1: .8 .8 2 1, .1 .1 1, .1 .1 4
+            1 0: .8 .9 2 1, .1 .2 1
+            1 1: .4 .6 4, .4 .6 2 1
+            2 0: 2
+            3 0: 3
+            4 0: .6 .6 2 1, .4 .4 4
+            4 1: .9 .9 2 1, .1 .1 4
+            4 2: 3
+            """
         ),
         discount=F(1),
         values=games(1, 1, "0.6", "0.4"),
@@ -143,60 +123,48 @@ def robot_storm() -> IntervalCase:
 def robot_prism(delta: Fraction, *, time: bool) -> IntervalCase:
     """The probability of goal1, or the expected time to either goal; answers are closed forms."""
     p, q = F(1, 2) - delta, F(1, 2) + delta
-    gain, step = (F(0), F(1)) if time else (F(1), F(0))
-
-    def move(low: object, high: object, to: int) -> Outcome:
-        return F(str(low)), F(str(high)), to, step + (gain if to == 5 else 0)
-
-    rows = (
-        (0, 0, [move("0.6", "0.6", 1), move("0.4", "0.4", 0)]),
-        (0, 1, [move("0.8", "0.8", 3), move("0.1", "0.1", 1), move("0.1", "0.1", 4)]),
-        (1, 0, [move("0.8", "0.9", 2), move("0.1", "0.2", 1)]),
-        (1, 1, [move(p, q, 4), move(1 - q, 1 - p, 2)]),
-        (2, 0, sure(2)),
-        (3, 0, sure(3)),
-        (4, 0, [move(1, 1, 5)]),
-        (4, 1, [move("0.6", "0.6", 3), move("0.4", "0.4", 4)]),
-        (5, 0, sure(5)),
-    )
-    if time:
-        values = {
-            COOPERATIVE_MIN: {0: min(F(109, 90), F(6, 5) + p / 10)},
-            ROBUST_MIN: {0: F(98, 80)},
-        }
-    else:
-        values = {ROBUST_MAX: {0: max(p, F(1, 10) + p / 10)}, COOPERATIVE_MAX: {0: q}}
+    step, gain = (1, 1) if time else (0, 1)  # of a step, and of that to the goal
+    text = f"""
+        0 0: .6 .6 1 {step}, .4 .4 0 {step}
+        0 1: .8 .8 3 {step}, .1 .1 1 {step}, .1 .1 4 {step}
+        1 0: .8 .9 2 {step}, .1 .2 1 {step}
+        1 1: {p} {q} 4 {step}, {1 - q} {1 - p} 2 {step}
+        2 0: 2
+        3 0: 3
+        4 0: 1 1 5 {gain}
+        4 1: .6 .6 3 {step}, .4 .4 4 {step}
+        5 0: 5
+        """
+    chance = {ROBUST_MAX: {0: max(p, F(1, 10) + p / 10)}, COOPERATIVE_MAX: {0: q}}
+    least = min(F(109, 90), F(6, 5) + p / 10)
     return IntervalCase(
         name=f"prism-robot-{'time' if time else 'goal1'}-{float(delta)}",
         source="prismmodelchecker/prism prism-tests/functionality/verify/imdps/robot.prism(.props)",
-        rows=rows,
+        rows=rows(text),
         discount=F(1),
-        values=values,
+        values={COOPERATIVE_MIN: {0: least}, ROBUST_MIN: {0: F(98, 80)}} if time else chance,
     )
 
 
 def total_reward(discount: Fraction) -> IntervalCase:
     """States 0 and 4; at discount 1 state 2 earns 5 for ever, so that values are infinite."""
-    both = (F("0.3"), F("0.7"))
-
-    def fork(*ends: tuple[int, int]) -> list[Outcome]:
-        return [(*both, to, F(gain)) for to, gain in ends]
-
     return IntervalCase(
         name=f"prism-total-reward-{discount}",
         source="prismmodelchecker/prism "
         "prism-tests/functionality/verify/imdps/imdp_total_reward.prism(.props)",
-        rows=(
-            (0, 0, sure(1, 100)),
-            (0, 1, fork((2, 1), (3, 1))),
-            (0, 2, sure(4)),
-            (1, 0, sure(1)),
-            (2, 0, sure(2, 5)),
-            (3, 0, sure(3)),
-            (4, 0, fork((5, 0), (6, 0))),
-            (5, 0, sure(7, 2000)),
-            (6, 0, sure(7, 10_000)),
-            (7, 0, sure(7)),
+        rows=rows(
+            """
+            0 0: 1 100
+            0 1: .3 .7 2 1, .3 .7 3 1
+            0 2: 4
+            1 0: 1
+            2 0: 2 5
+            3 0: 3
+            4 0: .3 .7 5, .3 .7 6
+            5 0: 7 2000
+            6 0: 7 10000
+            7 0: 7
+            """
         ),
         discount=discount,
         values={
@@ -208,35 +176,30 @@ def total_reward(discount: Fraction) -> IntervalCase:
     )
 
 
-def one_backup() -> IntervalCase:
-    """A Bellman backup of V = (1, 2, 3); states 3 to 5 are where the step leads, worth nothing."""
-
-    def row(*bounds: tuple[object, object]) -> list[Outcome]:
-        return [outcome(low, high, 3 + k, k + 1) for k, (low, high) in enumerate(bounds)]
-
-    return IntervalCase(
-        name="interval-mdp-jl-backup",
-        source="Zinoex/IntervalMDP.jl test/base/imdp.jl, testset bellman",
-        rows=(
-            (0, 0, row((0, "0.5"), ("0.1", "0.6"), ("0.2", "0.7"))),
-            (0, 1, row(("0.5", "0.7"), ("0.3", "0.5"), ("0.1", "0.3"))),
-            (1, 0, row(("0.1", "0.6"), ("0.2", "0.5"), ("0.3", "0.4"))),
-            (1, 1, row(("0.2", "0.6"), ("0.3", "0.5"), ("0.4", "0.4"))),
-            (2, 0, [outcome(1, 1, 5, 3)]),
-            *((state, 0, sure(state)) for state in (3, 4, 5)),
-        ),
-        discount=F(1),
-        values={ROBUST_MAX: {0: F("1.7"), 1: F("2.1"), 2: F(3)}},
-    )
-
+# A Bellman backup of V = (1, 2, 3); states 3 to 5 are where the step leads, worth nothing.
+ONE_BACKUP = IntervalCase(
+    name="interval-mdp-jl-backup",
+    source="Zinoex/IntervalMDP.jl test/base/imdp.jl, testset bellman",
+    rows=rows(
+        """
+        0 0: 0 .5 3 1, .1 .6 4 2, .2 .7 5 3
+        0 1: .5 .7 3 1, .3 .5 4 2, .1 .3 5 3
+        1 0: .1 .6 3 1, .2 .5 4 2, .3 .4 5 3
+        1 1: .2 .6 3 1, .3 .5 4 2, .4 .4 5 3
+        2 0: 5 3
+        3 0: 3
+        4 0: 4
+        5 0: 5
+        """
+    ),
+    discount=F(1),
+    values={ROBUST_MAX: {0: F("1.7"), 1: F("2.1"), 2: F(3)}},
+)
 
 INTERVAL_CASES = (
-    tiny_01(),
-    tiny_03(),
-    tiny_04(),
-    tiny_05(),
+    *TINY,
     robot_storm(),
     *(robot_prism(F(d), time=t) for d in ("1/10", "2/5", "1/4") for t in (False, True)),
     total_reward(F(9, 10)),
-    one_backup(),
+    ONE_BACKUP,
 )
