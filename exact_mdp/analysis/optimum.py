@@ -238,8 +238,8 @@ def limited_report(found: ConstrainedSolution, written: Sequence[str | None]) ->
     }
     rows = [
         {"limit": str(limit), "total": float(found.totals[limit.name]), "price": float(price),
-         "closest": float(found.closest[limit.name])}
-        for limit, price in zip(limits, found.price, strict=True)
+         "closest": float(moved.bound)}
+        for limit, price, moved in zip(limits, found.price, found.moved, strict=True)
     ]  # fmt: skip
     title, note = (
         "limits",

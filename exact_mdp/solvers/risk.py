@@ -340,6 +340,8 @@ class CVaROptimum(Result):
 
     def violations(self) -> list[str]:
         """Return what does not hold, in words: nothing where the policy is the best."""
+        if not (0 < self.level <= 1 and 0 <= self.weight < 1):
+            return ["the level or the weight of the mean is out of range"]
         of = self.budgeted
         value, mean, threshold = (z / self._unit for z in (self.value, self.mean, self.threshold))
         if threshold not in of.thresholds:

@@ -25,7 +25,7 @@ from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
-from exact_mdp.solvers.objectives.limits import ConstrainedSolution
+from exact_mdp.solvers.objectives.limits import ConstrainedSolution, bounds
 from exact_mdp.solvers.objectives.totals import TotalsProof
 from exact_mdp.solvers.solver import Criterion
 from exact_mdp.solvers.solver import solve as solve_model
@@ -177,7 +177,7 @@ def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
         [replace(limit, name=text[limit.name]) for limit in each]
         for each in (proof.limits, proof.moved)
     )
-    closest = {limit.name: limit.bound for limit in moved}
+    closest = bounds(limits, moved)
     none = "none: no policy keeps the limits (proven)"
     return {
         "limits": [str(limit) for limit in limits],

@@ -116,6 +116,11 @@ class Rationalization(TotalsProof):
 
     kinds: ClassVar[tuple[str, ...]] = ("weights",)
 
+    def _wrong(self, mdp: MDP) -> list[str]:
+        if self.objectives != tuple(mdp.component_names):
+            return ["what is weighed are not the components of the reward"]
+        return super()._wrong(mdp)
+
     @property
     def possible(self) -> bool:
         """Whether a change below 1 does it: no weight is dropped or turned round."""

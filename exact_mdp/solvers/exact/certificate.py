@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
@@ -95,13 +95,13 @@ class Proof(Result):
         model : MDP, optional
             Needed where the proof was read from a file.
         """
-        return self._wrong(model_of(model, self.mdp))
-
-    def _wrong(self, mdp: MDP) -> list[str]:
         try:
-            return checker.violations(model_json.content(mdp), codec.content(self, int))
+            return self._wrong(model_of(model, self.mdp))
         except (checker.Unreadable, TypeError) as error:
             return [str(error)]
+
+    def _wrong(self, mdp: MDP) -> list[str]:
+        return checker.violations(model_json.content(mdp), codec.content(self, int))
 
     def save(self, path: str | Path) -> None:
         """Write the proof as JSON, for `exact-mdp verify`; docs/reference/certificates.md."""
@@ -124,7 +124,7 @@ class Proof(Result):
         Raises
         ------
         ModelError
-            Where the file is none, or proves something else.
+            Where the file is none, proves something else, or is of another model.
 
         Examples
         --------
@@ -136,7 +136,14 @@ class Proof(Result):
         ...     Certificate.load(f"{folder}/proof.json").value
         array([Fraction(2, 1)], dtype=object)
         """
-        return replace(codec.load(dict.fromkeys(cls.kinds, cls), path), mdp=model)
+        proof = codec.load(dict.fromkeys(cls.kinds, cls), path)
+        if model is not None and proof.model != fingerprint(model):
+            raise ModelError(
+                "the certificate is of another model",
+                where=str(path),
+                fix="give the model that it is of",
+            )
+        return replace(proof, mdp=model)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

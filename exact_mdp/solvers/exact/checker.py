@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 NUMBER = re.compile(r"(-?(?:0x[0-9a-f]+|[0-9]+))(/(0x[0-9a-f]+|[0-9]+))?")
+MODEL = ("states", "discount", "sense", "start", "pairs")
 PAIR = ("state", "action", "denominator", "next", "weight", "reward")
 LEVELS, RANKS = ("g", "h", "w", "low", "high"), ("rank", "order", "infinite")
 HEAD = {"format", "version", "kind", "model", "sense", "policy", "rank"}
@@ -66,6 +67,12 @@ def headed(given: Any, kind: str) -> None:
     wanted(head == [f"exact-mdp {kind}", 2], f"no {kind}: format and version are {str(head)[:80]}")
 
 
+def keyed(given: Any, keys: Iterable[str], what: str) -> None:
+    """Raise Unreadable unless an object has these keys."""
+    other = ", ".join(sorted({*keys} ^ {*given} if type(given) is dict else keys))
+    wanted(not other, f"{what}: keys missing, or too many: {other[:80]}")
+
+
 def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return an object of a JSON file; raises Unreadable for a key that is written twice."""
     keys = [key for key, _ in pairs]
@@ -77,19 +84,15 @@ class Level:
     """Numbers of the states: top[s] / below[group[s]], integers."""
 
     def __init__(self, given: Any, what: str, states: int) -> None:
-        wanted(type(given) is dict and given.keys() == {"top", "below", "group"}, f"{what}: keys")
+        keyed(given, ("top", "below", "group"), what)
         self.top = integers(given["top"], f"{what}.top", states)
         self.below = integers(given["below"], f"{what}.below")
         self.group = integers(given["group"], f"{what}.group", states)
-        wanted(min(self.below, default=0) > 0, f"{what}.below is not positive")
-        wanted({*self.group} <= {*range(len(self.below))}, f"{what}.group has no denominator")
+        fits = {*self.group} <= {*range(len(self.below))} and min(self.below, default=0) > 0
+        wanted(fits, f"{what}: a number below is not positive, or is none of the group's")
         self._times: dict[frozenset[int], tuple[int, dict[int, int]]] = {}
 
-    def number(self, state: int) -> Fraction:
-        """Return the number of a state."""
-        return Fraction(self.top[state], self.below[self.group[state]])
-
-    def weighted(self, weight: Sequence[int], states: Sequence[int]) -> tuple[int, int]:
+    def weighted(self, weight: Sequence[Any], states: Sequence[int]) -> tuple[Any, int]:
         """Return the weighted sum of the numbers of some states: top and below."""
         groups = [*map(self.group.__getitem__, states)]
         if (key := frozenset(groups)) not in self._times:
@@ -105,36 +108,36 @@ class Model:
 
     def __init__(self, given: Any) -> None:
         headed(given, "model")
-        (self.states,) = integers([given.get("states")], "states")
-        self.discount, self.sense = ratio(given.get("discount"), "discount"), given.get("sense")
+        keyed(dict.fromkeys(given.keys() & {*MODEL}), MODEL, "the model")
+        states, discount, self.sense, start, pairs = map(given.get, MODEL)
+        (self.states,), self.discount = integers([states], "states"), ratio(discount, "discount")
         fits = 0 <= self.discount <= 1 and self.sense in ("max", "min")
         wanted(fits, "the discount is not from 0 to 1, or sense is neither max nor min")
-        start, pairs = given.get("start"), given.get("pairs")
-        wanted(type(start) is dict and type(pairs) is list, "start or pairs: no object, or no list")
+        fits = type(start) is dict and type(pairs) is list and self.states <= len(pairs)
+        wanted(fits, "start is no object, or pairs no list with a pair of each state")
         odds = [ratio(share, "start") for share in start.values()]
         self.start = sorted(x for x in zip(integers([*start], "start"), odds, strict=True) if x[1])
-        fits = all(0 <= state < self.states <= len(pairs) for state, _ in self.start)
+        self.odds = [p for _, p in self.start], [s for s, _ in self.start]
+        fits = all(0 <= state < self.states for state in self.odds[1])
         wanted(fits and sum(odds) == 1 and min(odds) >= 0, "start: no distribution of states")
-        fits = all(type(pair) is dict and {*pair} == {*PAIR} for pair in pairs)
-        wanted(fits, f"a pair's keys are not {PAIR}")
         rows = map(list, zip(*sorted(map(self._row, pairs)), strict=True))
         self.state, self.action, self.top, self.below, self.under, self.next, self.weight = rows
         self.pair = {key: l for l, key in enumerate(zip(self.state, self.action, strict=True))}
-        wanted(len(self.pair) == len(pairs), "two pairs have the same state and action")
-        wanted({*self.state} == {*range(self.states)}, "a state has no pair, or a pair no state")
+        fits = len(self.pair) == len(pairs) and {*self.state} == {*range(self.states)}
+        wanted(fits, "two pairs have the same state and action, or the states are not 0, 1, …")
         moving = zip(self.state, self.top, self.next, strict=True)
         self.ends = {*range(self.states)} - {s for s, top, after in moving if top or after != [s]}
         self.goal, self.missing = given.get("goal"), given.get("unreached", "inf")
         self.goal = None if self.goal is None else {*integers(self.goal, "goal")}
-        fits = self.goal is None or (self.discount == 1 and self.goal <= self.ends)
-        wanted(fits and self.missing in ("inf", "-inf"), "the goal, or what missing it is worth")
+        wanted(self.goal is None or (self.discount == 1 and self.goal <= self.ends), "the goal")
 
     def _row(self, given: Any) -> tuple[Any, ...]:
+        keyed(given, PAIR, "a pair")
         state, action, below = integers([given[key] for key in PAIR[:3]], "a pair")
         where = f"state {state}, action {action}"
         after, weight = integers(given["next"], where), integers(given["weight"], where)
-        wanted(len(after) == len(weight) and min(weight, default=0) > 0, f"{where}: the weights")
-        wanted(sum(weight) == below, f"{where}: the weights do not add up to the denominator")
+        fits = len(after) == len(weight) and min(weight, default=0) > 0 and sum(weight) == below
+        wanted(fits, f"{where}: weights, not one for each, above 0, with the denominator as sum")
         wanted(min(after) >= 0 and max(after) < self.states, f"{where}: a next state is none")
         reward = given["reward"]
         each, shares = (reward, weight) if type(reward) is list else ([reward], [below])
@@ -165,12 +168,8 @@ class Check:
     """What a certificate claims of a model, and what does not hold of it, in words."""
 
     def __init__(self, model: Model, given: Any) -> None:
-        headed(given, "certificate")
-        self.model, self.kind = model, given.get("kind")
-        wanted(str(self.kind) in KEYS, f"kind {self.kind!r} is none of {', '.join(KEYS)}")
-        wanted(given.keys() == KEYS[str(self.kind)], f"the keys are not {KEYS[str(self.kind)]}")
+        self.model, self.kind = model, given["kind"]
         states, some = model.states, {key: x for key, x in given.items() if x is not None}
-        self.digest, self.sense = given["model"], given["sense"]
         self.policy = integers(given["policy"], "policy", states)
         ranks = {key: integers(some[key], key, states) for key in RANKS if key in some}
         levels = {key: Level(some[key], key, states) for key in LEVELS if key in some}
@@ -180,21 +179,16 @@ class Check:
         self.g, self.h, self.w = (levels.get(key, zero) for key in LEVELS[:3])
         self.low, self.high = (levels.get(key, self.h) for key in LEVELS[3:])
         self.discount = Fraction(1) if self.kind == "average" else model.discount
-        self.sign = 1 if model.sense == "max" else -1
-        self.optimal = [False] * len(model.state)
+        self.sign, self.optimal = 1 if model.sense == "max" else -1, [False] * len(model.state)
         of_sign = ({s for s, sign in enumerate(self.infinite) if sign == x} for x in (0, -1, 1))
         self.finite, self.never, self.above = of_sign
         self.arriving, self.lost = set[int](), (model.missing == "-inf") is (model.sense == "max")
         self.unique, start = given.get("unique", True), given.get("start_value", 0)
-        wanted(type(self.unique) is bool, "unique is neither true nor false")
         self.start = float(start) if start in ("inf", "-inf") else ratio(start, "start_value")
 
     def violations(self) -> Iterator[str]:
         """Yield what does not hold."""
         model = self.model
-        if [self.digest, self.sense] != [model.digest(), model.sense]:
-            yield "the certificate is of another model"
-            return
         if other := {*enumerate(self.policy)} - model.pair.keys():
             yield f"state {min(other)[0]}: the policy takes an action that there is not"
             return
@@ -207,7 +201,7 @@ class Check:
         elif self.parts == ["h", *RANKS] and total and model.goal is not None:
             judge = self.reaching
         else:
-            yield f"{', '.join(self.parts)} prove no {self.kind} of a model with such a discount"
+            yield f"{', '.join(self.parts) or 'no levels'} prove no {self.kind} of such a model"
             return
         for pair, state in enumerate(model.state):
             if wrong := judge(pair, state, pair in taken):
@@ -235,14 +229,13 @@ class Check:
 
     def alone(self, pair: int, state: int, taken: bool) -> str:
         """Check U ≥ r + γ P U, of the policy L ≤ r + γ P L, of values both; and that runs end."""
-        if self.discount == 1 and state not in self.model.ends:
-            if not self.falls(pair, self.rank, range(self.model.states)):
-                return "the rank does not show that every policy ends"
-        elif self.discount == 1:
-            if self.model.goal is not None and state not in self.model.goal:
-                return "a run may end here, beside the goal"
-            if not self.low.top[state] <= 0 <= self.high.top[state]:
-                return "an end is not worth 0"
+        one, ends, goal = self.discount == 1, state in self.model.ends, self.model.goal
+        if one and not ends and not self.falls(pair, self.rank, range(self.model.states)):
+            return "the rank does not show that every policy ends"
+        if one and ends and goal is not None and state not in goal:
+            return "a run may end here, beside the goal"
+        if one and ends and not self.low.top[state] <= 0 <= self.high.top[state]:
+            return "an end is not worth 0"
         gain = self.gain(pair, self.high)
         self.optimal[pair] = not gain
         if gain > 0:
@@ -303,12 +296,11 @@ class Check:
 
     def at_start(self) -> Fraction | float:
         """Return the value of the start; of discounted values, their limit at discount 1."""
-        start, level = self.model.start, self.g if self.kind == "average" else self.h
-        gains = [0 if level is self.g else self.g.number(s) for s, _ in start]
-        signs = [self.infinite[s] for s, _ in start] if self.infinite else gains
-        if any(signs):  # of both signs: no value, which equals nothing that is claimed
-            return sum(inf if sign > 0 else -inf for sign in {*signs} - {0})
-        return Fraction(sum(p * level.number(s) for s, p in start))
+        if self.kind == "average":
+            return Fraction(*self.g.weighted(*self.model.odds))
+        signs = {(self.infinite or self.g.top)[s] for s, _ in self.model.start} - {0}
+        infinite = {inf if sign > 0 else -inf for sign in signs}
+        return sum(infinite) or Fraction(*self.h.weighted(*self.model.odds))  # NaN for both
 
     def one_optimum(self) -> bool:
         """Return whether states that optimal pairs reach from the start have one each, or end."""
@@ -324,14 +316,22 @@ class Check:
         return True
 
 
-def violations(model: object, certificate: object) -> list[str]:
+def violations(model: object, given: Any) -> list[str]:
     """Return what does not hold, the first 20 sentences, of what two files contain; or nothing."""
-    return list(islice(Check(Model(model), certificate).violations(), 20))
+    headed(given, "certificate")
+    wanted(str(given.get("kind")) in KEYS, f"no kind of {', '.join(KEYS)}: see exact-mdp verify")
+    keyed(given, KEYS[given["kind"]], "the certificate")
+    if [given["model"], given["sense"]] != [(of := Model(model)).digest(), of.sense]:
+        return ["the certificate is of another model"]
+    return [*islice(Check(of, given).violations(), 20)]
 
 
 def read(path: str) -> Any:
     """Return the content of a JSON file."""
-    return json.loads(Path(path).read_text("utf-8-sig"), object_pairs_hook=once)
+    try:
+        return json.loads(Path(path).read_text("utf-8-sig"), object_pairs_hook=once)
+    except (ValueError, RecursionError) as error:
+        raise Unreadable(f"{path}: {error}") from error
 
 
 def main(words: Sequence[str], load: Callable[[str], Any] = read) -> int:
@@ -339,7 +339,7 @@ def main(words: Sequence[str], load: Callable[[str], Any] = read) -> int:
     try:
         wanted(len(words) == 2, "give two files: model.json certificate.json")
         wrong = violations(load(words[0]), read(words[1]))
-    except (ValueError, OSError, RecursionError) as error:
+    except (ValueError, OSError) as error:
         print(f"not checked: {error}", file=sys.stderr)
         return 2
     print("\n".join(f"does not hold: {what}" for what in wrong) or "holds")

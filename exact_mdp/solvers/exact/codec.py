@@ -133,6 +133,16 @@ def _types(kind: Any) -> dict[str, Any]:
     return {name: hints[name] for name in names}
 
 
+def checked(proof: Any) -> Any:
+    """Return a proof made of what its file would hold; raises Unreadable for other types."""
+    try:
+        if proof.kind in type(proof).kinds:
+            return decode(type(proof), encode(proof))
+    except (ValueError, TypeError, AttributeError, OverflowError):
+        pass
+    raise Unreadable(f"no file holds such a proof of {' or '.join(type(proof).kinds)}")
+
+
 def content(proof: Any, integer: Callable[[int], object] = hex) -> dict[str, Any]:
     """Return what the file of a proof has."""
     return {"format": FORMAT, "version": VERSION, **encode(proof, integer)}

@@ -22,7 +22,7 @@ from itertools import pairwise
 from math import inf, lcm
 from typing import Any
 
-from exact_mdp.solvers.exact.checker import Level, Model, Unreadable, wanted
+from exact_mdp.solvers.exact.checker import Level, Model, wanted
 
 Point = Sequence[Fraction]
 
@@ -51,6 +51,16 @@ class Totals:
             pairs = zip(model.state, model.next, strict=True)
             if any(s not in self.ends and min(rank[t] for t in a) >= rank[s] for s, a in pairs):
                 yield "the rank does not show that every policy ends"
+        if model.goal is not None:
+            after: list[set[int]] = [set() for _ in range(model.states)]
+            for state, following in zip(model.state, model.next, strict=True):
+                after[state].update(following)
+            met = {*(waiting := [*model.odds[1]])}
+            for state in waiting:
+                waiting += (fresh := after[state] - met)
+                met |= fresh
+            if met & self.ends - model.goal:
+                yield "a run may end beside the goal, and its totals are not finite"
 
     def gain(self, weights: Point, value: Level, pair: int) -> int:
         """Return the sign of w c + γ P V - V; at an end, of -V."""
@@ -67,7 +77,7 @@ class Totals:
     def bounds(self, weights: Point, given: Any, most: Fraction) -> bool:
         """Return whether values prove that no policy has a weighted total above `most`."""
         value = _level(given, self.model.states)
-        at_start = sum((p * value.number(s) for s, p in self.model.start), Fraction())
+        at_start = Fraction(*value.weighted(*self.model.odds))
         pairs = range(len(self.model.state))
         return at_start <= most and all(self.gain(weights, value, pair) <= 0 for pair in pairs)
 
@@ -84,7 +94,7 @@ class Totals:
             unit = [Fraction(k == i) for i in range(len(each))]
             if any(self.gain(unit, value, pair) for pair in listed):
                 return False
-            if sum((p * value.number(s) for s, p in model.start), Fraction()) != claimed:
+            if Fraction(*value.weighted(*model.odds)) != claimed:
                 return False
         return True
 
@@ -272,8 +282,8 @@ KINDS: dict[str, Callable[[Totals, Any], Iterator[str]]] = {
 
 
 def violations(totals: Totals, proof: Any) -> list[str]:
-    """Return what does not hold of a proof about totals, in words: nothing where it is sound."""
-    try:
-        return [*totals.sound(proof.rank), *KINDS[proof.kind](totals, proof)]
-    except Unreadable as error:
-        return [str(error)]
+    """Return what does not hold of a proof about totals, in words: nothing where it is sound.
+
+    Raises Unreadable where numbers of the proof do not fit the model.
+    """
+    return [*totals.sound(proof.rank), *KINDS[proof.kind](totals, proof)]

@@ -76,6 +76,12 @@ class Objectives:
     @classmethod
     def of(cls, mdp: MDP, texts: Sequence[str]) -> Objectives:
         """Return objectives by their texts; raises ModelError for what cannot be counted."""
+        if not all(isinstance(text, str) for text in texts):
+            raise ModelError(
+                f"{list(texts)!r} names what is counted",
+                where="objectives",
+                fix='give texts: a name, or a sum such as "name=2*a-b"',
+            )
         named = [_parsed(mdp, text) for text in texts]
         names = tuple(name for name, _ in named)
         if len(set(names)) < len(names):
@@ -140,7 +146,10 @@ class Objectives:
             return
         ending, mdp = termination(self.ending), self.mdp
         if ending.proven:
-            if mdp.goal is not None and (beside := reachable(mdp) & mdp.terminal & ~mdp.goal).any():
+            if (
+                mdp.goal is not None
+                and (beside := reachable(mdp) & self.ending.terminal & ~mdp.goal).any()
+            ):
                 raise ModelError(
                     "no total is finite: a policy may end beside the goal",
                     where=f"state ({mdp.space.label(int(np.flatnonzero(beside)[0]))})",
@@ -173,11 +182,15 @@ Terms = list[tuple[Fraction, str]]
 def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
     """Return the name of an objective, and its terms."""
     rewards = dict.fromkeys([*mdp.component_names, reward_name(mdp)])
-    known = [*rewards, STEPS, *mdp.events, *mdp.labels]
+    known = [*dict.fromkeys([*rewards, STEPS, *mdp.events, *mdp.labels])]
     name, equals, body = text.partition("=")
     if text in known or not equals:
         name, body = text, text
     name, body = name.strip(), body.strip()
+    if not name:
+        raise ModelError(
+            "a sum has an empty name", where=f"objective {text!r}", fix="write name=2*a-b"
+        )
     if body in known:
         return name, [(Fraction(1), body)]
     terms, at = Terms(), 0
@@ -193,9 +206,13 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
         if amount is None or (terms and start[1] is None):
             part = re.split(r"[-+*]", body[place:])[0].strip() or body
             raise ModelError(
-                f"nothing to count is called {part!r}",
+                f"{body[at:]!r} is no part of a sum"
+                if part in known
+                else f"nothing to count is called {part!r}",
                 where=f"objective {text!r}",
-                fix=f"{suggest(part, known)}; a sum is written name=2*a-b",
+                fix="write each term as NAME or NUMBER*NAME, with + or - between: name=2*a-b"
+                if part in known
+                else f"{suggest(part, known)}; a sum is written name=2*a-b",
             )
         factor = exact(start[2] or "1")
         terms.append((-factor if start[1] == "-" else factor, amount))

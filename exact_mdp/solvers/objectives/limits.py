@@ -159,8 +159,11 @@ class ConstrainedSolution(TotalsProof):
 
     @property
     def closest(self) -> dict[str, Fraction]:
-        """The closest limits that can be kept, all moved by the same step."""
-        return {limit.name: limit.bound for limit in self.moved}
+        """The closest limits that can be kept, all moved by the same step.
+
+        By name, or by the whole limit where a name has several.
+        """
+        return bounds(self.limits, self.moved)
 
     @property
     def moved(self) -> tuple[Limit, ...]:
@@ -211,10 +214,17 @@ class ConstrainedSolution(TotalsProof):
         import pandas
 
         rows = [
-            (str(limit), self.totals[limit.name], price, self.closest[limit.name])
-            for limit, price in zip(self.limits, self.price, strict=True)
+            (str(limit), self.totals[limit.name], price, moved.bound)
+            for limit, moved, price in zip(self.limits, self.moved, self.price, strict=True)
         ]
         return pandas.DataFrame(rows, columns=["limit", "total", "price", "closest"])
+
+
+def bounds(limits: Sequence[Limit], moved: Sequence[Limit]) -> dict[str, Fraction]:
+    """Return where limits are moved to, by name, or by the limit where a name has several."""
+    names = [limit.name for limit in limits]
+    keys = [x.name if names.count(x.name) == 1 else str(x) for x in limits]
+    return {key: limit.bound for key, limit in zip(keys, moved, strict=True)}
 
 
 def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
@@ -227,7 +237,7 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
         )
     limits = []
     for name, texts in subject_to.items():
-        for text in texts if isinstance(texts, list | tuple) else [texts]:
+        for text in (texts if isinstance(texts, list | tuple) else [texts]) or [""]:
             parts = LIMIT.match(str(text))
             if parts is None:
                 raise ModelError(
@@ -244,7 +254,10 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
     """Return the optimum under limits; see `solve`."""
     given = limits_of(subject_to)
     names = list(dict.fromkeys(limit.name for limit in given))
-    of = Objectives.of(mdp, [f"return={reward_name(mdp)}", *names])
+    title = "return"
+    while title in (name.partition("=")[0].strip() for name in names):
+        title += "'"
+    of = Objectives.of(mdp, [f"{title}={reward_name(mdp)}", *names])
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
     vertex = _Program(of, limits).solved()
     return ConstrainedSolution(

@@ -21,7 +21,7 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, common
-from exact_mdp.solvers.exact import duals
+from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, model_of
 from exact_mdp.solvers.exact.find import best, evaluated, first_of, nearly
 from exact_mdp.solvers.exact.levels import Level, combined, fraction, signs
@@ -139,7 +139,8 @@ class TotalsProof(Proof):
     def _wrong(self, mdp: MDP) -> list[str]:
         if self.model != fingerprint(mdp):
             return ["the certificate is of another model"]
-        return duals.violations(Objectives.of(mdp, self.objectives).counted(), self)
+        proof = codec.checked(self)
+        return duals.violations(Objectives.of(mdp, proof.objectives).counted(), proof)
 
 
 def about(of: Objectives, kind: str) -> dict[str, Any]:

@@ -1,0 +1,114 @@
+"""What fronts, limits and weights must not claim."""
+
+from dataclasses import replace
+from fractions import Fraction as F
+from math import inf
+from pathlib import Path
+
+import pytest
+
+from exact_mdp import MDP, ModelError, certify, rationalize, solve, tradeoff
+from exact_mdp.check_certificate import main
+
+STAY_OR_GO = [(0, 0, [(1, 1, -5)]), (0, 1, [(1, 2, -1)]), (1, 0, [(1, 1, 0)])]
+HOME = {"home": [False, True, False]}
+TWO = MDP.from_outcomes(
+    [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])],
+    components={"gain": [6, 3, 0], "effort": [-1, 0, 0]},
+)
+
+
+@pytest.mark.parametrize("trap", [[(1, 2, 0)], [("1/2", 2, 1), ("1/2", 2, -1)]])
+def test_totals_are_refused_where_a_run_may_end_beside_the_goal(trap: list[object]) -> None:
+    mdp = MDP.from_outcomes([*STAY_OR_GO, (2, 0, trap)], labels=HOME).until("home")
+    for call in (
+        lambda: solve(mdp, subject_to={"reward": ">= -3"}),
+        lambda: tradeoff(mdp, ["reward", "steps"]),
+        lambda: rationalize(mdp, [0, 0, 0]),
+    ):
+        with pytest.raises(ModelError, match=r"beside the goal|no finite total"):
+            call()
+    assert solve(mdp.with_(start=[0, 1, 0]), subject_to={"reward": ">= -3"}).start_value == 0
+
+
+def test_a_proof_of_totals_does_not_hold_where_a_run_may_end_beside_the_goal() -> None:
+    plain = MDP.from_outcomes([*STAY_OR_GO, (2, 0, [(1, 2, 0)])], labels=HOME)
+    mdp = plain.until("home")
+    proof = solve(mdp.with_(goal=None), subject_to={"reward": ">= -3"})
+    assert proof.violations() == []
+    totals = proof.of.counted()
+    totals.model.goal = {1}
+    assert any("beside the goal" in fault for fault in totals.sound(proof.rank))
+
+
+def test_weights_are_those_of_all_components() -> None:
+    alone = MDP.from_outcomes([(0, 0, [(1, 1, -1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])])
+    true, other = (rationalize(mdp, {"0": "1", "1": "0"}) for mdp in (TWO, alone))
+    false = replace(other, objectives=("effort",), model=true.model, mdp=TWO)
+    assert (true.change, false.change) == (F(1, 2), 0)
+    assert false.violations() == ["what is weighed are not the components of the reward"]
+    cut = replace(true.cuts[0], multiplier=inf)
+    assert replace(true, cuts=(cut,), change=F(2)).violations()
+    assert replace(true, kind="front").violations()
+
+
+def test_limits_on_one_name_keep_their_own_closest_bounds() -> None:
+    found = solve(TWO, subject_to={"gain": [">= 9", "<= 4"]})
+    assert found.closest == {"gain >= 9": F(6), "gain <= 4": F(7)}
+    assert found.frame()["closest"].tolist() == [F(6), F(7)]
+
+
+def test_a_component_may_be_called_return() -> None:
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])],
+                            components={"return": [2, 0], "rest": [3, 0]})  # fmt: skip
+    assert solve(mdp, subject_to={"return": "<= 2"}).start_value == 5
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        ([1, "gain"], "give texts"),
+        (["=gain", "effort"], "an empty name"),
+        (["gain*2", "effort"], "no part of a sum"),
+        (["gains", "effort"], "did you mean gain"),
+    ],
+)
+def test_what_is_counted_is_named(texts: list[str], said: str) -> None:
+    with pytest.raises(ModelError, match=said):
+        tradeoff(TWO, texts)
+
+
+def test_no_limits_are_refused() -> None:
+    for none in ({}, {"gain": []}, {"gain": ""}, ["gain <= 1"]):
+        with pytest.raises(ModelError, match="limit"):
+            solve(TWO, subject_to=none)
+
+
+def test_a_proof_is_loaded_with_its_own_model_only(tmp_path: Path) -> None:
+    front = tradeoff(TWO, ["gain", "effort"])
+    front.save(path := tmp_path / "front.json")
+    assert type(front).load(path, TWO).vertices == front.vertices
+    with pytest.raises(ModelError, match="another model"):
+        type(front).load(path, TWO.with_(discount="1/2"))
+
+
+def test_the_checker_says_which_file_and_what_is_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    TWO.save(model := tmp_path / "model.json")
+    certify(TWO).save(proof := tmp_path / "proof.json")
+    certify(TWO.within(2)).save(other := tmp_path / "other.json")
+    text = proof.read_text("utf-8")
+    for change, status, said in (
+        (None, 1, "another model"),
+        (lambda t: t[:-9], 2, "broken.json: Unterminated"),
+        (lambda t: t.replace('"rank"', '"ranks"'), 2, "keys missing, or too many: rank, ranks"),
+        (lambda t: t.replace('"total"', '"front"'), 2, "see exact-mdp verify"),
+    ):
+        path = other if change is None else tmp_path / "broken.json"
+        if change is not None:
+            path.write_text(change(text), "utf-8")
+        assert main([str(model), str(path)]) == status
+        written = capsys.readouterr()
+        assert said in written.out + written.err
+    assert main([str(model), str(proof)]) == 0
