@@ -107,6 +107,7 @@ def test_every_form_of_a_policy_over_cells_is_the_same(numbers: list[int]) -> No
     forms = [
         lambda s: names[s],
         lambda s: {names[s]: 1},
+        lambda s: np.array(numbers[s]),
         lambda s: one_hot[s],
         {LAKE.space.label(s): a for s, a in enumerate(names)},
         {(s // 4, s % 4): a for s, a in enumerate(names)},
@@ -146,6 +147,7 @@ def test_a_policy_is_the_array_of_its_rule() -> None:
     numbers = np.zeros(CARE.n_states, dtype=np.int64)
     policy, other = Policy.of(CARE, numbers), Policy.of(CARE, numbers)
     assert "table" not in vars(policy)
+    assert Policy.of(CARE, numbers + 1).table.tolist() == np.eye(4)[numbers + 1].tolist()
     assert np.asarray(policy).tolist() == policy.tolist() == list(policy) == numbers.tolist()
     assert (policy.shape, policy.ndim, policy.dtype) == ((len(policy),), 1, np.int64)
     assert (policy[3], policy[[1, 2]].tolist()) == (0, [0, 0])
