@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import StrEnum
@@ -434,6 +434,16 @@ class Solution(Pictured):
             f"regret at most {self.regret_bound:.1g}, {self.iterations} iterations, "
             f"{self.seconds:.3g} s; {self.status})"
         )
+
+
+def least(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
+    """Return what solves a model of costs, and have a SolverError hold what was reached of it."""
+    try:
+        return solved(mdp.maximised).negated(mdp)
+    except SolverError as error:
+        if error.solution is not None:
+            error.solution = error.solution.negated(mdp)
+        raise
 
 
 def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:

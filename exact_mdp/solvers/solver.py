@@ -30,7 +30,7 @@ from exact_mdp.solvers.dynamic.methods import (
 )
 from exact_mdp.solvers.endless.total import solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
-from exact_mdp.solvers.solution import Solution, Status, warn_of_precision
+from exact_mdp.solvers.solution import Solution, Status, least, warn_of_precision
 from exact_mdp.solvers.ties import settled
 
 if TYPE_CHECKING:
@@ -197,7 +197,7 @@ def solve(
     if subject_to is not None:
         return solve_under(mdp, subject_to)
     if mdp.sense == "min":
-        return solve(mdp.maximised, solver, tol=tol, start=opposite(mdp, start)).negated(mdp)
+        return least(mdp, partial(solve, solver=solver, tol=tol, start=opposite(mdp, start)))
     if endless(mdp):
         return solve_total(mdp, partial(solve, solver=solver, tol=tol))
     if solver == "auto":

@@ -33,7 +33,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from functools import cached_property, wraps
+from functools import cached_property, partial, wraps
 from numbers import Real
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
@@ -50,7 +50,7 @@ from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import UNIT, gains, greedy, largest_error, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.dynamic.known import values_of
-from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
+from exact_mdp.solvers.solution import Solution, SolverError, Status, least, warn_of_precision
 
 RELATIVE_TOLERANCE = 1e-9
 LOOPS = 10_000  # transitions: from here on compiled loops are worth the third of a second to load
@@ -78,7 +78,8 @@ def of_costs(solve: Callable[[S, MDP], Solution]) -> Callable[[S, MDP], Solution
     @wraps(solve)
     def door(self: S, model: MDP) -> Solution:
         if isinstance(model, MDP) and model.sense == "min":
-            return solve(self, model.maximised).negated(model)
+            found: Solution = least(model, partial(solve, self))
+            return found
         with np.errstate(over="ignore", invalid="ignore"):
             return solve(self, model)
 

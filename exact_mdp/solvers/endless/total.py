@@ -43,7 +43,11 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     _check_start(mdp, found.sign)
     whole = finite(found)
     part = without_losing(whole)
-    solution = solved(part.mdp)
+    try:
+        solution = solved(part.mdp)
+    except SolverError as failed:
+        failed.solution = None  # its states are not those of the model
+        raise
     _verify(whole, part, solution)
     value, error = solution.value[whole.label], solution.state_error[whole.label]
     value[found.sign > 0], value[found.sign < 0] = np.inf, -np.inf

@@ -35,7 +35,7 @@ import flint
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.exact import fraction as as_fraction
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
@@ -246,7 +246,8 @@ def limits_of(subject_to: Mapping[str, Any]) -> tuple[Limit, ...]:
                     fix='write a text with >= or <=, such as ">= -1/2" or "<= 1/20"',
                 )
             sign = 1 if parts[1] == ">=" else -1
-            limits.append(Limit(name=str(name), sign=sign, bound=exact(parts[2])))
+            with located(f"subject_to {name!r}"):
+                limits.append(Limit(name=str(name), sign=sign, bound=exact(parts[2])))
     return tuple(limits)
 
 

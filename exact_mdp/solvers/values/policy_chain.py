@@ -91,7 +91,9 @@ class PolicyChain:
         if isinstance(policy, PolicyChain):
             if policy.mdp is not mdp:
                 raise ModelError(
-                    "the policy was read for another model", fix="give the policy itself"
+                    "the policy was read for another model",
+                    where="policy",
+                    fix="give the policy itself",
                 )
             return policy
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:

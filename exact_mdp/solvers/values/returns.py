@@ -158,7 +158,11 @@ class ReturnDistribution(Pictured):
         the median of a fair coin is tails, whatever the roundings.
         """
         if not 0 <= share <= 1:
-            raise ModelError(f"no quantile is at {share}", fix="choose a probability from 0 to 1")
+            raise ModelError(
+                f"no quantile is at {share}",
+                where="quantile",
+                fix="choose a probability from 0 to 1",
+            )
         slack = (self.relative_error + self.remaining + len(self.multiples) * UNIT) * SLACK
         if -inf in self.unending and share - slack <= self._infinite(-inf):
             return -inf
