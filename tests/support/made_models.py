@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp import MDP, Parametric, moving
+from exact_mdp import MDP, Parametric, certify, moving
 
 
 def garnet(
@@ -75,6 +75,21 @@ def classes(reward: str, discount: float) -> MDP:
     return sparse(
         rows, weight, rare if reward == "rare" else rng.integers(-3, 4, pairs) * 1.0, discount
     )
+
+
+def in_copies(mdp: MDP, copies: int) -> tuple[MDP, np.ndarray[Any, Any]]:
+    """Copies of all states, numbered by chance, and the exact values that they have."""
+    floats = (mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward)
+    value = certify(one := MDP.from_pairs(*floats, mdp.discount_exact)).value
+    if copies == 1:
+        return one, value
+    order = np.random.default_rng(copies).permutation(mdp.n_states * copies)
+    state = np.argsort(order).reshape(copies, -1)[:, mdp.pair_state].ravel()
+    pairs = np.argsort(state, kind="stable")
+    rows = sp.csr_array(sp.kron(sp.eye_array(copies), mdp.transition))[pairs][:, order]
+    action, reward = np.tile(mdp.pair_action, copies), np.tile(mdp.reward, copies)
+    many = MDP.from_pairs(state[pairs], action[pairs], rows, reward[pairs], mdp.discount_exact)
+    return many, value[order % mdp.n_states]
 
 
 PARTS = 1000  # of which drawn probabilities and rewards are whole numbers

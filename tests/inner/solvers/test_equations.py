@@ -1,4 +1,4 @@
-"""Fixed points x = c + γ P x: their error bounds, elimination, and Krylov methods."""
+"""Fixed points x = c + γ P x: each way of solving them, whatever the chain."""
 
 from fractions import Fraction as F
 
@@ -8,24 +8,11 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import evaluate_exact
-from strategies import Rows, exact_values, models
+from strategies import exact_values
 
 from exact_mdp import SolverError, Status
-from exact_mdp.mdp.graph import topological_levels
 from exact_mdp.solvers.bounds import linear
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain
-from exact_mdp.solvers.kernels import linear as krylov
-from exact_mdp.solvers.kernels.linear import Rows as Packed
-
-
-def chains(seed: int, *, lower: int = 9, upper: int = 9, density: float = 0.5) -> sp.csr_array:
-    """A random chain of a few states that leaks, its transitions within a band."""
-    rng = np.random.default_rng(seed)
-    size = int(rng.integers(1, 14))
-    found = rng.random((size, size)) * (rng.random((size, size)) < density)
-    found = np.triu(np.tril(found, upper), -lower)
-    found *= rng.uniform(0.1, 0.999) / max(1.0, found.sum(axis=1).max())
-    return sp.csr_array(found)
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
 
 
 def fixed_point(
@@ -35,126 +22,11 @@ def fixed_point(
     return LinearSystem(chain, discount, **more).solve(constant, error)
 
 
-def choices(rows: Rows, data: st.DataObject) -> dict[int, int]:
-    offered = {s: [a for t, a, *_ in rows.pairs if t == s] for s in range(rows.n_states)}
-    return {s: data.draw(st.sampled_from(actions)) for s, actions in offered.items()}
-
-
-@given(models(), st.data())
-def test_the_value_of_a_policy_lies_within_the_error(rows: Rows, data: st.DataObject) -> None:
-    policy, mdp = choices(rows, data), rows.model()
-    exact = evaluate_exact(rows.n_states, rows.pairs, rows.discount, policy)
-    chain, reward = policy_chain(mdp, np.array([mdp.pair(s, a) for s, a in policy.items()]))
-    error = 2.0**-53 * np.abs(reward)
-    order = topological_levels(mdp)
-    found = fixed_point(chain, reward, mdp.discount, order=order, constant_error=error)
-    for x, value, bound in zip(exact, exact_values(found.value), found.error, strict=True):
-        assert abs(x - value) <= F(float(bound))
-    size = max(map(abs, exact)) + max(abs(r) for _, _, r, _ in rows.pairs)
-    assert found.error.max() <= 1e-9 * float(size)
-
-
-@given(models(), st.data())
-def test_visits_weigh_rewards_to_the_value(rows: Rows, data: st.DataObject) -> None:
-    policy, mdp = choices(rows, data), rows.model()
-    chain, reward = policy_chain(mdp, np.array([mdp.pair(s, a) for s, a in policy.items()]))
-    start = np.full(mdp.n_states, 1 / mdp.n_states)
-    order = topological_levels(mdp)
-    value = fixed_point(chain, reward, mdp.discount, order=order)
-    back = None if order is None else -order
-    visits = fixed_point(sp.csr_array(chain.T), start, mdp.discount, order=back)
-    difference = abs(start @ value.value - visits.value @ reward)
-    allowed = start @ value.error + visits.error @ np.abs(reward)
-    assert difference <= allowed + 1e-12 * (np.abs(reward) @ visits.value)
-
-
 def slow_walk(side: int) -> sp.csr_array:
     """A walk on a square, from whose edge it falls off."""
     line = sp.diags_array([np.full(side - 1, 0.25)] * 2, offsets=[-1, 1])
     eye = sp.eye_array(side)
     return sp.csr_array(sp.kron(line, eye) + sp.kron(eye, line))
-
-
-def weak_clusters(states: int, clusters: int, leak: float) -> sp.csr_array:
-    """Random clusters that are left for anywhere with a small probability."""
-    rng, size = np.random.default_rng(5), states // clusters
-    near = np.repeat(np.arange(clusters) * size, size)[:, None] + rng.integers(
-        size, size=(states, 6)
-    )
-    after = np.concatenate([near, rng.integers(states, size=(states, 1))], axis=1)
-    chance = rng.dirichlet(np.ones(6), states) * (1 - leak)
-    chance = np.concatenate([chance, np.full((states, 1), leak)], axis=1)
-    chain = sp.csr_array((chance.ravel(), after.ravel(), np.arange(0, 7 * states + 1, 7)))
-    chain.sum_duplicates()
-    return chain
-
-
-@pytest.mark.parametrize(
-    "chain",
-    [
-        sp.csr_array([[1.0]]),
-        sp.csr_array([[0.0, 1.0], [1.0, 0.0]]),
-        sp.csr_array([[0.5, 0.4], [0.9, 0.6]]),
-        sp.csr_array([[1 - 2.0**-53]]),
-    ],
-)
-def test_a_chain_that_does_not_leak_is_refused(chain: sp.csr_array) -> None:
-    with pytest.raises(SolverError, match="certify"):
-        fixed_point(chain, np.ones(chain.shape[0]))
-
-
-def packed(chain: sp.csr_array) -> Packed:
-    return Packed(chain.indptr, chain.indices, chain.data)
-
-
-def solved(
-    chain: sp.csr_array, rate: float, constant: np.ndarray, steps: int
-) -> tuple[int, np.ndarray]:
-    value, room = np.full(len(constant), np.nan), np.full((6, len(constant)), np.nan)
-    return krylov.bicgstab(packed(chain), rate, constant, 1e-12, steps, value, room), value
-
-
-def shuffled(chain: sp.csr_array, seed: int = 1) -> sp.csr_array:
-    places = np.random.default_rng(seed).permutation(chain.shape[0])
-    return sp.csr_array(chain[places][:, places])
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_small_systems_are_solved(seed: int) -> None:
-    rng, chain = np.random.default_rng(seed), chains(seed)
-    size = chain.shape[0]
-    constant = np.where(rng.random(size) < 0.3, 0.0, rng.normal(size=size))
-    taken, value = solved(chain, 0.95, constant, 200)
-    assert taken >= 0
-    exact = np.linalg.solve(np.eye(size) - 0.95 * chain.toarray(), constant)
-    assert np.abs(value - exact).max() < 1e-9
-
-
-def test_a_random_chain_takes_few_steps_and_too_few_are_noticed() -> None:
-    rng = np.random.default_rng(12)
-    after, chance = rng.integers(0, 9_000, 54_000), rng.dirichlet(np.ones(6), 9_000).ravel()
-    chain = sp.csr_array((chance, after, np.arange(0, 54_001, 6)))
-    chain.sum_duplicates()
-    constant = rng.normal(size=9_000)
-    taken, value = solved(chain, 0.999, constant, 100)
-    assert 0 < taken < 30
-    assert np.linalg.norm(value - 0.999 * (chain @ value) - constant) < 1e-8
-    assert solved(chain, 0.999, constant, 1)[0] == -1
-
-
-@pytest.mark.parametrize(
-    "chain",
-    [
-        [[0.25, 0.5, 0.0], [0.25, 0.0, 0.25], [0.0, 0.25, 0.125]],
-        [[0.0, 0.5, 0.0], [0.25, 0.0, 0.5], [0.125, 0.5, 0.0]],
-    ],
-)
-def test_bicgstab_starts_again_where_it_breaks_down(chain: list[list[float]]) -> None:
-    """Here the residual comes to be orthogonal to the first one, after two steps at most."""
-    constant, matrix = np.array([-1.0, 0.0, 0.0]), np.array(chain)
-    taken, value = solved(sp.csr_array(matrix), 1.0, constant, 60)
-    assert 3 <= taken <= 5
-    assert np.abs(constant - value + matrix @ value).max() < 1e-11
 
 
 @settings(max_examples=40)
@@ -252,16 +124,6 @@ def test_factors_that_would_be_too_large_are_refused(monkeypatch: pytest.MonkeyP
     assert told.value.status is Status.TOO_LARGE
 
 
-@pytest.mark.parametrize("leak", [1e-4, 1e-6])
-def test_a_chain_that_falls_apart_is_solved_without_large_factors(leak: float) -> None:
-    chain, rate = weak_clusters(10_000, 50, leak), 1 - leak
-    system, constant = LinearSystem(chain, rate), np.random.default_rng(6).random(10_000)
-    found = system.solve(constant)
-    assert "_within_band" not in vars(system)
-    assert found.error.max() < 1e-6 * np.abs(found.value).max()
-    assert np.abs(constant + rate * (chain @ found.value) - found.value).max() < 1e-8
-
-
 @pytest.mark.parametrize("rate", [0.9, 0.999, 1 - 1e-12])
 @pytest.mark.parametrize("off", [0.0, 1e-10])
 def test_values_relative_to_a_state_often_visited(rate: float, off: float) -> None:
@@ -275,17 +137,6 @@ def test_values_relative_to_a_state_often_visited(rate: float, off: float) -> No
     value = np.linalg.solve(np.eye(12) - rate * chain, constant)
     lost = 1e-14 / leak.min() * np.abs(value).max()  # by dense equations
     assert np.abs(found + common - value).max() <= lost
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0, 1))
-def test_gauss_seidel_both_ways_is_the_product_that_it_stands_for(seed: int, dense: float) -> None:
-    rng, chain = np.random.default_rng(seed), chains(seed, density=dense)
-    size = chain.shape[0]
-    matrix = np.eye(size) - 0.9 * chain.toarray()
-    lower, upper, diagonal = np.tril(matrix), np.triu(matrix), np.diag(np.diag(matrix))
-    given_, found = rng.normal(size=size), np.full(size, np.nan)
-    krylov.preconditioned(packed(chain), 0.9, given_, found)
-    assert np.allclose(lower @ np.linalg.solve(diagonal, upper @ found), given_, atol=1e-12)
 
 
 def test_sweeps_that_would_be_too_many_end_early() -> None:

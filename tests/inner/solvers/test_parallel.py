@@ -36,33 +36,6 @@ def failing_last(folder: str, index: int) -> dict[str, Any]:
     return failing(index)
 
 
-@pytest.mark.parametrize("n_jobs", [1, 2, None])
-def test_results_are_in_order_and_do_not_depend_on_the_processes(n_jobs: int | None) -> None:
-    assert same(many(partial(draws, 0), range(12), key=KEY, n_jobs=n_jobs), WANTED)
-
-
-def test_no_pieces_are_no_results() -> None:
-    assert many(partial(draws, 0), [], key=KEY, n_jobs=2) == []
-
-
-def test_a_folder_is_used_again_and_more_pieces_may_be_asked_for(tmp_path: Path) -> None:
-    folder = tmp_path / "new" / "run"
-    first = many(partial(draws, 0), range(4), key=KEY, folder=folder)
-    times = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
-    assert sorted(times) == [*(f"{i:06d}.npz" for i in range(4)), "work.json"]
-    again = many(failing, range(4), key=KEY, folder=folder)  # nothing is left to do
-    assert same(again, first)
-    more = many(partial(draws, 0), range(12), key=KEY, folder=folder, n_jobs=2)
-    assert same(more, WANTED)
-    assert {n: t for n, t in times.items() if (folder / n).stat().st_mtime_ns != t} == {}
-
-
-def test_the_files_are_the_same_bytes_whoever_did_them(tmp_path: Path) -> None:
-    for name, n_jobs in (("one", 1), ("two", 2)):
-        many(partial(draws, 0), range(6), key=KEY, folder=tmp_path / name, n_jobs=n_jobs)
-    assert contents(tmp_path / "one") == contents(tmp_path / "two")
-
-
 @pytest.mark.parametrize("n_jobs", [1, 2])
 def test_what_is_finished_before_an_error_is_kept(tmp_path: Path, n_jobs: int) -> None:
     work = partial(failing_last, str(tmp_path))
@@ -104,19 +77,6 @@ def test_a_folder_of_other_work_is_refused(tmp_path: Path) -> None:
             many(partial(draws, 0), range(2), key=KEY, folder=tmp_path)
     with pytest.raises(ModelError, match="cannot make the folder"):
         many(partial(draws, 0), range(2), key=KEY, folder=tmp_path / "work.json" / "below")
-
-
-@pytest.mark.parametrize("n_jobs", [0, -1, True, 1.5, "2"])
-def test_a_wrong_number_of_processes_is_refused(n_jobs: Any) -> None:
-    with pytest.raises(ModelError, match="n_jobs is"):
-        many(partial(draws, 0), range(2), key=KEY, n_jobs=n_jobs)
-
-
-@pytest.mark.parametrize("n_jobs", [0, -1, True, "2"])
-def test_a_training_by_a_wrong_number_of_threads_is_refused(n_jobs: Any) -> None:
-    mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])], 1)
-    with pytest.raises(ModelError, match="n_jobs is"):
-        train(mdp, QLearning(epochs=1), 2, rng=0, n_jobs=n_jobs)
 
 
 def process(index: int) -> dict[str, Any]:

@@ -2,63 +2,20 @@
 
 from dataclasses import replace
 from fractions import Fraction as F
-from math import prod
 from pathlib import Path
 
 import numpy as np
 import pytest
 from cases import BY_NAME
-from hypothesis import assume, given, settings
-from made_models import forest
-from oracle import best_average, gain_and_bias
-from strategies import Rows, models
+from strategies import Rows
 
-from exact_mdp import MDP, Certificate, ModelError, certify
-
-SMALL = models(discounts=[F(1, 2)])
-
-
-def few(rows: Rows, most: int = 40) -> bool:
-    """Whether a model has so few policies that all of them can be looked at."""
-    counts = np.bincount([s for s, *_ in rows.pairs])
-    return prod(counts.tolist()) <= most and rows.n_states <= 5
+from exact_mdp import MDP, Certificate, certify
 
 
 def proven(mdp: MDP) -> Certificate:
     found = certify(mdp, criterion="average")
     assert found.violations() == []
     return found
-
-
-@given(SMALL)
-@settings(max_examples=60)
-def test_no_policy_does_better(rows: Rows) -> None:
-    assume(few(rows))
-    gain, bias = best_average(rows.pairs)
-    found = proven(rows.model())
-    assert tuple(found.value) == gain
-    assert tuple(found.bias) == bias
-    chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(found.policy)]
-    assert gain_and_bias(chosen) == (gain, bias)
-
-
-@given(SMALL)
-@settings(max_examples=30)
-def test_discounted_values_approach_gain_and_bias(rows: Rows) -> None:
-    """V = g / (1 - γ) + h + terms of order 1 - γ."""
-    rate = F(1, 10**20)
-    found, near = proven(rows.model()), certify(rows.model().with_(discount=1 - rate))
-    size = 1 + max(abs(reward) for _, _, reward, _ in rows.pairs)
-    for g, h, v in zip(found.value, found.bias, near.value, strict=True):
-        assert abs(v * rate - g - h * rate) <= size * rate ** F(3, 2)
-
-
-@given(models(discounts=[F(1)]))
-@settings(max_examples=40)
-def test_where_every_policy_ends_the_bias_is_the_total_reward(rows: Rows) -> None:
-    found = proven(rows.model())
-    assert found.value.tolist() == [0] * rows.n_states
-    assert found.bias.tolist() == certify(rows.model()).value.tolist()
 
 
 # model, gain of each state, and who published it
@@ -171,11 +128,3 @@ def test_files(tmp_path: Path) -> None:
     read = Certificate.load(path)
     assert read.violations(multichain()) == []
     assert (read.kind, read.value.tolist(), read.start_value) == ("average", [3, 2, 2], 3)
-
-
-def test_what_does_not_apply_is_refused() -> None:
-    mdp = forest("9/10")
-    with pytest.raises(ModelError, match=r"(?s)unknown criterion 'averge'.*average"):
-        certify(mdp, criterion="averge")  # type: ignore[call-overload]
-    with pytest.raises(ModelError, match="not an average"):
-        certify(mdp, criterion="average", bounded=True)  # type: ignore[call-overload]

@@ -10,7 +10,7 @@ import pytest
 from cases import BY_NAME
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from oracle import best_total, reaching, total
+from oracle import reaching
 from strategies import Pairs, Row, any_models, model_of
 
 from exact_mdp import (
@@ -24,39 +24,10 @@ from exact_mdp import (
 )
 
 
-def worth(pairs: tuple[Row, ...], policy: np.ndarray) -> list:
-    return total([row for row in pairs if policy[row[0]] == row[1]])
-
-
 def close(mdp: MDP, value: list, found) -> None:
     for exact, number, error in zip(value, found.value, found.state_error, strict=True):
         assert number == exact or abs(F(float(number)) - exact) <= F(float(error))
     assert found.error_bound < 1e-6
-
-
-@given(model=any_models())
-def test_values_are_the_best_of_all_policies(model: Pairs) -> None:
-    size, pairs = model
-    mdp, value = model_of(size, pairs, F(1)), best_total(pairs)
-    found = certify(mdp)
-    assert found.value.tolist() == value
-    assert found.violations() == []
-    assert found.start_value == value[0]
-    assert worth(pairs, found.policy) == value
-    floats = solve(mdp)
-    close(mdp, value, floats)
-    assert worth(pairs, np.asarray(floats.policy)) == value
-
-
-@given(model=any_models(4))
-@settings(max_examples=30)
-def test_discounted_values_approach_the_total(model: Pairs) -> None:
-    """V = g / (1 - γ) + h + terms of order 1 - γ, of which g decides unless it is 0."""
-    rate = F(1, 10**20)
-    mdp = model_of(*model, F(1))
-    total, near = certify(mdp), certify(mdp.with_(discount=1 - rate))
-    for x, v in zip(total.value, near.value, strict=True):
-        assert abs(v - x) < 1e-6 if isinstance(x, F) else (v > 1e10 if x > 0 else v < -1e10)
 
 
 @given(
@@ -108,6 +79,20 @@ def rising(pairs: tuple[Row, ...], value: list, sign: int) -> list[float]:
     return most
 
 
+def test_only_pairs_that_lose_much_are_left_out_of_the_float_model() -> None:
+    """A slippery grid, -1 a step: near ties stay in, whose loss loose bounds could not bear out."""
+    rows: list[Row] = [(63, 0, F(0), {63: F(1)})]
+    for state, (a, ahead) in product(range(63), enumerate((-8, 1, 8, -1))):
+        onward: dict[int, F] = {}
+        for move, p in [(ahead, F(4, 5))] + [(m, F(1, 10)) for m in ((1, -1), (8, -8))[a % 2]]:
+            there = state + move
+            inside = 0 <= there < 64 and (abs(move) == 8 or there // 8 == state // 8)
+            onward[there if inside else state] = onward.get(there if inside else state, F(0)) + p
+        rows.append((state, a, F(-1), onward))
+    mdp = model_of(64, sorted(rows, key=lambda row: row[:2]), F(1))
+    close(mdp, certify(mdp).value.tolist(), solve(mdp))
+
+
 def test_costs_that_fall_elsewhere_leave_the_start_its_value() -> None:
     rows = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, -1)]), (2, 1, [(1, 1, 0)])]
     flags = {"home": [False, True, False]}
@@ -138,13 +123,6 @@ def test_gains_and_losses_without_end_may_cancel() -> None:
     mdp = MDP.from_outcomes(rows)
     for found in (certify(mdp), solve(mdp), evaluate(mdp, "optimal")):
         assert np.array(found.value).tolist() == [1, inf, -inf]
-
-
-def test_a_start_in_both_is_refused() -> None:
-    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, -1)])], start=["1/2", "1/2"])
-    for asked in (certify, solve):
-        with pytest.raises(ModelError, match="from one state of the start and -∞ from another"):
-            asked(mdp)
 
 
 def test_a_total_that_settles_without_an_end() -> None:

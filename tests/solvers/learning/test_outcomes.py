@@ -10,7 +10,6 @@ import pytest
 from exact_mdp import (
     MDP,
     Exponential,
-    ModelError,
     Policy,
     QLearning,
     Scenario,
@@ -100,14 +99,6 @@ def test_reading_less_is_told_from_learning_badly() -> None:
     assert found.regret.tolist() == [1.0] * 10
     assert found.learning_error.tolist() == [0.0] * 10
     assert (found.optimal_fraction, found.best_fraction) == (0.0, 1.0)
-
-
-def test_runs_of_another_model_are_refused(care: MDP, runs: list[TrainingRun]) -> None:
-    other = Scenario.load("tea").compile()
-    with pytest.raises(ModelError, match="other states"):
-        outcomes(other, runs)
-    with pytest.raises(ModelError, match="no run of training"):
-        outcomes(care, [])
 
 
 # ---- curves --------------------------------------------------------------------------------------

@@ -51,57 +51,6 @@ def test_the_papers_schedules() -> None:
     assert set(QLearning().exploration.values(10)) == {0.1}
 
 
-@pytest.mark.parametrize("value", [0.03, 0.0, 1.0, 2.0])
-def test_a_schedule_through_an_impossible_point_is_refused(value: float) -> None:
-    with pytest.raises(ModelError, match="no decay"):
-        Exponential.through(value, at=300, minimum=0.03)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"method": "q-leaning"},
-        {"ties": "none"},
-        {"epochs": 0},
-        {"epochs": 2.0},
-        {"episodes": True},
-        {"snapshot_episode": 31},
-        {"last": 0},
-        {"max_steps": 0},
-        {"discount": 1.5},
-        {"exploration": Constant(1.5)},
-        {"exploration": Constant(float("nan"))},
-        {"rate": Constant(-0.1)},
-        {"initial": float("inf")},
-    ],
-    ids=str,
-)
-def test_bad_settings_are_refused(settings: dict[str, object]) -> None:
-    with pytest.raises(ModelError) as refused:
-        QLearning(**settings)
-    assert refused.value.where
-    assert refused.value.fix
-
-
-@pytest.mark.parametrize("seed", [-1, 1.5, "0", None, True])
-def test_a_bad_seed_is_refused(care: MDP, seed: object) -> None:
-    with pytest.raises(ModelError, match="source of random numbers"):
-        QLearning(epochs=1).train(care, seed)
-
-
-@pytest.mark.parametrize("runs", [0, -1, 1.5, True])
-def test_a_bad_number_of_runs_is_refused(care: MDP, runs: object) -> None:
-    with pytest.raises(ModelError, match="n is"):
-        train(care, SMALL, runs, rng=0)
-
-
-def test_too_many_policies_to_keep_are_refused() -> None:
-    mdp = CARE.with_(tasks=[1000]).compile()
-    every = ("subtask", "trial", "status")
-    with pytest.raises(ModelError, match="too many"):
-        QLearning(columns=every).train(mdp, 0)
-
-
 # ---- what learning must do -----------------------------------------------------------------------
 
 

@@ -254,26 +254,6 @@ def test_a_policy_may_come_in_any_form() -> None:
     assert evaluate(mdp, chain).mean == evaluate(mdp, "random").mean
 
 
-@pytest.mark.parametrize(
-    ("weights", "what"),
-    [
-        ([1.0], "shape"),
-        ([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], "sum to 2"),
-        ([1.5, -0.5, 1.0, 0.0, 1.0, 0.0], "negative"),
-        ([np.nan, 0.5, 1.0, 0.0, 1.0, 0.0], "nan"),
-    ],
-)
-def test_pair_weights_that_are_no_policy_are_refused(weights: list[float], what: str) -> None:
-    with pytest.raises(ModelError, match=what):
-        evaluate(HALL.with_(discount="1/2"), np.array(weights))
-
-
-def test_a_chain_of_another_model_is_refused() -> None:
-    chain = evaluate(two_rewards(), "random").chain
-    with pytest.raises(ModelError, match="another model"):
-        evaluate(two_rewards(), chain)
-
-
 def test_a_model_that_starts_at_its_end_is_worth_nothing() -> None:
     found = evaluate(MDP.from_outcomes([(0, 0, [(1, 0, 0)])]), "random")
     assert (found.mean, found.sd, found.steps, found.start.error) == (0.0, 0.0, 0.0, 0.0)

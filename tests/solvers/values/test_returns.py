@@ -21,7 +21,6 @@ from policy_cases import (
     careful,
     coin,
     directive,
-    geometric,
     is_acyclic,
     policy_of,
     uniform,
@@ -101,8 +100,6 @@ def test_cdf_and_quantiles() -> None:
     # Ten times a tenth is 1 - 10^-16 in floats, and reaches the median all the same.
     tenths = return_distribution(coin(*range(10)), "random")
     assert [tenths.quantile(p / 10) for p in range(1, 11)] == list(range(10))
-    with pytest.raises(ModelError, match=r"1\.5"):
-        found.quantile(1.5)
 
 
 def test_tails_too_small_for_floats_are_reported() -> None:
@@ -115,17 +112,6 @@ def test_tails_too_small_for_floats_are_reported() -> None:
     assert found.error[1] < 1e-210
     exact = return_distribution(mdp, "random", exact=True)
     assert exact.exact == ((1 - rare) ** 2, 2 * rare * (1 - rare), rare**2)
-
-
-def test_what_has_no_distribution_is_refused() -> None:
-    with pytest.raises(ModelError, match="lattice") as caught:
-        return_distribution(coin(0, 1).with_(discount="9/10"), "random")
-    assert "evaluate()" in caught.value.fix
-    swinging = MDP.from_outcomes([(0, 0, [(1, 1, -1)]), (1, 0, [(1, 0, 1)])])
-    with pytest.raises(ModelError, match="cancel for ever"):
-        return_distribution(swinging, "random")
-    with pytest.raises(ModelError, match="lead back"):
-        return_distribution(geometric("1/2"), "random", exact=True)
 
 
 @settings(deadline=None, max_examples=20)

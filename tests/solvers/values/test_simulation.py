@@ -12,7 +12,6 @@ from policy_cases import care, careful, policy_of
 from exact_mdp import (
     MDP,
     Claim,
-    ModelError,
     Scenario,
     Simulation,
     evaluate,
@@ -136,30 +135,3 @@ def test_results_are_read_only() -> None:
     found = simulate(MDP.from_outcomes(LOOP), "random", 10, rng=0)
     with pytest.raises(ValueError, match="read-only"):
         found.returns[0] = 0
-
-
-def test_discount_1_needs_a_policy_that_ends_in_time() -> None:
-    mdp = MDP.from_outcomes(LOOP)
-    swinging = MDP.from_outcomes([(0, 0, [(1, 1, -1)]), (1, 0, [(1, 0, 1)])])
-    with pytest.raises(ModelError, match="cancel for ever"):
-        simulate(swinging, [0, 0], 10, rng=0)
-    with pytest.raises(ModelError, match="after 1 steps") as caught:
-        simulate(mdp, "random", 100, rng=0, max_steps=1)
-    assert "max_steps" in caught.value.fix
-
-
-@pytest.mark.parametrize(
-    ("arguments", "what"),
-    [
-        ({"n": 0, "rng": 0}, "n is 0"),
-        ({"n": 1.5, "rng": 0}, "n is 1.5"),
-        ({"n": True, "rng": 0}, "n is True"),
-        ({"n": 5, "rng": None}, "None is not a source"),
-        ({"n": 5, "rng": -1}, "-1 is not a source"),
-        ({"n": 5, "rng": "0"}, "'0' is not a source"),
-        ({"n": 5, "rng": 0, "max_steps": 0}, "max_steps is 0"),
-    ],
-)
-def test_unusable_arguments_are_named(arguments: dict[str, object], what: str) -> None:
-    with pytest.raises(ModelError, match=what):
-        simulate(MDP.from_outcomes(LOOP), "random", **arguments)

@@ -1,0 +1,92 @@
+"""Care models built in blocks: their sizes are known beforehand, and parts make the whole."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from fractions import Fraction as F
+from itertools import product
+
+import numpy as np
+import pytest
+from own_scenarios import check_own, own_text, scenario_of
+
+from exact_mdp import READINGS, ModelError, Scenario
+from exact_mdp.mdp.care import compile as blocks
+from exact_mdp.mdp.care.compile import check_explicit, size
+from exact_mdp.mdp.table import OutcomeTable
+from exact_mdp.mdp.validate import check_model
+
+
+@pytest.mark.parametrize("option", READINGS["skip_timestep"])
+@pytest.mark.parametrize("tasks", [[1], [2, 1]])
+def test_the_size_of_a_table_is_known_beforehand(option: str, tasks: list[int]) -> None:
+    others = ("status_cost", "skip_onset", "task_bonus")
+    for chosen in product(*(READINGS[name] for name in others)):
+        readings = dict(zip(others, chosen, strict=True)) | {"skip_timestep": option}
+        scenario = Scenario.load("yuan2025").with_(tasks=tasks, max_trial=2, readings=readings)
+        (outcomes, denominator), table = size(*check_explicit(scenario)), scenario.compile().table
+        assert len(table.next) <= outcomes <= 3 * len(table.next)
+        assert max(int(bottom) for bottom in table.denominator) <= denominator
+
+
+def weighted(
+    statuses: int, *, same: bool, subtasks: int = 2, base: F = F(1, 10**12 + 39)
+) -> Scenario:
+    """Made-up numbers, one trial; statuses that weigh the same, or all sums of them distinct."""
+    numbers = {f"reward.s{i}": -1 if same else -(2**i) for i in range(statuses)}
+    numbers |= {"base.s0": base, "base.s1": base}
+    scenario = scenario_of(own_text(statuses, 2))
+    return scenario.with_(tasks=[subtasks], max_trial=1, parameters=numbers)
+
+
+@pytest.mark.parametrize("statuses", [3, 5])
+@pytest.mark.parametrize("same", [True, False])
+@pytest.mark.parametrize("base", [F(1, 3), F(1, 10**12 + 39)])
+def test_last_trials_of_statuses_with_weights_of_their_own(
+    statuses: int, same: bool, base: F, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = weighted(statuses, same=same, base=base)
+    table, (outcomes, denominator) = scenario.compile().table, size(*check_explicit(scenario))
+    assert (table.weight.dtype == object) == (base != F(1, 3))
+    assert (denominator >= 2**62) == (base != F(1, 3))
+    check_own(scenario, range(0, table.pairs - 1, 1 if statuses == 3 else 37))
+    assert len(table.next) <= outcomes
+    monkeypatch.setattr(blocks, "ENTRIES", 1)
+    parts = weighted(statuses, same=same, base=base).compile().table
+    for field in fields(OutcomeTable):
+        assert np.array_equal(getattr(table, field.name), getattr(parts, field.name)), field.name
+
+
+def test_what_is_too_large_to_build_is_refused_for_a_reason_that_is_true() -> None:
+    scenario = Scenario.load("yuan2025").with_(tasks=[90_000])
+    with pytest.raises(ModelError, match=r"7,200,000 states and up to [\d,]+ outcomes") as refused:
+        scenario.compile()
+    assert "statuses, more" not in refused.value.what
+    with pytest.raises(ModelError, match=r"^11 statuses, more than 10"):
+        scenario_of(own_text(11, 2))
+    # 9 statuses have as many transitions either way, but not as many outcomes.
+    check_explicit(weighted(9, same=True, subtasks=4))
+    with pytest.raises(ModelError, match=r"2,048 states and up to [\d,]+ outcomes of 230 bytes"):
+        check_explicit(weighted(9, same=False, subtasks=4))
+    check_explicit(weighted(9, same=False, subtasks=4, base=F(1, 3)))
+
+
+@pytest.mark.parametrize("tasks", [[4], [1, 2], [3, 1, 2], [1, 1, 1], [2, 2]])
+@pytest.mark.parametrize("reading", ["skip_timestep", "task_bonus", "status_cost"])
+def test_a_layout_of_repeated_blocks_is_a_checked_model(tasks: list[int], reading: str) -> None:
+    option = READINGS[reading][-1]
+    mdp = Scenario.load("yuan2025").with_(tasks=tasks, readings={reading: option}).compile()
+    check_model(mdp)
+    again = mdp.with_(name="again")  # built anew from the table, with everything derived anew
+    for part in ("pair_offsets", "reward", "components", "terminal"):
+        assert np.array_equal(getattr(mdp, part), getattr(again, part)), part
+    for part in ("data", "indices", "indptr"):
+        array, other = getattr(mdp.transition, part), getattr(again.transition, part)
+        assert np.array_equal(array, other), part
+        assert array.dtype == other.dtype
+        assert not array.flags.writeable
+    # The bonus is paid in the last subtask of each task, and nowhere else.
+    bonus = mdp.components[:, mdp.component_names.index("task-complete")]
+    paid = {int(k) for k in mdp.space.values("subtask")[mdp.pair_state[bonus != 0]]}
+    assert paid == set((np.cumsum(tasks) - 1).tolist())
+    assert np.allclose(mdp.components.sum(axis=1), mdp.reward, atol=1e-12)
