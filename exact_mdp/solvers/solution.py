@@ -18,7 +18,7 @@ from enum import StrEnum
 from fractions import Fraction
 from functools import cached_property
 from math import inf, nan
-from typing import TYPE_CHECKING, Any, ClassVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -181,11 +181,10 @@ class Bounded:
         return Bounded(value=0.0 - self.value, error=self.error)
 
 
-@overload
-def difference(one: Bounded, other: Bounded) -> Bounded: ...
-@overload
-def difference(one: Certified | Bounded, other: Certified | Bounded) -> Certified | Bounded: ...
-def difference(one: Certified | Bounded, other: Certified | Bounded) -> Certified | Bounded:
+Number = TypeVar("Number", Bounded, Certified | Bounded)
+
+
+def difference(one: Number, other: Number) -> Number:
     """Return one number less another, exactly where both are exact.
 
     Examples
@@ -201,15 +200,7 @@ def difference(one: Certified | Bounded, other: Certified | Bounded) -> Certifie
     return Bounded(value=value, error=float(np.nextafter(max(value - low, high - value), inf)))
 
 
-@overload
-def regret(best: Bounded, own: Bounded, sense: str = ...) -> Bounded: ...
-@overload
-def regret(
-    best: Certified | Bounded, own: Certified | Bounded, sense: str = ...
-) -> Certified | Bounded: ...
-def regret(
-    best: Certified | Bounded, own: Certified | Bounded, sense: str = "max"
-) -> Certified | Bounded:
+def regret(best: Number, own: Number, sense: str = "max") -> Number:
     """Return the optimum less what a policy is worth; of costs, the other way. Never below 0.
 
     Examples
@@ -308,8 +299,42 @@ class ProgramRun:
         return replace(self, lower=0.0 - self.upper, upper=0.0 - self.lower)
 
 
+class Valued:
+    """A result with the `value` of each state of an `mdp`, off by at most its `error`, all (S,)."""
+
+    @property
+    def error_bound(self) -> float:
+        """The greatest error of a state whose value is known."""
+        found: Any = self
+        return float(found.error.max(where=~np.isnan(found.value), initial=0.0))
+
+    @cached_property
+    def start(self) -> Bounded:
+        """The value of the start distribution with its error bound."""
+        found: Any = self
+        return at_start(found.mdp, found)
+
+    @property
+    def start_value(self) -> float:
+        """The value of the start distribution."""
+        return self.start.value
+
+
+def at_start(mdp: MDP, found: Any) -> Bounded:
+    """Return the expectation of numbers `found.value` (S,) over the start, with its error."""
+    states = np.flatnonzero(mdp.start_distribution)
+    weights = mdp.start_distribution[states]
+    value, error = found.value[states], found.error[states]
+    if not np.isfinite(value).all():  # a total reward that is infinite is so exactly
+        return Bounded(value=float(weights @ value), error=0.0)
+    units = (len(states) + 3) * 2.0**-52
+    rounding = 0.0 if weights.tolist() == [1.0] else units
+    bound = float(weights @ (error + rounding * np.abs(value))) * (1 + 2 * units)
+    return Bounded(value=float(weights @ value), error=bound)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Solution(Pictured):
+class Solution(Valued, Pictured):
     """Values and policy of a solved model, with bounds that hold in every state.
 
     Attributes
@@ -378,28 +403,6 @@ class Solution(Pictured):
     def error(self) -> Floats:
         """(S,) |V(s) - V*(s)| is at most this."""
         return self.state_error
-
-    @property
-    def error_bound(self) -> float:
-        """|V(s) - V*(s)| is at most this in every state."""
-        return float(self.state_error.max())
-
-    @property
-    def start(self) -> Bounded:
-        """The value of the start distribution with its error bound."""
-        states = np.array([state for state, _ in self.mdp.start])
-        weights = np.array([float(weight) for _, weight in self.mdp.start])
-        terms = weights * self.value[states]
-        rounding = (len(states) + 2) * 2.0**-52 * float(np.abs(terms).sum())
-        if (len(states) == 1 and weights[0] == 1) or not np.isfinite(terms.sum()):
-            rounding = 0.0  # what is infinite is so exactly
-        error = float(weights @ self.state_error[states]) * (1 + 1e-9) + rounding
-        return Bounded(value=float(terms.sum()), error=error)
-
-    @property
-    def start_value(self) -> float:
-        """Value of the start distribution."""
-        return self.start.value
 
     @property
     def q(self) -> Floats:

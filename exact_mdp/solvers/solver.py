@@ -10,17 +10,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import Any, Literal
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, named_options, suggest
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.average.solve import AverageSolution, solve_average
+from exact_mdp.solvers.average.solve import solve_average
 from exact_mdp.solvers.bounds.bounds import is_acyclic
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
-from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance
-from exact_mdp.solvers.dynamic.known import opposite
+from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance, opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (
     GaussSeidel,
@@ -32,10 +31,6 @@ from exact_mdp.solvers.endless.total import solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
 from exact_mdp.solvers.solution import Solution, Status, least, warn_of_precision
 from exact_mdp.solvers.ties import settled
-
-if TYPE_CHECKING:
-    from exact_mdp.solvers.objectives.limits import ConstrainedSolution
-
 
 SOLVERS: dict[str, type[Solver]] = {
     "value-iteration": ValueIteration,
@@ -75,34 +70,6 @@ def mdp_of(model: object) -> MDP:
     )
 
 
-@overload
-def solve(
-    model: MDP | Scenario,
-    solver: Solver | str | None = ...,
-    *,
-    tol: float | None = ...,
-    horizon: int | None = ...,
-    terminal_value: Any = ...,
-    start: Any = ...,
-    criterion: Literal["total"] = ...,
-) -> Solution: ...
-@overload
-def solve(
-    model: MDP | Scenario,
-    solver: Solver | str | None = ...,
-    *,
-    tol: float | None = ...,
-    criterion: Literal["average"],
-) -> AverageSolution: ...
-@overload
-def solve(
-    model: MDP | Scenario,
-    *,
-    horizon: int | None = ...,
-    terminal_value: Any = ...,
-    subject_to: Mapping[str, Any],
-) -> ConstrainedSolution: ...
-@named_options
 def solve(
     model: MDP | Scenario,
     solver: Any = "auto",
@@ -113,7 +80,7 @@ def solve(
     start: Any = None,
     criterion: str = "total",
     subject_to: Mapping[str, Any] | None = None,
-) -> object:
+) -> Any:
     """Return optimal values and a policy, with bounds on their error.
 
     Optimal is the greatest value; of a model whose sense is "min", the least. At discount 1 a value
@@ -189,8 +156,8 @@ def solve(
     if is_average(criterion):
         require_no_horizon(horizon)
         check_tolerance("solve", tol)
-        named = PolicyIteration() if solver == "auto" else _with_settings(_named(solver), tol=tol)
-        return solve_average(mdp_of(model), _with_settings(named, start=start), tol)
+        chosen = PolicyIteration() if solver == "auto" else _set(solver, tol=tol)
+        return solve_average(mdp_of(model), _set(chosen, start=start), tol)
     mdp = mdp_of(model)
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)
@@ -204,7 +171,7 @@ def solve(
         if is_acyclic(mdp):
             return settled(_within(BackwardInduction().solve(mdp), tol))
         return settled(ModifiedPolicyIteration(tol=tol, start=start).solve(mdp))
-    return settled(_with_settings(_named(solver), tol=tol, start=start).solve(mdp))
+    return settled(_set(solver, tol=tol, start=start).solve(mdp))
 
 
 def _check_horizon(horizon: object, terminal_value: object, start: object) -> None:
@@ -242,13 +209,16 @@ def require_no_horizon(horizon: object) -> None:
         )
 
 
-def _named(solver: Any) -> Solver:
-    """Return the solver of a name, or the one given."""
+def _set(solver: Any, **settings: Any) -> Solver:
+    """Return the solver, or that of a name, with what was given to `solve`.
+
+    Raises ModelError for what is no solver, and where it does not take a setting.
+    """
     if isinstance(solver, str):
         if solver not in SOLVERS:
             fix = suggest(solver, [*SOLVERS, "auto"])
             raise ModelError(f"unknown solver {solver!r}", where="solve", fix=fix)
-        return SOLVERS[solver]()
+        solver = SOLVERS[solver]()
     if isinstance(solver, type):
         name = solver.__name__
         raise ModelError(f"{name} is a class", where="solve", fix=f"write {name}()")
@@ -258,16 +228,9 @@ def _named(solver: Any) -> Solver:
             where="solve",
             fix="give a name, or PolicyIteration(); a tolerance is tol=: solve(model, tol=1e-6)",
         )
-    named: Solver = solver
-    return named
-
-
-def _with_settings(solver: Any, **settings: Any) -> Solver:
-    """Return the solver with what was given to `solve`; raises ModelError where it takes none."""
     why = {"tol": "its error is what rounding leaves", "start": "nothing known shortens it"}
-    for name, value in settings.items():
-        if value is None:
-            continue
+    given = {name: value for name, value in settings.items() if value is not None}
+    for name in given:
         if name not in getattr(type(solver), "__dataclass_fields__", {}):
             takers = [key for key, kind in SOLVERS.items() if hasattr(kind, name)]
             raise ModelError(
@@ -275,9 +238,8 @@ def _with_settings(solver: Any, **settings: Any) -> Solver:
                 where="solve",
                 fix=f"leave {name} out, or choose {', '.join(takers)}",
             )
-        solver = replace(solver, **{name: value})
-    found: Solver = solver
-    return found
+    chosen: Solver = replace(solver, **given) if given else solver
+    return chosen
 
 
 def _within(solution: Solution, tol: float | None) -> Solution:

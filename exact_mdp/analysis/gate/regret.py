@@ -35,13 +35,13 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.bounds import Bounds, lower, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
-from exact_mdp.solvers.bounds.linear import FixedPoint, at_start
+from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
 from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.exact.levels import Level
-from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, regret
+from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, at_start, regret
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain

@@ -68,7 +68,7 @@ class BaseCase:
 
 def finite_optimum(mdp: MDP, where: str) -> Solution:
     """Return the optimum; raises ModelError where it is infinite at the start."""
-    found = solve(mdp)
+    found: Solution = solve(mdp)
     _refuse_infinite("the optimum", found.start, where)
     return found
 

@@ -27,8 +27,8 @@ from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.average.chain import Classes, FloatAverages, Mask, graph_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, at_start, transposed
-from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
+from exact_mdp.solvers.bounds.linear import FixedPoint, transposed
+from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, Valued
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -37,7 +37,7 @@ LISTED = 1000  # states in a report
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class AverageEvaluation(Result):
+class AverageEvaluation(Valued, Result):
     """What a policy earns per step in the long run, and what a start is worth beyond it.
 
     Attributes
@@ -84,18 +84,8 @@ class AverageEvaluation(Result):
         """What an array was taken for: "q" or "policy"."""
         return "policy" if self.policy is None else self.policy.read_as
 
-    @cached_property
-    def start(self) -> Bounded:
-        """The gain from the start, with its error bound."""
-        return at_start(self.mdp, FixedPoint(value=self.value, error=self.error))
-
     @property
     def mean(self) -> float:
-        """The gain from the start."""
-        return self.start.value
-
-    @property
-    def start_value(self) -> float:
         """The gain from the start."""
         return self.start.value
 

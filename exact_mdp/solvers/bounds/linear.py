@@ -38,7 +38,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import ByFields
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.solution import Bounded, SolverError, Status
+from exact_mdp.solvers.solution import SolverError, Status
 
 FEW, SPARSE = 500, 5000  # states, or transitions: elimination takes milliseconds
 CHEAP, NARROW = 2e7, 4  # multiplications; how many times the entries a band has
@@ -253,9 +253,13 @@ class LinearSystem(ByFields):
         if self.discount == 1:
             return False, False
         each = np.ones(self.transition.shape[0])
-        totals = (matrix @ each for matrix in (self.transition, self.transition.T))
-        rows, columns = (max(total.max() - 1, 1 - total.min()) < CLOSE for total in totals)
-        return rows, columns and not rows
+
+        def whole(matrix: Any) -> bool:
+            total = matrix @ each
+            return bool(max(total.max() - 1, 1 - total.min()) < CLOSE)
+
+        rows = whole(self.transition)
+        return rows, not rows and whole(self.transition.T)
 
     def _iterated(self, constant: Floats, rtol: float) -> Floats:
         """Return x (S,) by BiCGSTAB, or by elimination once that has failed."""
@@ -344,18 +348,6 @@ def _reach(chain: sp.csr_array) -> tuple[int, int]:
     """Return how far transitions (S, S) lead down and up in number, at most."""
     ahead = chain.indices - np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
     return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
-
-
-def at_start(mdp: MDP, found: FixedPoint) -> Bounded:
-    """Return the expectation over the start distribution, with its error."""
-    states = np.flatnonzero(mdp.start_distribution)
-    weights = mdp.start_distribution[states]
-    value, error = found.value[states], found.error[states]
-    if not np.isfinite(value).all():  # a total reward that is infinite is so exactly
-        return Bounded(value=float(weights @ value), error=0.0)
-    rounding = 0.0 if weights.tolist() == [1.0] else float(gamma(len(states) + 3))
-    bound = float(weights @ (error + rounding * np.abs(value))) * SLACK
-    return Bounded(value=float(weights @ value), error=bound)
 
 
 def transposed(system: LinearSystem) -> LinearSystem:

@@ -41,21 +41,23 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, ShapeError, located
+from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
-from exact_mdp.solvers.bounds.bounds import Bounds, margin_weights, verify
+from exact_mdp.solvers.bounds.bounds import Bounds, levels, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import UNIT, gains, greedy, largest_error, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
-from exact_mdp.solvers.dynamic.known import values_of
 from exact_mdp.solvers.solution import Solution, SolverError, Status, least, warn_of_precision
 
 RELATIVE_TOLERANCE = 1e-9
 LOOPS = 10_000  # transitions: from here on compiled loops are worth the third of a second to load
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
-PRICE = 2000  # sweeps in whose time a policy's equations are solved, where no band tells it
+PRICE = 2000  # sweeps in whose time the equations of a policy are solved, where no band tells it
+BAND = 8  # multiplications within a band that take the time of a transition
 PATIENCE, LONG = 20, 200  # passes without progress: near rounding errors, and anywhere
 FEW, MANY = 100, 10_000  # passes that bring too little, whatever is done between them
 S = TypeVar("S")
@@ -214,7 +216,7 @@ class Values:
             if done:
                 self._add(more)
                 return
-            self.price, self.slow = self.system.work or self.price, True
+            self.price, self.slow = self.system.work / BAND or self.price, True
         due = self.spent >= self.price or (self.stable and self.idle) or goal == 0
         if due or not self.large:
             self.correct(found)
@@ -230,7 +232,7 @@ class Values:
             self._add(*system.relatively(left, self.live * self.weights.margin))
         else:
             self._add(system.roughly(left))
-        self.price, self.spent = system.work or self.price, 0.0
+        self.price, self.spent = system.work / BAND or self.price, 0.0
 
     def _left(self, found: Pass) -> Floats:
         """Return what a step of the policy adds to values, beyond the level between the bounds."""
@@ -430,3 +432,54 @@ def check_counts(where: str, **counts: Any) -> None:
     with located(where):
         for key, count in counts.items():
             counted(count, key)
+
+
+# ---- where to begin ------------------------------------------------------------------------------
+
+
+def values_of(mdp: MDP, start: Any) -> Floats:
+    """Return (S,) values to begin with: those given, or those of a policy; 0 where all is over."""
+    value = np.zeros(mdp.n_states) if start is None else given_values(mdp, start)
+    if value is None:
+        policy = Policy.of(mdp, start)
+        if not policy.deterministic:
+            raise ModelError(
+                "the policy is mixed: it draws its actions",
+                where="start",
+                fix="give a solution of this model, a deterministic policy, or an action number "
+                "for each state",
+            )
+        value = evaluated(mdp, np.flatnonzero(policy.weights(mdp)))
+    return np.where(mdp.terminal, 0.0, value)
+
+
+def evaluated(mdp: MDP, pairs: Integers) -> Floats:
+    """Return (S,) the values of the policy that takes `pairs` (S,), up to rounding."""
+    chain, reward = policy_chain(mdp, pairs)
+    return LinearSystem(chain, mdp.discount, order=levels(mdp)).approximate(reward)
+
+
+def given_values(mdp: MDP, start: Any) -> Floats | None:
+    """Return (S,) values that are given, of a solution or as an array of floats; else None."""
+    refuse_masked(start, "start")
+    if isinstance(start, Solution):
+        start = start.value
+    if isinstance(start, list | tuple) and start and all(isinstance(x, float) for x in start):
+        start = np.array(start)
+    if not (isinstance(start, np.ndarray) and start.dtype.kind == "f" and start.ndim == 1):
+        return None
+    if start.shape != (mdp.n_states,) or not np.isfinite(start).all():
+        raise ShapeError(
+            f"values of shape {start.shape}, or not finite, for {mdp.n_states} states",
+            where="start",
+            fix="give one finite float for each state, or a policy",
+        )
+    return np.asarray(start, dtype=np.float64)
+
+
+def opposite(mdp: MDP, start: Any) -> Any:
+    """Return what is known for the model of the other sense: values negated, a policy as it is."""
+    if isinstance(start, Solution):
+        return start.negated(start.mdp.maximised) if start.mdp.sense == "min" else start.policy
+    value = None if start is None else given_values(mdp, start)
+    return start if value is None else -value

@@ -17,7 +17,7 @@ from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import gains, greedy
-from exact_mdp.solvers.dynamic.known import evaluated
+from exact_mdp.solvers.dynamic.iterate import evaluated
 from exact_mdp.solvers.endless.derived import Derived
 from exact_mdp.solvers.endless.graph import Graph, Mask
 from exact_mdp.solvers.endless.structure import Structure

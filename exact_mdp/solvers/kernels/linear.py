@@ -68,7 +68,8 @@ def swept(
             left = constant[state] + (discount * ahead(rows, state, value) - value[state])
             room[state] = left
             low, high = min(low, left), max(high, left)
-            size = max(size, abs(value[state]), abs(constant[state]))
+            if fine > 0:
+                size = max(size, abs(value[state]), abs(constant[state]))
         middle = (low + high) / 2 if whole else 0.0
         error = discount * max(high - middle, middle - low)
         more = discount * middle / (1 - discount) if whole else 0.0

@@ -41,10 +41,16 @@ from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
+from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts
 from exact_mdp.solvers.robust.sets import Ambiguity, Block, Inner, blocks_of, entries, inner
-from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, warn_of_precision
+from exact_mdp.solvers.solution import (
+    Claim,
+    SolverError,
+    Status,
+    Valued,
+    warn_of_precision,
+)
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
@@ -56,7 +62,7 @@ DELAYS = 200  # policies and laws tried for the greatest number of steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RobustSolution(Result):
+class RobustSolution(Valued, Result):
     """Robust values with bounds that hold in every state, and who does what to reach them.
 
     Attributes
@@ -104,21 +110,6 @@ class RobustSolution(Result):
     def error(self) -> Floats:
         """(S,) the value is off by at most this."""
         return self.state_error
-
-    @property
-    def error_bound(self) -> float:
-        """The greatest error of a state."""
-        return float(self.state_error.max())
-
-    @property
-    def start(self) -> Bounded:
-        """The value of the start distribution with its error bound."""
-        return at_start(self.mdp, FixedPoint(value=self.value, error=self.state_error))
-
-    @property
-    def start_value(self) -> float:
-        """Value of the start distribution."""
-        return self.start.value
 
     def frame(self) -> DataFrame:
         """Return the value, its error bound and the action of each state."""

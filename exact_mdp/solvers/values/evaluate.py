@@ -42,10 +42,19 @@ from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.average.evaluate import AverageEvaluation
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, at_start
-from exact_mdp.solvers.dynamic.iterate import NEARLY_ONE, RELATIVE_TOLERANCE
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
+from exact_mdp.solvers.dynamic.iterate import NEARLY_ONE
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
-from exact_mdp.solvers.solution import Bounded, Claim, PrecisionWarning, SolverError, in_float
+from exact_mdp.solvers.solution import (
+    Bounded,
+    Claim,
+    PrecisionWarning,
+    Solution,
+    SolverError,
+    Valued,
+    at_start,
+    in_float,
+)
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
 from exact_mdp.solvers.values.policy_chain import Equations, Mask, PolicyChain
 from exact_mdp.solvers.values.returns import return_distribution, times
@@ -60,7 +69,7 @@ UNKNOWN = Bounded(value=nan, error=inf)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Evaluation(Pictured):
+class Evaluation(Valued, Pictured):
     """A policy's values; everything else about its return is computed on first use.
 
     Attributes
@@ -172,25 +181,10 @@ class Evaluation(Pictured):
 
     # ---- the mean and what it is made of -----------------------------------------------------
 
-    @cached_property
-    def start(self) -> Bounded:
-        """The mean return from the start, with its error bound."""
-        return at_start(self.mdp, FixedPoint(value=self.value, error=self.error))
-
     @property
     def mean(self) -> float:
         """Mean return from the start."""
         return self.start.value
-
-    @property
-    def start_value(self) -> float:
-        """Mean return from the start."""
-        return self.start.value
-
-    @property
-    def error_bound(self) -> float:
-        """The greatest `error` of any state from which the policy ends."""
-        return float(self.error.max(where=~np.isnan(self.value), initial=0.0))
 
     @property
     def components(self) -> dict[str, float]:
@@ -240,10 +234,10 @@ class Evaluation(Pictured):
         table = replace(mdp.table, gain=gain, gain_denominator=below)
         alone = mdp.with_(table=table, component_table=None, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=self.chain.chosen, policy=self.chain.policy)
-        try:
-            return solve(model_of(chain)).start
-        except (SolverError, ModelError):
-            return UNKNOWN
+        with suppress(SolverError, ModelError):
+            found: Solution = solve(model_of(chain))
+            return found.start
+        return UNKNOWN
 
     # ---- the spread --------------------------------------------------------------------------
 
@@ -570,25 +564,15 @@ def evaluate(
 
 
 def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
-    """Return a policy's values by its equations, or next to discount 1 by closer rounds.
+    """Return a policy's values by its equations, next to discount 1 by improving them in rounds.
 
     Rounds are of models: those that a mixed policy leaves are put together exactly.
     """
-    mdp, plain, doubt = chain.mdp, None, inf
+    mdp = chain.mdp
     near = mdp.discount > NEARLY_ONE and mdp.discount_exact != 1
-    try:
-        plain = chain.discounted.solve(reward, error)
-        doubt = float(plain.error.max(initial=0.0))
-        enough = RELATIVE_TOLERANCE * float(np.abs(plain.value).max(initial=1.0))
-        if not near or doubt <= enough:
-            return plain
-    except SolverError:
-        if not near:
-            raise
-    if len(chain.pairs) == mdp.n_states or mdp.n_transitions < COMPILED:
+    if near and (chain.pure or mdp.n_transitions < COMPILED):
         with suppress(ModelError, SolverError), warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)
-            alone = ModifiedPolicyIteration(start=plain and plain.value).solve(model_of(chain))
-            if alone.error_bound < doubt:
-                return FixedPoint(value=np.array(alone.value), error=np.array(alone.state_error))
-    return chain.discounted.solve(reward, error) if plain is None else plain
+            alone = ModifiedPolicyIteration().solve(model_of(chain))
+            return FixedPoint(value=np.array(alone.value), error=np.array(alone.state_error))
+    return chain.discounted.solve(reward, error)

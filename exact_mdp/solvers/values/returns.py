@@ -38,15 +38,15 @@ from exact_mdp.solvers.dynamic.iterate import check_counts
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.return_mass import Flow, carry_dense, carry_exact, carry_sparse
+from exact_mdp.solvers.values.return_mass import Flow, carry_exact, carry_floats
 from exact_mdp.solvers.values.unending import parted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-DENSE_RANGE = 10_000
 NEGLIGIBLE = 1e-280
+WIDE = 2**31  # of multiples, of which a return adds up to 2^32
 LISTED = 1000  # returns that people see
 
 
@@ -309,10 +309,7 @@ def return_distribution(
             unending={sign: _exact_share(each) for sign, each in flows.items()},
             infinite_mean=parts.worth,
         )
-    if gain.dtype == np.int64 and np.abs(gain).max(initial=0) <= DENSE_RANGE:
-        found = carry_dense(flow, max_sweeps)
-    else:
-        found = carry_sparse(flow, max_sweeps)
+    found = carry_floats(flow, max_sweeps)
     return ReturnDistribution(
         multiples=found.multiples,
         unit=unit,
@@ -332,7 +329,7 @@ def _exact_share(flow: Flow) -> Certified:
 
 def _share(flow: Flow, max_sweeps: int) -> Bounded:
     """Return the probability of the ends of a flow, from sweeps."""
-    found = carry_dense(flow, max_sweeps)
+    found = carry_floats(flow, max_sweeps)
     value = float(found.masses.sum())
     error = (float(gamma(found.roundings)) * value + found.remaining) * SLACK + NEGLIGIBLE
     return Bounded(value=value, error=error)
@@ -351,6 +348,6 @@ def _lattice(chain: PolicyChain) -> tuple[Numbers, Fraction]:
     used = chain.reached[chain.source] & ~chain.mdp.terminal[chain.source]
     step = max(int(np.gcd.reduce(scaled[used])), 1)
     multiples = scaled // step
-    if multiples.dtype == object:
-        multiples = integers(multiples.tolist())
+    if np.abs(multiples).max(initial=0) >= WIDE:  # sums of many may be beyond 64 bits
+        multiples = multiples.astype(object)
     return multiples, Fraction(step, whole)

@@ -29,6 +29,7 @@ from scipy import integrate, optimize, stats
 
 from exact_mdp import (
     MDP,
+    ModelError,
     OffPolicy,
     Policy,
     PolicyLike,
@@ -43,6 +44,7 @@ from exact_mdp.analysis.gate.data.posterior import drawn, drawn_regrets
 from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.analysis.vary.intervals import upper_quantile
 from exact_mdp.mdp.questions import by_time
+from exact_mdp.solvers import batch
 
 Kind = Robust | Posterior | OffPolicy
 
@@ -464,4 +466,16 @@ def test_the_bound_is_that_of_the_theorem(seed: int) -> None:
     assert found <= max(0.0, *(theorem(c) for c in grid)) + 1e-9
 
 
-# ---- what needs more records -------------------------------------------------------------------
+def test_drawn_models_whose_policies_do_not_settle_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Values of policies that may still improve would let wide bounds pass for no regret."""
+    rows = [[["1/2", "1/2"], [0, 1]], [[0, 1], [1, 0]]]
+    mdp = MDP.from_arrays(rows, [[0, 1], [0, 4]], "9/10")
+    known = np.zeros(mdp.n_pairs, dtype=bool)
+    models = drawn(mdp, known, 1.0, np.random.default_rng(0), 3)
+    own = np.array([1.0, 0.0, 1.0, 0.0])  # the first policy that is tried, and two are better
+    assert (drawn_regrets(models, own) > 0).all()
+    monkeypatch.setattr(batch, "IMPROVEMENTS", 1)
+    with pytest.raises(ModelError, match="drawn from the posterior is not solved"):
+        drawn_regrets(models, own)
