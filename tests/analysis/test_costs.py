@@ -16,7 +16,6 @@ import pytest
 
 from exact_mdp import (
     MDP,
-    SOLVERS,
     Family,
     OffPolicy,
     Posterior,
@@ -291,21 +290,11 @@ def by_columns(sign: int) -> Told:
 
 
 TABLE: dict[str, Callable[[int], Told]] = {
-    **{
-        f"solve {m}": (lambda s, m=m: solved(solve(model(s), m)))
-        for m in SOLVERS
-        if m != "backward-induction"
-    },
-    "solve backward-induction": lambda s: solved(solve(model(s).within(3), "backward-induction")),
-    "solve, horizon": lambda s: solved(solve(model(s), horizon=3)),
-    "solve, terminal value": lambda s: solved(
+    "solve": lambda s: solved(solve(model(s))),
+    "solve, horizon": lambda s: solved(
         solve(model(s), horizon=3, terminal_value=[s * 5, 0, s * -2, s])
     ),
-    "solve, start": lambda s: solved(
-        solve(model(s), "value-iteration", start=[s * 5.0, 0.0, s * 2.0, 0.0], tol=1e-9)
-    ),
     "certify": lambda s: ((c := certify(model(s))).value, [*c.policy, c.violations()]),
-    "certify, discount 1": lambda s: ((c := certify(model(s, 1))).value, [*c.optimal_pairs]),
     "evaluate": measured,
     "solve under limits": limited,
     "check": lambda s: audited(check(model(s), POLICY)),

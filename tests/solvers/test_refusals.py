@@ -177,19 +177,23 @@ REFUSED: list[Refused] = [
     ("give a horizon", lambda: best_cvar(LOOP, "1/2")),
     ("choose discount 1", lambda: best_cvar(MODEL, "1/2", horizon=3)),
     # ---- sets of laws
-    *[("", lambda choice=choice: solve_robust(LOOP, Intervals.relative(LOOP, 0), **choice))
-      for choice in ({"nature": "bad"}, {"tol": 0}, {"tol": nan})],
+    *[(words, lambda choice=choice: solve_robust(LOOP, Intervals.relative(LOOP, 0), **choice))
+      for words, choice in (
+          ("unknown nature 'bad'", {"nature": "bad"}),
+          ("tol is 0", {"tol": 0}),
+          ("tol is nan", {"tol": nan}),
+      )],
     *[
-        ("", lambda low=low, high=high: solve_robust(LOOP, Intervals(lower=low, upper=high)))
-        for low, high in (
-            ([0.5], [1.0]),
-            ([0.6, 0.6, 1], [1.0, 1, 1]),
-            ([0, 0, 1], [0.3, 0.3, 1]),
-            ([nan, 0, 1], [1, 1, 1]),
-            ([0.9, 0, 1], [0.8, 1, 1]),
+        (words, lambda low=low, high=high: solve_robust(LOOP, Intervals(lower=low, upper=high)))
+        for words, low, high in (
+            ("bounds of shapes", [0.5], [1.0]),
+            ("lower bounds sum to 1.2", [0.6, 0.6, 1], [1.0, 1, 1]),
+            ("upper bounds to 0.6", [0, 0, 1], [0.3, 0.3, 1]),
+            ("lower bounds sum to nan", [nan, 0, 1], [1, 1, 1]),
+            ("no law lies within", [0.9, 0, 1], [0.8, 1, 1]),
         )
     ],
-    ("", lambda: Intervals.relative(LOOP, -1)),
+    ("a relative radius of -1", lambda: Intervals.relative(LOOP, -1)),
     # ---- learning
     *[
         (name, lambda name=name, value=value: QLearning(**{name: value}))

@@ -13,7 +13,6 @@ from exact_mdp import (
     MDP,
     Constant,
     Exponential,
-    ModelError,
     Policy,
     QLearning,
     Scenario,
@@ -141,18 +140,6 @@ def test_a_child_is_numpys() -> None:
     for number, spawned in enumerate(parent.spawn(3)):
         ours = child(np.random.SeedSequence(7), number)
         assert stream(ours).tolist() == stream(spawned).tolist()
-
-
-def test_rows_that_hide_which_actions_there_are_are_refused() -> None:
-    rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 1, [(1, 2, 0)]), (1, 2, [(1, 2, 0)])]
-    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
-    with pytest.raises(ModelError, match="share a row"):
-        rows_of(mdp, ())
-    assert rows_of(mdp).offered.tolist() == [
-        [True, True, False],
-        [False, True, True],
-        [True, False, False],
-    ]
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -186,13 +186,6 @@ def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
         solve_robust(mdp, L1Ball(radius=0.1), tol=1e-17)
 
 
-@pytest.mark.parametrize("choices", [{"nature": "bad"}, {"tol": 0}, {"tol": float("nan")}])
-def test_unknown_words_are_refused(choices: dict) -> None:
-    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    with pytest.raises(ModelError):
-        solve_robust(mdp, L1Ball(radius=0.1), **choices)
-
-
 # ---- the analysis ----------------------------------------------------------------------------
 
 

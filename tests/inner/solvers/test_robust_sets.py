@@ -177,14 +177,8 @@ def test_a_radius_for_each_pair() -> None:
         lambda mdp: L1Ball(radius=float("nan")),
         lambda mdp: Likelihood(radius=float("inf")),
         lambda mdp: RelativeEntropy(radius="much"),
-        lambda mdp: Intervals.relative(mdp, -1),
         lambda mdp: L1Ball(radius=[0.1]).check(mdp),
         lambda mdp: L1Ball(radius=[0.1, -1.0]),
-        lambda mdp: Intervals(lower=[0.5], upper=[1.0]).check(mdp),
-        lambda mdp: Intervals(lower=[0.6, 0.6, 1], upper=[1.0, 1, 1]).check(mdp),
-        lambda mdp: Intervals(lower=[0, 0, 1], upper=[0.3, 0.3, 1]).check(mdp),
-        lambda mdp: Intervals(lower=[np.nan, 0, 1], upper=[1, 1, 1]).check(mdp),
-        lambda mdp: Intervals(lower=[0.9, 0, 1], upper=[0.8, 1, 1]).check(mdp),
     ],
 )
 def test_what_is_no_set_of_laws_is_refused(make) -> None:
