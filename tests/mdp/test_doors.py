@@ -266,6 +266,8 @@ def test_rewards_by_name_by_row_and_in_part() -> None:
         mdp = MDP.from_arrays(by_name, rewards)
         assert (mdp.actions, mdp.reward.tolist()) == (("stay", "go"), [1, 4, 2, 5, 3, 6])
         assert mdp.transition.toarray()[1::2].tolist() == go.tolist()
+    by_state = MDP.from_arrays(by_name, {0: 7, 1: 8, 2: 9})
+    assert by_state.reward.tolist() == [7, 7, 8, 8, 9, 9]
     moves = MDP.from_arrays(by_name, {"stay": 2 * stay, "go": 3 * go})
     assert moves.reward.tolist() == [2, 3] * 3
     for wrong in ({"stay": 1, "go": 2}, {"stay": [1, 2], "go": [3, 4]}, {0: [1, 2], 1: [3, 4]}):
@@ -453,7 +455,7 @@ def test_a_loaded_model_knows_states_by_their_text(tmp_path: Path, ending: str) 
     """Names of a file may be texts of objects; a number may be a name, or is refused."""
     path = tmp_path / f"model{ending}"
     mdp = MDP.from_function(
-        (0, 0), lambda s: ["stay", "$go$"] if s == (0, 0) else [],
+        (0, 0), lambda s: ["stay", "$go$"] if s == (0, 0) else None,
         lambda s, a: [("1/3", (0, 0), "1/7"), ("2/3", (0, a != "stay"), 0)], HALF,
     )  # fmt: skip
     mdp.save(path)
