@@ -43,13 +43,8 @@ def report_error(title: str, message: str) -> None:
     summarise(f"## The check came to no verdict\n\n{fence}text\n{message}\n{fence}")
 
 
-def check_summary() -> None:
-    """Raise ModelError where the step's summary cannot be written to, before anything is."""
-    summarise("")
-
-
 def summarise(markdown: str) -> None:
-    """Append Markdown to the step's summary."""
+    """Append Markdown to the step's summary; ModelError where that cannot be written to."""
     if not (path := os.environ.get(SUMMARY)):
         return
     try:

@@ -31,12 +31,10 @@ from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers
-from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.average.chain import ExactAverages
 from exact_mdp.solvers.average.evaluate import AverageEvaluation
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError, regret
 from exact_mdp.solvers.solver import solve
@@ -86,7 +84,10 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
     optimal = np.asarray(gap == 0, dtype=bool)
     forgiven = Fraction(0)
     if mdp.floats:
-        optimal |= _ties(step, best, gap)
+        # The rounding of a row, and of the best one, can cause the whole gap.
+        most = per_use(step, _rounded(best.bias))
+        most = most + most[best.pairs][step.pair_state]
+        optimal |= gap.astype(np.float64) * SLACK <= most
         taken = best.pairs
         ideal = ExactAverages(rows.of_pairs(taken))
         uses = [held.exact_weights(state) for state in range(mdp.n_states)]
@@ -107,12 +108,6 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
         optimum=None,
         movable=partial(Fraction, forgiven),
     )
-
-
-def _ties(step: MDP, best: Certificate, gap: Numbers) -> Flags:
-    """Return (L,) where the rounding of a row, and of the best one, can cause the whole gap."""
-    own = per_use(step, _rounded(best.bias))
-    return np.asarray(gap.astype(np.float64) * SLACK <= own + own[best.pairs][step.pair_state])
 
 
 def _movable(

@@ -246,13 +246,6 @@ def _rounded(known: ExactPolicy | Certificate) -> FixedPoint:
     return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
 
 
-def _reached(known: FixedPoint) -> FixedPoint:
-    """Return values, 0 where they are not known: what is not reached."""
-    value = np.nan_to_num(known.value, posinf=0.0, neginf=0.0)
-    error = np.where(np.isfinite(known.value), np.nan_to_num(known.error, posinf=0.0), 0.0)
-    return FixedPoint(value=value, error=error)
-
-
 def _unending_gaps(
     mdp: MDP, chain: PolicyChain, best: Certificate, by_state: Floats
 ) -> tuple[Flags, Floats]:
@@ -321,6 +314,10 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         ActionBounds(mdp, optimum),
     )
     best, mine, ideal = at_start(mdp, known), at_start(mdp, own), taking(mdp, optimum.pairs)
+    reached = FixedPoint(  # 0 where values are not known: what is not reached
+        value=np.nan_to_num(own.value, posinf=0.0, neginf=0.0),
+        error=np.where(np.isfinite(own.value), np.nan_to_num(own.error, posinf=0.0), 0.0),
+    )
     loses = _losing(ideal, known, near.least_gap)
     lost: Certified | Bounded
     if near.all_best(chain):
@@ -342,7 +339,7 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         unclear=~loses & (near.most_gap > 0),
         gap=np.where(loses, near.gap, 0.0),
         optimum=optimum,
-        movable=partial(forgiven, mdp, (chain, _reached(own)), (ideal, known)),
+        movable=partial(forgiven, mdp, (chain, reached), (ideal, known)),
     )
 
 

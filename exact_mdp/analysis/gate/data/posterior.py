@@ -144,7 +144,12 @@ class Posterior:
                 where="posterior",
                 fix="ask for a robust interval, or group the states",
             )
-        prior, seed, level = _prior(self.prior), seed_of(self.rng), float(confidence)
+        with located("prior", instead=True):
+            given = exact(self.prior)
+        if not 1e-6 <= given <= 1e9:
+            what = f"the prior is {shown(given)} observations"
+            raise ModelError(what, where="prior", fix="give 1e-6 to 1e9, such as 1")
+        prior, seed, level = float(given), seed_of(self.rng), float(confidence)
         n = counted(self.n, "the number of draws, n,", 2)
         require_draws(n, level)
         own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)
@@ -209,15 +214,6 @@ def _refuse_cut_off(mdp: MDP, horizon: int | None) -> None:
             where="posterior",
             fix="ask for a robust interval, or record what follows",
         )
-
-
-def _prior(given: object) -> float:
-    with located("prior", instead=True):
-        found = exact(given)
-    if not 1e-6 <= found <= 1e9:
-        what = f"the prior is {shown(found)} observations"
-        raise ModelError(what, where="prior", fix="give 1e-6 to 1e9, such as 1")
-    return float(found)
 
 
 def drawn(mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, count: int) -> Batch:
