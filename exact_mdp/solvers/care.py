@@ -68,16 +68,10 @@ class CareValues:
 
 
 class Batch:
-    """A scenario and draws of some of its numbers, as the compiled loops take them.
+    """A scenario and draws of some of its numbers, as the compiled loops take them: `care`.
 
-    Attributes
-    ----------
-    care : solvers.kernels.care.Care
-    base : (P+2,)
-        Today's parameters, 0, and the discount.
-    positions : (Q,) ints
-        Which of these are drawn.
-    draws : (D, Q)
+    `base` (P+2,) holds today's parameters, 0, and the discount; `positions` (Q,) says which of
+    these are drawn, `draws` (D, Q).
     """
 
     def __init__(self, scenario: Scenario, names: Sequence[str], draws: ArrayLike) -> None:

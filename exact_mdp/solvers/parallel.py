@@ -16,8 +16,8 @@ import io
 import json
 import os
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence, Sized
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypedDict
@@ -35,9 +35,8 @@ from exact_mdp.mdp.validate import counted
 
 Arrays = dict[str, Numbers]
 Work = Callable[[Any], Mapping[str, Any]]
-Task = tuple[int, Any]  # the number of a piece, and the piece
 
-ATTEMPTS = 3  # times that pieces are done again after a process doing one died
+ATTEMPTS = 4  # at all pieces, where processes die
 DIGEST = "sha256"  # the name of the array that holds the digest of the others
 
 MOST = 1100
@@ -101,79 +100,75 @@ def many(
     n_jobs = None if n_jobs is None else counted(n_jobs, "n_jobs")
     record, stem = files
     place = None if folder is None else _opened(Path(folder), dict(key), name=record, what=what)
-    done: dict[int, Arrays] = {}
-
-    def file_of(index: int) -> Path:
-        return Path() if place is None else place / f"{stem}{index:06d}.npz"
-
-    for index in range(len(pieces) if place else 0):
-        found = read_piece(file_of(index))
-        if found is not None:
-            done[index] = found
-    tasks = [(index, piece) for index, piece in enumerate(pieces) if index not in done]
-    with (
-        _kept(done, len(pieces), what, place),
-        tqdm.tqdm(
-            total=len(pieces),
-            initial=len(done),
-            desc=what,
-            disable=None if progress else True,
-            delay=1,
-        ) as bar,
-        closing(_as_done(work, tasks, n_jobs, threads)) as results,
-    ):
-        for index, result in results:
-            if place is not None:
-                write_piece(file_of(index), result)
-            done[index] = result
-            bar.update()
+    paths = [place and place / f"{stem}{index:06d}.npz" for index in range(len(pieces))]
+    known = ((index, read_piece(path)) for index, path in enumerate(paths) if path)
+    done = {index: arrays for index, arrays in known if arrays is not None}
+    tasks = {index: piece for index, piece in enumerate(pieces) if index not in done}
+    bar = tqdm.tqdm(
+        total=len(pieces),
+        initial=len(done),
+        desc=what,
+        disable=None if progress else True,
+        delay=1,
+    )
+    try:
+        with bar, closing(_as_done(work, tasks, n_jobs, threads)) as results:
+            for index, result in results:
+                if path := paths[index]:
+                    write_piece(path, result)
+                done[index] = result
+                bar.update()
+    except KeyboardInterrupt as stop:  # whoever ends the program says this
+        if place is not None:
+            stop.add_note(
+                f"what is finished ({what}: {len(done)} of {len(pieces)}) is kept in {place}, "
+                "and the same command goes on from there"
+            )
+        raise
     return [done[index] for index in range(len(pieces))]
 
 
 def _one(work: Work, index: int, piece: Any) -> tuple[int, Arrays]:
     """Do one piece, wherever this is called."""
-    found = work(piece)
-    if not isinstance(found, Mapping):
-        raise TypeError(
-            f"a piece of work must return {{name: array}}, not a {type(found).__name__}"
-        )
-    return index, {name: np.asarray(value) for name, value in found.items()}
+    return index, {name: np.asarray(value) for name, value in work(piece).items()}
 
 
 def _as_done(
-    work: Work, tasks: Sequence[Task], n_jobs: int | None, threads: bool
+    work: Work, left: dict[int, Any], n_jobs: int | None, threads: bool
 ) -> Generator[tuple[int, Arrays]]:
     """Yield (number, `work(piece)`) as they are finished, in any order."""
     import joblib
     from joblib.externals.loky import process_executor as loky
 
-    if n_jobs == 1 or not tasks:
-        yield from (_one(work, *task) for task in tasks)
+    if n_jobs == 1 or not left:
+        yield from (_one(work, *task) for task in left.items())
         return
-    left = dict(tasks)
     if not threads:
         _track_quietly()
-    for attempt in range(ATTEMPTS + 1):
+    for _ in range(ATTEMPTS):
         parallel = joblib.Parallel(
             n_jobs=-1 if n_jobs is None else n_jobs,
             prefer="threads" if threads else None,
             return_as="generator_unordered",
             batch_size=1,
         )
-        calls = (joblib.delayed(_one)(work, *task) for task in list(left.items()))
-        with _quietly(parallel(calls)) as results:
-            try:
-                for index, result in results:
-                    del left[index]
-                    yield index, result
-                return
-            except loky.TerminatedWorkerError as error:
-                if attempt == ATTEMPTS:
-                    raise ModelError(
-                        f"the worker processes died in each of {ATTEMPTS + 1} attempts",
-                        where=f"piece {min(left)}",
-                        fix="give them more memory, or use fewer of them; finished pieces are kept",
-                    ) from error
+        results = parallel([joblib.delayed(_one)(work, *task) for task in left.items()])
+        try:
+            for index, result in results:
+                del left[index]
+                yield index, result
+            return
+        except loky.TerminatedWorkerError as error:
+            died = error
+        finally:
+            with warnings.catch_warnings():  # joblib warns of pieces that nobody took any more
+                warnings.simplefilter("ignore", UserWarning)
+                results.close()
+    raise ModelError(
+        f"the worker processes died in each of {ATTEMPTS} attempts",
+        where=f"piece {min(left)}",
+        fix="give them more memory, or use fewer of them; finished pieces are kept",
+    ) from died
 
 
 def _track_quietly() -> None:
@@ -191,17 +186,6 @@ def _track_quietly() -> None:
         del os.environ["PYTHONWARNINGS"]
         if before is not None:
             os.environ["PYTHONWARNINGS"] = before
-
-
-@contextmanager
-def _quietly(results: Generator[Any]) -> Iterator[Generator[Any]]:
-    """Close results in the end, without joblib's warning of pieces that nobody took any more."""
-    try:
-        yield results
-    finally:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            results.close()
 
 
 # ---- a folder of finished pieces -----------------------------------------------------------------
@@ -255,7 +239,7 @@ def read_piece(path: Path) -> Arrays | None:
     if not path.exists():
         return None
     try:
-        arrays = read_arrays(path, names=_any, check=_any, ratio=MOST)
+        arrays = read_arrays(path, names=len, check=lambda *_: None, ratio=MOST)
         stated = arrays.pop(DIGEST).tobytes()
     except (ModelError, KeyError) as error:
         raise damaged(path) from error
@@ -273,24 +257,6 @@ def _digest(arrays: Mapping[str, Numbers]) -> Numbers:
         head = [name, array.dtype.str, list(array.shape), len(content)]
         digest.update(json.dumps(head).encode() + content)
     return np.frombuffer(digest.digest(), dtype=np.uint8)
-
-
-@contextmanager
-def _kept(done: Sized, total: int, what: str, folder: Path | None) -> Iterator[None]:
-    """Let an interruption say what is finished: whoever ends the program tells of it."""
-    try:
-        yield
-    except KeyboardInterrupt as stop:
-        if folder is not None:
-            stop.add_note(
-                f"what is finished ({what}: {len(done)} of {total}) is kept in {folder}, "
-                "and the same command goes on from there"
-            )
-        raise
-
-
-def _any(*_: object) -> None:
-    """Let every name and every type pass: who reads a piece knows what it should hold."""
 
 
 def damaged(path: Path) -> ModelError:

@@ -59,7 +59,7 @@ def read_array(path: str | Path, *, called: str) -> Numbers:
 def read_arrays(
     source: str | Path | bytes,
     *,
-    names: Callable[[Collection[str]], None],
+    names: Callable[[Collection[str]], object],
     check: Check,
     ratio: int = RATIO,
 ) -> dict[str, Numbers]:

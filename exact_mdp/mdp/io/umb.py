@@ -26,14 +26,17 @@ Source of the format: https://pmc-tools.github.io/umb/spec
 from __future__ import annotations
 
 import base64
+import bz2
 import gzip
 import io
+import lzma
 import re
 import tarfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +44,22 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
 from exact_mdp.mdp.io import npz
-from exact_mdp.mdp.io.explicit import REWARD, Explicit, identifier, model_of
-from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.io.umb_read import read
-from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import (
-    Numbers,
+from exact_mdp.mdp.io.explicit import (
+    REWARD,
+    Explicit,
+    actions_of,
+    identifier,
+    model_of,
+    named_by,
 )
+from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import Integers, Numbers
+
+PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzma.decompress}
+"""Kinds of compression, which umbi does not read to the end."""
+ANY_SIZE = 10**6
+"""Numbers of states, choices, branches and actions that need no data in the file to be believed."""
 
 TERMINAL, COMPONENT = "terminal", "component-"
 GROUP, CARRIER = "exact-mdp", "start"
@@ -62,6 +74,15 @@ WRITTEN = {
     "annotations": "the rewards or the labels",
 }
 """What has to be as it was written, where a file is of exact-mdp."""
+
+
+def _umbi() -> Any:
+    """Return the package umbi, with its parts."""
+    with extra("models"):
+        import umbi
+        import umbi.umb.index
+        import umbi.umb.umb_to_tar
+    return umbi
 
 
 def save(model: MDP, path: str | Path) -> None:
@@ -99,7 +120,7 @@ def load(
     in continuous time, of several players, partially observable, with intervals for probabilities.
     """
     with located(str(path)):
-        umb, content = read(path)
+        umb, content = _read(path)
         own = (umb.index.annotations or {}).get(GROUP, {}).get(CARRIER)
         if own is not None and own.description:
             mdp = _restored(umb, content, own.description, reward)
@@ -136,14 +157,165 @@ def _restored(umb: Any, content: Explicit, packed: str, reward: str | None) -> M
     return replace(mdp, table=table, component_table=None, component_names=(title,))
 
 
+# ---- reading -------------------------------------------------------------------------------------
+
+
+def _read(path: str | Path) -> tuple[Any, Explicit]:
+    """Return a file as umbi decodes it, and what it says of the model; raises ModelError.
+
+    umbi gives each number as Python has it, so that nothing is rounded. The sizes that the index
+    claims are compared with the file first, as umbi makes lists of that length.
+    """
+    package = _umbi().umb
+    packed = read_bytes(path, most=LARGEST)  # a regular file, and not too large
+    try:
+        for begin, unpacked in PACKED.items():
+            if packed.startswith(begin):
+                unpacked(packed)  # raises where a checksum, at the end, is wrong or missing
+        decoder, found = package.umb_to_tar.UmbDecoder(path), package.ExplicitUmb()
+        decoder.read_index_file(found)
+        _check_kind(found.index.transition_system, decoder)
+        umb = decoder.decode()
+        return umb, _content(umb)
+    except ModelError:
+        raise
+    except NotImplementedError as error:
+        raise ModelError(
+            f"the package umbi cannot read this file: {error}", fix="write the file without that"
+        ) from error
+    except Exception as error:  # umbi, tarfile, JSON and the decompressors raise many kinds
+        raise ModelError(
+            f"the file is damaged, or not a UMB file: {str(error)[:200]}",
+            fix="write the file again",
+        ) from error
+
+
+def _content(umb: Any) -> Explicit:
+    system, about = umb.index.transition_system, umb.index.annotations or {}
+    states, choices, branches = _sizes(system).values()
+    offsets = _offsets(umb.state_to_choices, "state-to-choices", states, choices)
+    ends = [0] * branches if umb.branch_to_target is None else umb.branch_to_target
+    target = _sized(ends, branches, "branch-to-target")
+    if max(target, default=0) >= states:
+        raise _damaged(f"a branch leads to state {max(target)} of {states}", "branch-to-target")
+    chances: Sequence[Any] = [1] * branches
+    if umb.branch_to_probability is not None:
+        chances = _sized(umb.branch_to_probability, branches, "branch-to-probability")
+    actions, names = _actions(umb, offsets)
+    annotated = _annotations(umb, "aps")
+    labels = {key: each["states"] for key, each in annotated.items() if "states" in each}
+    return Explicit(
+        name=(umb.index.model_data and umb.index.model_data.name) or "",
+        state_to_choices=offsets,
+        choice_to_branches=_offsets(
+            umb.choice_to_branches, "choice-to-branches", choices, branches
+        ),
+        target=target,
+        probability=chances,
+        actions=actions,
+        action_names=names,
+        initial=np.array(_sized(umb.state_is_initial, states, "state-is-initial"), dtype=bool),
+        words=named_by((umb.valuations or {}).get("states", ())),
+        rewards=_annotations(umb, "rewards"),
+        labels={key: np.array(flags, dtype=bool) for key, flags in labels.items()},
+        titles={
+            group: {key: each.alias or key for key, each in about.get(group, {}).items()}
+            for group in ("rewards", "aps")
+        },
+    )
+
+
+def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
+    """Return the annotations of a group, each by what it applies to; texts are left out."""
+    found: dict[str, dict[str, Any]] = {}
+    sizes = _sizes(umb.index.transition_system)
+    for key, lists in (umb.annotations or {}).get(group, {}).items():
+        for over, values in lists.items():
+            where = f"annotations/{group}/{key}/{over}"
+            if over not in sizes:
+                raise ModelError(
+                    f"an annotation of {over}", where=where, fix=f"give {', '.join(sizes)} values"
+                )
+            if str not in set(map(type, _sized(values, sizes[over], where))):
+                found.setdefault(key, {})[over] = values
+    return found
+
+
+def _actions(umb: Any, offsets: Integers) -> tuple[Integers, tuple[str, ...]]:
+    """Return each choice's action, and the names of actions."""
+    count = umb.index.transition_system.num_choice_actions
+    listed = tuple(umb.choice_action_to_string or ())
+    names = tuple(name or "unnamed" for name in listed) or tuple(f"a{k}" for k in range(count))
+    given = None
+    if umb.choice_to_choice_action is not None:
+        given = np.array(
+            _sized(umb.choice_to_choice_action, int(offsets[-1]), "actions"), dtype=np.int64
+        )
+        if given.max(initial=0) >= count or len(names) != count:
+            raise _damaged(
+                f"{len(names)} names for {count} actions, or an action beyond them", "actions"
+            )
+    return actions_of(given, names, offsets)
+
+
+def _sizes(system: Any) -> dict[str, int]:
+    return {each: getattr(system, f"num_{each}") for each in ("states", "choices", "branches")}
+
+
+def _check_kind(system: Any, files: Any) -> None:
+    """Raise ModelError unless this is a chain or an MDP, no larger than its file."""
+    kinds = {
+        f"time is {system.time}": system.time != "discrete",
+        f"{system.num_players} players": system.num_players > 1,
+        f"{system.num_observations} observations": system.num_observations > 0,
+    }
+    for what, wrong in kinds.items():
+        if wrong:
+            raise ModelError(
+                f"the model is neither an MDP nor a Markov chain: {what}",
+                where="index.json",
+                fix="give a model in discrete time, of one player, fully observable",
+            )
+    # A state, choice or branch takes at least eight bytes where there are many of them.
+    core = sum(len(data) for name, data in files.items() if "/" not in name)
+    most = max(*_sizes(system).values(), system.num_choice_actions)
+    if most > max(core // 8, ANY_SIZE):
+        raise _damaged(f"the index claims {most:,} entries in {core:,} bytes", "index.json")
+
+
+def _sized(values: Sequence[Any], count: int, where: str) -> Sequence[Any]:
+    """Return values; raises ModelError unless they are numbers, as many as the index says."""
+    if len(values) != count:
+        raise _damaged(f"{len(values):,} values, not {count:,}", where)
+    interval = _umbi().datatypes.Interval
+    if any(isinstance(value, interval) for value in values):
+        raise ModelError(
+            "an interval is not a single number",
+            where=where,
+            fix="give a model without intervals or parameters",
+        )
+    return values
+
+
+def _offsets(given: Sequence[int] | None, where: str, size: int, end: int) -> Integers:
+    """Return size+1 offsets from 0 to `end`; one each where none are given."""
+    found = list(range(size + 1)) if given is None else list(given)
+    falls = any(after < before for before, after in pairwise(found))
+    if len(found) != size + 1 or found[0] != 0 or found[-1] != end or falls:
+        raise _damaged(f"{len(found)} offsets that do not run from 0 to {end}", where)
+    return np.array(found, dtype=np.int64)
+
+
+def _damaged(what: str, where: str) -> ModelError:
+    return ModelError(what, where=where, fix="write the file again")
+
+
 # ---- writing -------------------------------------------------------------------------------------
 
 
 def _archive_of(model: MDP) -> bytes:
     """Return the gzipped archive; the same model gives the same bytes."""
-    with extra("models"):
-        from umbi.umb import umb_to_tar as encoding
-    encoder, umb = encoding.UmbEncoder(), _umb_of(model)
+    encoder, umb = _umbi().umb.umb_to_tar.UmbEncoder(), _umb_of(model)
     encoder.add_index_file(umb)
     encoder.add_state_files(umb)
     encoder.add_transition_files(umb)
@@ -163,11 +335,8 @@ def _archive_of(model: MDP) -> bytes:
 
 
 def _umb_of(model: MDP) -> Any:
-    with extra("models"):
-        from umbi import umb as umb_package
-        from umbi import version
-        from umbi.umb import index as description
-    table = model.table
+    umbi, table = _umbi(), model.table
+    description, version = umbi.umb.index, umbi.version
     start = {state: weight for state, weight in model.start if weight > 0}
     kind, numbers = _typed(_ratios(table.weight, table.denominator, table.offsets))
     index = description.UmbIndex(
@@ -188,7 +357,7 @@ def _umb_of(model: MDP) -> Any:
         annotations={"rewards": {}, "aps": {}, GROUP: {}},
         valuations=_valuations(model),
     )
-    umb = umb_package.ExplicitUmb(
+    umb = umbi.umb.ExplicitUmb(
         index=index,
         state_is_initial=[state in start for state in range(model.n_states)],
         state_to_choices=model.pair_offsets.tolist(),
@@ -226,15 +395,13 @@ def _annotate(
     about: str = "",
 ) -> None:
     """Add an annotation; an alias is its description too, and as an identifier its name."""
-    with extra("models"):
-        from umbi.umb import index as description
     kind, numbers = _typed(values)
     # The query language of PRISM and Storm knows no dots or hyphens in names.
     word = re.sub(r"\W", "_", alias) if alias else None
     taken = {entry.alias or other for other, entry in umb.index.annotations[group].items()}
     while word in taken:
         word = f"{word}_"
-    umb.index.annotations[group][key] = description.AnnotationDescription(
+    umb.index.annotations[group][key] = _umbi().umb.index.AnnotationDescription(
         alias=word, description=about or alias or None, applies_to=[over], type=kind
     )
     umb.annotations[group][key] = {over: numbers}
@@ -242,19 +409,17 @@ def _annotate(
 
 def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
     """Return values with their type: truth values, small integers, doubles, or wide rationals."""
-    with extra("models"):
-        from umbi import binary, datatypes
-    kinds, numeric = set(map(type, values)), datatypes.NumericPrimitiveType
+    kinds, typed, numeric = set(map(type, values)), _umbi().binary.SizedType, _umbi().datatypes
     if kinds <= {bool}:
-        return binary.SizedType(datatypes.PrimitiveType.BOOL, 1), list(values)
+        return typed(numeric.PrimitiveType.BOOL, 1), list(values)
     if kinds == {float}:
-        return binary.SizedType(numeric.DOUBLE, 64), list(values)
+        return typed(numeric.NumericPrimitiveType.DOUBLE, 64), list(values)
     if kinds == {int}:
-        return binary.SizedType(numeric.UINT, 64), list(values)
+        return typed(numeric.NumericPrimitiveType.UINT, 64), list(values)
     rationals = [Fraction(value) for value in values]
     # The numerator is signed; each half of a rational takes a multiple of 64 bits.
     bits = max(max(x.numerator.bit_length() + 1, x.denominator.bit_length()) for x in rationals)
-    return binary.SizedType(numeric.RATIONAL, 128 * -(-bits // 64)), rationals
+    return typed(numeric.NumericPrimitiveType.RATIONAL, 128 * -(-bits // 64)), rationals
 
 
 def _ratios(top: Numbers, bottom: Numbers, offsets: Numbers) -> list[Any]:
@@ -278,14 +443,11 @@ def _expected(model: MDP) -> list[Any]:
 
 def _valuations(model: MDP) -> dict[str, Any] | None:
     """Return the columns of the states as 32-bit variables; a lone column is the state's number."""
-    with extra("models"):
-        from umbi import binary, datatypes
-        from umbi.umb import index as description
-    names = model.space.names
+    names, umbi = model.space.names, _umbi()
     if len(names) < 2 or len(set(names)) < len(names):
         return None
-    struct = binary.StructType()
+    struct, whole = umbi.binary.StructType(), umbi.datatypes.NumericPrimitiveType.INT
     for name in names:
-        struct.add_attribute(name, binary.SizedType(datatypes.NumericPrimitiveType.INT, 32))
+        struct.add_attribute(name, umbi.binary.SizedType(whole, 32))
     unique = len(model.space.extra) < 2
-    return {"states": description.ValuationDescription(unique=unique, classes=[struct])}
+    return {"states": umbi.umb.index.ValuationDescription(unique=unique, classes=[struct])}

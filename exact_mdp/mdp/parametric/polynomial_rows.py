@@ -29,30 +29,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolynomialRows:
-    """The rows on one piece of a parameter.
+    """The rows on one piece of a parameter, of S states and L pairs."""
 
-    Attributes
-    ----------
-    mdp : MDP
-        The model at θ0.
-    change : RowChange
-    rate : fmpq_poly
-        The discount.
-    terminal : list of bool, of length S
-        States in which nothing happens, whatever the parameter.
-    reward : list of fmpq_poly, of length L
-    following : list of (state, fmpq_poly), for each of L pairs
-        Discounted probabilities of states that are not terminal; none of terminal states.
-    moving : list of fmpq_poly
-        The probabilities that change, not discounted, those of terminal states included.
-    """
-
-    mdp: MDP
+    mdp: MDP  # at θ0
     change: RowChange
-    rate: fmpq_poly
-    terminal: list[bool]
+    rate: fmpq_poly  # the discount
+    terminal: list[bool]  # states in which nothing happens, whatever the parameter
     reward: list[fmpq_poly]
+    # Discounted probabilities of states that are not terminal; none of terminal states.
     following: list[list[tuple[int, fmpq_poly]]]
+    # Probabilities that change, not discounted, those of terminal states included.
     moving: list[fmpq_poly]
 
     @classmethod

@@ -73,29 +73,15 @@ class Change:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RowChange:
-    """How transition rows, expected rewards and the discount move with one parameter.
-
-    Attributes
-    ----------
-    name : str
-    origin : Fraction
-        The value θ0 at which the coefficients hold.
-    piece : Piece
-    transition, reward : Change
-        Keys are pair · S + next state, and the pair.
-    rate : tuple of Fraction
-        Coefficients of (θ - θ0)^k, k from 1, of the discount.
-    checked : int or None
-        Points at which rows fit the polynomials; None where the degree is known.
-    """
+    """How transition rows, expected rewards and the discount move with one parameter."""
 
     name: str
-    origin: Fraction
+    origin: Fraction  # the value θ0 at which the coefficients hold
     piece: Piece
-    transition: Change
-    reward: Change
-    rate: tuple[Fraction, ...]
-    checked: int | None
+    transition: Change  # keys are pair · S + next state
+    reward: Change  # keys are pairs
+    rate: tuple[Fraction, ...]  # coefficients of (θ - θ0)^k, k from 1, of the discount
+    checked: int | None  # points at which rows fit the polynomials; None for a known degree
 
     @property
     def discount(self) -> Fraction:

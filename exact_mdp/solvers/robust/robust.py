@@ -211,23 +211,13 @@ def solve_robust(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Game:
-    """Who chooses what: a model, nature's sets, nature's side, and the agent's.
-
-    Attributes
-    ----------
-    against : bool
-        True where nature makes the values of rows as low as it can.
-    most : bool
-        True where the agent takes the best pair, False where the least.
-    weights : (L,), optional
-        Probability of each pair, where the agent's policy is fixed.
-    """
+    """Who chooses what: a model, nature's sets, nature's side, and the agent's."""
 
     mdp: MDP
     ambiguity: Ambiguity
-    against: bool
-    most: bool = True
-    weights: Floats | None = None
+    against: bool  # whether nature makes the values of rows as low as it can
+    most: bool = True  # whether the agent takes the best pair, not the least
+    weights: Floats | None = None  # (L,) of each pair, where the agent's policy is fixed
 
     @cached_property
     def pairs(self) -> Integers:

@@ -422,12 +422,6 @@ def test_without_gymnasium_the_error_names_the_extra(monkeypatch: pytest.MonkeyP
         MDP.from_gymnasium("FrozenLake-v1")
 
 
-@pytest.mark.parametrize("table", [{}, []])
-def test_an_empty_table_is_called_empty(table: Any) -> None:
-    with pytest.raises(ModelError, match="P is empty"):
-        MDP.from_gymnasium(table)
-
-
 @pytest.mark.parametrize(
     ("begins", "start"),
     [({0: 0.5, 1: 0.5}, [0.5, 0.5]), ({1: 1}, [0, 1]), (np.int64(1), [0, 1]), (0, [1, 0])],

@@ -192,18 +192,6 @@ def test_models_of_other_kinds(tmp_path: Path) -> None:
             load(written(content, tmp_path), discount=1)
 
 
-def test_rewards_that_were_changed_for_choices_alone(tmp_path: Path) -> None:
-    """Another tool may change the rewards and pass over our finer ones: they must not win."""
-    path = tmp_path / "care.umb"
-    save(CARE, path)
-    content = read_by_umbi(path)
-    content.index.valuations = None
-    content.annotations["rewards"]["reward"]["choices"][7] += 1
-    umbi.umb.write(content, path)
-    with pytest.raises(ModelError, match="another program changed the rewards"):
-        load(path)
-
-
 # ---- damage -----------------------------------------------------------------------------------
 
 
