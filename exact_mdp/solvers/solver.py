@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, named_options, suggest
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.average.solve import solve_average
@@ -70,6 +70,7 @@ def mdp_of(model: object) -> MDP:
     )
 
 
+@named_options
 def solve(
     model: MDP | Scenario,
     solver: Any = "auto",
