@@ -1,8 +1,8 @@
 """Models from arrays, from rows and from lists of outcomes, floats or exact rationals alike.
 
 Every number keeps its exact value, whatever stands beside it (`mdp.forms.numbers`); rows of floats
-mean what `mdp.rows` says, and outcomes that come twice are added exactly. Where all numbers are
-doubles, and one at least was given as a float, the table holds them as floats; else as integers
+mean what `mdp.forms.rows` says, and outcomes that come twice are added exactly. Where all numbers
+are doubles, and one at least was given as a float, the table holds them as floats; else as integers
 over one denominator for each row.
 """
 
@@ -30,7 +30,7 @@ from exact_mdp.mdp.forms.numbers import (
     picked,
     whole_numbers,
 )
-from exact_mdp.mdp.rows import counted
+from exact_mdp.mdp.forms.rows import counted
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     Integers,

@@ -7,7 +7,7 @@ floats next to what their row means. Rewards that are floats are the dyadic rati
 The float model is derived from this
 table, every number rounded once; there is no second source.
 
-Every row of a model sums to 1 exactly; `mdp.rows` says what a row of floats means.
+Every row of a model sums to 1 exactly; `mdp.forms.rows` says what a row of floats means.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.forms.rows import FLOAT_ROW_TOLERANCE as FLOAT_ROW_TOLERANCE
+from exact_mdp.mdp.forms.rows import LONG, exactly, fine_unit, meant, settle
+from exact_mdp.mdp.forms.rows import Floats as Floats
+from exact_mdp.mdp.forms.rows import Integers as Integers
+from exact_mdp.mdp.forms.rows import Numbers as Numbers
+from exact_mdp.mdp.forms.rows import dyadic as dyadic
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
-from exact_mdp.mdp.rows import FLOAT_ROW_TOLERANCE as FLOAT_ROW_TOLERANCE
-from exact_mdp.mdp.rows import LONG, exactly, fine_unit, meant, settle
-from exact_mdp.mdp.rows import Floats as Floats
-from exact_mdp.mdp.rows import Integers as Integers
-from exact_mdp.mdp.rows import Numbers as Numbers
-from exact_mdp.mdp.rows import dyadic as dyadic
 
 COMPILED = 20_000
 """Transitions from which compiled loops are used. Below, NumPy takes less time than it takes to
@@ -99,7 +99,7 @@ class OutcomeTable:
         return bool(sp.csr_array((self.next, self.next, offsets), shape).has_canonical_format)
 
     def settled(self) -> OutcomeTable:
-        """Return the table with the floats next to what its rows mean (`mdp.rows`)."""
+        """Return the table with the floats next to what its rows mean (`mdp.forms.rows`)."""
         if self.weight.dtype != np.float64 or "is_settled" in vars(self):
             return self
         weight = self.weight.copy()
@@ -207,7 +207,7 @@ class OutcomeTable:
 
 
 def settle_rows(weight: Floats, offsets: Integers) -> None:
-    """Do what `mdp.rows.settle` does, in compiled loops where there are many numbers."""
+    """Do what `mdp.forms.rows.settle` does, in compiled loops where there are many numbers."""
     fits = len(offsets) > 1 and offsets[0] == 0 and offsets[-1] == len(weight) == weight.size
     if not (fits and np.diff(offsets).min() > 0):
         return  # it is refused for that
@@ -216,7 +216,7 @@ def settle_rows(weight: Floats, offsets: Integers) -> None:
         with np.errstate(all="ignore"):
             settle(weight, offsets)
         return
-    from exact_mdp.mdp.forms import rows as loops
+    from exact_mdp.mdp.forms import loops
 
     run_blocks(
         block_ends(offsets),

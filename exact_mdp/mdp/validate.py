@@ -27,8 +27,8 @@ from exact_mdp.mdp.errors import (
 )
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given, is_table, refuse_masked
+from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.rows import meant
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
@@ -44,7 +44,9 @@ from exact_mdp.mdp.table import (
 
 Flags = NDArray[np.bool_]
 SENSES = ("max", "min")
-LEFT = FLOAT_ROW_TOLERANCE / 2  # rows that `mdp.rows` settled miss 1 by rounding, others by more
+LEFT = (
+    FLOAT_ROW_TOLERANCE / 2
+)  # rows that `mdp.forms.rows` settled miss 1 by rounding, others by more
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +150,7 @@ def check_model(model: Parts) -> None:
     _check_pairs(model)
     _check_shapes(model.table, model.n_pairs)
     _check_numbers(model)
-    if not vars(model.table).get("sound", False):  # `mdp.forms.rows` has looked at each row
+    if not vars(model.table).get("sound", False):  # `mdp.forms.loops` has looked at each row
         _check_rows(model)
     _check_order(model.table)
     _check_observations(model)
@@ -284,8 +286,8 @@ def _check_discount(value: Fraction) -> None:
 def as_start(start: object, space: StateSpace) -> ByNumber:
     """Return an initial distribution from a state, from {state: probability}, or from a vector.
 
-    Without any it is the first state. `mdp.forms.names` says which state is meant, and `mdp.rows`
-    what floats mean.
+    Without any it is the first state. `mdp.forms.names` says which state is meant, and
+    `mdp.forms.rows` what floats mean.
     """
     if start is None:
         return ByNumber([(0, Fraction(1))])

@@ -1,8 +1,8 @@
 """The one way from columns to a table: outcomes grouped by pair, sorted, joined and checked.
 
 However a model is given, it comes down to next state, probability and reward of each outcome, pair
-after pair. What rows of floats mean is read here (`mdp.rows`); large tables of floats are copied,
-sorted and looked at in one compiled pass.
+after pair. What rows of floats mean is read here (`mdp.forms.rows`); large tables of floats are
+copied, sorted and looked at in one compiled pass.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _taken(
     """
     if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
         return None
-    from exact_mdp.mdp.forms import rows as loops
+    from exact_mdp.mdp.forms import loops
 
     columns, weights = following, chance
     if not own:

@@ -20,7 +20,7 @@ from exact_mdp.mdp.errors import ModelError, located, of_type
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
-from exact_mdp.mdp.rows import meant
+from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import check_options, counted
 

@@ -41,7 +41,7 @@ def is_listed(P: Any) -> bool:
     >>> is_listed({0: {}}), is_listed([(0, 0, 0, 1)]), is_listed([[[1]], []]), is_listed([[[1]]])
     (True, True, True, False)
     """
-    if isinstance(P, Mapping) or _are_quadruples(P):
+    if isinstance(P, Mapping) or _are_rows(P, 4):
         return True
     if not isinstance(P, list | tuple) or not all(isinstance(row, list | tuple) for row in P):
         return False
@@ -177,120 +177,124 @@ def rows_of(P: Any, R: Any, *, costs: bool = False) -> tuple[list[Any], dict[str
     >>> rows, names["actions"]
     ([(0, 0, [(1, 1, Fraction(5, 1))]), (1, 0, [(1, 1, 0)])], ('go',))
     """
-    if isinstance(P, Mapping):
-        P = {key: plain(value) for key, value in P.items()}
-    states, ends = Numbering(), set[Hashable]()
-    listed = list(_quadruples(P))
-    if not _are_quadruples(P) and all(len(path) == 3 for path, _ in _leaves(P)):
-        for state, row in _items(P):
-            states.add(state, "a state", "P")
-            if not any(True for _ in _leaves(row)):
-                ends.add(state)
-    pairs: dict[Path, list[tuple[Any, Any]]] = {}
-    for state, action, following, chance in listed:
-        states.add(state, "a state", "P")
-        states.add(following, "a next state", f"P, state {state}, action {action}")
-        with located(f"P, state {state}, action {action}, next state {following}"):
-            row = pairs.setdefault((state, action), [])
-            row += [(chance, following)] if exact(chance) else []
-    rows, never = [], inf if costs else -inf
-    rewards = _rewards(R, P, states, pairs, never)
-    for path, reward in rewards.items() if isinstance(R, Mapping) else ():
-        none = reward in (never, None) or reward != reward  # NaN
-        if not none and not _is_list(R.get(path[0])):
-            _check_known(path, P, pairs, states, ends if reward == 0 else set(), never)
-    for (state, action), row in pairs.items():
-        if rewards.get((state, action), rewards.get((state,))) == never:
-            continue
-        earned = [(p, then, _reward(rewards, state, action, then)) for p, then in row]
-        rows.append((state, action, earned))
-    return numbered(rows, states, ends)
+    listed = _Listed(P, never=inf if costs else -inf)
+    rewards, rows = listed.rewards(R), []
+    for (state, action), outcomes in listed.pairs.items():
+        if rewards.get((state, action), rewards.get((state,))) != listed.never:
+            earned = [(p, then, _reward(rewards, state, action, then)) for p, then in outcomes]
+            rows.append((state, action, earned))
+    return numbered(rows, listed.states, listed.ends)
 
 
-def _rewards(
-    R: Any, P: Any, states: Numbering, pairs: Mapping[Path, Any], never: float
-) -> dict[Path, Any]:
-    """Return the rewards by state, pair or transition; raise where any would be left out."""
-    as_rows = _reward_rows(R, states, pairs, never) if _are_quadruples(P) else None
-    try:
-        _fit(R, (), states, _widths(P, states, pairs))
-    except ShapeError:
-        if as_rows is None:
-            raise
-        return as_rows
-    if as_rows is not None:
-        kind = "triples (s, a, r)" if len(R[0]) == 3 else "quadruples (s, a, t, r)"
-        raise ModelError(
-            f"the rewards may be {kind}, or R[s][a] for each state and action",
-            where="R",
-            fix="say which, by a dictionary: {(s, a): r} or {(s, a, t): r}, or {s: {a: r}}",
+class _Listed:
+    """What P lists: states, the actions that it names in each, and the outcomes of pairs."""
+
+    def __init__(self, P: Any, never: float) -> None:
+        self.never, self.by_row = never, _are_rows(P, 4)
+        if isinstance(P, Mapping):
+            P = {key: plain(value) for key, value in P.items()}
+        self.states, self.ends = Numbering(), set[Hashable]()
+        self.pairs: dict[Path, list[tuple[Any, Any]]] = {}
+        self.named: dict[Any, dict[Any, None]] = {}  # available or not
+        leaves = [] if self.by_row else list(_leaves(P))
+        if not self.by_row and all(len(path) == 3 for path, _ in leaves):
+            going = {path[0] for path, _ in leaves}
+            for state, row in _items(P):
+                self.states.add(state, "a state", "P")
+                self.named[state] = dict.fromkeys(range(len(row)) if _is_list(row) else row or ())
+                self.ends |= set() if state in going else {state}
+        for state, action, following, chance in _quadruples(P, self.by_row, leaves):
+            where = f"P, state {state}, action {action}"
+            self.states.add(state, "a state", "P")
+            self.states.add(following, "a next state", where)
+            with located(f"{where}, next state {following}"):
+                outcomes = self.pairs.setdefault((state, action), [])
+                outcomes += [(chance, following)] if exact(chance) else []
+            self.named.setdefault(state, {})[action] = None
+        offered: dict[Any, list[Any]] = {state: [] for state in self.states.number}
+        for state, action in self.pairs:
+            offered[state].append(action)
+        self.offered = offered
+        self.most = max(
+            (_width(each) or 0 for each in (*self.named.values(), *offered.values())), default=0
         )
-    rewards = {_path(path, states): reward for path, reward in _leaves(R)}
-    strange = next((path for path in rewards if path[0] not in states.number), None)
-    if strange is not None:
-        raise ModelError(
-            f"there is a reward of state {strange[0]!r}, which P does not know",
-            where="R",
-            fix="leave it out, or correct the state: "
-            + suggest(str(strange[0]), map(str, states.number)),
-        )
-    return rewards
 
-
-def _reward_rows(
-    R: Any, states: Numbering, pairs: Mapping[Path, Any], never: float
-) -> dict[Path, Any] | None:
-    """Return what triples or quadruples say, None where R is no list of them.
-
-    They are of pairs that P lists, except where the reward says that the action is not available,
-    and each comes once.
-    """
-    width = next((width for width in (3, 4) if _are_rows(R, width)), 0)
-    if not width or not len(R):
-        return None
-    found: dict[Path, Any] = {}
-    for *path, reward in R.tolist() if isinstance(R, np.ndarray) else R:
-        key = tuple(map(_whole, path))
+    def rewards(self, R: Any) -> dict[Path, Any]:
+        """Return the rewards by state, pair or transition; raise where any would be left out."""
+        as_rows = self._of_rows(R) if self.by_row else None
         try:
-            listed = key[:2] in pairs or (key[0] in states.number and reward == never)
-            if not listed or key in found or not set(key[2:]) <= states.number.keys():
-                return None
-        except TypeError:  # no key
+            leaves = list(self._leaves(R, ()))
+        except ShapeError:
+            if as_rows is None:
+                raise
+            return as_rows
+        if as_rows is not None:
+            kind = "triples (s, a, r)" if len(R[0]) == 3 else "quadruples (s, a, t, r)"
+            raise ModelError(
+                f"the rewards may be {kind}, or R[s][a] for each state and action",
+                where="R",
+                fix="say which, by a dictionary: {(s, a): r} or {(s, a, t): r}, or {s: {a: r}}",
+            )
+        for path, reward, in_list in leaves:
+            if not in_list and not (reward == self.never or reward != reward):
+                self._check(path, reward)
+        return {path: reward for path, reward, _ in leaves}
+
+    def _of_rows(self, R: Any) -> dict[Path, Any] | None:
+        """Return what triples or quadruples say, None where R is no list of them.
+
+        They are of pairs that P lists, except where the reward says that the action is not
+        available, and each comes once.
+        """
+        if not (_are_rows(R, 3) or _are_rows(R, 4)) or not len(R):
             return None
-        found[key] = reward
-    return found
+        rewards: dict[Path, Any] = {}
+        for *path, reward in R.tolist() if isinstance(R, np.ndarray) else R:
+            key = tuple(map(_whole, path))
+            try:
+                known = key[:2] in self.pairs or reward == self.never
+                if not known or key in rewards or not {key[0], *key[2:]} <= {*self.offered}:
+                    return None
+            except TypeError:  # no key
+                return None
+            rewards[key] = reward
+        return rewards
 
+    def _leaves(self, values: Any, path: Path) -> Iterator[tuple[Path, Any, bool]]:
+        """Yield state, pair or transition, its reward, and whether a list of actions has it."""
+        refuse_masked(values, "P or R")
+        if not isinstance(values, Mapping) and not _is_list(values):
+            if not 0 < len(path) <= 3 or (len(path) == 1 and path[0] not in self.offered):
+                raise _no_entry(path, "R")
+            if path[0] not in self.offered:
+                raise ModelError(
+                    f"there is a reward of state {path[0]!r}, which P does not know",
+                    where="R",
+                    fix="leave it out, or correct the state: "
+                    + suggest(str(path[0]), map(str, self.offered)),
+                )
+            if values is not None:
+                yield path, values, False
+            return
+        if _is_list(values) and len(path) < 3:
+            self._check_length(values, path)
+        for key, value in _items(values):
+            spread = isinstance(key, tuple) and key not in self.offered
+            for leaf, reward, in_list in self._leaves(value, (*path, *(key if spread else (key,)))):
+                yield leaf, reward, in_list or (_is_list(values) and len(path) < 2)
 
-def _widths(P: Any, states: Numbering, pairs: Mapping[Path, Any]) -> dict[Any, set[int]]:
-    """Return how many rewards a list may give for the actions of each state: its own, or all."""
-    own: dict[Any, set[int]] = {state: set() for state in states.number}
-    last = dict.fromkeys(own, 0)
-    words = set()
-    for state, action in pairs:
-        if isinstance(action, int | np.integer) and action >= 0:
-            last[state] = max(last[state], int(action) + 1)
-        else:
-            words.add(state)
-    for state, row in () if _are_quadruples(P) else _items(P):
-        if _is_list(row) and state in own:
-            own[state].add(len(row))
-    most = max([*last.values(), *(width for widths in own.values() for width in widths)], default=0)
-    return {
-        state: set() if state in words else {*widths, last[state], most}
-        for state, widths in own.items()
-    }
-
-
-def _fit(values: Any, known: Path, states: Numbering, widths: Mapping[Any, set[int]]) -> None:
-    """Raise ShapeError where a list of rewards has not one for each state, action or next state."""
-    if _is_list(values) and len(known) < 3:
-        of_actions, size = len(known) == 1, len(states.number)
-        numbered = states.number.keys() == set(range(size))
-        allowed = widths.get(known[0], set()) if of_actions else {size} if numbered else set()
+    def _check_length(self, values: Any, path: Path) -> None:
+        """Raise ShapeError where a list has not one reward for each state, action or next state."""
+        count = len(self.offered)
+        allowed: set[Any] = {count} if {*self.offered} == {*range(count)} else set()
+        if len(path) == 1:
+            named = self.named.get(path[0], {}), self.offered.get(path[0], [])
+            widths = [*map(_width, named)]
+            allowed = set() if None in widths else {*widths, self.most}
         if len(values) not in allowed:
             wanted = " or ".join(map(str, sorted(allowed)))
-            thing = "actions" if of_actions else "states"
-            places = zip(("state", "action"), known, strict=False)
+            thing = "actions" if len(path) == 1 else "states"
+            places = zip(("state", "action"), path, strict=False)
             raise ShapeError(
                 f"{len(values)} entries in a list for "
                 + (f"{wanted} {thing}" if wanted else f"{thing} that are not numbers from 0 on"),
@@ -299,52 +303,40 @@ def _fit(values: Any, known: Path, states: Numbering, widths: Mapping[Any, set[i
                 "state, R[s][a][t]; or a dictionary {(s, a): r}; beside quadruples for P also "
                 "triples (s, a, r) or quadruples (s, a, t, r), of pairs that P lists, each once",
             )
-    if isinstance(values, Mapping) or _is_list(values):
-        for key, value in _items(values):
-            if isinstance(value, Mapping) or _is_list(value):
-                more = key if isinstance(key, tuple) and key not in states.number else (key,)
-                _fit(value, (*known, *more), states, widths)
 
-
-def _check_known(
-    path: Path,
-    P: Any,
-    pairs: Mapping[Path, Any],
-    states: Numbering,
-    ends: set[Hashable],
-    never: float,
-) -> None:
-    """Raise ModelError for a reward of something that P does not name; 0 is earned in ends."""
-    state, action = path[0], path[1:2]
-    listed = not action or state in ends or path[:2] in pairs or _lists(P, state, *action)
-    for what, thing, known in (
-        ("action", action, action if listed else dict.fromkeys(act for _, act in pairs)),
-        ("next state", path[2:], states.number),
-    ):
-        if thing and thing[0] not in known:
+    def _check(self, path: Path, reward: Any) -> None:
+        """Raise ModelError for a reward of something that P does not name; 0 is earned in ends."""
+        state, action = path[0], path[1:2]
+        here = not action or action[0] in self.named.get(state, ())
+        here |= reward == 0 and state in self.ends
+        every = dict.fromkeys(action for _, action in self.pairs)
+        for what, thing, known in (
+            ("action", action, action if here else every),
+            ("next state", path[2:], self.offered),
+        ):
+            if thing and thing[0] not in known:
+                raise ModelError(
+                    f"a reward of the {what} {thing[0]!r}, which P does not name",
+                    where=f"R, {', '.join(map(str, path))}",
+                    fix=suggest(str(thing[0]), map(str, known)),
+                )
+        if not here:
+            offered = [*map(str, self.offered[state])]
             raise ModelError(
-                f"a reward of the {what} {thing[0]!r}, which P does not name",
+                f"a reward of the action {action[0]!r}, which P does not offer in state {state!r}",
                 where=f"R, {', '.join(map(str, path))}",
-                fix=suggest(str(thing[0]), map(str, known)),
+                fix=f"leave it out, or give {self.never:g} or NaN, as of what is not offered; or "
+                f"list the action in P: {suggest(str(action[0]), offered)}"
+                if offered
+                else "leave it out: P offers nothing there",
             )
-    if not listed:
-        offered = [str(act) for s, act in pairs if s == state]
-        raise ModelError(
-            f"a reward of the action {action[0]!r}, which P does not offer in state {state!r}",
-            where=f"R, {', '.join(map(str, path))}",
-            fix=f"leave it out, or give {never:g} or NaN, as of what is not offered; or list the "
-            f"action in P: {suggest(str(action[0]), offered)}"
-            if offered
-            else "leave it out: P offers nothing there",
-        )
 
 
-def _lists(P: Any, state: Any, action: Any) -> bool:
-    """Return whether P lists an action, available or not."""
-    if not isinstance(P, Mapping):
-        return not _are_quadruples(P) and state in range(len(P)) and action in range(len(P[state]))
-    row = P.get(state) or ()
-    return (state, action) in P or action in (range(len(row)) if _is_list(row) else row)
+def _width(actions: Any) -> int | None:
+    """Return how many entries a list by actions has; None where some are no numbers."""
+    if not all(isinstance(action, int | np.integer) and action >= 0 for action in actions):
+        return None
+    return int(max(actions, default=-1)) + 1
 
 
 def _reward(rewards: Mapping[Path, Any], state: Any, action: Any, then: Any) -> Any:
@@ -357,49 +349,38 @@ def _reward(rewards: Mapping[Path, Any], state: Any, action: Any, then: Any) -> 
     raise ModelError("there is no reward", where=where, fix="give 0 where nothing is earned")
 
 
-def _quadruples(P: Any) -> Iterator[tuple[Any, Any, Any, Any]]:
+def _quadruples(P: Any, by_row: bool, leaves: Any) -> Iterator[tuple[Any, Any, Any, Any]]:
     """Yield state, action, next state and probability."""
-    if _are_quadruples(P):
+    if by_row:
         for *path, chance in P.tolist() if isinstance(P, np.ndarray) else P:
             yield *map(_whole, path), chance
         return
     names = list(P) if isinstance(P, Mapping) else range(len(P))
-    for path, chance in _leaves(P):
-        if len(path) == 3:
-            state, action, following = path
-            row = P[state][action]
-            if _is_list(row):
-                if len(row) != len(names):
-                    raise ShapeError(
-                        f"rows of different lengths: {len(row)} probabilities, {len(names)} states",
-                        where=f"P, state {state}, action {action}",
-                        fix="give one probability for each state",
-                    )
-                following = names[following]
-            yield state, action, following, chance
-        else:
-            yield *_spread(path, 3, "P"), chance
+    for path, chance in leaves:
+        first = path[0] if path else None
+        spread = (*first, *path[1:]) if len(path) < 3 and isinstance(first, tuple) else path
+        if len(spread) != 3:
+            raise _no_entry(path, "P")
+        state, action, following = spread
+        row: Any = P[state][action] if len(path) == 3 else None
+        if _is_list(row):
+            if len(row) != len(names):
+                raise ShapeError(
+                    f"rows of different lengths: {len(row)} probabilities, {len(names)} states",
+                    where=f"P, state {state}, action {action}",
+                    fix="give one probability for each state",
+                )
+            following = names[following]
+        yield state, action, following, chance
 
 
-def _path(path: Path, states: Numbering) -> Path:
-    """Return the state, action and next state that a reward is of, or the first ones of these."""
-    first = path[0] if path else None
-    if len(path) == 3 or (isinstance(first, Hashable) and first in states.number):
-        return path
-    return _spread(path, (2, 3), "R")
-
-
-def _spread(path: Path, lengths: int | tuple[int, ...], where: str) -> Path:
-    first = path[0] if path else None
-    spread = (*first, *path[1:]) if isinstance(first, tuple) else path
-    if len(spread) not in np.atleast_1d(lengths):
-        raise ModelError(
-            f"{where} has an entry by {', '.join(map(repr, path)) or 'nothing'}",
-            where=where,
-            fix="give P[s][a][t], P[s, a][t] or P[s, a, t], and R[s], R[s][a] or R[s, a]; "
-            "lists P[s][a] of S numbers; or quadruples (s, a, t, p)",
-        )
-    return spread
+def _no_entry(path: Path, where: str) -> ModelError:
+    return ModelError(
+        f"{where} has an entry by {', '.join(map(repr, path)) or 'nothing'}",
+        where=where,
+        fix="give P[s][a][t], P[s, a][t] or P[s, a, t], and R[s], R[s][a] or R[s, a]; "
+        "lists P[s][a] of S numbers; or quadruples (s, a, t, p)",
+    )
 
 
 def _leaves(values: Any, path: Path = ()) -> Iterator[tuple[Path, Any]]:
@@ -418,10 +399,6 @@ def _items(values: Any) -> Any:
 
 def _is_list(values: Any) -> bool:
     return isinstance(values, list | tuple) or (isinstance(values, np.ndarray) and values.ndim > 0)
-
-
-def _are_quadruples(P: Any) -> bool:
-    return _are_rows(P, 4)
 
 
 def _are_rows(values: Any, width: int) -> bool:

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.rows import meant
+from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
     Integers,
@@ -224,7 +224,7 @@ def joined(
     """Return rows with rising columns, equal places joined to one, and the first place of each.
 
     Where there are `keys` (N,), places are equal that have one column and one key. Rows of
-    `chances` mean what they do before that (`mdp.rows`).
+    `chances` mean what they do before that (`mdp.forms.rows`).
     """
     row = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     rank = 0 * row if keys is None else np.unique(keys, return_inverse=True)[1]

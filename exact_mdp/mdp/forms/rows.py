@@ -1,113 +1,239 @@
-"""Compiled loops over rows: those of a sparse matrix taken over, floats settled.
+"""What a row of floats means: in a model every row sums to 1 exactly.
 
-A row of a model is a distribution over states, each named once. While a row is in the cache its
-numbers are looked at and added up, and it is copied; where its columns are in no order, each entry
-goes to the place that the number of smaller ones says. That takes a comparison for each two entries
-of a row, but no decision that the processor would have to guess. Longer rows out of order, and rows
-of which anything is wrong, are left to `mdp.build`.
+Floats miss 1 by a few units in the last place, and may miss it by 1e-9. A row of them means
+
+1. the fractions n / WHOLE that sum to 1, where each float is the one next to its fraction or a
+   neighbour of that one: 1/3, 1/3, 1/3 or 1/10, 1/5, 7/10 are what somebody wrote down; else
+2. the binary fractions that the floats are, except that the largest of them is what the others
+   leave of 1. Where several are the largest, they share it equally.
+
+The model keeps the floats next to these numbers, and the rule holds of them as they are. Beside
+exact numbers in a row, which stay, the floats alone are read so.
+
+The values alone decide, neither places nor order, so that symmetric actions stay tied; and exact
+numbers do not grow, as all denominators are divisors of WHOLE or powers of two (times the number of
+the largest, where that is not 1). Other ways were tried. Pairs that are optimal, and digits of the
+denominator of the optimal value, at discount 99/100:
+
+                               each row by its sum   to the largest     this rule
+    FrozenLake 4 x 4            17         196        16       195       17      19
+    FrozenLake 8 x 8            66         895        64       898       71      89
+    60 layers of 10 states     602       8,037       602     1,154      602   1,154
+    12 states, tenths           12         124        12       146       12      25
+
+71 pairs are optimal with 1/3 itself, too. WHOLE has the denominators that people write, decimals of
+six places among them; any denominator up to 10,000 would let the common multiples of rows grow.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import pairwise
+from math import fsum, isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
-from exact_mdp.mdp.rows import COARSE, FLOAT_ROW_TOLERANCE, NEXT, WHOLE, Floats, Integers, Numbers
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Numbers = NDArray[Any]
 
-COMPARED = 128  # entries of a row at most that are compared each with each
-NEAR = 5e-10  # how far from 1 the sum of a row that is taken as it is may be
+WHOLE = 2**6 * 3**2 * 5**6 * 7
+FLOAT_ROW_TOLERANCE = 1e-9  # how far from 1 the floats of a row may sum
+NEXT = 2.0**-52  # of a number: no farther from it are its neighbours among the floats
+COARSE, FINEST, LONG = 2.0**-40, -93, 2**22  # of sums: their units, and the most terms of a row
 
 
-@inlined
-def parted(share: float, scale: float) -> tuple[Any, Any]:
-    """Return a number from 0 to 2 in multiples of `COARSE`, and the rest in those of 1 / `scale`.
+def meant(row: Sequence[Fraction | float]) -> list[Fraction | float]:
+    """Return the exact numbers that a row means; a row that is no distribution stays as it is.
 
-    So that sums of many are exact: see `mdp.rows.fine_unit`.
+    Examples
+    --------
+    >>> meant([0.1, 0.2, 0.7])
+    [Fraction(1, 10), Fraction(1, 5), Fraction(7, 10)]
+    >>> meant([Fraction(1, 3), 1 / 6, 0.5])
+    [Fraction(1, 3), Fraction(1, 6), Fraction(1, 2)]
     """
-    coarse = np.rint(share / COARSE)
-    return np.int64(coarse), np.int64(np.rint((share - coarse * COARSE) * scale))
+    floats = [number for number in row if isinstance(number, float)]
+    if not floats or not all(isfinite(number) and number >= 0 for number in floats):
+        return list(row)
+    left = 1 - sum((number for number in row if isinstance(number, Fraction)), Fraction(0))
+    if abs(sum(map(Fraction, floats)) - left) > Fraction(FLOAT_ROW_TOLERANCE):
+        return list(row)
+    tops = {number: round(number * WHOLE) for number in floats}
+    near = all(abs(top / WHOLE - number) <= NEXT * number for number, top in tops.items())
+    if near and sum(tops[number] for number in floats) == left * WHOLE:
+        return [Fraction(tops[x], WHOLE) if isinstance(x, float) else x for x in row]
+    largest = max(floats)
+    others = sum(Fraction(number) for number in floats if number != largest)
+    share = (left - others) / floats.count(largest)
+    if share <= 0:
+        return list(row)
+    rounded = float(share)
+    if rounded != largest:  # another one may be the largest then
+        return meant([rounded if isinstance(x, float) and x == largest else x for x in row])
+    exact = {number: Fraction(number) for number in floats} | {largest: share}
+    return [exact[x] if isinstance(x, float) else x for x in row]
 
 
-@compiled
-def settle(first: int, last: int, offsets: Integers, weight: Floats, fine: float) -> None:
-    """Do for rows first … last-1 what `mdp.rows.settle` does."""
-    scale = 1 / fine
-    for row in range(first, last):
-        begin, end = offsets[row], offsets[row + 1]
-        while True:
-            sound, most, count, whole, rest = True, 0.0, 0, np.int64(0), np.int64(0)
-            for i in span(begin, end):
-                share = weight[i]
-                sound &= (share > 0) & (share < 2)
-                coarse, left = parted(share, scale)
-                whole, rest = whole + coarse, rest + left
-                count = 1 if share > most else count + (share == most)
-                most = max(most, share)
-            excess = (whole - 2**40) * COARSE + rest * fine
-            if not (sound and abs(excess) <= FLOAT_ROW_TOLERANCE):
-                break
-            written, total = True, 0.0
-            for i in range(begin, end):
-                top = np.rint(weight[at(i)] * WHOLE)
-                total += top
-                if abs(top / WHOLE - weight[at(i)]) > NEXT * weight[at(i)]:
-                    written = False
-                    break
-            if written and total == WHOLE:
-                for i in span(begin, end):
-                    weight[i] = np.rint(weight[i] * WHOLE) / WHOLE
-                break
-            given = most - excess / count
-            if given == most:
-                break
-            for i in span(begin, end):
-                if weight[i] == most:
-                    weight[i] = given
+def settle(weight: Floats, offsets: Integers) -> None:
+    """Write the floats next to the probabilities that rows of floats mean in their place.
 
+    Rows that are no distributions stay as they are.
 
-@compiled
-def taken(
-    first: int,
-    last: int,
-    states: int,
-    offsets: Integers,
-    indices: Numbers,
-    data: Floats,
-    columns: Numbers,
-    weights: Floats,
-) -> bool:
-    """Copy rows first … last-1 into `columns` and `weights` (N,), columns rising in each.
-
-    Return whether each row is one of positive numbers, of different states, with sum 1, and in
-    order or short.
+    Examples
+    --------
+    >>> chances = np.array([0.3, 0.7000000001, 0.30000000000000004, 0.7, 0.5])
+    >>> settle(chances, np.array([0, 2, 4, 5]))
+    >>> chances.tolist()
+    [0.3, 0.7, 0.3, 0.7, 0.5]
     """
-    for row in range(first, last):
-        begin, end = offsets[row], offsets[row + 1]
-        sound, falls, total = begin < end, np.int64(0), 0.0
-        for i in span(begin, end):
-            weights[i] = data[i]
-            sound &= (data[i] > 0) & (data[i] < 2)
-            total += data[i]
-        for i in span(begin, end):
-            columns[i] = indices[i]
-            sound &= (indices[i] >= 0) & (indices[i] < states)
-        if not (sound and abs(total - 1) <= NEAR):
-            return False
-        for i in range(begin + 1, end):
-            falls += np.int64(indices[at(i)] <= indices[at(i - 1)])
-        if falls == 0:
-            continue
-        if end - begin > COMPARED:
-            return False
-        places = np.int64(0)
-        for i in span(begin, end):
-            column, smaller = indices[i], np.int64(0)
-            for k in span(begin, end):
-                smaller += indices[k] < column
-            columns[at(begin + smaller)], weights[at(begin + smaller)] = column, data[i]
-            places += smaller
-        if 2 * places < (end - begin) * (end - begin - 1):  # two entries have one place
-            return False
-    return True
+    lengths, begins = np.diff(offsets), offsets[:-1]
+    sound = (np.minimum.reduceat(weight, begins) > 0) & (np.maximum.reduceat(weight, begins) < 2)
+    while True:
+        top, read = _read(weight, offsets, WHOLE)
+        largest, most = _largest(weight, offsets)
+        excess = _excess(weight, offsets)
+        share = most - excess / np.add.reduceat(largest, begins, dtype=np.int64)
+        sound &= np.abs(excess) <= FLOAT_ROW_TOLERANCE
+        given = np.where(largest, np.repeat(share, lengths), weight)
+        given = np.where(np.repeat(read, lengths), top / WHOLE, given)
+        given = np.where(np.repeat(sound, lengths), given, weight)
+        if np.array_equal(given, weight, equal_nan=True):
+            return
+        weight[:] = given  # another one may be the largest now
+
+
+def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
+    """Return what settled rows mean: integers (N,), over a denominator for each row (L,).
+
+    Examples
+    --------
+    >>> top, bottom = exactly(np.array([0.1, 0.2, 0.7, 0.5, 0.5]), np.array([0, 3, 5]))
+    >>> top.tolist(), bottom.tolist()
+    ([1, 2, 7, 1, 1], [10, 2])
+    """
+    lengths, begins = np.diff(offsets), offsets[:-1]
+    top, bottom = dyadic(weight, offsets)
+    written, read = _read(weight, offsets, WHOLE)
+    missing = np.asarray(bottom - np.add.reduceat(top, begins))
+    rows = np.flatnonzero(~read & np.asarray(missing != 0, dtype=bool))
+    if len(rows):
+        largest, _ = _largest(weight, offsets)
+        count = np.add.reduceat(largest, begins, dtype=np.int64)
+        times = np.ones(len(lengths), dtype=missing.dtype)
+        times[rows] = count[rows] // np.gcd(missing[rows], count[rows])
+        if top.dtype != object and int(bottom.max()) * int(times.max()) >= 2**62:
+            top, bottom = top.astype(object), bottom.astype(object)
+            missing, times = missing.astype(object), times.astype(object)
+        more = np.zeros(len(lengths), dtype=missing.dtype)
+        more[rows] = missing[rows] * times[rows] // count[rows]
+        bottom = bottom * times
+        top = top * np.repeat(times, lengths) + largest * np.repeat(more, lengths)
+    if read.any():
+        whole = written[np.repeat(read, lengths)].astype(np.int64)
+        begins = np.cumsum(lengths[read]) - lengths[read]
+        shared = np.gcd(np.gcd.reduceat(whole, begins), WHOLE)
+        top[np.repeat(read, lengths)] = whole // np.repeat(shared, lengths[read])
+        bottom[read] = WHOLE // shared
+    return top, bottom
+
+
+def in_floats(top: Numbers, bottom: Numbers, offsets: Integers) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the floats (N,) next to exact numbers, and which rows (L,) these floats mean."""
+    lengths = np.diff(offsets)
+    pairs = zip(top.tolist(), np.repeat(bottom, lengths).tolist(), strict=True)
+    floats = np.array([a / b for a, b in pairs])
+    written, read = _read(floats, offsets, WHOLE)
+    same = read & np.asarray(bottom <= WHOLE, dtype=bool)
+    each = np.repeat(same, lengths)
+    equal = np.ones(len(top), dtype=bool)
+    equal[each] = (
+        top[each] * WHOLE == written[each].astype(np.int64) * np.repeat(bottom, lengths)[each]
+    )
+    same &= np.logical_and.reduceat(equal, offsets[:-1])
+    # A row of rule 2 has a power of two below, times the number of the largest at most.
+    odd = bottom // (bottom & -bottom)
+    for row in np.flatnonzero(~read & np.asarray(odd <= lengths, dtype=bool)).tolist():
+        here = slice(offsets[row], offsets[row + 1])
+        exact = [Fraction(a, int(bottom[row])) for a in top[here].tolist()]
+        same[row] = meant(floats[here].tolist()) == exact
+    return floats, same
+
+
+def counted(weight: Floats, offsets: Integers, seen: Integers) -> Numbers | None:
+    """Return (N,) the counts that rows of floats are over the numbers `seen` (L,), or None."""
+    top, read = _read(weight, offsets, seen)
+    return top.astype(np.int64) if read.all() else None
+
+
+def _read(
+    weight: Floats, offsets: Integers, whole: int | Integers
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the tops (N,) of fractions of `whole`, and which rows (L,) mean these."""
+    each = np.repeat(np.broadcast_to(whole, len(offsets) - 1), np.diff(offsets))
+    top = np.rint(weight * each)
+    near = np.abs(top / each - weight) <= NEXT * weight
+    read = np.logical_and.reduceat(near, offsets[:-1])
+    return top, read & (np.add.reduceat(top, offsets[:-1]) == whole)
+
+
+def _largest(weight: Floats, offsets: Integers) -> tuple[NDArray[np.bool_], Floats]:
+    """Return (N,) which numbers are the largest of their row, and these (L,)."""
+    most = np.maximum.reduceat(weight, offsets[:-1])
+    return weight == np.repeat(most, np.diff(offsets)), most
+
+
+def _excess(weight: Floats, offsets: Integers) -> Floats:
+    """Return Σ p - 1 of each row (L,), rounded once, as the compiled loops do."""
+    longest = int(np.diff(offsets).max())
+    if longest >= LONG:
+        rows = [weight[first:last].tolist() for first, last in pairwise(offsets.tolist())]
+        return np.array([fsum([-1.0, *row]) for row in rows])
+    fine, begins = fine_unit(longest), offsets[:-1]
+    scaled = np.rint(weight / COARSE)
+    left = np.rint((weight - scaled * COARSE) / fine)
+    whole = np.add.reduceat(scaled.astype(np.int64), begins) - 2**40
+    rest = np.add.reduceat(left.astype(np.int64), begins)
+    return np.asarray(whole * COARSE + rest * fine)
+
+
+def fine_unit(longest: int) -> float:
+    """Return the unit in which to add up what multiples of `COARSE` leave of a row's floats.
+
+    Sums of floats up to 1 are exact in integers: of multiples of 2^-40, and of what these leave, at
+    most 2^-41 each, in a unit so small that the sum of so many stays below 2^62. Each of the terms
+    is off by half that unit, and turning their sum into a float costs no more.
+
+    Examples
+    --------
+    >>> fine_unit(1000) == 2.0**-93, 2**20 * 2.0**-41 / fine_unit(2**20) < 2**62
+    (True, True)
+    """
+    return float(2.0 ** max(FINEST, longest.bit_length() - 103))
+
+
+def dyadic(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
+    """Return finite floats as integers over one power of two for each row."""
+    mantissa, exponent = np.frexp(np.asarray(values, dtype=np.float64))
+    whole = np.ldexp(mantissa, 53).astype(np.int64)
+    zeros = np.where(whole == 0, 1, whole)
+    twos = np.log2((zeros & -zeros).astype(np.float64)).astype(np.int64)
+    power = np.where(whole == 0, 0, exponent.astype(np.int64) - 53 + twos)
+    whole = whole >> twos
+    lengths = np.diff(offsets)
+    lowest = np.zeros(len(lengths), dtype=np.int64)
+    filled = lengths > 0
+    lowest[filled] = np.minimum.reduceat(power, offsets[:-1][filled])
+    lowest = np.minimum(lowest, 0)
+    shift = power - np.repeat(lowest, lengths)
+    size = np.frexp(np.abs(whole).astype(np.float64))[1] + shift
+    if values.size and int(size.max()) <= 62 and int(-lowest.min()) <= 62:
+        return whole << shift, np.left_shift(np.int64(1), -lowest)
+    top = np.empty(len(whole), dtype=object)
+    top[:] = [int(a) << int(s) for a, s in zip(whole, shift, strict=True)]
+    bottom = np.empty(len(lowest), dtype=object)
+    bottom[:] = [1 << int(-p) for p in lowest]
+    return top, bottom

@@ -19,8 +19,8 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given, exact_sum
+from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.rows import meant
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, exact
 from exact_mdp.mdp.validate import Flags

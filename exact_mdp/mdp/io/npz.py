@@ -8,8 +8,8 @@ The arrays of an archive, nothing in it being a pickle:
     offsets       (L+1,) int64   outcomes of pair l are offsets[l] … offsets[l+1]-1
     next          (N,) int32 or int64   next state of each outcome
     weight        (N,) integers or float64   probability of outcome i of pair l is
-    denominator   (L,) integers              weight[i] / denominator[l]; `mdp.rows` says what a row
-                                             of floats means, which the denominator 1 is of
+    denominator   (L,) integers              weight[i] / denominator[l]; `mdp.forms.rows` says what
+                                             a row of floats means, which the denominator 1 is of
     gain          (N,) or (L,) integers or float64   reward of an outcome, or of a pair, is
     gain_denominator (L,) integers                   gain[i] / gain_denominator[l]
     event         (N,) uint8     optional: bit b is set where event number b happens

@@ -18,7 +18,8 @@ from oracle import every_policy_ends
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, ModelError, Scenario, fingerprint
-from exact_mdp.mdp import graph, rows, table
+from exact_mdp.mdp import graph, table
+from exact_mdp.mdp.forms import rows
 from exact_mdp.mdp.graph import (
     is_acyclic,
     reachable,
