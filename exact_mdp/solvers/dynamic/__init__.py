@@ -6,13 +6,10 @@ To add a solver, write a frozen dataclass of its settings with
     solve(model)  the algorithm; it returns a `Solution`
 
 The protocol is `iterate.Solver`, and `methods` has four examples. Where the algorithm improves
-values step by step, its settings are `tol`, `max_iterations` and `start`, checked by
-`iterate.check_settings`, and `iterate.iterate` is the loop:
+values step by step, `methods.Improving` has its settings and its loop, and it writes one step:
 
-    def step(values, found, goal):   # after a pass over all pairs: T V - V, and bounds around V
-        values.take(found)           # V ← T V; then, for example, values.relax()
-
-    return iterate(model, self, step, tol=self.tol)
+    def step(self, values, found, goal):   # after a pass over all pairs: T V - V, and bounds
+        values.take(found)                 # V ← T V; then, for example, values.relax()
 
 - What it gives back: values, a policy, and a bound on the error of both in every state, which holds
   with all rounding errors counted.

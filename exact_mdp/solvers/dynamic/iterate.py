@@ -13,10 +13,11 @@ loses no digits next to discount 1.
 Steps are
 
     take       h ← T h
-    settle     h ← T_π h, until the error within the policy falls to a goal: where chains mix soon
     relax      h(s) ← (T h)(s), one state after another, upward and downward in turn: carries values
                along a whole chain of states at once (Gauss-Seidel)
-    correct    h ← h + (I - γ P_π)⁻¹ (T_π h - h), iterative refinement: however slowly chains mix
+    evaluate   h ← h + x, x = T_π h - h + γ P_π x: by sweeps, until the residual falls to a goal,
+               where chains mix soon
+    correct    the same by elimination or BiCGSTAB, however slowly chains mix; one correction a pass
 
 Where sweeps of a policy were too slow, each round relaxes, and as much is spent on that as the
 equations of a policy cost before these are solved: most policies on the way are soon improved upon.
