@@ -22,6 +22,8 @@ class Parameter:
         Given as a number or "p/q", and kept as the exact number that this is.
     low, high : Fraction or None
         The range that the number may take; None where it is open.
+    unit : str, optional
+        What the number is measured in, for tables and axes.
 
     Examples
     --------
@@ -39,15 +41,24 @@ class Parameter:
     value: Fraction
     low: Fraction | None = None
     high: Fraction | None = None
+    unit: str | None = None
 
     if TYPE_CHECKING:  # what is taken: any number
 
         def __init__(
-            self, *, name: str, value: object, low: object = None, high: object = None
+            self,
+            *,
+            name: str,
+            value: object,
+            low: object = None,
+            high: object = None,
+            unit: str | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         check_names((self.name,), "parameter", where="parameters")
+        if self.unit is not None:
+            check_names((self.unit,), "unit", where=f"parameter {self.name}")
         for part in ("value", "low", "high"):
             number = getattr(self, part)
             if part == "value" or number is not None:

@@ -101,7 +101,9 @@ class Pictured(Result):
         ----------
         ax : Axes, optional
         **settings
-            As the function takes them that draws it; see `exact_mdp.analysis.plots.pictures`.
+            As the function takes them that draws it, such as `most` and `output` ("optimal",
+            "fixed", "regret") of a tornado, `state` of a two-way map, `candidates` of draws, `wtp`
+            of strategies; an unknown one is refused with a list of those that there are.
 
         Returns
         -------
@@ -110,7 +112,7 @@ class Pictured(Result):
         Raises
         ------
         ModelError
-            Where matplotlib is not installed.
+            For an unknown setting, and where matplotlib is not installed.
         """
         import exact_mdp
 

@@ -35,9 +35,9 @@ from exact_mdp.analysis.vary.ranges import (
     RELATIVE,
     Ranges,
     checked,
+    is_probability,
     load_ranges,
     ranges_of,
-    unit_of,
     usual,
 )
 from exact_mdp.analysis.vary.robust import SETS, ambiguity_of
@@ -410,7 +410,7 @@ def _box(
     else:
         size = _radius(RELATIVE if radius is None else radius)
         spans = ranges_of(family, relative=size)
-        chosen = [p.name for p in family.parameters if unit_of(p) == "probability"]
+        chosen = [p.name for p in family.parameters if is_probability(p)]
     moving = (name for name in chosen if name in spans)
     box = Ranges({name: spans[name] for name in moving if spans[name].low < spans[name].high})
     if not box:

@@ -19,9 +19,13 @@ from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from pandas import DataFrame
 
     from exact_mdp.mdp.model import MDP
+
+LONGEST = 40  # letters of an exact number in a table
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -47,7 +51,10 @@ class PolicyComparison(Pictured):
         return self.value.claim
 
     def frame(self) -> DataFrame:
-        """Return a row for each policy; where values are certified, `exact` is the rational."""
+        """Return a row for each policy; `exact` is a rational value of at most 40 letters.
+
+        However long they are, certified values are the rationals `.regrets[NAME].learned.value`.
+        """
         import pandas
 
         return pandas.DataFrame(
@@ -56,7 +63,7 @@ class PolicyComparison(Pictured):
                     "policy": name,
                     "value": float(each.learned.value),
                     "regret": float(each.at_start.value),
-                    "exact": each.learned.value if isinstance(each.learned, Certified) else None,
+                    "exact": _short(each.learned),
                     "claim": str(each.learned.claim),
                 }
                 for name, each in self.regrets.items()
@@ -65,6 +72,13 @@ class PolicyComparison(Pictured):
 
     def __repr__(self) -> str:
         return f"PolicyComparison({len(self.regrets)} policies; optimal value {self.value})"
+
+
+def _short(value: Certified | Bounded) -> Fraction | float | None:
+    """Return a certified value that a column of a table has room for."""
+    if not isinstance(value, Certified) or len(str(value.value)) > LONGEST:
+        return None
+    return value.value
 
 
 def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> PolicyComparison:

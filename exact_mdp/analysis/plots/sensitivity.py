@@ -34,7 +34,7 @@ from exact_mdp.analysis.plots.style import (
 )
 from exact_mdp.analysis.vary.intervals import tolerances_of
 from exact_mdp.analysis.vary.ranges import unit_of
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.parameter import Parameter
 
 if TYPE_CHECKING:
@@ -69,7 +69,8 @@ def _with_range(name: str, low: Fraction, high: Fraction) -> str:
 
 
 def _axis(parameter: Parameter) -> str:
-    return f"{parameter.name} ({unit_of(parameter)})"
+    unit = unit_of(parameter)
+    return parameter.name if unit == "number" else f"{parameter.name} ({unit})"
 
 
 @picture
@@ -94,9 +95,17 @@ def plot_gradient(found: Gradient, *, most: int = 15, ax: Axes | None = None) ->
 
 @picture
 def plot_tornado(
-    found: Tornado, *, most: int = 15, output: str = "optimal", ax: Axes | None = None
+    found: Tornado, *, most: int = 15, output: str | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Draw the widest bars: white where the parameter is at its low end, blue at its high end."""
+    """Draw the widest bars: white where the parameter is at its low end, blue at its high end.
+
+    `output` is "fixed" unless given where the policy held fixed is not optimal today, else
+    "optimal".
+    """
+    lost = found.today.regret
+    output = output or ("fixed" if lost.value > lost.error else "optimal")
+    if output not in OUTPUT:
+        raise ModelError(f"unknown output {output!r}", where="output", fix=suggest(output, OUTPUT))
     middle = float(getattr(found.today, output).value)
 
     def reaches(bar: Bar) -> list[tuple[float, tuple[str, str]]]:

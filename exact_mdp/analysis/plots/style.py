@@ -21,6 +21,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import Text
 
 from exact_mdp.analysis.layout import symbols
+from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.table import Numbers
 
@@ -117,7 +118,7 @@ def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
             _as_written(given)
         own = {"text.parse_math": False, "legend.frameon": False} if given else SETTINGS
         with _context(own):
-            ax = function(*arguments, **settings)
+            ax = named_options(function)(*arguments, **settings)
             if ax.get_legend() is None and ax.get_legend_handles_labels()[1]:
                 legend_beside(ax)
             title = ax.get_title() or ax.get_title(loc="left")

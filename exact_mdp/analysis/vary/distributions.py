@@ -49,7 +49,7 @@ from zlib import crc32
 import numpy as np
 from numpy.random import SeedSequence
 
-from exact_mdp.analysis.vary.ranges import entries, unit_of
+from exact_mdp.analysis.vary.ranges import entries, is_probability, unit_of
 from exact_mdp.mdp.errors import ModelError, listed, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
@@ -336,8 +336,12 @@ class Uncertainty(Brief):
         for name in self.names:
             parameter_of(model, name)
         if not self.parts:
-            what, fix = "no parameter is uncertain", "state what is drawn"
-            raise ModelError(what, where=place_of(model), fix=fix)
+            raise ModelError(
+                "no parameter is uncertain",
+                where=place_of(model),
+                fix="state what is drawn; for the base case give today's values as a table of one "
+                "row: uncertain=pandas.DataFrame([{NAME: number}])",
+            )
         return self
 
 
@@ -420,8 +424,18 @@ def uncertainty(
 
 def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
     """Return one's own sample, a table."""
+    if not hasattr(frame, "columns"):
+        fix = "give {name: settings}, or a pandas.DataFrame of draws"
+        raise ModelError(f"{type(frame).__name__} is given", where="uncertain", fix=fix)
     names = [parameter_of(model, str(name)).name for name in frame.columns]
-    sample = np.asarray(frame, dtype=float)
+    sample = np.array(
+        [
+            column.astype(float)
+            if column.dtype.kind in "fiu"
+            else [_float(number, "a draw", name) for number in column]
+            for name, column in zip(names, map(np.asarray, dict(frame).values()), strict=True)
+        ]
+    ).T
     if not sample.size or not np.isfinite(sample).all():
         raise ModelError(
             "a sample without rows, or with numbers that are not finite",
@@ -476,7 +490,7 @@ def _row(
         fix = f'its probabilities are drawn together: state them once, for "{label}"'
         raise ModelError("the entries of a row have different settings", where=where, fix=fix)
     for parameter in row:
-        if unit_of(parameter) != "probability":
+        if not is_probability(parameter):
             what = f"{parameter.name} is not a probability of a row"
             raise ModelError(what, where=where, fix="name probabilities")
     settings = said[0]

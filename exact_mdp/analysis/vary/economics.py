@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 DOMINATED, EXTENDED = "dominated", "extendedly dominated"
+WTP = "willingness to pay"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -66,45 +67,54 @@ class CostEffectiveness(Pictured):
     seed: int
 
     def __repr__(self) -> str:
-        return f"CostEffectiveness({', '.join(self.strategies)}; {len(self.draws):,} draws)"
+        return f"CostEffectiveness({', '.join(self.strategies)}; draws {len(self.draws):,})"
 
     @property
     def claim(self) -> Claim:
         """Estimated."""
         return Claim.ESTIMATED
 
-    def net_benefit(self, wtp: float) -> Floats:
-        """Return (D, N) λ E - C, at a willingness to pay for one unit of effect."""
-        return wtp * self.effect - self.cost
+    def net_benefit(self, wtp: ArrayLike) -> Floats:
+        """Return (D, N) λ E - C at a willingness to pay for a unit of effect; at W, (W, D, N)."""
+        return np.multiply.outer(_prices(wtp), self.effect) - self.cost
 
     def acceptability(self, wtp: ArrayLike) -> Floats:
         """Return (W, N) shares of draws in which a strategy is the best, for each of W numbers.
 
         Strategies that are equally good share a draw.
         """
-        values = np.array([self.net_benefit(float(each)) for each in np.atleast_1d(wtp)])
+        values = self.net_benefit(np.atleast_1d(_prices(wtp)))
         best = values == values.max(axis=2, keepdims=True)
         return np.asarray((best / best.sum(axis=2, keepdims=True)).mean(axis=1))
 
     def frontier(self, wtp: ArrayLike) -> list[tuple[str, float]]:
         """Return the best strategy on average, and the share of draws in which it is the best."""
-        frontier = []
-        for each, shares in zip(np.atleast_1d(wtp), self.acceptability(wtp), strict=True):
-            best = int(self.net_benefit(float(each)).mean(axis=0).argmax())
-            frontier.append((self.strategies[best], float(shares[best])))
-        return frontier
+        best = self.net_benefit(np.atleast_1d(_prices(wtp))).mean(axis=1).argmax(axis=1).tolist()
+        shares = self.acceptability(wtp).tolist()
+        return [(self.strategies[n], each[n]) for n, each in zip(best, shares, strict=True)]
 
-    def evpi(self, wtp: float) -> MeanLoss:
-        """Return what knowing all parameters before choosing a strategy would be worth."""
-        return evpi(self.net_benefit(wtp))
+    @overload
+    def evpi(self, wtp: float) -> MeanLoss: ...
+    @overload
+    def evpi(self, wtp: Sequence[float] | Floats) -> list[MeanLoss]: ...
+    def evpi(self, wtp: ArrayLike) -> MeanLoss | list[MeanLoss]:
+        """Return what knowing all parameters before choosing a strategy would be worth.
+
+        At several numbers, a list of one for each.
+        """
+        values = self.net_benefit(wtp)
+        return evpi(values) if values.ndim == 2 else [evpi(each) for each in values]
 
     def evppi(
         self, wtp: float, groups: Mapping[str, Sequence[str]] | None = None
     ) -> dict[str, PartialInformation]:
         """Return what knowing some parameters would be worth, with its standard error.
 
-        Groups are {name: parameter names}; each parameter alone unless given.
+        Groups are {name: parameter names}; each parameter alone unless given. Raises ModelError for
+        more than one willingness to pay.
         """
+        if _prices(wtp).ndim:
+            raise ModelError("several numbers", where=WTP, fix="ask for the EVPPI at each of them")
         value = self.net_benefit(wtp)[:REGRESSED]
         return {
             label: evppi(value, self.draws[:REGRESSED, columns], names)
@@ -150,13 +160,13 @@ class CostEffectiveness(Pictured):
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""
         import pandas
 
-        at = self.grid() if wtp is None else np.atleast_1d(np.asarray(wtp, dtype=float))
+        at = self.grid() if wtp is None else np.atleast_1d(_prices(wtp))
         table = pandas.DataFrame(self.acceptability(at), columns=list(self.strategies))
-        table.insert(0, "willingness to pay", at)
+        table.insert(0, WTP, at)
         table["best on average"] = [name for name, _ in self.frontier(at)]
-        worth = [self.evpi(float(each)) for each in at]
-        table["EVPI"] = [each.value for each in worth]
-        table["EVPI ±"] = [each.standard_error for each in worth]
+        evpi = self.evpi(at)
+        table["EVPI"] = [each.value for each in evpi]
+        table["EVPI ±"] = [each.standard_error for each in evpi]
         table["claim"] = str(self.claim)
         return table
 
@@ -164,6 +174,17 @@ class CostEffectiveness(Pictured):
         """Return numbers from 0 to twice the largest ICER, to draw curves over."""
         most = float(np.nanmax(np.append(self.icers()["ICER"].to_numpy(dtype=float), 0.0)))
         return np.linspace(0, 2 * most or 1.0, count)
+
+
+def _prices(wtp: ArrayLike) -> Floats:
+    """Return one willingness to pay or several, checked."""
+    try:
+        prices = np.asarray(wtp, dtype=float)
+    except (TypeError, ValueError):
+        prices = np.array(np.nan)
+    if prices.ndim > 1 or not np.isfinite(prices).all():
+        raise ModelError(f"{wtp!r:.60} is given", where=WTP, fix="give a number, or a list of them")
+    return prices
 
 
 def _ratio(cost: Floats, effect: Floats, one: int, other: int) -> float:
@@ -194,7 +215,7 @@ def cost_effectiveness(
         Names of components; of costs, more is worse.
     rng : int or numpy.random.Generator
     uncertain : {name: settings}, pandas.DataFrame or Uncertainty, optional
-        As for `psa`.
+        As for `psa`. A table of one row, today's values, is the base case.
 
     Returns
     -------
@@ -219,8 +240,9 @@ def cost_effectiveness(
     ('treat', True)
     """
     family, seed = parametric(model), seed_of(rng)
-    if not strategies:
-        raise ModelError("no strategy", where="strategies", fix="give {name: policy}")
+    if not isinstance(strategies, Mapping) or not strategies:
+        what = "no strategy" if isinstance(strategies, Mapping) else "strategies without names"
+        raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")
     solver = ModelSolver(family)
     known = solver.base.mdp.component_names
     for name in (effect, cost):

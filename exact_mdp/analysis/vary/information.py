@@ -34,7 +34,7 @@ LEAST_MISS = 0.1  # standard errors that a pattern in the residuals must move th
 ROUNDED = 1e-9  # relative, for what rounding alone makes differ
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class PartialInformation:
     """EVPPI of some parameters.
 
@@ -54,6 +54,10 @@ class PartialInformation:
     regression: Estimated
     lower: Estimated
     doubts: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        doubts = f"; doubtful: {'; '.join(self.doubts)}" if self.doubts else ""
+        return f"PartialInformation({', '.join(self.names)}: {self.regression}{doubts})"
 
     @property
     def reliable(self) -> bool:
@@ -104,7 +108,9 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     count, candidates = values.shape
     if count < FEWEST:
         raise ModelError(
-            f"{count} draws for a regression", where="EVPPI", fix=f"ask for at least {FEWEST}"
+            f"{count} draw{'s' * (count != 1)} for a regression",
+            where="EVPPI",
+            fix=f"ask for at least {FEWEST}",
         )
     best = int(values.mean(axis=0).argmax())
     ahead = values - values[:, best : best + 1]

@@ -193,6 +193,10 @@ class Curve(Pictured):
     parameter: Parameter
     points: tuple[Point, ...]
 
+    def __repr__(self) -> str:
+        ends = " to ".join(f"{self.points[k].optimal.value:.6g}" for k in (0, -1))
+        return f"Curve({len(self.points)} points of {self.parameter.name}; value {ends})"
+
     def report(self) -> Report:
         """Return the values along the range."""
         keys = ("at", "value", "fixed_value", "regret", "error_bound")
@@ -293,7 +297,8 @@ def tornado(
         See `analysis.vary.ranges.load_ranges` for a file of them.
     relative : number or "whole", optional
         Half the width of the other ranges, as a share of today's value (1/5 unless given), or all
-        that a parameter may be. Such a range ends where the model does.
+        that a parameter may be. Such a range ends where the model does, and where the parameter
+        does: say of a utility `Parameter(name="u", value="0.85", low=0, high=1)`.
 
     Returns
     -------
@@ -379,6 +384,10 @@ class TwoWay(Pictured):
     error: Floats
     choices: Integers
     policy: Integers
+
+    def __repr__(self) -> str:
+        points, policies = self.policy.size, int(self.policy.max()) + 1
+        return f"TwoWay({self.x.name}, {self.y.name}; points {points}, best policies {policies})"
 
     def report(self) -> Report:
         """Return the values over the grid, and the number of the best policy."""

@@ -163,6 +163,12 @@ class PSA(Pictured):
     def __len__(self) -> int:
         return len(self.optimal)
 
+    def __repr__(self) -> str:
+        return (
+            f"PSA({', '.join(self.names[:3])}; draws {len(self):,}; optimum on average "
+            f"{self.value}, expected loss of {self.candidates[0].name} {mean_loss(self.regret())})"
+        )
+
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters that were drawn."""

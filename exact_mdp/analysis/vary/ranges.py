@@ -30,14 +30,19 @@ def unit_of(parameter: Parameter) -> str:
 
     Examples
     --------
-    >>> unit_of(Parameter(name="reward.anger", value=Fraction(-5)))
-    'reward'
+    >>> unit_of(Parameter(name="care", value=5, unit="$")), unit_of(Parameter(name="x", value=1))
+    ('$', 'number')
     """
+    if parameter.unit is not None:
+        return parameter.unit
     if parameter.name == DISCOUNT:
         return "per step"
-    if parameter.low == 0 and parameter.high == 1:
-        return "probability"
-    return "reward" if parameter.low is None and parameter.high is None else "number"
+    return "probability" if is_probability(parameter) else "number"
+
+
+def is_probability(parameter: Parameter) -> bool:
+    """Return whether a parameter is a number from 0 to 1 that is not the discount."""
+    return parameter.name != DISCOUNT and parameter.low == 0 and parameter.high == 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,6 +71,12 @@ class Robust(Result):
     robust_value: Bounded
     robust_best: Bounded
 
+    def __repr__(self) -> str:
+        return (
+            f"Robust(value {self.value}; worst case {self.worst}, of the robust policy "
+            f"{self.robust.start})"
+        )
+
     @property
     def price(self) -> Bounded:
         """What the robust policy gives up where the tables are right."""
@@ -187,6 +193,10 @@ class RobustCurve(Pictured):
 
     kind: str
     points: tuple[tuple[float, Robust], ...]
+
+    def __repr__(self) -> str:
+        ends = " to ".join(f"{self.points[k][0]:g}" for k in (0, -1))
+        return f"RobustCurve({len(self.points)} radii of {self.kind}, {ends})"
 
     def frame(self) -> DataFrame:
         """Return values at the start (reward), one row for each radius."""

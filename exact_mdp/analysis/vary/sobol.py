@@ -115,6 +115,10 @@ class Sobol(Pictured):
     confidence: float
     seed: int
 
+    def __repr__(self) -> str:
+        mean, sd = self.optimal.mean, self.optimal.sd
+        return f"Sobol(parameters {len(self.names)}, n {self.n:,}; optimum {mean:.6g}, sd {sd:.3g})"
+
     @property
     def draws(self) -> int:
         """Number of models that were solved."""

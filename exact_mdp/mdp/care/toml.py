@@ -170,7 +170,7 @@ class Reader:
         self.problems.append((key, ModelError(what, where=where or key, fix=fix)))
 
     def _parameters(
-        self, flat: Mapping[str, Fraction], wanted: Mapping[str, tuple[Any, Any]]
+        self, flat: Mapping[str, Fraction], wanted: Mapping[str, dict[str, Any]]
     ) -> tuple[Parameter, ...]:
         missing = [n for n in wanted if n not in flat and not n.startswith("influence.")]
         told = {key for key, _ in self.problems}
@@ -188,10 +188,10 @@ class Reader:
         return tuple(
             self.take(
                 name,
-                partial(Parameter, name=name, value=flat.get(name, nothing), low=low, high=high),
-                otherwise=Parameter(name=name, value=nothing, low=low, high=high),
+                partial(Parameter, name=name, value=flat.get(name, nothing), **more),
+                otherwise=Parameter(name=name, value=nothing, **more),
             )
-            for name, (low, high) in wanted.items()
+            for name, more in wanted.items()
         )
 
     def _names(
@@ -200,8 +200,8 @@ class Reader:
         actions: tuple[str, ...],
         others: Mapping[str, str],
         weights: Mapping[str, str],
-    ) -> dict[str, tuple[Fraction | None, Fraction | None]]:
-        """Return every parameter that the scenario has, with its range, in the paper's order."""
+    ) -> dict[str, dict[str, Any]]:
+        """Return every parameter of the scenario, with its range or unit, in the paper's order."""
         assistance: dict[str, list[str]] = {}
         for action in self._table("assistance"):
             key = f"assistance.{action}"
@@ -222,8 +222,8 @@ class Reader:
         rewards = [*(weights[status] for status in statuses), *SHARED_WEIGHTS]
         rewards += [f"assist.{action}" for action in actions]
         return {
-            **dict.fromkeys(names, (Fraction(0), Fraction(1))),
-            **{f"reward.{weight}": (None, None) for weight in rewards},
+            **{name: {"low": 0, "high": 1} for name in names},
+            **{f"reward.{weight}": {"unit": "reward"} for weight in rewards},
         }
 
     def _flatten(self, statuses: tuple[str, ...]) -> tuple[dict[str, str], dict[str, Fraction]]:

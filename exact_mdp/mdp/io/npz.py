@@ -90,6 +90,7 @@ def column(given: Any) -> Column:
 OBJECTS = optional([thing])
 COLUMN = {"name": str, "size": natural, "bits": natural, "words": [str], "objects": OBJECTS}
 PARAMETER = {"name": str, "value": number, "low": optional(number), "high": optional(number)}
+PARAMETER["unit"] = optional(str)
 HEADER = {
     "name": str,
     "discount": number,

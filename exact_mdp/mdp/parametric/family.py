@@ -341,7 +341,7 @@ def moving(
         found.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
     rest = {pair: _rest(model, pair, states) for pair, states in named.items()}
     earned = _earned(model, rewards)
-    gains = [Parameter(name=name, value=reward) for reward, name in earned.items()]
+    gains = [Parameter(name=name, value=reward, unit="reward") for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
     return Family(
         parameters=(*found, *gains, rate),

@@ -229,11 +229,12 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
     if suffix == ".csv":
         return _of_csv(model, read_text(path))
     if suffix != ".json" and where != STANDARD_INPUT:
-        raise ModelError(
-            f"unknown kind of policy {where!r}",
-            fix="give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal "
-            "policy is solve(mdp).policy, on the command line optimal",
+        fix = (
+            "give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal policy "
+            "is solve(mdp).policy, on the command line optimal"
         )
+        fix = f"did you mean always:{where}?" if where in model.actions else fix
+        raise ModelError(f"unknown kind of policy {where!r}", fix=fix)
     content = json_of(
         read_text(path), where, object_pairs_hook=_once, parse_float=str, parse_int=_digits
     )

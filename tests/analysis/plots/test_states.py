@@ -145,6 +145,14 @@ def test_policies_side_by_side_have_their_exact_values() -> None:
     assert bars == pytest.approx([float(value) for value in exact.values()])
 
 
+def test_a_table_leaves_out_rationals_that_are_too_long_to_read() -> None:
+    mdp = MDP.from_arrays([[["2/3", "1/3"], [0, 1]]], [1, 0], "9/10")
+    found = compare(mdp.within(60), {"go": [0, 0]})
+    assert found.frame()["exact"].tolist() == [None]
+    assert len(found.frame().to_string()) < 300
+    assert found.regrets["go"].learned.value == sum(Fraction(3, 5) ** t for t in range(60))
+
+
 def test_bounds_of_a_large_comparison_hold() -> None:
     mdp = grid(15, 15)  # one cycle of 224 states
     found = compare(mdp, {"down": "always:DOWN", "best": "optimal"})

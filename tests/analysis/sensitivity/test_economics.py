@@ -5,6 +5,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 
 from exact_mdp import (
@@ -14,9 +15,15 @@ from exact_mdp import (
     Parameter,
     cost_effectiveness,
     evaluate,
+    one_way,
+    psa,
+    robust,
+    sobol,
     solve,
     study,
+    tornado,
     tradeoff,
+    two_way,
 )
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "health_economics.md"
@@ -158,3 +165,77 @@ def test_small_models_at_once_are_those_solved_one_by_one(seed: int, discount: o
         assert abs(found.fixed[row, 1] - own.value) <= found.error[row, 2] + own.error
         assert found.error[row].max() < 1e-9
         assert found.regret[row, 1] >= 0
+
+
+def test_several_willingnesses_to_pay_are_taken_one_by_one(found) -> None:
+    two = cost_effectiveness(MODEL, {n: POLICIES[n] for n in ("wait", "treat")}, 50, uncertain=SAID)
+    for each in (found, two):
+        for wtp in ([4.0, 10.0], [4.0, 10.0, 20.0]):
+            assert each.evpi(wtp) == [each.evpi(one) for one in wtp]
+            alone = [each.net_benefit(one) for one in wtp]
+            assert np.array_equal(each.net_benefit(wtp), alone)
+        for wrong in ("ten", [4.0, None], float("inf"), [[4.0]]):
+            with pytest.raises(ModelError, match=r"willingness to pay"):
+                each.evpi(wrong)
+        with pytest.raises(ModelError, match="several numbers"):
+            each.evppi([4.0, 10.0])
+
+
+def test_one_row_of_todays_values_is_the_base_case() -> None:
+    today = pandas.DataFrame([{"gain": "1", "price": "10/2"}])
+    base = cost_effectiveness(MODEL, POLICIES, uncertain=today)
+    assert [base.effect.tolist(), base.cost.tolist()] == [[[0, 1, 2]], [[0, 5, 20]]]
+    assert base.icers()["ICER"].tolist()[1:] == [5, 15]
+    assert base.acceptability([4, 10, 20]).tolist() == np.eye(3).tolist()
+    assert base.evpi(10).value == 0
+    with pytest.raises(ModelError, match=r"where: parameter gain"):
+        cost_effectiveness(MODEL, POLICIES, uncertain=pandas.DataFrame([{"gain": "much"}]))
+
+
+@pytest.mark.parametrize(
+    ("strategies", "uncertain", "words"),
+    [
+        (["wait"], SAID, "give {name: policy}"),
+        ({}, SAID, "give {name: policy}"),
+        ({"a": "1"}, SAID, "did you mean always:1?"),
+        (POLICIES, None, "for the base case"),
+        (POLICIES, ["gain"], "pandas.DataFrame"),
+    ],
+)
+def test_calls_that_say_too_little_are_refused(strategies, uncertain, words) -> None:
+    with pytest.raises(ModelError, match=re.escape(words)):
+        cost_effectiveness(MODEL, strategies, 5, uncertain=uncertain)
+
+
+def test_units_are_those_that_were_said() -> None:
+    price = Parameter(name="price", value=5, low=0, unit="$")
+    model = Family(parameters=(price, Parameter(name="gain", value=1)), build=build)
+    table = tornado(model).frame().set_index("parameter")
+    assert table["unit"].to_dict() == {"price": "$", "gain": "number"}
+    axes = [one_way(model, name, points=2).plot().get_xlabel() for name in ("price", "gain")]
+    assert axes == ["price ($)", "gain"]
+
+
+def test_a_tornado_shows_the_policy_that_was_given() -> None:
+    model = Family(
+        parameters={"r": 1}, build=lambda at: MDP.from_arrays([[[1]]] * 2, [[at["r"], 2]], 0)
+    )
+    for policy, said in (("always:0", "held fixed"), ("optimal", "re-optimised")):
+        bars = tornado(model, policy=policy)
+        ax = bars.plot()
+        assert said in ax.get_xlabel()
+        assert ax.lines[0].get_xdata()[0] == bars.today.fixed.value
+    with pytest.raises(ModelError, match="there is no option fixed="):
+        bars.plot(fixed=True)
+    with pytest.raises(ModelError, match="did you mean fixed"):
+        bars.plot(output="fixd")
+
+
+def test_results_print_in_a_line_or_two(found) -> None:
+    draws = psa(MODEL, 30, uncertain=SAID)
+    every = (
+        found, found.evppi(10), draws, draws.evppi(), robust(MODEL.at({})), tornado(MODEL),
+        one_way(MODEL, "gain"), sobol(MODEL, n=8, rng=0), two_way(MODEL, "gain", "price", points=2),
+    )  # fmt: skip
+    for each in every:
+        assert len(repr(each).replace("array", " " * 300)) < 300
