@@ -38,7 +38,7 @@ def moves(model: MDP, policy: PolicyLike | None, *, most: int) -> list[Move]:
             fix=f"draw a model of at most {most} states, or its values: solve(model).plot()",
         )
     chosen = None if policy is None else policy_of(model, policy).weights(model)
-    found = []
+    listed = []
     for pair in range(model.n_pairs):
         state = int(model.pair_state[pair])
         if model.over[state]:
@@ -49,8 +49,8 @@ def moves(model: MDP, policy: PolicyLike | None, *, most: int) -> list[Move]:
         )
         taken = chosen is not None and bool(chosen[pair] > 0)
         action = model.actions[int(model.pair_action[pair])]
-        found.append(Move(state=state, action=action, outcomes=outcomes, taken=taken))
-    return found
+        listed.append(Move(state=state, action=action, outcomes=outcomes, taken=taken))
+    return listed
 
 
 def dot(model: MDP | Scenario, policy: PolicyLike | None = None) -> str:

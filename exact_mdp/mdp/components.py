@@ -111,14 +111,14 @@ def completed(
     columns: Mapping[str, tuple[Numbers, Numbers]], table: OutcomeTable
 ) -> tuple[tuple[str, ...], ComponentTable]:
     """Return names and table of components that were given by name, with the rest of the reward."""
-    found = of_columns(list(columns.values()))
-    left, below = _rest(found, table)
+    components = of_columns(list(columns.values()))
+    left, below = _rest(components, table)
     if not np.asarray(left != 0).any():
-        return tuple(columns), found
-    if _adds_up(found, table):
+        return tuple(columns), components
+    if _adds_up(components, table):
         printed = of_columns([_as_printed(column) for column in columns.values()])
         whole = not np.asarray(_rest(printed, table)[0] != 0).any()
-        return tuple(columns), printed if whole else found
+        return tuple(columns), printed if whole else components
     if REST in columns:
         raise ModelError(
             f"components are given with one called {REST!r}, and do not add up to the reward",
@@ -128,9 +128,9 @@ def completed(
     return (*columns, REST), of_columns([*columns.values(), reduced(left, below)])
 
 
-def _rest(found: ComponentTable, table: OutcomeTable) -> tuple[Numbers, Numbers]:
+def _rest(components: ComponentTable, table: OutcomeTable) -> tuple[Numbers, Numbers]:
     """Return what components leave of the reward of each pair, over denominators (L,)."""
-    amount, below = found.exact()
+    amount, below = components.exact()
     total = np.asarray(multiply(amount, integers([1]), terms=amount.shape[1]).sum(axis=1))
     gain, bottom = table.expected_gain_exact()
     return multiply(gain, below) - multiply(total, bottom), multiply(bottom, below)
@@ -144,15 +144,15 @@ def _as_printed(column: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
     return over_groups(values, np.arange(len(values) + 1))
 
 
-def _adds_up(found: ComponentTable, table: OutcomeTable) -> bool:
+def _adds_up(components: ComponentTable, table: OutcomeTable) -> bool:
     """Return whether floats add up to the reward but for rounding."""
-    given = np.float64 in (found.amount.dtype, table.gain.dtype, table.weight.dtype)
-    return given and not wrong_rows(found, table.expected_gain()).any()
+    given = np.float64 in (components.amount.dtype, table.gain.dtype, table.weight.dtype)
+    return given and not wrong_rows(components, table.expected_gain()).any()
 
 
-def wrong_rows(found: ComponentTable, reward: Floats) -> Numbers:
+def wrong_rows(components: ComponentTable, reward: Floats) -> Numbers:
     """Return (L,) where components do not add up to the rewards, up to rounding in floats."""
-    floats = found.floats()
+    floats = components.floats()
     with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
         total = floats.sum(axis=1)
         scale = np.abs(floats).sum(axis=1) + np.abs(reward)
@@ -175,10 +175,10 @@ def each_component(names: dict[str, Any], change: Callable[[Any, str], Any]) -> 
                 fix="give {name: amounts}",
             )
         given = dict(zip(words, columns.T, strict=True))
-    found = {str(name): change(values, f"component {name}") for name, values in given.items()}
-    if not found:
+    changed = {str(name): change(values, f"component {name}") for name, values in given.items()}
+    if not changed:
         raise ModelError("no component is given", where="components", fix="name one, or none")
-    names["components"] = found
+    names["components"] = changed
 
 
 def of_length(values: Any, where: str, pairs: int) -> Any:

@@ -37,8 +37,8 @@ SHOWN = 40
 def shown_text(text: str, *, lines: bool = False) -> str:
     r"""Return a text with unsafe characters escaped, ends of lines kept where `lines` says so."""
 
-    def escaped(found: re.Match[str]) -> str:
-        return found[0] if lines and found[0] == "\n" else ascii(found[0])[1:-1]
+    def escaped(match: re.Match[str]) -> str:
+        return match[0] if lines and match[0] == "\n" else ascii(match[0])[1:-1]
 
     return UNSAFE.sub(escaped, text)
 
@@ -176,8 +176,8 @@ def short(text: str, most: int = LONGEST) -> str:
     if len(text) <= most:
         return text
     note = f"… ({len(text):,} characters) …"
-    kept = max(1, (most - len(note)) // 2)
-    return f"{text[:kept]}{note}{text[-kept:]}"
+    length = max(1, (most - len(note)) // 2)
+    return f"{text[:length]}{note}{text[-length:]}"
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
@@ -283,10 +283,10 @@ def _check(name: str, what: str, where: str, longest: int) -> None:
             where=where,
             fix=f"shorten it to {longest:,}",
         )
-    found = UNSAFE.search(name)
-    if found:
+    unsafe = UNSAFE.search(name)
+    if unsafe:
         raise ModelError(
-            f"{what} holds the character U+{ord(found[0]):04X}: {_cut(name)}",
+            f"{what} holds the character U+{ord(unsafe[0]):04X}: {_cut(name)}",
             where=where,
             fix="remove it; names are plain text on one line",
         )

@@ -170,13 +170,13 @@ def _integer(value: int) -> Numbers:
 
 def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:
     """Return the least common multiples of groups of positive integers, none of them empty."""
-    found = np.asarray(np.lcm.reduceat(values, offsets[:-1]))
+    multiples = np.asarray(np.lcm.reduceat(values, offsets[:-1]))
     if values.dtype != object:
         # a 64-bit product that overflowed is not a multiple of all its factors, or is one by chance
-        safe = bool((found > 0).all())
-        if not safe or (np.repeat(found, np.diff(offsets)) % values).any():
+        safe = bool((multiples > 0).all())
+        if not safe or (np.repeat(multiples, np.diff(offsets)) % values).any():
             return lcm_by_group(values.astype(object), offsets)
-    return found
+    return multiples
 
 
 # ---- the hash -----------------------------------------------------------------------------------
@@ -224,8 +224,8 @@ def fingerprint(model: MDP) -> str:
 
 def rational(number: Fraction | int) -> fmpq:
     """Return a number as FLINT's rational."""
-    found: fmpq = flint.fmpq(number.numerator, number.denominator)
-    return found
+    number_q: fmpq = flint.fmpq(number.numerator, number.denominator)
+    return number_q
 
 
 def fraction(number: fmpq) -> Fraction:

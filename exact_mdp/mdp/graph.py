@@ -250,15 +250,15 @@ def _compiled() -> Any:
 
 def where_endless(mdp: MDP) -> str:
     """Return where a policy of an endless model stays for ever, or ends beside the goal."""
-    found = termination(mdp)
-    if found.policy is None:
+    ending = termination(mdp)
+    if ending.policy is None:
         goal = np.zeros(mdp.n_states, dtype=bool) if mdp.goal is None else mdp.goal
         states, before = np.flatnonzero(mdp.terminal & ~goal), "it ends beside the goal in "
         named = [f"({mdp.space.label(state)})" for state in states[:SHOWN].tolist()]
     else:
-        states, before = found.trapped, "it stays for ever in "
+        states, before = ending.trapped, "it stays for ever in "
         named = [
-            f"({mdp.space.label(state)}) with action {mdp.actions[found.policy[state]]}"
+            f"({mdp.space.label(state)}) with action {mdp.actions[ending.policy[state]]}"
             for state in states[:SHOWN].tolist()
         ]
     more = len(states) - len(named)

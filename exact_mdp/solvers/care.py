@@ -94,7 +94,7 @@ class Batch:
         numbers = [float(parameter.value) for parameter in scenario.parameters]
         self.base = np.array([*numbers, 0.0, float(scenario.discount)])
         self.positions = np.array([place[name] for name in names], dtype=np.int64)
-        rules, found = Rules(scenario), chances(scenario)
+        rules, base = Rules(scenario), chances(scenario)
         # Each sum of weights once; `gains` says which of them an event earns.
         rows: dict[tuple[int, ...], int] = {}
         gains = np.zeros((len(EVENTS), len(PLACES), 2), dtype=np.int64)
@@ -105,10 +105,10 @@ class Batch:
         from exact_mdp.solvers.kernels import care as loops
 
         self.care: Care = loops.Care(
-            terms=found.terms,
-            step=np.ascontiguousarray(found.step.transpose(2, 1, 0).reshape(len(statuses), -1)),
-            skip=np.ascontiguousarray(found.skip.T),
-            bits=found.bits.astype(bool),
+            terms=base.terms,
+            step=np.ascontiguousarray(base.step.transpose(2, 1, 0).reshape(len(statuses), -1)),
+            skip=np.ascontiguousarray(base.skip.T),
+            bits=base.bits.astype(bool),
             statuses=np.array([place[f"reward.{scenario.weights[s]}"] for s in statuses]),
             assist=np.array([place[f"reward.assist.{action}"] for action in scenario.actions]),
             charges=np.array([[*row, *[none] * (widest - len(row))] for row in rows]),
@@ -189,9 +189,9 @@ class Batch:
 
 def _read_only(array: Numbers) -> Numbers:
     """Return the array as one that cannot be written, so that loops are compiled for one kind."""
-    found = np.ascontiguousarray(array).view()
-    found.setflags(write=False)
-    return found
+    view = np.ascontiguousarray(array).view()
+    view.setflags(write=False)
+    return view
 
 
 def cut_off(model: Scenario, names: Sequence[str], draws: ArrayLike) -> NDArray[np.bool_]:
@@ -205,10 +205,10 @@ def cut_off(model: Scenario, names: Sequence[str], draws: ArrayLike) -> NDArray[
     batch = Batch(model, names, draws)
     numbers = np.repeat(batch.base[:, None], len(batch.draws), axis=1)
     numbers[batch.positions] = batch.draws.T
-    found = np.zeros(len(batch.draws), dtype=bool)
+    cut = np.zeros(len(batch.draws), dtype=bool)
     for places in batch.care.terms.tolist():
-        found |= sum(numbers[place] for place in places) > 1 + 2.0**-50
-    return found
+        cut |= sum(numbers[place] for place in places) > 1 + 2.0**-50
+    return cut
 
 
 def optimal(model: Scenario, names: Sequence[str], draws: ArrayLike) -> CareValues:

@@ -209,12 +209,12 @@ def _opened(folder: Path, record: Mapping[str, object], *, name: str, what: str)
         write_atomically(path, text + "\n")
         return folder
     try:
-        found = json_of(read_text(path), str(path))
+        content = json_of(read_text(path), str(path))
     except ModelError as error:
         raise ModelError(error.what, where=error.where, fix="choose another folder") from error
     wanted = json.loads(text)
-    if found != wanted:
-        known = found if isinstance(found, dict) else {}
+    if content != wanted:
+        known = content if isinstance(content, dict) else {}
         joined = ", ".join(key for key, value in wanted.items() if known.get(key) != value)
         raise ModelError(
             f"the folder holds {what} whose record differs{f' in {joined}' if joined else ''}",

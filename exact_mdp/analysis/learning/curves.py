@@ -116,8 +116,8 @@ def random_curve(
     n: int = EXPERIMENTS,
 ) -> LearningCurve:
     """Return the same curve for actions drawn uniformly, the authors' baseline."""
-    found = evaluate(model, "random")
-    exact = np.full(epochs, found.mean), np.full(epochs, found.start.error)
+    mean = evaluate(model, "random")
+    exact = np.full(epochs, mean.mean), np.full(epochs, mean.start.error)
     table = np.zeros((1, rows_of(model).offered.size))
     which = np.zeros(epochs, dtype=np.int64)
     return _curve(model, None, table, which, exact, 1.0, n, rng)
@@ -126,8 +126,8 @@ def random_curve(
 def exact_curves(model: MDP, runs: Sequence[TrainingRun]) -> Floats:
     """Return (R, E) exact values of the greedy policy of every epoch of every run."""
     rows = common_rows(model, runs)
-    found = [policy_values(model, rows, run.policies).value[run.snapshots] for run in runs]
-    return np.array(found)
+    curves = [policy_values(model, rows, run.policies).value[run.snapshots] for run in runs]
+    return np.array(curves)
 
 
 def _curve(

@@ -356,13 +356,13 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     candidates = [[number(run.policies[i]) for i in run.last_counts()][:CANDIDATES] for run in runs]
     final = np.array([number(run.final) for run in runs])
     values = policy_values(mdp, rows, np.array(listed))
-    worth = -values.value if mdp.sense == "min" else values.value
-    selected = np.array([max(tried, key=lambda i: worth[i]) for tried in candidates])
+    values_of = -values.value if mdp.sense == "min" else values.value
+    selected = np.array([max(tried, key=lambda i: values_of[i]) for tried in candidates])
     counts = np.bincount(final, minlength=len(listed))
-    kept = np.union1d(final, selected)
-    kept = kept[np.argsort(-counts[kept], kind="stable")]
+    policies_used = np.union1d(final, selected)
+    policies_used = policies_used[np.argsort(-counts[policies_used], kind="stable")]
     place = np.empty(len(listed), dtype=np.int64)
-    place[kept] = np.arange(len(kept))
+    place[policies_used] = np.arange(len(policies_used))
     changed = []
     for run in runs:
         recent = run.policies[np.unique(run.last)]
@@ -371,9 +371,9 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     return Outcomes(
         mdp=mdp,
         rows=rows,
-        policies=np.array(listed)[kept],
-        value=values.value[kept],
-        error=values.error[kept],
+        policies=np.array(listed)[policies_used],
+        value=values.value[policies_used],
+        error=values.error[policies_used],
         final=place[final],
         selected=place[selected],
         distinct=np.array([len(np.unique(run.last)) for run in runs]),
@@ -397,8 +397,8 @@ def mean_interval(values: Floats) -> Interval | None:
         return None
     if np.ptp(values) == 0:
         return float(values[0]), float(values[0])
-    found = stats.bootstrap((values,), np.mean, n_resamples=2000, batch=500, rng=0)
-    interval = found.confidence_interval
+    bootstrap = stats.bootstrap((values,), np.mean, n_resamples=2000, batch=500, rng=0)
+    interval = bootstrap.confidence_interval
     return float(interval.low), float(interval.high)
 
 

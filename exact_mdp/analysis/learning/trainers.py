@@ -156,9 +156,9 @@ class TrainerAudit(Pictured):
     def message(self, *, explain: bool = False) -> str:
         """Return in words what was found, and of the run that lost most why, as an audit does."""
         open_ = "is not proven to be " + ("below" if self.passed else "at least")
-        told = {True: "is at least", False: "is not at least", None: open_}[self.proven]
+        said = {True: "is at least", False: "is not at least", None: open_}[self.proven]
         lines = [
-            f"{'passed' if self.passed else 'failed'}: the share of runs within the limits {told} "
+            f"{'passed' if self.passed else 'failed'}: the share of runs within the limits {said} "
             f"{shown(self.share, 10)}",
             self._found,
         ]
@@ -279,7 +279,7 @@ def check_trainer(
                 break
     if not audits:
         raise ModelError("no policies", where="check_trainer", fix="give at least one")
-    found = TrainerAudit(
+    trainer = TrainerAudit(
         names=tuple(names),
         audits=tuple(audits),
         intervals=tuple(intervals),
@@ -288,9 +288,9 @@ def check_trainer(
         runs=runs,
         prove=prove,
     )
-    if found.proven is None and not prove:
+    if trainer.proven is None and not prove:
         _require_runs(len(audits), wanted, risk)
-    return found
+    return trainer
 
 
 def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:
@@ -352,7 +352,7 @@ def _is_one(given: object) -> bool:
 def _between(name: str, number: object) -> Fraction:
     """Return a number above 0 and at most 1."""
     with located(name, instead=True):
-        found = exact(number)
-    if not 0 < found <= 1:
-        raise ModelError(f"{name} is {shown(found)}", where=name, fix="choose from 0 to 1, not 0")
-    return found
+        value = exact(number)
+    if not 0 < value <= 1:
+        raise ModelError(f"{name} is {shown(value)}", where=name, fix="choose from 0 to 1, not 0")
+    return value

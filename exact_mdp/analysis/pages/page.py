@@ -31,7 +31,7 @@ def environment(*folders: Path, escape: bool = True) -> Any:
     """Return what makes pages from the templates of this folder and others; `escape` for HTML."""
     import jinja2
 
-    found = jinja2.Environment(
+    templates = jinja2.Environment(
         loader=jinja2.FileSystemLoader([*folders, TEMPLATES]),
         undefined=jinja2.StrictUndefined,
         autoescape=escape,
@@ -40,5 +40,5 @@ def environment(*folders: Path, escape: bool = True) -> Any:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    found.globals["advice"] = ADVICE
-    return found
+    templates.globals["advice"] = ADVICE
+    return templates

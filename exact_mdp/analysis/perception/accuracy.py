@@ -32,7 +32,7 @@ def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
     """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all."""
     if not 0 <= accuracy <= 1:
         raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
-    found = np.ones((1, 1))
+    matrix = np.ones((1, 1))
     names = status_names(model)
     if status not in (*names, ALL):
         raise ModelError(
@@ -40,8 +40,8 @@ def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
         )
     for name in names:
         x = accuracy if status in (name, ALL) else 1.0
-        found = np.kron(found, np.array([[x, 1 - x], [1 - x, x]]))
-    return found
+        matrix = np.kron(matrix, np.array([[x, 1 - x], [1 - x, x]]))
+    return matrix
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -103,9 +103,9 @@ def accuracy_curves(
         with located("levels"):
             grid = np.array([float(exact(level)) for level in listed(levels, "levels")])
     passes = Passes(model)
-    table, found = passes.table(policy), {}
+    table, curves = passes.table(policy), {}
     names = (*status_names(model), ALL)
     for name in names if statuses is None else listed(statuses, "statuses"):
         matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])
-        found[name] = passes.worth(table, matrices)
-    return AccuracyCurves(levels=grid, values=found, error=passes.rounding)
+        curves[name] = passes.worth(table, matrices)
+    return AccuracyCurves(levels=grid, values=curves, error=passes.rounding)

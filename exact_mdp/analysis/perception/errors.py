@@ -182,7 +182,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     matrix = np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
     weights = passes.weights(table, np.stack([matrix, np.eye(size)]))
     value, q = passes.layers.mean(weights)
-    worth, perfect = passes.at_start(value).tolist()
+    value_read, perfect = passes.at_start(value).tolist()
     met = passes.layers.visits(weights[:, :1])[:, 0][: model.space.regular].reshape(-1, size)
     # (P, Z, Z): what acting by z is worth in s
     by_seen, true_by_seen = (by_place(model, each) @ table.transpose(0, 2, 1) for each in q.T)
@@ -194,7 +194,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     names = status_names(model)
     return ErrorCosts(
         statuses=names,
-        value=Bounded(value=worth, error=passes.rounding),
+        value=Bounded(value=value_read, error=passes.rounding),
         perfect=Bounded(value=perfect, error=passes.rounding),
         derivative=derivative,
         loss=loss,

@@ -80,10 +80,10 @@ class Passes:
         mdp, regular = self.mdp, self.mdp.space.regular
         mixed = (confusions[:, None] @ table).reshape(len(confusions), regular, mdp.n_actions)
         inside = mdp.pair_state < regular  # the end has a single pair
-        found = np.ones((mdp.n_pairs, len(confusions)))
-        found[inside] = mixed[:, mdp.pair_state[inside], mdp.pair_action[inside]].T
-        total = np.add.reduceat(found, mdp.pair_offsets[:-1])
-        return np.asarray(found / total[mdp.pair_state])
+        weights = np.ones((mdp.n_pairs, len(confusions)))
+        weights[inside] = mixed[:, mdp.pair_state[inside], mdp.pair_action[inside]].T
+        total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
+        return np.asarray(weights / total[mdp.pair_state])
 
     def at_start(self, values: Floats) -> Floats:
         """Return (N,) start values of values (S, N)."""

@@ -130,7 +130,7 @@ class Front(TotalsProof, Pictured):
     @property
     def edges(self) -> list[Edge]:
         """The edges between neighbouring vertices."""
-        vertices, found = self.vertices, []
+        vertices, edges = self.vertices, []
         size = len(self.names)
         shared: dict[tuple[int, int], list[Point]] = {}
         for corner in self.corners:
@@ -143,7 +143,7 @@ class Front(TotalsProof, Pictured):
             first = next(step for step in change if step)
             each = tuple(step / abs(first) for step in change)
             two = size == 2
-            found.append(
+            edges.append(
                 Edge(
                     start=i,
                     end=j,
@@ -152,7 +152,7 @@ class Front(TotalsProof, Pictured):
                     weights=corners[0] if two else None,
                 )
             )
-        return found
+        return edges
 
     @property
     def facets(self) -> list[tuple[Point, tuple[int, ...]]]:
@@ -367,16 +367,16 @@ def _clipped(polygon: list[Weights], normal: Sequence[int]) -> list[Weights]:
     side = [sum(map(mul, point, normal)) for point in polygon]
     if min(side, default=0) >= 0:
         return polygon
-    found: list[Weights] = []
+    inside: list[Weights] = []
     for i, (point, here) in enumerate(zip(polygon, side, strict=True)):
         before, there = polygon[i - 1], side[i - 1]
         if (here > 0) != (there > 0) and here and there:
             between = [abs(here) * a + abs(there) * b for a, b in zip(before, point, strict=True)]
             shared = gcd(*between)
-            found.append(tuple(w // shared for w in between))
+            inside.append(tuple(w // shared for w in between))
         if here >= 0:
-            found.append(point)
-    return list(dict.fromkeys(found))
+            inside.append(point)
+    return list(dict.fromkeys(inside))
 
 
 def _worth(weights: Sequence[Any], values: Sequence[Fraction]) -> Fraction:

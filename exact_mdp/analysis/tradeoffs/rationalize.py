@@ -100,10 +100,10 @@ class Rationalization(TotalsProof):
     --------
     >>> rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
     >>> parts = {"gain": [6, 3, 0], "effort": [-1, 0, 0]}
-    >>> found = rationalize(MDP.from_outcomes(rows, components=parts), {"0": "1", "1": "0"})
-    >>> found.change, found.weights
+    >>> weights = rationalize(MDP.from_outcomes(rows, components=parts), {"0": "1", "1": "0"})
+    >>> weights.change, weights.weights
     (Fraction(1, 2), {'gain': Fraction(1, 2), 'effort': Fraction(3, 2)})
-    >>> found.alone["effort"], found.violations()
+    >>> weights.alone["effort"], weights.violations()
     ((Fraction(3, 1), inf), [])
     """
 
@@ -275,10 +275,10 @@ class _Search:
         size = len(self.totals)
         unit = [[Fraction(i == k) for i in range(size)] for k in range(size)]
         bounds = [[*row, ONE] for row in unit] + [[*(-x for x in row), ONE] for row in unit]
-        worth = [ONE] * size + [-ONE] * size
+        gain = [ONE] * size + [-ONE] * size
         while True:
             columns = bounds + [[*(-x for x in lead), ZERO] for _, lead in self.found]
-            solved = maximise([*worth, *[ZERO] * len(self.found)], columns, [*[ZERO] * size, ONE])
+            solved = maximise([*gain, *[ZERO] * len(self.found)], columns, [*[ZERO] * size, ONE])
             *weights, change = solved.y
             dual = self.beaten(weights)
             if dual is not None:

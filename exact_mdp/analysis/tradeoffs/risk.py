@@ -159,8 +159,8 @@ def mean_cvar(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
-    >>> found = mean_cvar(MDP.from_outcomes(rows), "1/2", policies={"bold": [0, 0]})
-    >>> [str(number) for number in found.policies["bold"]]
+    >>> points = mean_cvar(MDP.from_outcomes(rows), "1/2", policies={"bold": [0, 0]})
+    >>> [str(number) for number in points.policies["bold"]]
     ['5', '0']
     """
     mdp = mdp_of(model)
@@ -177,15 +177,15 @@ def mean_cvar(
 
 def point_of(mdp: MDP, level: Fraction, policy: PolicyLike) -> tuple[Fraction, Fraction]:
     """Return the mean and the mean of the worst episodes of a policy."""
-    found = return_distribution(mdp, policy, exact=True)
-    if found.unending:
+    returns = return_distribution(mdp, policy, exact=True)
+    if returns.unending:
         raise ModelError(
             "a return of the policy may be infinite",
             where="policy",
             fix="give one that ends, or stop after N steps",
         )
-    assert found.exact is not None
+    assert returns.exact is not None
     sign = 1 if mdp.sense == "max" else -1
-    both = sorted((sign * value, p) for value, p in zip(found.values, found.exact, strict=True))
+    both = sorted((sign * value, p) for value, p in zip(returns.values, returns.exact, strict=True))
     mean = sum((value * p for value, p in both), Fraction(0))
     return sign * mean, sign * tail_mean(both, level)

@@ -68,16 +68,16 @@ class BaseCase:
 
 def finite_optimum(mdp: MDP, where: str) -> Solution:
     """Return the optimum; raises ModelError where it is infinite at the start."""
-    found: Solution = solve(mdp)
-    _refuse_infinite("the optimum", found.start, where)
-    return found
+    solution: Solution = solve(mdp)
+    _refuse_infinite("the optimum", solution.start, where)
+    return solution
 
 
 def finite_worth(mdp: MDP, policy: PolicyLike, where: str) -> Bounded:
     """Return a policy's value at the start; raises ModelError where it is infinite."""
-    found = evaluate(mdp, policy).start
-    _refuse_infinite("the policy held fixed", found, where)
-    return found
+    value = evaluate(mdp, policy).start
+    _refuse_infinite("the policy held fixed", value, where)
+    return value
 
 
 def _refuse_infinite(what: str, value: Bounded, where: str) -> None:

@@ -131,12 +131,12 @@ def worst_point(
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.tell(highest, where=" at the upper ends of the ranges")
     solver = solver_of(family)
-    held, sign = solver.base.held(policy), solver.base.sign
+    fixed, sign = solver.base.held(policy), solver.base.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
 
     def worth(points: Floats) -> Floats:
-        return np.asarray(sign * solver.values(names, points, [held])["value"][:, 0])
+        return np.asarray(sign * solver.values(names, points, [fixed])["value"][:, 0])
 
     def flipped(point: Floats, end: np.ndarray) -> Floats:
         """Return one point for each parameter, which is at its given end there."""
@@ -162,7 +162,7 @@ def worst_point(
     there = family.at(point)
     return WorstPoint(
         point=point,
-        value=finite_worth(there, held, "at the worst point found"),
+        value=finite_worth(there, fixed, "at the worst point found"),
         optimum=finite_optimum(there, "at the worst point found").start,
         corners=corners,
     )

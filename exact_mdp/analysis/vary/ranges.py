@@ -158,7 +158,7 @@ def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
     """
     if isinstance(ranges, Ranges):
         return ranges
-    found = Ranges()
+    valid = Ranges()
     for name, given in (ranges or {}).items():
         parameter = parameter_of(model, name)
         where = f"range of {name}"
@@ -175,10 +175,10 @@ def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
                     f"the range from {beside(low, high)} to {shown(high)} is empty",
                     fix="give two different numbers",
                 )
-            found[name] = Range(low=low, high=high)
+            valid[name] = Range(low=low, high=high)
         except ModelError as error:
             raise ModelError(error.what, where=where, fix=error.fix) from error
-    return found
+    return valid
 
 
 def ranges_of(
@@ -195,16 +195,16 @@ def ranges_of(
     stated = checked(model, ranges)
     if names is None:
         names = list(stated) or [parameter.name for parameter in model.parameters]
-    found = Ranges()
+    spans = Ranges()
     for name in names:
         parameter = parameter_of(model, name)
         if name in stated:
-            found[name] = stated[name]
+            spans[name] = stated[name]
             continue
         share = RELATIVE if relative is None else relative
         span = whole(parameter) if share == "whole" else around(parameter, share)
-        found[name] = admitted(model, parameter, span)
-    return found
+        spans[name] = admitted(model, parameter, span)
+    return spans
 
 
 def range_of(model: Parametric, name: str, ranges: object = None, relative: object = None) -> Range:
@@ -281,8 +281,8 @@ def spans_of(
     so is the discount, see `usual`. Raises ModelError where no parameter has a range.
     """
     stated = checked(model, ranges)
-    found = ranges_of(model, names or list(stated) or usual(model), stated, relative)
-    spans = {parameter_of(model, n): span for n, span in found.items() if span.low < span.high}
+    every = ranges_of(model, names or list(stated) or usual(model), stated, relative)
+    spans = {parameter_of(model, n): span for n, span in every.items() if span.low < span.high}
     if not spans:
         raise ModelError("no parameter has a range", where=place_of(model), fix="state a range")
     return spans

@@ -168,15 +168,15 @@ class Robust(Result):
             ("optimistic", "best", self.optimistic.start),
         ]
         headings = ["policy", "laws", "value (reward)", "error bound (reward)"]
-        table = [(policy, laws, found.value, found.error) for policy, laws, found in rows]
+        table = [(policy, laws, number.value, number.error) for policy, laws, number in rows]
         return pandas.DataFrame(table, columns=headings)
 
 
-def _weights(found: RobustSolution) -> Floats:
+def _weights(solution: RobustSolution) -> Floats:
     """Return (L,) probabilities of pairs of the policy that was found."""
-    assert found.pairs is not None
-    taken = np.zeros(found.mdp.n_pairs)
-    taken[found.pairs] = 1.0
+    assert solution.pairs is not None
+    taken = np.zeros(solution.mdp.n_pairs)
+    taken[solution.pairs] = 1.0
     return taken
 
 
@@ -207,15 +207,15 @@ class RobustCurve(Pictured):
                 {
                     "set": self.kind,
                     "radius": radius,
-                    "nominal policy, nominal (reward)": found.value.value,
-                    "nominal policy, worst (reward)": found.worst.value,
-                    "robust policy, nominal (reward)": found.robust_value.value,
-                    "robust policy, worst (reward)": found.robust.start.value,
-                    "price of robustness (reward)": found.price.value,
-                    "worst-case gain (reward)": found.gain.value,
-                    "states changed": len(found.changed),
+                    "nominal policy, nominal (reward)": each.value.value,
+                    "nominal policy, worst (reward)": each.worst.value,
+                    "robust policy, nominal (reward)": each.robust_value.value,
+                    "robust policy, worst (reward)": each.robust.start.value,
+                    "price of robustness (reward)": each.price.value,
+                    "worst-case gain (reward)": each.gain.value,
+                    "states changed": len(each.changed),
                 }
-                for radius, found in self.points
+                for radius, each in self.points
             ]
         )
 
@@ -275,7 +275,7 @@ def robust(
     sets = Intervals.relative(model, "1/5") if ambiguity is None else ambiguity
     chain = PolicyChain.of(model, policy)
 
-    def held(weights: Floats, nature: Nature) -> Bounded:
+    def fixed(weights: Floats, nature: Nature) -> Bounded:
         return solve_robust(model, sets, nature=nature, policy=weights).start
 
     best = solve_robust(model, sets)
@@ -284,12 +284,12 @@ def robust(
         mdp=model,
         policy=chain.weights,
         value=finite_worth(model, chain, "today's laws"),
-        worst=held(chain.weights, "worst"),
-        best=held(chain.weights, "best"),
+        worst=fixed(chain.weights, "worst"),
+        best=fixed(chain.weights, "best"),
         robust=best,
         optimistic=solve_robust(model, sets, nature="best"),
         robust_value=finite_worth(model, own, "today's laws"),
-        robust_best=held(own, "best"),
+        robust_best=fixed(own, "best"),
     )
 
 
@@ -328,6 +328,6 @@ def robust_curve(
         raise ModelError(
             "no radius is given", where="robust curve", fix="give some, such as [0, 0.1, 0.2]"
         )
-    held = PolicyChain.of(model, policy)
-    points = [(x, robust(model, ambiguity_of(model, kind, x), policy=held)) for x in numbers]
+    chain = PolicyChain.of(model, policy)
+    points = [(x, robust(model, ambiguity_of(model, kind, x), policy=chain)) for x in numbers]
     return RobustCurve(kind=kind, points=tuple(points))

@@ -201,7 +201,7 @@ class Sobol(Pictured):
         """
         import pandas
 
-        found = self.of(output)
+        indices = self.of(output)
         spans = [self.ranges[name] for name in self.names]
         table = pandas.DataFrame(
             {
@@ -209,18 +209,18 @@ class Sobol(Pictured):
                 "unit": [unit_of(parameter) for parameter in self.parameters],
                 "low": [float(span.low) for span in spans],
                 "high": [float(span.high) for span in spans],
-                "first order (share of variance)": found.first,
-                "first order ±": found.first_half,
-                "total (share of variance)": found.total,
-                "total ±": found.total_half,
+                "first order (share of variance)": indices.first,
+                "first order ±": indices.first_half,
+                "total (share of variance)": indices.total,
+                "total ±": indices.total_half,
                 "claim": "estimated",
             }
         )
-        order = np.argsort(-np.nan_to_num(found.total), kind="stable")
+        order = np.argsort(-np.nan_to_num(indices.total), kind="stable")
         table = table.iloc[order].reset_index(drop=True)
         table.attrs |= {"output": output, "confidence": self.confidence}
         table.attrs |= {"n": self.n, "seed": self.seed}
-        table.attrs |= {"mean (reward)": found.mean, "sd (reward)": found.sd}
+        table.attrs |= {"mean (reward)": indices.mean, "sd (reward)": indices.sd}
         return table
 
 
@@ -293,11 +293,11 @@ def sobol(
     family, seed = parametric(model), seed_of(rng)
     spans = spans_of(family, None if names is None else list(names), ranges, relative)
     draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
-    found = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
+    table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
-    every = found.optimal, found.fixed[:, 0], found.regret[:, 0]
+    every = table.optimal, table.fixed[:, 0], table.regret[:, 0]
     indices = {
-        name: _indices(output.reshape(n, -1), found.noise, resamples, confidence)
+        name: _indices(output.reshape(n, -1), table.noise, resamples, confidence)
         for name, output in zip(OUTPUTS, every, strict=True)
     }
     return Sobol(

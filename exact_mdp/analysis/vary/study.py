@@ -176,13 +176,13 @@ def study(
         tell_cut(family, names, draws)
     done = run(solver, "draws", partial(_block, solver, names, weights), blocks, key, **how)
     rows, which = merged(done)
-    found = joined(done, ("start", "start_error", "value", "error"))
+    whole = joined(done, ("start", "start_error", "value", "error"))
     return Study(
         names=names,
         points=table,
-        optimal=found["start"],
-        fixed=found["value"],
-        error=np.column_stack([found["start_error"], found["error"]]),
+        optimal=whole["start"],
+        fixed=whole["value"],
+        error=np.column_stack([whole["start_error"], whole["error"]]),
         sign=solver.base.sign,
         rows=rows,
         which=which,
@@ -197,8 +197,8 @@ def _block(
 ) -> Arrays:
     first, draws = piece
     best = solver.solved(names, draws, first)
-    found = {name: best[name] for name in ("start", "rows", "which")}
-    return found | {"start_error": best["error"]} | solver.values(names, draws, weights, first)
+    parts = {name: best[name] for name in ("start", "rows", "which")}
+    return parts | {"start_error": best["error"]} | solver.values(names, draws, weights, first)
 
 
 def _column(numbers: Any) -> Numbers:
@@ -318,12 +318,12 @@ class _Part:
     def optimum(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
         """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
         mdp = self.models[0]
-        found = None if self.batch is None else self.batch.optimum()
-        if self.batch is None or found is None:
+        batch = None if self.batch is None else self.batch.optimum()
+        if self.batch is None or batch is None:
             each = [self._optimum(d) for d in range(len(self.models))]
             start, error, gap, doubt, policy = map(np.array, zip(*each, strict=True))
             return start, error, gap, doubt, policy
-        value, off, gap, doubt = found
+        value, off, gap, doubt = batch
         start, error = self.batch.at_start(value, off)
         tied = np.where(gap <= doubt, np.arange(mdp.n_pairs), mdp.n_pairs)
         policy = mdp.pair_action[np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)]
@@ -431,8 +431,8 @@ class ModelSolver:
         more than one first state; rows (U, G), the policies found, and which (D,) of them is a
         draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
         """
-        mdp, found = self.base.mdp, [part.optimum() for part in self.parts(names, draws, first)]
-        start, error, gap, doubt, policies = map(np.concatenate, zip(*found, strict=True))
+        mdp, optima = self.base.mdp, [part.optimum() for part in self.parts(names, draws, first)]
+        start, error, gap, doubt, policies = map(np.concatenate, zip(*optima, strict=True))
         rows, which = distinct(policies.astype(np.int16))
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
         counts[mdp.pair_state, mdp.pair_action] = (gap <= doubt).sum(axis=0)
@@ -496,14 +496,14 @@ class ModelSolver:
                     fix="make the model by a function that gives its components: Family(build=…)",
                 )
             every.append(np.stack([part.totals(weights) for weights in policies], axis=1))
-        found = np.concatenate(every)[:, :, [known.index(name) for name in components]]
-        if not np.isfinite(found).all():
+        totals = np.concatenate(every)[:, :, [known.index(name) for name in components]]
+        if not np.isfinite(totals).all():
             raise ModelError(
                 "a total is infinite",
-                where=f"draw {first + int(np.argwhere(~np.isfinite(found))[0][0])}",
+                where=f"draw {first + int(np.argwhere(~np.isfinite(totals))[0][0])}",
                 fix="give a discount below 1, or a number of steps (mdp.within(100))",
             )
-        return found
+        return totals
 
     def weights(self, row: Integers) -> Floats:
         """Return (L,) probabilities of pairs from a row of `solved`."""
@@ -511,14 +511,14 @@ class ModelSolver:
 
     def shown(self, weights: Floats) -> dict[str, str] | None:
         """Return the action at each label, where the policy says one and the same there."""
-        mdp, found = self.base.mdp, {}
+        mdp, shares = self.base.mdp, {}
         for state, label in zip(self.choosing.tolist(), self.labels, strict=True):
             pairs = mdp.pairs_of(state)
             share = weights[list(pairs)]
             if share.max() != 1:
                 return None
-            found[label] = mdp.actions[int(mdp.pair_action[pairs[int(share.argmax())]])]
-        return found
+            shares[label] = mdp.actions[int(mdp.pair_action[pairs[int(share.argmax())]])]
+        return shares
 
 
 class CareSolver:
@@ -543,13 +543,13 @@ class CareSolver:
     def solved(self, names: Sequence[str], draws: Numbers, first: int | None = None) -> Arrays:
         """Return the optima of (D, Q) draws; see `ModelSolver.solved`."""
         draws = draws.astype(float)
-        found = optimal(self.scenario, names, draws)
-        rows, which = distinct(found.actions.reshape(len(draws), -1))
+        optima = optimal(self.scenario, names, draws)
+        rows, which = distinct(optima.actions.reshape(len(draws), -1))
         return {
-            "start": found.start,
-            "error": found.error,
-            "best": (found.gaps <= 2 * found.error[:, None, None]).sum(axis=0),
-            "lost": found.gaps[:, 0],
+            "start": optima.start,
+            "error": optima.error,
+            "best": (optima.gaps <= 2 * optima.error[:, None, None]).sum(axis=0),
+            "lost": optima.gaps[:, 0],
             "rows": rows,
             "which": which,
             "cut": cut_off(self.scenario, names, draws),

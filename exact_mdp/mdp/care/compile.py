@@ -199,14 +199,14 @@ def _rows(
     """Flatten (2^n, A, outcomes) arrays to rows, outcomes sorted by next state, zeros left out."""
     order = np.argsort(following, kind="stable")
     weight, gain = weight[:, :, order], gain[:, :, order]
-    kept, shape = np.array(weight != 0, dtype=bool), weight.shape
+    positive, shape = np.array(weight != 0, dtype=bool), weight.shape
     return {
-        "lengths": kept.sum(axis=2).reshape(-1),
-        "next": np.broadcast_to(following[order], shape)[kept],
-        "weight": weight[kept],
+        "lengths": positive.sum(axis=2).reshape(-1),
+        "next": np.broadcast_to(following[order], shape)[positive],
+        "weight": weight[positive],
         "denominator": denominator.reshape(-1),
-        "gain": np.broadcast_to(gain, shape)[kept],
-        "event": np.broadcast_to(event[order], shape)[kept],
+        "gain": np.broadcast_to(gain, shape)[positive],
+        "event": np.broadcast_to(event[order], shape)[positive],
         "amount": components[0].reshape(-1, components[0].shape[2]),
         "below": components[1].reshape(-1),
     }

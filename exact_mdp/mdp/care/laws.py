@@ -121,10 +121,10 @@ def _chances(
                 both = present[:, statuses.index(other)]
                 skip[here & ~both, i] = alone(f"skip.{status}.alone")
                 skip[here & both, i] = alone(f"skip.{status}.with-other")
-    found = np.concatenate(terms)
-    for array in (bits, found, step, skip):
+    joined = np.concatenate(terms)
+    for array in (bits, joined, step, skip):
         array.setflags(write=False)
-    return Chances(names=names, bits=bits, terms=found, step=step, skip=skip)
+    return Chances(names=names, bits=bits, terms=joined, step=step, skip=skip)
 
 
 def influence(orientation: str, origin: str, target: str) -> str:
@@ -138,25 +138,25 @@ def excess(scenario: Tables) -> str | None:
 
     Sums are compared exactly. No chance can be negative: every term lies in [0, 1].
     """
-    found = chances(scenario)
-    sums, bottom = found.sums(scenario)
+    law = chances(scenario)
+    sums, bottom = law.sums(scenario)
     over = np.array(sums > bottom, dtype=bool)
     if not over.any():
         return None
-    count = int(over[found.step].sum() + over[found.skip].sum())
+    count = int(over[law.step].sum() + over[law.skip].sum())
     greatest = max(sums[over].tolist())
     first = np.array(sums == greatest, dtype=bool)
-    if first[found.step].any():
-        vector, action, status = np.argwhere(first[found.step])[0].tolist()
-        which, word = found.step[vector, action, status], f"under {scenario.actions[action]}"
+    if first[law.step].any():
+        vector, action, status = np.argwhere(first[law.step])[0].tolist()
+        which, word = law.step[vector, action, status], f"under {scenario.actions[action]}"
     else:
-        vector, status = np.argwhere(first[found.skip])[0].tolist()
-        which, word = found.skip[vector, status], "on a skip"
-    label = "".join(map(str, found.bits[vector].tolist()))
+        vector, status = np.argwhere(first[law.skip])[0].tolist()
+        which, word = law.skip[vector, status], "on a skip"
+    label = "".join(map(str, law.bits[vector].tolist()))
     added = " + ".join(
-        f"{found.names[k]} {shown(scenario.parameters[k].value)}"
-        for k in found.terms[which].tolist()
-        if k < len(found.names)
+        f"{law.names[k]} {shown(scenario.parameters[k].value)}"
+        for k in law.terms[which].tolist()
+        if k < len(law.names)
     )
     others = "; and so is 1 other" if count == 2 else f"; and so are {count - 1} others"
     return (

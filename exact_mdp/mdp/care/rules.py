@@ -102,8 +102,8 @@ class Rules:
         self.statuses = scenario.statuses
         self.assistive = len(scenario.actions)
         self.actions = (*scenario.actions, SKIP) if self.own else scenario.actions
-        told = {flag for event, flag in self.paid if event == "complete"}
-        self.flags = 2 if len(told) == 1 else 1  # the bonus depends on whether one was skipped
+        complete = {flag for event, flag in self.paid if event == "complete"}
+        self.flags = 2 if len(complete) == 1 else 1  # the bonus depends on whether one was skipped
         self.kept = np.zeros((3, 2), dtype=np.int64)
         self.kept[INSIDE, 1] = self.flags - 1
         self.trials = scenario.trials
@@ -129,13 +129,13 @@ class Rules:
 
         `flag` is that of the state, or 1 for a skip, which sets it.
         """
-        found = [
+        charges = [
             weight
             for of, weight, reading in CHARGES
             if of == event and (reading is None or self.readings[reading[0]] == reading[1])
         ]
         bonus = place != INSIDE and (event, flag) in self.paid
-        return (*found, "task-complete") if bonus else tuple(found)
+        return (*charges, "task-complete") if bonus else tuple(charges)
 
     def gain(self, event: str, place: int = INSIDE, flag: int = 0) -> int:
         """Return the sum of the weights `charged`, an integer over `scale`."""

@@ -194,5 +194,5 @@ class ScenarioFamily:
                     for present in combinations(added, count):
                         terms = (alone, *present)
                         if name in terms:
-                            held = (scenario[term] for term in terms if term != name)
-                            yield 1 - sum(held, Fraction(0))
+                            others = (scenario[term] for term in terms if term != name)
+                            yield 1 - sum(others, Fraction(0))

@@ -173,13 +173,13 @@ class Reader:
         self, flat: Mapping[str, Fraction], wanted: Mapping[str, dict[str, Any]]
     ) -> tuple[Parameter, ...]:
         missing = [n for n in wanted if n not in flat and not n.startswith("influence.")]
-        told = {key for key, _ in self.problems}
+        refused = {key for key, _ in self.problems}
         for name in flat:
             table, *parts = name.split(".")
             if self.take(name, known, name, wanted, "number", table, otherwise=""):
                 continue
             above = {".".join((table, *parts[:count])) for count in range(3)}
-            for meant in [] if above & told else _slip(name, missing):
+            for meant in [] if above & refused else _slip(name, missing):
                 missing.remove(meant)
         for name in missing:
             table = name.partition(".")[0]

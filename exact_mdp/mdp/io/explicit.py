@@ -68,7 +68,7 @@ def named_by(valuations: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
 
 
 def model_of(
-    found: Explicit, where: str, *, reward: str | None, discount: object, start: object
+    given: Explicit, where: str, *, reward: str | None, discount: object, start: object
 ) -> MDP:
     """Return a model of another program, of which the caller says what the format does not.
 
@@ -80,15 +80,15 @@ def model_of(
 
     if discount is None:
         warn("a file of another program states no discount, and 1 is used; give the discount")
-    titles = {key: found.titles["rewards"][key] for key in found.rewards}
-    earned = {key: _earned(found, values, titles[key]) for key, values in found.rewards.items()}
+    titles = {key: given.titles["rewards"][key] for key in given.rewards}
+    earned = {key: _earned(given, values, titles[key]) for key, values in given.rewards.items()}
     parts, chosen = dict[str, Any](), reward
     if reward is None and len(earned) <= 1:
         chosen = next(iter(earned), None)
     elif reward is None and REWARD in earned:
         chosen = REWARD
     if chosen is not None:
-        chosen = identifier(found, chosen)
+        chosen = identifier(given, chosen)
         parts["component_names"] = (titles[chosen],)
     if reward is None and len(earned) > 1:
         others = {titles[key]: amounts for key, amounts in earned.items() if key != REWARD}
@@ -96,27 +96,27 @@ def model_of(
             names = ", ".join(others)
             warn(f"the rewards {names} are added up; name the one that counts (--reward, reward=)")
         parts["component_names"] = tuple(others)
-        parts["components"] = {name: _expected(found, each) for name, each in others.items()}
-    zeros = [Fraction(0)] * len(found.target)
+        parts["components"] = {name: _expected(given, each) for name, each in others.items()}
+    zeros = [Fraction(0)] * len(given.target)
     amounts = earned[chosen] if chosen is not None else zeros
     for each in earned.values() if chosen is None else ():
         amounts = _plus(amounts, each)
-    labels = {found.titles["aps"][key]: flags for key, flags in found.labels.items()}
-    initial, states = np.flatnonzero(found.initial), len(found.state_to_choices) - 1
+    labels = {given.titles["aps"][key]: flags for key, flags in given.labels.items()}
+    initial, states = np.flatnonzero(given.initial), len(given.state_to_choices) - 1
     if len(initial) > 1:
-        labels.setdefault(INITIAL, found.initial)
+        labels.setdefault(INITIAL, given.initial)
     if start is None and not len(initial):
         raise ModelError("no initial state", fix="say where to start: --start, start=")
     if start is None and len(initial) > 1:
-        label = StateSpace.plain(states, found.words).label(int(initial[0]))
+        label = StateSpace.plain(states, given.words).label(int(initial[0]))
         first = f"the first of {len(initial)} initial states, {label}"
         warn(f"the start is {first}; --start, or start=, names another")
-    outcomes = list(zip(found.probability, found.target, amounts, strict=True))
-    ends = np.flatnonzero(np.diff(found.state_to_choices) == 0).tolist()
-    state = np.repeat(np.arange(states), np.diff(found.state_to_choices)).tolist()
+    outcomes = list(zip(given.probability, given.target, amounts, strict=True))
+    ends = np.flatnonzero(np.diff(given.state_to_choices) == 0).tolist()
+    state = np.repeat(np.arange(states), np.diff(given.state_to_choices)).tolist()
     rows = [
-        (state[choice], action, outcomes[slice(*found.choice_to_branches[choice : choice + 2])])
-        for choice, action in enumerate(found.actions.tolist())
+        (state[choice], action, outcomes[slice(*given.choice_to_branches[choice : choice + 2])])
+        for choice, action in enumerate(given.actions.tolist())
     ]
     if "components" in parts:
         closed = {name: [*each, *[0] * len(ends)] for name, each in parts["components"].items()}
@@ -125,10 +125,10 @@ def model_of(
         [*rows, *((end, 0, [(1, end, 0)]) for end in ends)],
         1 if discount is None else discount,
         start=ByNumber([(int(initial[0]), 1)]) if start is None else start,
-        space=StateSpace.plain(states, found.words),
-        actions=found.action_names,
+        space=StateSpace.plain(states, given.words),
+        actions=given.action_names,
         labels=labels,
-        name=found.name,
+        name=given.name,
         **parts,
     )
 
@@ -150,9 +150,9 @@ def actions_of(
     return places, tuple(map(str, range(int(places.max(initial=0)) + 1)))
 
 
-def identifier(found: Explicit, wanted: str) -> str:
+def identifier(explicit: Explicit, wanted: str) -> str:
     """Return the identifier of the reward model called `wanted`."""
-    titles = found.titles.get("rewards", {})
+    titles = explicit.titles.get("rewards", {})
     known = {name: key for key, name in titles.items()}
     if wanted not in known and wanted not in titles:
         raise ModelError(
@@ -161,9 +161,9 @@ def identifier(found: Explicit, wanted: str) -> str:
     return wanted if wanted in titles else known[wanted]
 
 
-def _earned(found: Explicit, values: Values, name: str) -> list[Any]:
+def _earned(explicit: Explicit, values: Values, name: str) -> list[Any]:
     """Return the rewards (N,) of branches, those of their choices and states among them."""
-    choices, branches = np.diff(found.state_to_choices), np.diff(found.choice_to_branches)
+    choices, branches = np.diff(explicit.state_to_choices), np.diff(explicit.choice_to_branches)
     of_states = values.get("states", [])
     for end in np.flatnonzero(choices == 0).tolist() if of_states else ():
         if of_states[end]:
@@ -174,7 +174,7 @@ def _earned(found: Explicit, values: Values, name: str) -> list[Any]:
             )
     state = np.repeat(np.repeat(np.arange(len(choices)), choices), branches)
     choice = np.repeat(np.arange(len(branches)), branches)
-    total: list[Any] = [Fraction(0)] * len(found.target)
+    total: list[Any] = [Fraction(0)] * len(explicit.target)
     if of_states:
         total = _plus(total, [of_states[k] for k in state.tolist()])
     if "choices" in values:
@@ -188,15 +188,15 @@ def _plus(left: Sequence[Any], right: Sequence[Any]) -> list[Any]:
     return [a if not b else b if not a else exact_sum(as_given(a), as_given(b)) for a, b in pairs]
 
 
-def _expected(found: Explicit, amounts: Sequence[Any]) -> list[Any]:
+def _expected(explicit: Explicit, amounts: Sequence[Any]) -> list[Any]:
     """Return the expected amount (C,) of each choice."""
-    offsets, expected = found.choice_to_branches.tolist(), list[Any]()
+    offsets, expected = explicit.choice_to_branches.tolist(), list[Any]()
     for begin, end in pairwise(offsets):
         each = amounts[begin:end]
         if len(set(each)) == 1:
             expected.append(each[0])
             continue
-        chances = map(exact, meant([as_given(p) for p in found.probability[begin:end]]))
+        chances = map(exact, meant([as_given(p) for p in explicit.probability[begin:end]]))
         terms = [p * exact(r) for p, r in zip(chances, each, strict=True)]
         expected.append(sum(terms, Fraction(0)))
     return expected

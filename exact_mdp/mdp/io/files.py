@@ -193,7 +193,7 @@ def _umask() -> int:
 def aside() -> Iterator[None]:
     """Send what is printed, by Python or anything else, to standard error."""
     sys.stdout.flush()
-    kept = os.dup(1)
+    duplicate = os.dup(1)
     try:
         os.dup2(2, 1)
         with redirect_stdout(sys.stderr):
@@ -202,5 +202,5 @@ def aside() -> Iterator[None]:
         if sys.__stdout__ is not None:
             with suppress(OSError, ValueError):
                 sys.__stdout__.flush()
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(duplicate, 1)
+        os.close(duplicate)

@@ -193,8 +193,8 @@ def _only_numbers(env: Any) -> bool:
     levels = getattr(env.env.action_space, "nvec", None)
     if levels is None or getattr(env.action_space, "n", None) != np.prod(levels):
         return False
-    told = [env.action(number) for number in range(int(env.action_space.n))]
-    return bool(np.array_equal(told, np.stack(np.unravel_index(range(len(told)), levels), axis=1)))
+    own = [env.action(number) for number in range(int(env.action_space.n))]
+    return bool(np.array_equal(own, np.stack(np.unravel_index(range(len(own)), levels), axis=1)))
 
 
 def _of_the_map(env: Any, states: int) -> dict[str, Any]:

@@ -206,8 +206,8 @@ def _suffix(text: str) -> str:
 
 def _parts(text: str) -> tuple[str, str | None]:
     """Return the file and the reward model of "file.umb#NAME"; the text itself without one."""
-    found = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
-    return (text, None) if found is None else (found[1], found[2])
+    match = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
+    return (text, None) if match is None else (match[1], match[2])
 
 
 def _unknown(text: str) -> ModelError:

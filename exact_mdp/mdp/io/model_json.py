@@ -61,9 +61,9 @@ FLOATS = ("float_probabilities", "float_rewards")
 
 def positive(given: Any) -> int:
     """Read an integer above 0."""
-    found = number(given)
-    positive = found > 0 and found.denominator == 1
-    return found.numerator if positive else refuse(given, "a positive integer")
+    value = number(given)
+    positive = value > 0 and value.denominator == 1
+    return value.numerator if positive else refuse(given, "a positive integer")
 
 
 def rewards(given: Any) -> Fraction | tuple[Fraction, ...]:

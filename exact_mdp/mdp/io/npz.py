@@ -247,8 +247,8 @@ def _json(given: Any) -> Any:
     if type(plain) is tuple:
         parts = [_json(part) for part in plain]
         return None if None in parts else parts
-    kept = type(plain) in (int, str, bool) or (type(plain) is float and isfinite(plain))
-    return plain if kept and len(str(plain)) < LONGEST else None
+    is_plain = type(plain) in (int, str, bool) or (type(plain) is float and isfinite(plain))
+    return plain if is_plain and len(str(plain)) < LONGEST else None
 
 
 def _made(objects: Sequence[Hashable] | None, words: Sequence[str]) -> tuple[Hashable, ...]:

@@ -46,7 +46,7 @@ def load(
         read_bytes(path, most=LARGE)  # a regular file, and not too large
         with aside():
             try:
-                found = _explicit(_built(Path(path), constants), Path(path).stem)
+                explicit = _explicit(_built(Path(path), constants), Path(path).stem)
             except Exception as error:  # Storm raises several kinds, none of them for users
                 if isinstance(error, ModelError):
                     raise
@@ -54,7 +54,7 @@ def load(
                     f"Storm says: {' '.join(str(error).split())[:300]}", fix="correct that place"
                 ) from error
         rate, where = 1 if discount is None else discount, shown_text(str(path))
-        return model_of(found, where, reward=None, discount=rate, start=start)
+        return model_of(explicit, where, reward=None, discount=rate, start=start)
 
 
 def _built(path: Path, constants: str) -> Any:
@@ -133,12 +133,12 @@ def _rewards(name: str, model: Any) -> dict[str, list[Fraction]]:
             where=f"reward {name}",
             fix="give them to states, or to actions",
         )
-    found = {}
+    by_name = {}
     if model.has_state_rewards:
-        found["states"] = _ratios(model.state_rewards)
+        by_name["states"] = _ratios(model.state_rewards)
     if model.has_state_action_rewards:
-        found["choices"] = _ratios(model.state_action_rewards)
-    return found
+        by_name["choices"] = _ratios(model.state_action_rewards)
+    return by_name
 
 
 def _ratios(values: Iterable[Any]) -> list[Fraction]:

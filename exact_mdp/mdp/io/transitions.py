@@ -299,10 +299,10 @@ class Record:
 
     def _refuse(self, bad: Any, what: str, fix: str) -> None:
         """Raise ModelError that names the first of the rows marked."""
-        if len(found := np.flatnonzero(bad)):
-            more = "" if len(found) == 1 else f" (and in {len(found) - 1:,} more rows)"
+        if len(wrong := np.flatnonzero(bad)):
+            more = "" if len(wrong) == 1 else f" (and in {len(wrong) - 1:,} more rows)"
             where = (
-                f"{self.where}, {'line' if self._of_file else 'row'} {self._places[int(found[0])]}"
+                f"{self.where}, {'line' if self._of_file else 'row'} {self._places[int(wrong[0])]}"
             )
             raise ModelError(f"{what}{more}", where=where, fix=fix)
 
@@ -550,8 +550,8 @@ class Record:
 def _name(value: Any) -> Any:
     """Return a value as a name: a whole number is the same, be it written 1 or 1.0."""
     if isinstance(value, str):
-        found = WHOLE.fullmatch(value)
-        return found[1] if found else value
+        match = WHOLE.fullmatch(value)
+        return match[1] if match else value
     if isinstance(value, bool | np.bool_):
         return str(value)  # no number: True is not 1
     if isinstance(value, float | np.floating) and value.is_integer():

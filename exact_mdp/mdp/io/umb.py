@@ -172,9 +172,9 @@ def _read(path: str | Path) -> tuple[Any, Explicit]:
         for begin, unpacked in PACKED.items():
             if packed.startswith(begin):
                 unpacked(packed)  # raises where a checksum, at the end, is wrong or missing
-        decoder, found = package.umb_to_tar.UmbDecoder(path), package.ExplicitUmb()
-        decoder.read_index_file(found)
-        _check_kind(found.index.transition_system, decoder)
+        decoder, content = package.umb_to_tar.UmbDecoder(path), package.ExplicitUmb()
+        decoder.read_index_file(content)
+        _check_kind(content.index.transition_system, decoder)
         umb = decoder.decode()
         return umb, _content(umb)
     except ModelError:
@@ -227,7 +227,7 @@ def _content(umb: Any) -> Explicit:
 
 def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
     """Return the annotations of a group, each by what it applies to; texts are left out."""
-    found: dict[str, dict[str, Any]] = {}
+    by_name: dict[str, dict[str, Any]] = {}
     sizes = _sizes(umb.index.transition_system)
     for key, lists in (umb.annotations or {}).get(group, {}).items():
         for over, values in lists.items():
@@ -237,8 +237,8 @@ def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
                     f"an annotation of {over}", where=where, fix=f"give {', '.join(sizes)} values"
                 )
             if str not in set(map(type, _sized(values, sizes[over], where))):
-                found.setdefault(key, {})[over] = values
-    return found
+                by_name.setdefault(key, {})[over] = values
+    return by_name
 
 
 def _actions(umb: Any, offsets: Integers) -> tuple[Integers, tuple[str, ...]]:
@@ -299,11 +299,11 @@ def _sized(values: Sequence[Any], count: int, where: str) -> Sequence[Any]:
 
 def _offsets(given: Sequence[int] | None, where: str, size: int, end: int) -> Integers:
     """Return size+1 offsets from 0 to `end`; one each where none are given."""
-    found = list(range(size + 1)) if given is None else list(given)
-    falls = any(after < before for before, after in pairwise(found))
-    if len(found) != size + 1 or found[0] != 0 or found[-1] != end or falls:
-        raise _damaged(f"{len(found)} offsets that do not run from 0 to {end}", where)
-    return np.array(found, dtype=np.int64)
+    offsets = list(range(size + 1)) if given is None else list(given)
+    falls = any(after < before for before, after in pairwise(offsets))
+    if len(offsets) != size + 1 or offsets[0] != 0 or offsets[-1] != end or falls:
+        raise _damaged(f"{len(offsets)} offsets that do not run from 0 to {end}", where)
+    return np.array(offsets, dtype=np.int64)
 
 
 def _damaged(what: str, where: str) -> ModelError:

@@ -270,15 +270,15 @@ def _rewards(table: OutcomeTable) -> dict[str, Fraction]:
     bottom: Numbers = table.gain_denominator
     if len(table.gain) != len(bottom):
         bottom = np.repeat(bottom, np.diff(table.offsets))
-    found: set[Fraction] = set()
+    rewards: set[Fraction] = set()
     for first in range(0, len(bottom), 2**12):
         here = slice(first, first + 2**12)
         ratios = set(zip(table.gain[here].tolist(), bottom[here].tolist(), strict=True))
-        found |= {exact(top) / below for top, below in ratios if top}
-        if len(found) > MOST_REWARDS:
+        rewards |= {exact(top) / below for top, below in ratios if top}
+        if len(rewards) > MOST_REWARDS:
             break
-    names = {f"reward.{shown(reward)}": reward for reward in sorted(found)}
-    return names if len(names) == len(found) else {f"reward.{r}": r for r in sorted(found)}
+    names = {f"reward.{shown(reward)}": reward for reward in sorted(rewards)}
+    return names if len(names) == len(rewards) else {f"reward.{r}": r for r in sorted(rewards)}
 
 
 def moving(
@@ -320,7 +320,7 @@ def moving(
     rewards = {} if rewards is None else rewards
     of_type(rewards, Mapping, "rewards", "give {name: reward}")
     named: dict[int, dict[int, str]] = {}
-    found = []
+    moved = []
     for name, listed in entries.items():
         places = _places(model, listed, f"parameter {name}")
         values = {_entry(model, pair, state) for pair, state in places}
@@ -338,18 +338,18 @@ def moving(
                     fix="give each entry to one parameter",
                 )
             named[pair][state] = name
-        found.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
+        moved.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
     rest = {pair: _rest(model, pair, states) for pair, states in named.items()}
     earned = _earned(model, rewards)
     gains = [Parameter(name=name, value=reward, unit="reward") for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
     return Family(
-        parameters=(*found, *gains, rate),
+        parameters=(*moved, *gains, rate),
         build=Moved(
-            model=model, parameters=(*found, *gains), named=named, rest=rest, earned=earned
+            model=model, parameters=(*moved, *gains), named=named, rest=rest, earned=earned
         ),
         name=model.name or "model",
-        room=_rooms(found, named),
+        room=_rooms(moved, named),
     )
 
 
@@ -400,7 +400,7 @@ class Moved:
             if moved:
                 outcomes = [(p, to, moved.get(gain, gain)) for p, to, gain in outcomes]
             rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
-        found = MDP.from_outcomes(
+        mdp = MDP.from_outcomes(
             rows,
             values[DISCOUNT],
             start=model.start,
@@ -416,9 +416,9 @@ class Moved:
             float_rewards=model.float_rewards,
         )
         if moved or model.component_table is None or not self._parted:
-            return found
+            return mdp
         names, table = model.component_names, model.component_table
-        return found.with_(component_names=names, component_table=table)
+        return mdp.with_(component_names=names, component_table=table)
 
 
 def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
@@ -457,11 +457,11 @@ def _earned(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
 
 
 def _rooms(
-    found: Sequence[Parameter], named: Mapping[int, Mapping[int, str]]
+    entries: Sequence[Parameter], named: Mapping[int, Mapping[int, str]]
 ) -> dict[str, tuple[Fraction, Fraction]]:
     """Return how far each parameter may move until the named entries of a row sum to 1."""
-    value = {parameter.name: parameter.value for parameter in found}
-    highest = {parameter.name: Fraction(1) for parameter in found}
+    value = {parameter.name: parameter.value for parameter in entries}
+    highest = {parameter.name: Fraction(1) for parameter in entries}
     for names in named.values():
         counts = Counter(names.values())
         for name, count in counts.items():

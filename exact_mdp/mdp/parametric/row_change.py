@@ -139,7 +139,7 @@ def row_change(
     for point, other in zip(points, models[1:], strict=True):
         _check_alike(models[0], other, name, point)
     steps = [point - place for point in points]
-    found = []
+    pieces = []
     for entries in (transition_entries, reward_entries):
         change = _changes(models, steps, entries)
         for power in change.coefficients[degree:]:
@@ -149,7 +149,7 @@ def row_change(
                 raise _no_polynomial(
                     "rows are not polynomials", name, degree, models[0].where(pair)
                 )
-        found.append(Change(key=change.key, coefficients=change.coefficients[:degree]))
+        pieces.append(Change(key=change.key, coefficients=change.coefficients[:degree]))
     rates = [np.array([mdp.discount_exact], dtype=object) for mdp in models]
     rate = [power[0] for power in _newton(rates, [Fraction(0), *steps])]
     if any(rate[degree:]):
@@ -158,8 +158,8 @@ def row_change(
         name=name,
         origin=place,
         piece=piece,
-        transition=found[0],
-        reward=found[1],
+        transition=pieces[0],
+        reward=pieces[1],
         rate=tuple(rate[:degree]),
         checked=None if known else len(models),
     )
@@ -225,12 +225,12 @@ def _changes(
     samples: Sequence[MDP], steps: Sequence[Fraction], entries: Callable[[MDP], Entries]
 ) -> Change:
     """Return the polynomials through entries of models at 0 and at each of `steps`."""
-    found = [entries(sample) for sample in samples]
-    keys = found[0][0]
-    if any(len(key) != len(keys) or (key != keys).any() for key, _, _ in found[1:]):
-        keys = np.unique(np.concatenate([key for key, _, _ in found]))
+    each = [entries(sample) for sample in samples]
+    keys = each[0][0]
+    if any(len(key) != len(keys) or (key != keys).any() for key, _, _ in each[1:]):
+        keys = np.unique(np.concatenate([key for key, _, _ in each]))
     tops, bottoms = [], []
-    for key, top, bottom in found:
+    for key, top, bottom in each:
         place = np.searchsorted(keys, key)
         above, below = np.zeros(len(keys), dtype=object), np.ones(len(keys), dtype=object)
         above[place], below[place] = top.astype(object), bottom.astype(object)
@@ -266,9 +266,9 @@ def reward_entries(mdp: MDP) -> Entries:
 
 
 def _fractions(top: Numbers, bottom: Numbers) -> Numbers:
-    found = np.empty(len(top), dtype=object)
-    found[:] = [Fraction(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
-    return found
+    numbers = np.empty(len(top), dtype=object)
+    numbers[:] = [Fraction(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
+    return numbers
 
 
 def _newton(values: list[Numbers], points: list[Fraction]) -> tuple[Numbers, ...]:

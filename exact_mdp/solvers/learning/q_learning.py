@@ -199,10 +199,10 @@ class Trainer:
         self.settings, self.mdp = settings, mdp
         self.rows = rows_of(mdp, settings.columns)
         self.tables = tables(mdp, self.rows)
-        kept = settings.last + (settings.epochs if settings.snapshot_episode else 0)
-        if kept * self.rows.space.size > MOST_RECORDED:
+        size = settings.last + (settings.epochs if settings.snapshot_episode else 0)
+        if size * self.rows.space.size > MOST_RECORDED:
             raise ModelError(
-                f"{kept:,} greedy policies of {self.rows.space.size:,} rows are too many to keep",
+                f"{size:,} greedy policies of {self.rows.space.size:,} rows are too many to keep",
                 where="QLearning",
                 fix="set snapshot_episode=0, or keep fewer last policies",
             )

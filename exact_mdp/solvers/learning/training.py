@@ -84,7 +84,7 @@ def train(
     if rng is None:
         raise ModelError("training needs a seed", where="rng", fix="give rng=0, or another number")
     trainer, root = Trainer(settings, model), as_sequence(rng)
-    found = many(
+    runs = many(
         partial(_run, trainer, root),
         range(n),
         key={
@@ -100,7 +100,7 @@ def train(
         progress=progress,
         what="runs",
     )
-    return [_read(trainer, arrays, number, out) for number, arrays in enumerate(found)]
+    return [_read(trainer, arrays, number, out) for number, arrays in enumerate(runs)]
 
 
 def _run(trainer: Trainer, root: SeedSequence, number: int) -> dict[str, Numbers]:

@@ -76,18 +76,18 @@ class Likelihood(Ball):
         def bound(p: Floats, d: Floats, s: Floats, beta: Floats) -> Floats:
             """Return the bound less min x, rounded down."""
             mean = _mean_log(p, d / s)
-            found = s[:, 0] * np.expm1(mean - beta)
+            bound_of = s[:, 0] * np.expm1(mean - beta)
             doubt = (
                 float(gamma(2 * d.shape[1] + 16)) * s[:, 0] * (mean + beta) * np.exp(mean - beta)
             )
-            return np.asarray(found - doubt - 4 * UNIT * np.abs(found))
+            return np.asarray(bound_of - doubt - 4 * UNIT * np.abs(bound_of))
 
         p, beta = block.probability, self.radii(block)
         q, short, left = _leaving(p, payoff, beta)
         rest = np.flatnonzero(~left)
         if len(rest):
-            found = _least(p[rest], payoff[rest], beta[rest], divergence, law, bound)
-            q[rest], short[rest] = found
+            bound_of = _least(p[rest], payoff[rest], beta[rest], divergence, law, bound)
+            q[rest], short[rest] = bound_of
         return q, short
 
 
@@ -117,9 +117,9 @@ class RelativeEntropy(Ball):
             """Return the bound less min x, rounded down."""
             u = d / s
             log = _log_total(p, u, (p * np.exp(-u)).sum(axis=1))
-            found = -s[:, 0] * (log + beta)
+            bound_of = -s[:, 0] * (log + beta)
             doubt = float(gamma(2 * d.shape[1] + 16)) * s[:, 0] * (np.abs(log) + beta)
-            return np.asarray(found - doubt - 4 * UNIT * np.abs(found))
+            return np.asarray(bound_of - doubt - 4 * UNIT * np.abs(bound_of))
 
         p, beta = block.probability, self.radii(block)
         return _least(p, payoff, beta, divergence, law, bound)
@@ -189,10 +189,10 @@ def _least(
 
     t = _scale(at, edge)
     s = scale * np.exp(t)[:, None]
-    found = law(p_, d_, s)
-    found /= found.sum(axis=1, keepdims=True)
-    q[rows] = found
-    attained = (found * d_).sum(axis=1)
+    at_beta = law(p_, d_, s)
+    at_beta /= at_beta.sum(axis=1, keepdims=True)
+    q[rows] = at_beta
+    attained = (at_beta * d_).sum(axis=1)
     low = np.maximum(bound(p_, d_, s, beta[rows]), 0.0)
     short[rows] = np.maximum(attained - low, 0.0)
     return q, short
@@ -210,12 +210,12 @@ def _scale(at: Divergence, edge: Floats) -> Floats:
     open_rows = np.arange(len(edge))
     for _ in range(STEPS):
         k = open_rows
-        found, slope = at(t[k], k)
-        above = found > edge[k]
+        value, slope = at(t[k], k)
+        above = value > edge[k]
         low[k], high[k] = np.where(above, t[k], low[k]), np.where(above, high[k], t[k])
         with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.log(found) - target[k]
-            step = t[k] - off * found / slope
+            off = np.log(value) - target[k]
+            step = t[k] - off * value / slope
         going = (np.abs(off) >= NEAR) & (high[k] - low[k] >= NEAR)
         safe = (step > low[k]) & (step < high[k])
         t[k] = np.where(~going, t[k], np.where(safe, step, (low[k] + high[k]) / 2))
@@ -224,8 +224,8 @@ def _scale(at: Divergence, edge: Floats) -> Floats:
             break
     open_rows, reach = np.arange(len(edge)), NEAR
     for _ in range(60):  # outward until inside the set
-        found, _slope = at(t[open_rows], open_rows)
-        open_rows = open_rows[found > edge[open_rows]]
+        value, _slope = at(t[open_rows], open_rows)
+        open_rows = open_rows[value > edge[open_rows]]
         if not len(open_rows):
             return t
         t[open_rows] = np.minimum(t[open_rows] + reach, FARTHEST)

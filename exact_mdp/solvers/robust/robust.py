@@ -117,10 +117,10 @@ class RobustSolution(Valued, Result):
 
         mdp, policy = self.mdp, self.policy
         states = mdp.space.labels(range(mdp.n_states))
-        found = {"state": states, "value": self.value, "error": self.state_error}
+        columns = {"state": states, "value": self.value, "error": self.state_error}
         if policy is not None:
-            found["action"] = [mdp.actions[action] for action in policy.tolist()]
-        return pandas.DataFrame(found)
+            columns["action"] = [mdp.actions[action] for action in policy.tolist()]
+        return pandas.DataFrame(columns)
 
     def __repr__(self) -> str:
         return (
@@ -398,11 +398,11 @@ def _iterate(
         stalled = best <= half <= 4 * noise
         best = min(best, half)
         if stalled or half <= limit:
-            found = value + middle * weight
-            error, answer = robust_error(game, found, margin)
+            moved = value + middle * weight
+            error, answer = robust_error(game, moved, margin)
             if stalled or error * most <= limit:
                 status = Status.CONVERGED if error * most <= limit else Status.PRECISION
-                return status, found, np.asarray(error * weight * SLACK), answer, iteration
+                return status, moved, np.asarray(error * weight * SLACK), answer, iteration
         step = value.copy()
         step[live] = better
         chain, earned = game.chain(asked.laws, game.choice(asked.value))

@@ -294,7 +294,7 @@ def side_by_side(
 
     Outcomes are next states, probabilities, which need not sum to 1, and rewards.
     """
-    (start, length), (following, probability, gain), found = rows, outcomes, []
+    (start, length), (following, probability, gain), blocks = rows, outcomes, []
     width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
     for n in np.unique(width).tolist():
         alike = np.flatnonzero(width == n)
@@ -304,7 +304,7 @@ def side_by_side(
             filled = column >= length[place][:, None]
             outcome = start[place][:, None] + np.where(filled, 0, column)
             p = np.where(filled, 0.0, probability[outcome])
-            found.append(
+            blocks.append(
                 Block(
                     place=place,
                     pair=np.asarray(pairs[place]),
@@ -316,7 +316,7 @@ def side_by_side(
                     largest=np.abs(gain[outcome]).max(axis=1),
                 )
             )
-    return found
+    return blocks
 
 
 def inner(
@@ -345,14 +345,14 @@ def inner(
             size += block.largest
         q, short = ambiguity.least(block, payoff if against else -payoff)
         base = payoff[:, :1]
-        worth = base[:, 0] + np.einsum("kn,kn->k", q, payoff - base)
+        worst = base[:, 0] + np.einsum("kn,kn->k", q, payoff - base)
         n = payoff.shape[1]
         # A payoff is rounded four times; the mass of a law misses the set by (2 n + 6) units, over
         # payoffs that are up to twice `size` apart; the sum is rounded n times.
         error = (float(gamma(8 * n + 32)) * size + TINY * n * (size > 0)) * SLACK
-        low[block.place] = worth - error - (short if against else 0.0)
-        high[block.place] = worth + error + (0.0 if against else short)
-        middle[block.place] = worth
+        low[block.place] = worst - error - (short if against else 0.0)
+        high[block.place] = worst + error + (0.0 if against else short)
+        middle[block.place] = worst
         laws.append(q)
     return Inner(low=low, high=high, value=middle, laws=laws)
 
@@ -368,11 +368,11 @@ def entries(
     nothing: Integers = np.zeros(0, dtype=np.int64)
     place, following, weight = [nothing], [nothing], [np.zeros(0)]
     for block, q in zip(blocks, laws, strict=True):
-        kept = slice(None) if chosen is None else chosen[block.place]
-        used, law = block.place[kept], q[kept]
-        earned[used] = np.einsum("kn,kn->k", law, block.gain[kept])
+        chosen_rows = slice(None) if chosen is None else chosen[block.place]
+        used, law = block.place[chosen_rows], q[chosen_rows]
+        earned[used] = np.einsum("kn,kn->k", law, block.gain[chosen_rows])
         positive = law > 0
         place.append(np.repeat(used, positive.sum(axis=1)))
-        following.append(block.next[kept][positive])
+        following.append(block.next[chosen_rows][positive])
         weight.append(law[positive])
     return np.concatenate(place), np.concatenate(following), np.concatenate(weight), earned

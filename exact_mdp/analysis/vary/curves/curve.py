@@ -106,14 +106,14 @@ class ValueFunction(Pictured):
     def around(self, value: object) -> list[CurvePiece]:
         """Return the piece that a value of the parameter is in, or both that it is between."""
         at = exact(value)
-        found = [piece for piece in self.pieces if piece.low[0] <= at <= piece.high[1]]
-        if not found:
+        pieces = [piece for piece in self.pieces if piece.low[0] <= at <= piece.high[1]]
+        if not pieces:
             raise ModelError(
                 f"{self.parameter.name} is {shown(at)}, outside the range of the curve",
                 where=f"parameter {self.parameter.name}",
                 fix=f"choose a value from {self.range.low} to {self.range.high}",
             )
-        return found
+        return pieces
 
     def at(self, value: object) -> Fraction:
         """Return the optimal value at the start at a value of the parameter.
@@ -191,8 +191,8 @@ class ValueFunction(Pictured):
         for piece in self.pieces:
             before, sides = sides, self._margins(piece, most, share)
             places.append((piece.low, _root_on([*before, *sides], piece, piece.low), True))
-            for inside, kept in _cells(piece, sides):
-                keeps.append(kept)
+            for inside, allowed in _cells(piece, sides):
+                keeps.append(allowed)
                 places += [] if inside is None else [(inside, True, False)]
         last = self.pieces[-1]
         places.append((last.high, _root_on(sides, last, last.high), True))
@@ -306,18 +306,18 @@ def _root_on(sides: Sequence[fmpq_poly], piece: CurvePiece, bracket: Bracket) ->
 
 
 def _cells(piece: CurvePiece, sides: Sequence[fmpq_poly]) -> Iterator[tuple[Bracket | None, bool]]:
-    """Yield whether a limit is kept up to each root inside, its bracket, and beyond the last."""
+    """Yield whether a limit is met up to each root inside, its bracket, and beyond the last."""
     origin = piece.section.origin
     here, high = piece.low[1] - origin, piece.high[0] - origin
 
-    def kept(end: Fraction) -> bool:
+    def allowed(end: Fraction) -> bool:
         return any(sign(side, (here + end) / 2) >= 0 for side in sides)
 
     for root in roots(_product(sides), here, high):
         near = root.apart(here, WIDTH)
-        yield (near.low + origin, near.high + origin), kept(near.low)
+        yield (near.low + origin, near.high + origin), allowed(near.low)
         here = near.high
-    yield None, kept(high)
+    yield None, allowed(high)
 
 
 def _between(low: Bracket, high: Bracket) -> dict[str, Any]:

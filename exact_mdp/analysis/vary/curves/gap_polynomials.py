@@ -173,11 +173,11 @@ class Gaps:
         powers = [flint.fmpq(k**power) for k in range(1, size + 1) for power in range(size)]
         fitted = flint.fmpq_mat(size, size, powers).solve(flint.fmpq_mat(size, count + 1, samples))
         number = flint.fmpq_poly([rational(-low / step), rational(1 / step)])  # of a point
-        found = [
+        polynomials = [
             flint.fmpq_poly([fitted[power, column] for power in range(size)])(number)
             for column in range(count + 1)
         ]
-        return found[:-1], found[-1]
+        return polynomials[:-1], polynomials[-1]
 
     def _powers(self, mix: Mix) -> tuple[list[fmpq_poly], fmpq_poly]:
         """Return N, of live states, and D from powers of the matrix."""

@@ -480,11 +480,11 @@ class _BoundedPass:
             tied = sign * gain.value >= -2 * (solution.error_bound + gain.noise)
             _refuse_ties(mdp, tied)
             policy = solution
-        found = evaluate(mdp, policy)
-        self.start, chain = found.numbers["mean"], found.chain
-        live = ~np.isnan(found.value)
-        self.value = np.where(live, found.value, 0.0)
-        self.value_error = np.where(live, found.error, 0.0)
+        evaluation = evaluate(mdp, policy)
+        self.start, chain = evaluation.numbers["mean"], evaluation.chain
+        live = ~np.isnan(evaluation.value)
+        self.value = np.where(live, evaluation.value, 0.0)
+        self.value_error = np.where(live, evaluation.error, 0.0)
         seen = chain.discounted.visits
         stay = 0.0 if mdp.discount_exact == 1 else 1 / (1 - mdp.discount)
         factor = np.where(mdp.terminal, stay, 1.0)[mdp.pair_state] * chain.weights

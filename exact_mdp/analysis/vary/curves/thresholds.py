@@ -189,7 +189,7 @@ class Thresholds(Pictured):
         return min(sides, default=max(today - low, high - today))
 
 
-def report_of(found: Mapping[str, Thresholds]) -> Report:
+def report_of(every: Mapping[str, Thresholds]) -> Report:
     """Return what was found of several parameters."""
     switches = [
         {
@@ -204,7 +204,7 @@ def report_of(found: Mapping[str, Thresholds]) -> Report:
             "reached": switch.reached,
             "touch": each.touch,
         }
-        for name, all_ in found.items()
+        for name, all_ in every.items()
         for each in all_.found
         for switch in each.switches
     ]
@@ -219,12 +219,12 @@ def report_of(found: Mapping[str, Thresholds]) -> Report:
             "radius": float(each.radius),
             "searched": [float(each.range.low), float(each.range.high)],
         }
-        for name, each in found.items()
+        for name, each in every.items()
     }
     rows = [
-        {**stable[name], "name": name, "found": len(each.found)} for name, each in found.items()
+        {**stable[name], "name": name, "found": len(each.found)} for name, each in every.items()
     ]
-    claims = [each.claim for each in found.values()]
+    claims = [each.claim for each in every.values()]
     return Report(
         title="thresholds",
         facts={
@@ -244,7 +244,7 @@ def report_of(found: Mapping[str, Thresholds]) -> Report:
                     "searched": "searched",
                     "thresholds": "found",
                 },
-                first=len(found),
+                first=len(every),
             ),
             "switches": Table(
                 title="optimal actions that change",
@@ -302,13 +302,13 @@ def thresholds(
     [0.90909090909...]
     """
     family = parametric(model)
-    found = curve(family, name, range_of(family, name, ranges, relative))
+    whole = curve(family, name, range_of(family, name, ranges, relative))
     return Thresholds(
-        model=found.mdp.name,
-        parameter=found.parameter,
-        range=found.range,
-        found=tuple(sorted(_found(found), key=lambda threshold: threshold.low)),
-        checked=found.checked,
+        model=whole.mdp.name,
+        parameter=whole.parameter,
+        range=whole.range,
+        found=tuple(sorted(_found(whole), key=lambda threshold: threshold.low)),
+        checked=whole.checked,
     )
 
 

@@ -257,16 +257,16 @@ def pieces_of(
     def at(value: Fraction) -> MDP:
         return family.at({name: value})
 
-    found, sweeps, policy = list[CurvePiece](), list[Sweep](), None
+    pieces, sweeps, policy = list[CurvePiece](), list[Sweep](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
         base, change = _middle(family, at, name, low, high)
         if _endless(at, base, change):
             raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
         sweep = Sweep(base, change, sign, mix)
-        found += sweep.pieces(optimum(base)[0] if policy is None else policy)
+        pieces += sweep.pieces(optimum(base)[0] if policy is None else policy)
         policy = sweep.policy
         sweeps.append(sweep)
-    return found, sweeps
+    return pieces, sweeps
 
 
 def below_one(family: Parametric, name: str, span: Range) -> Range:
