@@ -192,6 +192,29 @@ def _carried(
     work, roundings, last = 0, 0, int(flow.block[-1])
     entering = np.maximum.reduceat(flow.entering, flow.first[:-1])
 
+    def in_products(moving: Mass, outcomes: Integers) -> Mass | None:
+        """Return the same in products of matrices, where few numbers of an array are 0."""
+        state, multiple, mass = moving
+        if multiple.dtype != np.int64 or mass.dtype != np.float64 or not len(outcomes):
+            return None
+        gains, kind = np.unique(gain[outcomes], return_inverse=True)
+        to, row = np.unique(target[outcomes], return_inverse=True)
+        low, least = int(multiple.min()), int(state.min())
+        rows, width = int(state.max()) - least + 1, int(multiple.max()) - low + 1
+        spread = int(gains[-1] - gains[0])
+        if max(rows, len(to)) * (width + spread) > DENSE * len(mass):
+            return None
+        own, there = np.zeros((rows, width)), np.zeros((len(to), width + spread))
+        own[state - least, multiple - low] = mass
+        for number, first in enumerate((gains - gains[0]).tolist()):
+            some = outcomes[kind == number]
+            begins = np.searchsorted(source[some], np.arange(least, least + rows + 1))
+            inside = slice(begins[0], begins[-1])
+            parts = share[some][inside], row[kind == number][inside], begins - begins[0]
+            there[:, first : first + width] += sp.csc_array(parts, (len(to), rows)) @ own
+        place, further = np.nonzero(there)
+        return to[place], low + int(gains[0]) + further, there[place, further]
+
     def handed_on(moving: Mass, outcomes: Integers) -> Mass:
         """Return what becomes of a mass by some outcomes, in the order of their sources."""
         nonlocal work, lost
@@ -208,6 +231,9 @@ def _carried(
                 fix="round the rewards to a coarser grid; evaluate() gives mean and sd, "
                 "simulate() samples",
             )
+        if (products := in_products(moving, outcomes)) is not None:
+            lost += TINY * count
+            return products
         by, each = outcomes[spans(first, after)], np.repeat(np.arange(len(state)), after - first)
         onward = mass[each] * share[by]
         lost += TINY * (len(onward) - np.count_nonzero(onward))  # underflow takes some away
