@@ -282,8 +282,8 @@ def _of_arrays(
         plain = not isinstance(values, Mapping) and not _is_sparse_list(values)
         if kept is not None and plain and array_of(values, where).shape == kept.shape:
             return array_of(values, where)  # of the pairs that are offered
-        found = of_pairs(values, where)
-        return found if kept is None else found[kept]
+        amounts_of = of_pairs(values, where)
+        return amounts_of if kept is None else amounts_of[kept]
 
     reward = of_pairs(R, "R")
     names.setdefault("actions", [str(number) for number in range(actions)])

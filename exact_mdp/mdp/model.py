@@ -306,9 +306,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     def components(self) -> Floats:
         """(L, C) the expected reward of each pair by component."""
         table = self.component_table
-        found = self.reward[:, None] if table is None else table.floats()
-        found.setflags(write=False)
-        return found
+        amounts = self.reward[:, None] if table is None else table.floats()
+        amounts.setflags(write=False)
+        return amounts
 
     def component(self, name: str) -> tuple[Numbers, Numbers]:
         """Return integers (L,), (L,) whose ratio is the expected amount of a component, exactly.
@@ -720,9 +720,9 @@ def once(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
 
     @wraps(find)
     def known(mdp: MDP) -> Found:
-        kept: dict[str, Found] = vars(of_type(mdp, MDP, "model", "give an MDP"))
-        if key not in kept:
-            kept[key] = find(mdp)
-        return kept[key]
+        cache: dict[str, Found] = vars(of_type(mdp, MDP, "model", "give an MDP"))
+        if key not in cache:
+            cache[key] = find(mdp)
+        return cache[key]
 
     return known

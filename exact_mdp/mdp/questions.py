@@ -354,10 +354,10 @@ def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
         offsets=np.append(table.offsets, table.offsets[-1] + 1),
         next=np.append(table.next, table.next.dtype.type(0)),
     )
-    found = ending.of_pairs(np.where(ends, table.pairs, np.arange(len(ends))))
-    lengths = np.diff(found.offsets)
-    moved = np.repeat(np.asarray(follows), lengths).astype(found.next.dtype)
-    return replace(found, next=np.where(np.repeat(ends, lengths), moved, found.next))
+    ended = ending.of_pairs(np.where(ends, table.pairs, np.arange(len(ends))))
+    lengths = np.diff(ended.offsets)
+    moved = np.repeat(np.asarray(follows), lengths).astype(ended.next.dtype)
+    return replace(ended, next=np.where(np.repeat(ends, lengths), moved, ended.next))
 
 
 def _certain(name: str, values: Numbers, count: int) -> Numbers:
@@ -375,10 +375,10 @@ def by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
     A state in which all is over keeps its first pair, with the number 1.
     """
     rows = _kept(model, model.pair_offsets, model.over)
-    found = np.zeros((steps, model.n_pairs))
-    found[:, model.pair_offsets[:-1][model.over]] = 1.0
-    found[:, rows] = weights[: steps * len(rows)].reshape(steps, len(rows))
-    return found
+    by_step = np.zeros((steps, model.n_pairs))
+    by_step[:, model.pair_offsets[:-1][model.over]] = 1.0
+    by_step[:, rows] = weights[: steps * len(rows)].reshape(steps, len(rows))
+    return by_step
 
 
 def _kept(model: Parts, offsets: Integers, over: Flags) -> Integers:
@@ -386,21 +386,21 @@ def _kept(model: Parts, offsets: Integers, over: Flags) -> Integers:
 
     Where all is over it stays so, whatever the time, and one action is enough.
     """
-    kept = ~over[model.pair_state]
-    kept[offsets[:-1][over]] = True
-    return np.flatnonzero(kept[: offsets[_in_columns(model, over).regular]])
+    inside = ~over[model.pair_state]
+    inside[offsets[:-1][over]] = True
+    return np.flatnonzero(inside[: offsets[_in_columns(model, over).regular]])
 
 
 def _values(numbers: object, space: StateSpace) -> list[Fraction]:
     """Return a number for each state: from a vector, or from {state: number}, 0 for the others."""
     with located("terminal_value"):
-        found = by_state(list(numbers) if isinstance(numbers, tuple) else numbers, space)
-        if found is None:
+        values = by_state(list(numbers) if isinstance(numbers, tuple) else numbers, space)
+        if values is None:
             raise ModelError(
                 f"a {type(numbers).__name__} does not say what each state is worth",
                 fix="give one number for each state, or {state: number}",
             )
-        return [exact(found.get(state, 0)) for state in range(space.size)]
+        return [exact(values.get(state, 0)) for state in range(space.size)]
 
 
 def _paid(table: OutcomeTable, first: int, more: Sequence[Fraction], by_pair: bool) -> OutcomeTable:
@@ -472,5 +472,5 @@ def _following(
     after, time = model.table.next[chosen].astype(np.int64), np.arange(count)
     later = np.repeat(~over[model.pair_state[rows]], lengths).astype(np.int64)
     shift = np.where(after < own, own * (time[:, None] + later), own * count)
-    found = np.concatenate([(after + shift).ravel(), np.arange(model.n_states) + own * count])
-    return found.astype(np.int32) if own * (count + 1) + model.n_states < 2**31 else found
+    following = np.concatenate([(after + shift).ravel(), np.arange(model.n_states) + own * count])
+    return following.astype(np.int32) if own * (count + 1) + model.n_states < 2**31 else following

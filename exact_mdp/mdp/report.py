@@ -125,8 +125,8 @@ class Report:
 
     def json(self, **more: Any) -> str:
         """Return strict JSON, which names its format first."""
-        found = {"format": FORMAT, **self.facts, **more}
-        return json.dumps(plain(found), indent=2, allow_nan=False)
+        content = {"format": FORMAT, **self.facts, **more}
+        return json.dumps(plain(content), indent=2, allow_nan=False)
 
     def lines(self) -> dict[str, str]:
         """Return the facts that are lines, for people."""
@@ -138,17 +138,17 @@ class Report:
 
     def shown_tables(self) -> list[Table]:
         """Return the tables that have rows."""
-        found = []
+        tables = []
         for key, value in self._seen():
             if key not in self.tables and _is_table(value):
-                found.append(_table(key.replace("_", " "), value))
+                tables.append(_table(key.replace("_", " "), value))
         for key, table in self.tables.items():
             rows = table.rows if len(table.rows) else self.facts.get(key, ())
             rows = rows.value if isinstance(rows, Shown) else rows
             if rows is not None and len(rows):
                 rows = _rows(rows) if isinstance(rows, Mapping) else rows
-                found.append(replace(table, rows=rows))
-        return found
+                tables.append(replace(table, rows=rows))
+        return tables
 
     def _seen(self) -> Iterator[tuple[str, Any]]:
         for key, value in self.facts.items():

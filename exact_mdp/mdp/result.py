@@ -39,8 +39,8 @@ class Brief:
 
     def __repr__(self) -> str:
         names = getattr(self, "__dataclass_fields__", {})
-        told = (f"{name}={_text(getattr(self, name))}" for name in names)
-        return f"{type(self).__name__}({', '.join(told)})"
+        parts = (f"{name}={_text(getattr(self, name))}" for name in names)
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 class ByFields:

@@ -104,9 +104,9 @@ class OutcomeTable:
             return self
         weight = self.weight.copy()
         settle_rows(weight, self.offsets)
-        found = self if np.array_equal(weight, self.weight) else replace(self, weight=weight)
-        vars(found)["is_settled"] = True
-        return found
+        table = self if np.array_equal(weight, self.weight) else replace(self, weight=weight)
+        vars(table)["is_settled"] = True
+        return table
 
     def of_pairs(self, pairs: Integers) -> OutcomeTable:
         """Return the table of some pairs (K,), in the order given."""
@@ -337,8 +337,8 @@ def common(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
 
 def over_groups(values: Sequence[Fraction], offsets: Integers) -> tuple[Numbers, Numbers]:
     """Return rationals (N,) as integers over one denominator for each group of them."""
-    found = [common(values[first:last]) for first, last in pairwise(offsets.tolist())]
-    return integers(top for tops, _ in found for top in tops), integers(b for _, b in found)
+    groups = [common(values[first:last]) for first, last in pairwise(offsets.tolist())]
+    return integers(top for tops, _ in groups for top in tops), integers(b for _, b in groups)
 
 
 def integers(values: Iterable[int]) -> Numbers:

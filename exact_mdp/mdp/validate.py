@@ -103,7 +103,7 @@ OPTIONS = ("discount", "start", "states", "actions", "components", "labels", "se
 KNOWN = {*OPTIONS, *(part.name for part in fields(Parts))}
 
 
-def check_options(names: Iterable[str], *, told: Iterable[str] = ()) -> None:
+def check_options(names: Iterable[str], *, known: Iterable[str] = ()) -> None:
     """Raise ModelError for a name that is none of a model's parts, or that records tell.
 
     Examples
@@ -115,7 +115,7 @@ def check_options(names: Iterable[str], *, told: Iterable[str] = ()) -> None:
       fix:   say discount=
     """
     for name in names:
-        if name in told:
+        if name in known:
             fix = "leave it out: the records say it"
             raise ModelError(f"there is no option {name}=", where="MDP", fix=fix)
         if name not in KNOWN:

@@ -144,20 +144,20 @@ class Batch:
         if (least > 0).all() and self.rate.max() < 1:
             return np.ones_like(self.start), least
         alive = self.live[:, self.state]
-        found = self.improved(alive.astype(float))
-        if found is None or not (found[0] >= 0).all():
+        most = self.improved(alive.astype(float))
+        if most is None or not (most[0] >= 0).all():
             return None
-        falls, noise = self.gains(found[0], np.zeros_like(self.reward))
+        falls, noise = self.gains(most[0], np.zeros_like(self.reward))
         least = np.where(alive, -falls - noise, 1.0).min(axis=1) / SLACK
-        return (found[0], least) if (least > 0).all() else None
+        return (most[0], least) if (least > 0).all() else None
 
     def optimum(self) -> tuple[Floats, Floats, Floats, Floats] | None:
         """Return values and their errors (D, S), what each pair loses and its error (D, L)."""
-        found = self.improved(self.reward)
-        if found is None or self.weights is None:
+        best = self.improved(self.reward)
+        if best is None or self.weights is None:
             return None
         weight, least = self.weights
-        value, pairs = found
+        value, pairs = best
         gain, noise = self.gains(value)
         draw = np.arange(len(value))[:, None]
         above = (gain + noise).max(axis=1)

@@ -305,14 +305,14 @@ class Valued:
     @property
     def error_bound(self) -> float:
         """The greatest error of a state whose value is known."""
-        found: Any = self
-        return float(found.error.max(where=~np.isnan(found.value), initial=0.0))
+        own: Any = self
+        return float(own.error.max(where=~np.isnan(own.value), initial=0.0))
 
     @cached_property
     def start(self) -> Bounded:
         """The value of the start distribution with its error bound."""
-        found: Any = self
-        return at_start(found.mdp, found)
+        own: Any = self
+        return at_start(own.mdp, own)
 
     @property
     def start_value(self) -> float:
@@ -320,11 +320,11 @@ class Valued:
         return self.start.value
 
 
-def at_start(mdp: MDP, found: Any) -> Bounded:
+def at_start(mdp: MDP, valued: Any) -> Bounded:
     """Return the expectation of numbers `found.value` (S,) over the start, with its error."""
     states = np.flatnonzero(mdp.start_distribution)
     weights = mdp.start_distribution[states]
-    value, error = found.value[states], found.error[states]
+    value, error = valued.value[states], valued.error[states]
     if not np.isfinite(value).all():  # a total reward that is infinite is so exactly
         return Bounded(value=float(weights @ value), error=0.0)
     units = (len(states) + 3) * 2.0**-52

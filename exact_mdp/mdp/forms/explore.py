@@ -144,7 +144,7 @@ def explored(
                     fix="raise max_states, or describe states by less",
                 )
     going = {state for state, _, _ in rows}
-    found, names = numbered(rows, states, [each for each in states.number if each not in going])
+    listed, names = numbered(rows, states, [each for each in states.number if each not in going])
     by_number = sorted(states.number, key=states.number.__getitem__)
     flags = {
         name: np.array([_holds(name, holds, state) for state in by_number])
@@ -155,13 +155,13 @@ def explored(
     outcomes_of = [list(each) for _, _, each in rows]
     named = _components(outcomes_of)
     if named:  # nothing is earned in an end
-        ends = [0] * (len(found) - len(rows))
+        ends = [0] * (len(listed) - len(rows))
         names["components"] = {name: amounts + ends for name, amounts in named.items()}
         every = (amount for amounts in _amounts(outcomes_of) for amount in amounts.values())
         names["float_rewards"] = any(isinstance(as_given(amount), float) for amount in every)
-        found = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in found]
+        listed = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in listed]
     places = ByNumber((states.number[state], chance) for state, chance in begins.items())
-    return found, names | {"start": places, "labels": flags}
+    return listed, names | {"start": places, "labels": flags}
 
 
 def _alone(start: Any) -> dict[Any, int]:

@@ -71,11 +71,11 @@ def numbered(
             states.add(following, "a next state", f"state {state}, action {action}")
     things, doing = states.ordered(), actions.ordered() or ["stay"]
     number, act = states.number, actions.number
-    found: list[Any] = [
+    chosen: list[Any] = [
         (number[state], act[action], [(p, number[then], r) for p, then, r in outcomes])
         for state, action, outcomes in listed
     ]
-    found += [(number[end], 0, [(1, number[end], 0)]) for end in ends]
+    chosen += [(number[end], 0, [(1, number[end], 0)]) for end in ends]
     plain = _counted(things)
     column = Column(
         name="state",
@@ -83,7 +83,7 @@ def numbered(
         words=() if plain else names_of(things, "state"),
         objects=() if plain else tuple(things),
     )
-    return found, {"space": StateSpace(columns=(column,)), **action_names(doing)}
+    return chosen, {"space": StateSpace(columns=(column,)), **action_names(doing)}
 
 
 def action_names(things: Sequence[Any]) -> dict[str, Any]:

@@ -113,19 +113,19 @@ def _sparse(values: Any, *, columns: bool) -> sp.csr_array:
         )
     if values.format in ("csr", "csc", "coo"):
         _check_places(values, columns=columns or values.format != "csr")
-    found = values if type(values) is sp.csr_array else sp.csr_array(values)
-    if len(found.indices) > (count := int(found.indptr[-1])):  # room that SciPy leaves, too
-        parts = (found.data[:count], found.indices[:count], found.indptr)
-        found = sp.csr_array(parts, shape=found.shape)
-    if values.format == "coo" and found.nnz != values.nnz:
+    matrix = values if type(values) is sp.csr_array else sp.csr_array(values)
+    if len(matrix.indices) > (count := int(matrix.indptr[-1])):  # room that SciPy leaves, too
+        parts = (matrix.data[:count], matrix.indices[:count], matrix.indptr)
+        matrix = sp.csr_array(parts, shape=matrix.shape)
+    if values.format == "coo" and matrix.nnz != values.nnz:
         # SciPy added up what comes twice, in floats: here it stays.
         order = np.lexsort((values.col, values.row))
         counts = np.bincount(values.row, minlength=values.shape[0])
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(values.col.dtype)
         parts = (values.data[order], values.col[order], indptr)
-        found = sp.csr_array(parts, shape=values.shape)
-    whole = found.dtype.kind in "iub" and found.dtype != np.uint64
-    return found.astype(np.int64) if whole else found
+        matrix = sp.csr_array(parts, shape=values.shape)
+    whole = matrix.dtype.kind in "iub" and matrix.dtype != np.uint64
+    return matrix.astype(np.int64) if whole else matrix
 
 
 def _check_places(matrix: Any, *, columns: bool) -> None:

@@ -395,6 +395,6 @@ def by_time(model: MDP, table: Numbers, rest: float, *, of_actions: bool = False
     if table.shape[0] not in (steps, times) or table.shape[1] not in (own, untimed.size):
         return table
     kind = table.dtype if float(rest).is_integer() else np.result_type(table.dtype, np.float64)
-    found = np.full((model.n_states, *table.shape[2:]), rest, dtype=kind)
-    found[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
-    return found
+    spread = np.full((model.n_states, *table.shape[2:]), rest, dtype=kind)
+    spread[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
+    return spread

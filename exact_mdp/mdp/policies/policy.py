@@ -327,11 +327,11 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         if self.shares is None:
             return None
         taken = self.weights(model) > 0
-        found, _ = self._by_pair(model, self.shares)
+        weights, _ = self._by_pair(model, self.shares)
         # Where there is no choice, or all has ended, the policy is not asked.
-        other = np.logical_or.reduceat((found > 0) != taken, model.pair_offsets[:-1])
-        alone = taken.astype(np.int64).astype(found.dtype)  # whole numbers, among objects as well
-        return np.where(other[model.pair_state], alone, found)
+        other = np.logical_or.reduceat((weights > 0) != taken, model.pair_offsets[:-1])
+        alone = taken.astype(np.int64).astype(weights.dtype)  # whole numbers, among objects as well
+        return np.where(other[model.pair_state], alone, weights)
 
     def _by_pair(self, model: MDP, rule: Numbers) -> tuple[Numbers, Integers]:
         """Return (L,) what a rule gives each pair, and (S,) how many actions each state takes."""
@@ -660,8 +660,8 @@ def _shares(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
 
     They do not where the rows of floats are about to be divided by their sums, `exactly`.
     """
-    held = given.dtype.kind in "biu" or (given.dtype.kind == "f" and given.dtype.itemsize <= 8)
-    if held and not exactly:
+    plain = given.dtype.kind in "biu" or (given.dtype.kind == "f" and given.dtype.itemsize <= 8)
+    if plain and not exactly:
         return None
     said = np.flatnonzero(~np.isnan(table).all(axis=1)).tolist()
     chances = {row: [exact(number) for number in given[row]] for row in said}

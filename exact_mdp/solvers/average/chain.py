@@ -77,9 +77,9 @@ class Classes:
     @cached_property
     def at_base(self) -> Mask:
         """(S,) True at the base of each class."""
-        found = np.zeros(len(self.label), dtype=bool)
-        found[self.base] = True
-        return found
+        marked = np.zeros(len(self.label), dtype=bool)
+        marked[self.base] = True
+        return marked
 
 
 def graph_of(mdp: MDP, pairs: Integers) -> sp.csr_array:
@@ -117,8 +117,8 @@ class Averages(ABC):
 
     def bias(self, earned: Numbers) -> Numbers:
         """Return (S,) the bias of rewards whose mean is 0 in each class."""
-        found = self.until_base(earned)
-        return np.asarray(found - self.spread(self.mean(found)))
+        bias = self.until_base(earned)
+        return np.asarray(bias - self.spread(self.mean(bias)))
 
     def mean(self, earned: Numbers) -> Numbers:
         """Return (C,) the long-run average of rewards (S,) in each class."""
@@ -169,10 +169,10 @@ class FloatAverages(Averages):
 
     def total(self, constant: Floats, stop: Mask) -> Floats:
         """Return y (S,), refined."""
-        found = self.system(stop).approximate(constant)
-        if not np.all(np.isfinite(found)):
+        total = self.system(stop).approximate(constant)
+        if not np.all(np.isfinite(total)):
             raise SolverError(Status.NO_BOUND, "the chain leaves some states too rarely")
-        return found
+        return total
 
     def onward(self, value: Floats) -> Floats:
         """Return (C,) floats."""
@@ -212,12 +212,12 @@ class ExactAverages(Averages):
         """Return the equations y = c + P y, with y = c where `stop`."""
         key, rows = stop.tobytes(), self._rows
         if key not in self._systems:
-            states, kept = np.arange(len(stop)), ~stop[rows.pair]
+            states, inside = np.arange(len(stop)), ~stop[rows.pair]
             self._systems[key] = Matrix.of(
                 len(stop),
-                np.concatenate([states, rows.pair[kept]]),
-                np.concatenate([states, rows.next[kept]]),
-                integers([*rows.scale.tolist(), *(-rows.weight[kept]).tolist()]),
+                np.concatenate([states, rows.pair[inside]]),
+                np.concatenate([states, rows.next[inside]]),
+                integers([*rows.scale.tolist(), *(-rows.weight[inside]).tolist()]),
             )
         return self._systems[key]
 

@@ -114,9 +114,9 @@ class AverageEvaluation(Valued, Result):
         mass, loose = np.maximum(arrivals.value, 0.0), arrivals.error
         own = self.classes.base[np.maximum(label, 0)]
         least = (period - off)[label]
-        found = mass[own] * times / period[label] * inside
-        error = (loose[own] * (times + doubt) + mass[own] * doubt + found * off[label]) / least
-        return FixedPoint(value=found, error=(error + 8 * UNIT * found) * SLACK * inside)
+        share = mass[own] * times / period[label] * inside
+        error = (loose[own] * (times + doubt) + mass[own] * doubt + share * off[label]) / least
+        return FixedPoint(value=share, error=(error + 8 * UNIT * share) * SLACK * inside)
 
     @cached_property
     def arrivals(self) -> FixedPoint:
@@ -144,8 +144,8 @@ class AverageEvaluation(Valued, Result):
         rounding = float(gamma(mdp.n_pairs + self.roundings + 6))
         size = np.abs(mdp.components)
         error = (doubt @ size + rounding * (used @ size)) * SLACK
-        found = zip(mdp.component_names, used @ mdp.components, error, strict=True)
-        return {name: Bounded(value=float(x), error=float(off)) for name, x, off in found}
+        each = zip(mdp.component_names, used @ mdp.components, error, strict=True)
+        return {name: Bounded(value=float(x), error=float(off)) for name, x, off in each}
 
     def report(self) -> Report:
         """Return gain and components, and gain, bias and share of time of each state."""
@@ -256,10 +256,10 @@ def _sizes(classes: Classes) -> tuple[Integers, Mask, int]:
     return classes.label, classes.recurrent, len(classes.base)
 
 
-def _between(found: FixedPoint, label: Integers, size: int) -> tuple[Floats, Floats]:
+def _between(point: FixedPoint, label: Integers, size: int) -> tuple[Floats, Floats]:
     """Return (C,) the least and the greatest of numbers (S,) in each class, errors included."""
     low, high, inside = np.full(size, np.inf), np.full(size, -np.inf), label >= 0
-    wide = found.error * SLACK + UNIT * np.abs(found.value)
-    np.minimum.at(low, label[inside], (found.value - wide)[inside])
-    np.maximum.at(high, label[inside], (found.value + wide)[inside])
+    wide = point.error * SLACK + UNIT * np.abs(point.value)
+    np.minimum.at(low, label[inside], (point.value - wide)[inside])
+    np.maximum.at(high, label[inside], (point.value + wide)[inside])
     return low, high

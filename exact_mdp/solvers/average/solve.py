@@ -72,10 +72,10 @@ class AverageSolution(Solution):
 
     def frame(self) -> Any:
         """Return gain, bias, their error bounds, and the action of each state."""
-        found = super().frame().rename(columns={"value": "gain"})
-        found.insert(3, "bias", self.bias)
-        found.insert(4, "bias error", self.bias_error)
-        return found
+        frame = super().frame().rename(columns={"value": "gain"})
+        frame.insert(3, "bias", self.bias)
+        frame.insert(4, "bias error", self.bias_error)
+        return frame
 
 
 def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> AverageSolution:
@@ -134,10 +134,10 @@ def _upper(step: MDP, bias: Floats) -> Floats:
     passed = label < 0
     label[passed] = count + np.arange(int(passed.sum()))
     pairs = np.flatnonzero(~inside)
-    rests = [(number, Fraction(worth)) for number, worth in enumerate(top.tolist())]
+    rests = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
     model = derived(step, pairs, label, earned=[Fraction(0)] * len(pairs), rests=rests)
-    found = PolicyIteration().solve(model.mdp)
-    most = np.nextafter(found.value + found.state_error * SLACK, np.inf)
+    solution = PolicyIteration().solve(model.mdp)
+    most = np.nextafter(solution.value + solution.state_error * SLACK, np.inf)
     return np.asarray(most[model.label])
 
 
@@ -195,8 +195,8 @@ def _by_program(step: MDP, solver: Any) -> Improved:
     weight = np.where(recurrent[state], used, passed)
     best = weight == np.maximum.reduceat(weight, first)[state]
     numbers = np.where(best, np.arange(step.n_pairs), step.n_pairs)
-    found = improved(step, np.minimum.reduceat(numbers, first))
-    return found._replace(iterations=steps + found.iterations)
+    solution = improved(step, np.minimum.reduceat(numbers, first))
+    return solution._replace(iterations=steps + solution.iterations)
 
 
 METHODS: dict[str, Callable[[MDP, Any], Improved]] = {

@@ -248,11 +248,11 @@ def _closed(mdp: MDP, weight: Floats) -> bool:
 
 def _verified(mdp: MDP, weight: Floats) -> Weights:
     margin, error = _margins(mdp, weight)
-    found = Weights(value=weight, margin=margin, error=error)
+    weights = Weights(value=weight, margin=margin, error=error)
     sound = np.isfinite(weight).all() and (weight[~mdp.terminal] > 0).all()
-    if not (sound and found.smallest > 0):
+    if not (sound and weights.smallest > 0):
         raise SolverError(Status.NO_BOUND, _why_not(mdp, weight))
-    return found
+    return weights
 
 
 def _why_not(mdp: MDP, weight: Floats) -> str:

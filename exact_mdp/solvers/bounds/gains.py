@@ -88,14 +88,14 @@ class Weights:
 @np.errstate(over="ignore", invalid="ignore")
 def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
     """Return what each pair adds to `value` (S,), with the rounding errors bounded."""
-    facts, found = rounding_facts(mdp), np.empty((3, mdp.n_pairs))
+    facts, columns = rounding_facts(mdp), np.empty((3, mdp.n_pairs))
     still = bool(value.min() == value.max() and np.isfinite(value[0]))
     tiny = TINY * (1 + float(np.abs(value).max())) * bool(value.any())
 
     def work(number: int, first: int, last: int) -> None:
         here = slice(first, last)
-        _differences(mdp, value, first, last, found, still=still)
-        steps, flow = mdp.discount * found[0, here], mdp.discount * found[1, here]
+        _differences(mdp, value, first, last, columns, still=still)
+        steps, flow = mdp.discount * columns[0, here], mdp.discount * columns[1, here]
         own = value[mdp.pair_state[here]]
         earned = (mdp.reward if reward is None else reward)[here]
         earned_error = facts.reward_errors(mdp, first, last) if reward is None else 0.0
@@ -104,17 +104,17 @@ def gains(mdp: MDP, value: Floats, *, reward: Floats | None = None) -> Gain:
         error = gamma(terms + 8) * flow + FEW * size
         error += facts.leak_error * np.abs(own) + tiny * (terms + 1)
         error = (error + earned_error) * SLACK
-        found[0, here] = earned + (steps - leak)
-        found[1, here] = error
-        found[2, here] = gamma(terms + 8) * (flow + np.abs(own) + np.abs(earned)) + error
+        columns[0, here] = earned + (steps - leak)
+        columns[1, here] = error
+        columns[2, here] = gamma(terms + 8) * (flow + np.abs(own) + np.abs(earned)) + error
 
     # In parts that stay in the cache: what is worked with on the way takes no memory to speak of.
     with np.errstate(over="ignore", invalid="ignore"):
         ends = threads.block_ends(mdp.transition.indptr, most=threads.IN_CACHE)
         threads.run_blocks(ends, work, mdp.n_transitions)
-    if not (np.all(np.isfinite(value)) and np.isfinite(found[2].max())):
+    if not (np.all(np.isfinite(value)) and np.isfinite(columns[2].max())):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-    return Gain(value=found[0], error=found[1], noise=found[2])
+    return Gain(value=columns[0], error=columns[1], noise=columns[2])
 
 
 def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
@@ -130,8 +130,8 @@ def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
         numbers = np.where(good, np.arange(here.start, here.stop), mdp.n_pairs)
         taken = np.minimum.reduceat(numbers, begin - begin[0])
         if keep is not None:
-            kept = keep[first:last]
-            taken = np.where(good[kept - begin[0]], kept, taken)
+            own = keep[first:last]
+            taken = np.where(good[own - begin[0]], own, taken)
         chosen[first:last] = taken
 
     threads.run_blocks(threads.block_ends(offsets, most=threads.IN_CACHE), work, mdp.n_transitions)
@@ -226,12 +226,12 @@ def _earning(mdp: MDP, first: int, last: int) -> NDArray[np.bool_]:
 
 
 def _differences(
-    mdp: MDP, value: Floats, first: int, last: int, found: Floats, *, still: bool
+    mdp: MDP, value: Floats, first: int, last: int, columns: Floats, *, still: bool
 ) -> None:
     """Write Σ p (V' - V) and Σ p |V' - V| of pairs first … last-1 into `found` (2 or more, L)."""
     matrix: Any = mdp.transition
     if still:
-        found[:2, first:last] = 0.0
+        columns[:2, first:last] = 0.0
         return
     if mdp.n_transitions >= COMPILED:
         from exact_mdp.solvers.kernels.linear import Rows
@@ -239,15 +239,15 @@ def _differences(
         rows = Rows(matrix.indptr, matrix.indices, matrix.data)
         from exact_mdp.solvers.kernels import bellman
 
-        bellman.gains(first, last, mdp.pair_state, rows, value, found[0], found[1])
+        bellman.gains(first, last, mdp.pair_state, rows, value, columns[0], columns[1])
         return
     begin, end = matrix.indptr[first], matrix.indptr[last]
     counts = np.diff(matrix.indptr[first : last + 1])
     term = value[matrix.indices[begin:end]]
     term -= np.repeat(value[mdp.pair_state[first:last]], counts)
     term *= matrix.data[begin:end]
-    found[0, first:last] = added(term, counts)
-    found[1, first:last] = added(np.abs(term, out=term), counts)
+    columns[0, first:last] = added(term, counts)
+    columns[1, first:last] = added(np.abs(term, out=term), counts)
 
 
 def added(terms: Floats, counts: Integers) -> Floats:

@@ -204,8 +204,8 @@ class LinearSystem(ByFields):
         for _ in range(STEPS):
             share = back @ share
         often = int(np.argmax(share))
-        kept = np.where(chain.indices == often, 0.0, chain.data)
-        rows = sp.csr_array((kept, chain.indices, chain.indptr), chain.shape)
+        data = np.where(chain.indices == often, 0.0, chain.data)
+        rows = sp.csr_array((data, chain.indices, chain.indptr), chain.shape)
         return often, LinearSystem(rows, self.discount)
 
     def _nearly(self, constant: Floats, rtol: float) -> Floats:
@@ -233,9 +233,9 @@ class LinearSystem(ByFields):
         from exact_mdp.solvers.kernels import linear as loops
 
         chain, rate = self.transition, float(self.discount)
-        whole, kept = self._sums_to_one
+        whole, stays = self._sums_to_one
         value, room = np.zeros((2, len(constant)))
-        if kept:
+        if stays:
             value += constant.sum() / (1 - rate) / len(constant)
         rows = loops.Rows(chain.indptr, chain.indices, chain.data)
         limits = (enough, fine, SWEEPS, TRIED)
@@ -360,10 +360,10 @@ def transposed(system: LinearSystem) -> LinearSystem:
     )
 
 
-def rows_of(matrix: sp.csr_array, kept: NDArray[np.bool_]) -> sp.csr_array:
+def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
     """Return a matrix with the rows that are not `kept` emptied."""
-    entries = np.repeat(kept, np.diff(matrix.indptr))
-    lengths = np.where(kept, np.diff(matrix.indptr), 0)
+    entries = np.repeat(chosen, np.diff(matrix.indptr))
+    lengths = np.where(chosen, np.diff(matrix.indptr), 0)
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)
     return sp.csr_array((matrix.data[entries], matrix.indices[entries], offsets), matrix.shape)
 

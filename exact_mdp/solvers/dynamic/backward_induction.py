@@ -43,5 +43,5 @@ class BackwardInduction:
                 where=f"model {model.name}".strip(),
                 fix="use ModifiedPolicyIteration or PolicyIteration",
             )
-        found = verify(model, backward(model, model.reward)).centred()
-        return conclude(model, self, found, status=Status.DIRECT, iterations=1, started=started)
+        bounds = verify(model, backward(model, model.reward)).centred()
+        return conclude(model, self, bounds, status=Status.DIRECT, iterations=1, started=started)

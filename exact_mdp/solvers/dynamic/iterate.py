@@ -81,8 +81,8 @@ def of_costs(solve: Callable[[S, MDP], Solution]) -> Callable[[S, MDP], Solution
     @wraps(solve)
     def door(self: S, model: MDP) -> Solution:
         if isinstance(model, MDP) and model.sense == "min":
-            found: Solution = least(model, partial(solve, self))
-            return found
+            solution: Solution = least(model, partial(solve, self))
+            return solution
         with np.errstate(over="ignore", invalid="ignore"):
             return solve(self, model)
 
@@ -171,34 +171,34 @@ class Values:
             self.value = self.live * (self.value - middle)
             self.level += self.facts.leak * middle
 
-    def relative(self, found: Pass) -> float:
+    def relative(self, swept: Pass) -> float:
         """Return the tolerance where none is asked for: a part of the greatest value."""
-        centre = found.low / 2 + found.high / 2
+        centre = swept.low / 2 + swept.high / 2
         largest = float(np.abs(self.value + centre * self.weights.value).max())
         return RELATIVE_TOLERANCE * max(1.0, largest)
 
-    def floor(self, found: Pass) -> float:
+    def floor(self, swept: Pass) -> float:
         """Return how far rounding may have moved the bounds of a pass, at most."""
-        weights, large = self.weights, max(abs(found.low), abs(found.high))
+        weights, large = self.weights, max(abs(swept.low), abs(swept.high))
         return (self._error + large * (weights.error + 8 * UNIT)) / weights.smallest
 
-    def proven(self, found: Pass) -> Bounds:
+    def proven(self, swept: Pass) -> Bounds:
         """Return the bounds of a pass, wider by all that rounding may have done to them."""
-        value, weight, wide = self.value, self.weights.value, self.floor(found)
-        low, high = found.low - wide, found.high + wide
+        value, weight, wide = self.value, self.weights.value, self.floor(swept)
+        low, high = swept.low - wide, swept.high + wide
         return Bounds(value=value, weight=weight, pairs=self.pairs, low=low, high=high).centred()
 
     # ---- steps ---------------------------------------------------------------------------------
 
-    def take(self, found: Pass) -> None:
+    def take(self, swept: Pass) -> None:
         """Move on to T h, at the level between the bounds.
 
         Once states were improved one by one, errors differ, and a change of level could bring back
         more than a sweep removes.
         """
         if not self.relaxed:
-            self._between(found.low, found.high)
-        self.value = self.value + self.live * (found.step - self.level)
+            self._between(swept.low, swept.high)
+        self.value = self.value + self.live * (swept.step - self.level)
 
     def relax(self) -> None:
         """Improve each state in turn by what others have become."""
@@ -209,36 +209,36 @@ class Values:
             bellman.relax(order, self._model, self.value, self.level)
         self.relaxed, self.spent = True, self.spent + 4 * self.mdp.n_transitions
 
-    def evaluate(self, found: Pass, goal: float) -> None:
+    def evaluate(self, swept: Pass, goal: float) -> None:
         """Bring values near to those of the policy, or nearer to V* for less than that costs."""
         if not self.slow:
             enough, fine = goal * self.weights.smallest, 8 * UNIT * (goal == 0)
-            more, done = self.system.swept(self._left(found), enough, fine=fine)
+            more, done = self.system.swept(self._left(swept), enough, fine=fine)
             if done:
                 self._add(more)
                 return
             self.price, self.slow = self.system.work / BAND or self.price, True
         due = self.spent >= self.price or (self.stable and self.idle) or goal == 0
         if due or not self.large:
-            self.correct(found)
+            self.correct(swept)
         else:
-            self.take(found)
+            self.take(swept)
         if self.large and not (due and (self.stable or self.idle < 5)):
             self.relax()
 
-    def correct(self, found: Pass) -> None:
+    def correct(self, swept: Pass) -> None:
         """Solve the equations of the policy: a step of iterative refinement."""
-        left, system = self._left(found), self.system
+        left, system = self._left(swept), self.system
         if self.weights.uniform and NEARLY_ONE < self.mdp.discount < 1:
             self._add(*system.relatively(left, self.live * self.weights.margin))
         else:
             self._add(system.roughly(left))
         self.price, self.spent = system.work / BAND or self.price, 0.0
 
-    def _left(self, found: Pass) -> Floats:
+    def _left(self, swept: Pass) -> Floats:
         """Return what a step of the policy adds to values, beyond the level between the bounds."""
-        self._between(found.low, found.high)
-        left = found.step - self.level
+        self._between(swept.low, swept.high)
+        left = swept.step - self.level
         left *= self.live
         return left
 
@@ -341,9 +341,9 @@ def iterate(
     polished = evaluates and not exact and tol is None
     ready = not polished
     for iteration in range(1, solver.max_iterations + 1):
-        found = values.improve(keep=exact or values.idle >= 5)
-        half, floor, idle = found.half * weight, values.floor(found) * weight, values.idle
-        limit = values.relative(found) if tol is None else tol
+        swept = values.improve(keep=exact or values.idle >= 5)
+        half, floor, idle = swept.half * weight, values.floor(swept) * weight, values.idle
+        limit = values.relative(swept) if tol is None else tol
         stalled = idle >= PATIENCE and half <= 4 * floor
         close = doubt * half <= limit or stalled
         if exact:
@@ -351,7 +351,7 @@ def iterate(
             close = again in seen and (close or idle >= 5)
             seen.add(again)
         if close and (stalled or (ready and (values.stable or not polished))):
-            reached = values.proven(found) if tol is not None else None
+            reached = values.proven(swept) if tol is not None else None
             if reached is None or reached.error > limit:
                 reached = verify(mdp, values.value, strict=tol is not None).centred()
             if exact:
@@ -372,9 +372,9 @@ def iterate(
         hurried = hurried or (not evaluates and (idle >= FEW or iteration >= MANY))
         if hurried and iteration % 2:
             with suppress(SolverError):
-                values.correct(found)
+                values.correct(swept)
         else:
-            step(values, found, goal)
+            step(values, swept, goal)
     if status in (None, Status.NO_BOUND):
         status = status or Status.ITERATION_LIMIT
         reached = verify(mdp, values.value).centred()
@@ -382,7 +382,7 @@ def iterate(
 
 
 def conclude(
-    mdp: MDP, solver: Solver, found: Any, *, status: Status, iterations: int, started: float
+    mdp: MDP, solver: Solver, bounds: Any, *, status: Status, iterations: int, started: float
 ) -> Solution:
     """Return the solution; warns where its tolerance is beyond double precision.
 
@@ -391,10 +391,10 @@ def conclude(
     """
     solution = Solution(
         mdp=mdp,
-        value=np.array(found.value),
-        pairs=found.pairs,
-        state_error=found.state_error,
-        regret_bound=found.regret,
+        value=np.array(bounds.value),
+        pairs=bounds.pairs,
+        state_error=bounds.state_error,
+        regret_bound=bounds.regret,
         status=status,
         method=solver.name,
         solver=repr(solver),

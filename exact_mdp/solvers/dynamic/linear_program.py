@@ -79,22 +79,22 @@ class LinearProgram:
         start, objective, steps = self._optimised(model)
         if not np.isfinite(start).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        found = PolicyIteration(start=start).solve(model)
+        solution = PolicyIteration(start=start).solve(model)
         if objective is not None:
-            self._check(objective, model, found.value)
-        chain, alpha = policy_chain(model, found.pairs)[0], model.start_distribution
+            self._check(objective, model, solution.value)
+        chain, alpha = policy_chain(model, solution.pairs)[0], model.start_distribution
         system = LinearSystem(chain, model.discount, order=levels(model))
         visits = transposed(system).solve(alpha, UNIT * alpha)
-        lower, upper = _sides(model, found, visits)
+        lower, upper = _sides(model, solution, visits)
         occupancy = np.zeros(model.n_pairs)
-        occupancy[found.pairs] = np.where(model.terminal, 0.0, visits.value)
+        occupancy[solution.pairs] = np.where(model.terminal, 0.0, visits.value)
         return replace(
-            found,
+            solution,
             method=self.name,
             solver=repr(self),
-            iterations=steps + found.iterations,
+            iterations=steps + solution.iterations,
             seconds=perf_counter() - started,
-            gaps=0.0 - gains(model, found.value).value,
+            gaps=0.0 - gains(model, solution.value).value,
             occupancy=occupancy,
             program=ProgramRun(
                 by=self.solver,
@@ -122,9 +122,9 @@ class LinearProgram:
         above = matrix @ value >= mdp.reward[open_pairs] / scale
         problem = cvxpy.Problem(cvxpy.Minimize(np.full(count, 1 / count) @ value), [above])
         steps = optimised(problem, self.solver)
-        found = np.zeros(mdp.n_states)
-        found[live] = np.asarray(value.value) * scale
-        return found, float(problem.value) * scale, steps
+        values = np.zeros(mdp.n_states)
+        values[live] = np.asarray(value.value) * scale
+        return values, float(problem.value) * scale, steps
 
     def _check(self, objective: float, mdp: MDP, value: Floats) -> None:
         """Raise SolverError where the optimiser's mean is not that of the values (S,) reached."""
@@ -150,11 +150,11 @@ def optimised(problem: Any, solver: str) -> int:
     return int(problem.solver_stats.num_iters or 0)
 
 
-def _sides(mdp: MDP, found: Solution, visits: FixedPoint) -> tuple[float, float]:
+def _sides(mdp: MDP, solution: Solution, visits: FixedPoint) -> tuple[float, float]:
     """Return lower and upper bound on the optimal start value, from visits and from values."""
-    reward, facts = np.where(mdp.terminal, 0.0, mdp.reward[found.pairs]), rounding_facts(mdp)
+    reward, facts = np.where(mdp.terminal, 0.0, mdp.reward[solution.pairs]), rounding_facts(mdp)
     below, size = float(reward @ visits.value), np.abs(visits.value)
-    error = facts.reward_errors(mdp, 0, mdp.n_pairs)[found.pairs]
+    error = facts.reward_errors(mdp, 0, mdp.n_pairs)[solution.pairs]
     doubt = float(np.abs(reward) @ visits.error + error @ (size + visits.error))
     doubt += float(gamma(mdp.n_states + 2)) * float(np.abs(reward) @ size)
-    return below - doubt * SLACK, found.start.interval[1]
+    return below - doubt * SLACK, solution.start.interval[1]

@@ -47,7 +47,7 @@ class Improving(ABC):
         check_settings(self)
 
     @abstractmethod
-    def step(self, values: Values, found: Pass, goal: float) -> None:
+    def step(self, values: Values, swept: Pass, goal: float) -> None:
         """Improve the values after a pass over all pairs; see `iterate`."""
 
     @of_costs
@@ -72,9 +72,9 @@ class ValueIteration(Improving):
 
     name: ClassVar[str] = "value-iteration"
 
-    def step(self, values: Values, found: Pass, goal: float) -> None:
+    def step(self, values: Values, swept: Pass, goal: float) -> None:
         """Take T V."""
-        values.take(found)
+        values.take(swept)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +92,9 @@ class GaussSeidel(Improving):
 
     name: ClassVar[str] = "gauss-seidel"
 
-    def step(self, values: Values, found: Pass, goal: float) -> None:
+    def step(self, values: Values, swept: Pass, goal: float) -> None:
         """Take T V, and sweep upward and downward."""
-        values.take(found)
+        values.take(swept)
         values.relax()
 
 
@@ -117,12 +117,12 @@ class ModifiedPolicyIteration(Improving):
     name: ClassVar[str] = "modified-policy-iteration"
     evaluates: ClassVar[bool] = True
 
-    def step(self, values: Values, found: Pass, goal: float) -> None:
+    def step(self, values: Values, swept: Pass, goal: float) -> None:
         """Evaluate the policy; the first one is greedy for the next reward alone."""
         if values.passes == 1:
-            values.take(found)
+            values.take(swept)
         else:
-            values.evaluate(found, goal)
+            values.evaluate(swept, goal)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +160,7 @@ class PolicyIteration:
     def solve(self, model: MDP) -> Solution:
         """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
 
-        def step(values: Values, found: Pass, goal: float) -> None:
-            values.correct(found)
+        def step(values: Values, swept: Pass, goal: float) -> None:
+            values.correct(swept)
 
         return iterate(model, self, step, evaluates=True, exact=True)

@@ -37,16 +37,16 @@ class Derived:
     label: Integers
     source: Integers
 
-    def only(self, kept: Integers) -> Derived:
+    def only(self, states: Integers) -> Derived:
         """Return the model with some of the pairs (K,), a pair of each state among them."""
-        kept = np.unique(kept)
+        states = np.unique(states)
         mdp = self.mdp
-        found = mdp.with_(
-            table=mdp.table.of_pairs(kept),
-            pair_state=mdp.pair_state[kept],
-            pair_action=mdp.pair_action[kept],
+        mdp_of_states = mdp.with_(
+            table=mdp.table.of_pairs(states),
+            pair_state=mdp.pair_state[states],
+            pair_action=mdp.pair_action[states],
         )
-        return Derived(mdp=found, label=self.label, source=self.source[kept])
+        return Derived(mdp=mdp_of_states, label=self.label, source=self.source[states])
 
 
 def derived(
@@ -68,19 +68,19 @@ def derived(
     if earned is not None:
         gain, below = over_groups(earned, np.arange(len(pairs) + 1))
     elif len(mdp.table.gain) == mdp.n_pairs and not (
-        mdp.table.gain.dtype == np.float64 and any(worth for _, worth in rests)
+        mdp.table.gain.dtype == np.float64 and any(value for _, value in rests)
     ):
         gain, below = mdp.table.gain[pairs], mdp.table.gain_denominator[pairs]
     else:
         gain, below = (part[pairs] for part in mdp.table.expected_gain_exact())
     extra = [*(state for state, _ in rests), size]
-    worths = [*(worth for _, worth in rests), Fraction(0)]
-    more = integers(worth.numerator for worth in worths)
-    under = integers(worth.denominator for worth in worths)
+    worths = [*(value for _, value in rests), Fraction(0)]
+    more = integers(value.numerator for value in worths)
+    under = integers(value.denominator for value in worths)
     offsets, following = table.offsets, label[table.next]
     order = np.lexsort((following, table.pair))
     one = np.ones(len(extra), dtype=table.weight.dtype)
-    found = OutcomeTable(
+    outcomes = OutcomeTable(
         offsets=np.concatenate([offsets, offsets[-1] + 1 + np.arange(len(extra))]),
         next=np.concatenate([following[order], np.full(len(extra), size)]),
         weight=np.concatenate([table.weight[order], one]),
@@ -94,7 +94,7 @@ def derived(
     action = np.arange(len(owner)) - np.searchsorted(owner, owner)
     source = np.concatenate([pairs, -1 - np.arange(len(rests)), [mdp.n_pairs]])[by_state]
     model = MDP(
-        found.of_pairs(by_state),
+        outcomes.of_pairs(by_state),
         owner,
         action,
         space=StateSpace.plain(size + 1),

@@ -47,19 +47,19 @@ class Components:
 
     def signs(self, numbers: Integers) -> Integers:
         """Return the signs of the best mean rewards of some components (C,)."""
-        found = np.zeros(len(numbers), dtype=np.int64)
+        signs = np.zeros(len(numbers), dtype=np.int64)
         if not len(numbers):
-            return found
+            return signs
         states, own = self.among(numbers)
         best = _nearly(own)
         if best is not None:
             low, high = best.value - best.error, best.value + best.error
             place = np.searchsorted(numbers, self.label[states])  # all of a component earn alike
-            found[place] = (low > 0)[:-1].astype(np.int64) - (high < 0)[:-1]
-        for i in np.flatnonzero(found == 0).tolist():
+            signs[place] = (low > 0)[:-1].astype(np.int64) - (high < 0)[:-1]
+        for i in np.flatnonzero(signs == 0).tolist():
             _, (gain, _, _) = best_average(self.among(numbers[[i]])[1].mdp)
-            found[i] = (gain.top[0] > 0) - (gain.top[0] < 0)
-        return found
+            signs[i] = (gain.top[0] > 0) - (gain.top[0] < 0)
+        return signs
 
     def gaining(self, numbers: Integers) -> tuple[Integers, Integers]:
         """Return states (K,) of components of positive means, and pairs (K,) that earn for ever."""

@@ -73,32 +73,32 @@ def toward(graph: Graph, distance: Integers, pairs: Mask, chosen: Integers) -> N
     chosen[states] = falling[first]
 
 
-def lifted(found: Structure, whole: Derived, chosen: Integers) -> Integers:
+def lifted(parts: Structure, whole: Derived, chosen: Integers) -> Integers:
     """Return the pairs (S,) of the model for the sources `chosen` (S',) in the merged one."""
-    graph, mdp, rest = found.graph, found.mdp, found.rest
-    pairs, target = mdp.pair_offsets[:-1].copy(), found.over & (found.sign == 0)
+    graph, mdp, rest = parts.graph, parts.mdp, parts.rest
+    pairs, target = mdp.pair_offsets[:-1].copy(), parts.over & (parts.sign == 0)
     taken = chosen[whole.label]  # of each state's merged one
     leaves = (taken >= 0) & (taken < mdp.n_pairs)
-    plain = (found.sign == 0) & leaves & (rest < 0)
+    plain = (parts.sign == 0) & leaves & (rest < 0)
     pairs[plain] = taken[plain]
-    staying = found.inside & ((rest >= 0) & ~leaves)[mdp.pair_state]
+    staying = parts.inside & ((rest >= 0) & ~leaves)[mdp.pair_state]
     _first(mdp, np.flatnonzero(staying), pairs)
     target |= graph.having(staying)
     ways = taken[(rest >= 0) & leaves]
     pairs[mdp.pair_state[ways]] = ways
     target[mdp.pair_state[ways]] = True
-    toward(graph, graph.distance(target, found.inside), found.inside, pairs)
+    toward(graph, graph.distance(target, parts.inside), parts.inside, pairs)
     every = np.ones(mdp.n_pairs, dtype=bool)
-    if found.missing.any():
-        _first(mdp, np.flatnonzero(graph.every(found.missing)), pairs)
-        toward(graph, graph.distance(found.missing, every), every, pairs)
-    elif len(found.core):
-        states, best = found.components.gaining(found.core)
+    if parts.missing.any():
+        _first(mdp, np.flatnonzero(graph.every(parts.missing)), pairs)
+        toward(graph, graph.distance(parts.missing, every), every, pairs)
+    elif len(parts.core):
+        states, best = parts.components.gaining(parts.core)
         pairs[states] = best
         above = np.zeros(mdp.n_states, dtype=bool)
         above[states] = True
-        safe = graph.every(found.sign >= 0)
-        toward(graph, graph.distance(above, safe), safe & (found.sign > 0)[mdp.pair_state], pairs)
+        safe = graph.every(parts.sign >= 0)
+        toward(graph, graph.distance(above, safe), safe & (parts.sign > 0)[mdp.pair_state], pairs)
     return pairs
 
 

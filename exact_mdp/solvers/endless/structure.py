@@ -112,49 +112,49 @@ def structure(mdp: MDP) -> Structure | None:
     best = np.where(gains, 1, np.where(any_of(quiet >= 0, label), 0, -1))
     both = np.flatnonzero(gains & losses)
     best[both] = components.signs(both)
-    worth = np.append(best, -1)[label]  # the sign of each state's component
-    settled = over | (worth >= 0) if goal is None else over
+    value_sign = np.append(best, -1)[label]  # the sign of each state's component
+    settled = over | (value_sign >= 0) if goal is None else over
     safe = graph.rounds(settled, every) == 0
-    win = safe & (graph.distance((worth > 0) & safe, graph.every(safe)) >= 0)
+    win = safe & (graph.distance((value_sign > 0) & safe, graph.every(safe)) >= 0)
     sign = np.where(win, 1, np.where(safe, 0, -1))
     if goal is not None:
         if (bad := win & (mdp.start_distribution > 0)).any():
             raise falling_costs(mdp, bad)
-    elif ((graph.distance(worth > 0, every) >= 0) & ~win).any():
+    elif ((graph.distance(value_sign > 0, every) >= 0) & ~win).any():
         return None  # +∞ and -∞ together
     cancel = np.isin(label, both[best[both] == 0])
     if (cancel & (sign == 0)).any():
         return None
-    kept = (sign == 0)[mdp.pair_state] & graph.every(sign == 0)
+    finite_pairs = (sign == 0)[mdp.pair_state] & graph.every(sign == 0)
     return Structure(
         mdp=mdp,
         graph=graph,
         components=components,
         sign=sign,
-        kept=kept,
+        kept=finite_pairs,
         rest=np.where(sign == 0, quiet, -1),
-        inside=still & kept,
-        core=np.unique(label[win & (worth > 0)]),
+        inside=still & finite_pairs,
+        core=np.unique(label[win & (value_sign > 0)]),
         missing=np.zeros(mdp.n_states, dtype=bool),
     )
 
 
-def finite(found: Structure) -> Derived:
+def finite(parts: Structure) -> Derived:
     """Return the model of the finite values.
 
     Rests are merged, each a state with a pair to the end where staying is allowed. The value of a
     state is that of its label.
     """
-    mdp, rest = found.mdp, found.rest
-    pairs = found.kept & ~found.inside & ~found.over[mdp.pair_state]
+    mdp, rest = parts.mdp, parts.rest
+    pairs = parts.kept & ~parts.inside & ~parts.over[mdp.pair_state]
     count = int(rest.max(initial=-1)) + 1
-    leaving = np.bincount(rest[found.graph.having(pairs) & (rest >= 0)], minlength=count) > 0
+    leaving = np.bincount(rest[parts.graph.having(pairs) & (rest >= 0)], minlength=count) > 0
     free = mdp.goal is None
     merged = np.bincount(rest[rest >= 0], minlength=count) > 0
     merged &= leaving | (not free)  # the others are at an end
     number = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)
     label = number[rest]
-    open_ = (found.sign == 0) & ~found.over & (rest < 0)
+    open_ = (parts.sign == 0) & ~parts.over & (rest < 0)
     label[open_] = int(merged.sum()) + np.arange(int(open_.sum()))
     rests = [(int(k), Fraction(0)) for k in number[:-1][merged]] if free else []
     return derived(mdp, np.flatnonzero(pairs), label, rests=rests)

@@ -37,11 +37,11 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     values.
     """
     started = perf_counter()
-    found = structure(mdp)
-    if found is None:
+    parts = structure(mdp)
+    if parts is None:
         return _rounded(mdp, started)
-    _check_start(mdp, found.sign)
-    whole = finite(found)
+    _check_start(mdp, parts.sign)
+    whole = finite(parts)
     part = without_losing(whole)
     try:
         solution = solved(part.mdp)
@@ -50,14 +50,14 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
         raise
     _verify(whole, part, solution)
     value, error = solution.value[whole.label], solution.state_error[whole.label]
-    value[found.sign > 0], value[found.sign < 0] = np.inf, -np.inf
+    value[parts.sign > 0], value[parts.sign < 0] = np.inf, -np.inf
     chosen = part.source[solution.pairs]
     return replace(
         solution,
         mdp=mdp,
         value=value,
-        pairs=lifted(found, whole, chosen),
-        state_error=np.where(found.sign == 0, error, 0.0),
+        pairs=lifted(parts, whole, chosen),
+        state_error=np.where(parts.sign == 0, error, 0.0),
         seconds=perf_counter() - started,
         gaps=None,
         occupancy=None,

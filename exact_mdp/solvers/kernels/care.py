@@ -189,13 +189,13 @@ def optimal_values(
                 for t in range(care.trials - 1, -1, -1):
                     continuation(care, room, k, t, discount)
                     for a in range(number):
-                        worth = done + room.assist[a]
+                        total = done + room.assist[a]
                         for s in range(vectors):
-                            q[a * vectors + s] = law[0, a * vectors + s] * worth
+                            q[a * vectors + s] = law[0, a * vectors + s] * total
                     for s2 in range(1, vectors):
-                        worth = vector[U, s2]
+                        total = vector[U, s2]
                         for r in range(rows):
-                            q[r] += law[s2, r] * worth
+                            q[r] += law[s2, r] * total
                     for s in range(vectors):
                         vector[M, s] = q[s]
                     for a in range(1, number):
@@ -268,9 +268,9 @@ def policy_values(
                         for s in range(vectors):
                             vector[M, s] = own[0, s] * done + vector[EXTRA, s]
                         for s2 in range(1, vectors):
-                            worth = vector[U, s2]
+                            total = vector[U, s2]
                             for s in range(vectors):
-                                vector[M, s] += own[s2, s] * worth
+                                vector[M, s] += own[s2, s] * total
                         for s in range(vectors):
                             vector[M, s] += vector[PRESENT, s]
                     for s in range(vectors):

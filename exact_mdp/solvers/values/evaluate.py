@@ -129,10 +129,10 @@ class Evaluation(Valued, Pictured):
 
         One that double precision cannot bound is NaN, with an infinite error; the others stand.
         """
-        found = {"mean": self.start, "sd": self._sd, "variance": self._start_variance}
-        found["steps"] = self._steps
-        found |= {f"component.{name}": number for name, number in self._components.items()}
-        return found | {f"event.{name}": number for name, number in self._events.items()}
+        numbers = {"mean": self.start, "sd": self._sd, "variance": self._start_variance}
+        numbers["steps"] = self._steps
+        numbers |= {f"component.{name}": number for name, number in self._components.items()}
+        return numbers | {f"event.{name}": number for name, number in self._events.items()}
 
     def frame(self) -> DataFrame:
         """Return every number from the start with its error bound."""
@@ -202,11 +202,11 @@ class Evaluation(Valued, Pictured):
         if not self.settled:
             return {name: self._endless(name) for name in mdp.component_names}
         try:
-            found = self._discounted
+            discounted = self._discounted
         except SolverError:
             return dict.fromkeys(mdp.component_names, UNKNOWN)
-        used = _pair_visits(chain, found)
-        doubt = _pair_visits(chain, FixedPoint(value=found.error, error=found.error))
+        used = _pair_visits(chain, discounted)
+        doubt = _pair_visits(chain, FixedPoint(value=discounted.error, error=discounted.error))
         rounding = float(gamma(len(chain.pairs) + chain.roundings + 6))
         size = np.abs(mdp.components)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -235,8 +235,8 @@ class Evaluation(Valued, Pictured):
         alone = mdp.with_(table=table, component_table=None, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=self.chain.chosen, policy=self.chain.policy)
         with suppress(SolverError, ModelError):
-            found: Solution = solve(model_of(chain))
-            return found.start
+            best: Solution = solve(model_of(chain))
+            return best.start
         return UNKNOWN
 
     # ---- the spread --------------------------------------------------------------------------
@@ -260,8 +260,8 @@ class Evaluation(Valued, Pictured):
         if not self.settled:
             return np.full(len(self.value), np.nan)
         with np.errstate(over="ignore"):
-            found = np.ldexp(self._variance.value, 2 * self._power)
-        return np.where(np.isfinite(self.value), found, np.nan)
+            variance = np.ldexp(self._variance.value, 2 * self._power)
+        return np.where(np.isfinite(self.value), variance, np.nan)
 
     @cached_property
     def _power(self) -> int:
@@ -293,9 +293,9 @@ class Evaluation(Valued, Pictured):
         doubt += rounding * constant + TINY
         rate_exact = self.mdp.discount_exact
         equations = chain.discounted if rate_exact == 1 else chain.equations(rate_exact**2)
-        found = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
+        point = equations.solve(np.where(live, constant, 0.0), np.where(live, doubt, 0.0) * SLACK)
         # No variance is negative: a negative rounding error is nearer to the truth as 0.
-        return FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
+        return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
     @cached_property
     def _scaled_variance(self) -> Bounded:
@@ -318,8 +318,8 @@ class Evaluation(Valued, Pictured):
 
     @cached_property
     def _start_variance(self) -> Bounded:
-        found = self._scaled_variance
-        value, error = (times(x, 2 * self._power) for x in (found.value, found.error))
+        scaled = self._scaled_variance
+        value, error = (times(x, 2 * self._power) for x in (scaled.value, scaled.error))
         return Bounded(value=value, error=error)
 
     @cached_property
@@ -430,7 +430,7 @@ class Evaluation(Valued, Pictured):
         return _known(lambda: at_start(self.mdp, _ever(self.chain, happens)))
 
 
-def _pair_visits(chain: PolicyChain, found: FixedPoint) -> Floats:
+def _pair_visits(chain: PolicyChain, visits: FixedPoint) -> Floats:
     """Return (L,) the expected discounted number of uses of each pair, from discounted visits.
 
     Below discount 1 they sum to 1 / (1 - γ), terminal states included, in which a policy stays for
@@ -438,7 +438,7 @@ def _pair_visits(chain: PolicyChain, found: FixedPoint) -> Floats:
     """
     mdp = chain.mdp
     stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
-    return (found.value * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
+    return (visits.value * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
 
 
 def _ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
@@ -454,8 +454,8 @@ def _ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
     roundings = chain.roundings + int(chain.outcomes.max())
     system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
     equations = Equations(chain=chain, rate=Fraction(1), live=possible, system=system, left_out=~on)
-    found = equations.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
-    return FixedPoint(value=np.clip(found.value, 0.0, 1.0), error=found.error)
+    point = equations.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
+    return FixedPoint(value=np.clip(point.value, 0.0, 1.0), error=point.error)
 
 
 def _known(make: Callable[[], Bounded]) -> Bounded:
@@ -550,9 +550,9 @@ def evaluate(
     if mdp.discount_exact == 1:
         live &= chain.ends
     reward, error = chain.reward
-    found = _closest(chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
+    point = _closest(chain, np.where(live, reward, 0.0), np.where(live, error, 0.0) * SLACK)
     known = live | mdp.terminal
-    value, bound = np.where(known, found.value, np.nan), np.where(known, found.error, np.inf)
+    value, bound = np.where(known, point.value, np.nan), np.where(known, point.error, np.inf)
     if not known.all():
         with suppress(ModelError, SolverError):
             alone = solve(model_of(given))

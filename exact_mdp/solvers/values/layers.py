@@ -79,10 +79,10 @@ class Layers:
 def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
     """Return the start values (U,) of policies (U, K), an action number for each of K rows."""
     if levels(mdp) is None:
-        found = [evaluate(mdp, as_policy(mdp, rows.space, policy)) for policy in policies]
+        evaluations = [evaluate(mdp, as_policy(mdp, rows.space, policy)) for policy in policies]
         return FixedPoint(
-            value=np.array([each.mean for each in found]),
-            error=np.array([each.start.error for each in found]),
+            value=np.array([each.mean for each in evaluations]),
+            error=np.array([each.start.error for each in evaluations]),
         )
     pair = np.full((mdp.n_states, mdp.n_actions), -1, dtype=np.int64)
     pair[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)

@@ -98,8 +98,8 @@ class PolicyChain:
             return policy
         if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:
             return cls(mdp=mdp, chosen=_checked(mdp, policy))
-        found = policy_of(mdp, policy, kind=kind)
-        return cls(mdp=mdp, chosen=found.weights(mdp), policy=found)
+        own = policy_of(mdp, policy, kind=kind)
+        return cls(mdp=mdp, chosen=own.weights(mdp), policy=own)
 
     # ---- outcomes ----------------------------------------------------------------------------
 
@@ -121,9 +121,9 @@ class PolicyChain:
     def exact_weights(self, state: int) -> dict[int, Fraction]:
         """Return the exact probability of each pair that is taken in a state."""
         given = self.chosen if self.shares is None else self.shares
-        found = {pair: exact(given[pair]) for pair in self.mdp.pairs_of(state) if given[pair]}
-        total = sum(found.values(), Fraction(0))
-        return {pair: weight / total for pair, weight in found.items()}
+        shares = {pair: exact(given[pair]) for pair in self.mdp.pairs_of(state) if given[pair]}
+        total = sum(shares.values(), Fraction(0))
+        return {pair: weight / total for pair, weight in shares.items()}
 
     @cached_property
     def pairs(self) -> Integers:
@@ -206,8 +206,8 @@ class PolicyChain:
         if self._complete or self.probability.min() > 0:
             return self.transition
         # Probabilities below the range of floats have become 0, and the matrix has lost them.
-        kept = ~self.mdp.terminal[self.source]
-        entries = (self.source[kept], self.table.next[kept])
+        moving = ~self.mdp.terminal[self.source]
+        entries = (self.source[moving], self.table.next[moving])
         return sp.csr_array((np.ones(len(entries[0])), entries), self.transition.shape)
 
     @property
@@ -340,9 +340,9 @@ class Equations:
     def visits(self) -> FixedPoint:
         """(S,) expected visits from the start, times rate^t at time t; arrivals at an end count."""
         start = self.chain.mdp.start_distribution
-        found = self.transposed.solve(start, UNIT * start)
+        point = self.transposed.solve(start, UNIT * start)
         # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
-        return FixedPoint(value=np.maximum(found.value, 0.0), error=found.error)
+        return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
     def solve(self, constant: Floats, error: Floats | float = 0.0) -> FixedPoint:
         """Return x (S,) and its error, for a constant that may be off by `error`.
@@ -369,10 +369,10 @@ class Equations:
         if not self.turned:
             side = [number * times for number, times in zip(side, scale, strict=True)]
         top, below = exact_solve(matrix.transposed if self.turned else matrix, side)
-        found = [Fraction(int(number), int(below) * unit) for number in top]
+        values = [Fraction(int(number), int(below) * unit) for number in top]
         if self.turned:
-            found = [number * times for number, times in zip(found, scale, strict=True)]
-        return found
+            values = [number * times for number, times in zip(values, scale, strict=True)]
+        return values
 
     @cached_property
     def _matrix(self) -> tuple[Matrix, list[int]]:

@@ -103,8 +103,8 @@ class ReturnDistribution(Pictured):
         return float(sum(each.value for each in self.unending.values()))
 
     def _infinite(self, sign: float) -> float:
-        found = self.unending.get(sign)
-        return 0.0 if found is None else float(found.value)
+        share = self.unending.get(sign)
+        return 0.0 if share is None else float(share.value)
 
     @property
     def error(self) -> Floats:
@@ -309,13 +309,13 @@ def return_distribution(
             unending={sign: _exact_share(each) for sign, each in flows.items()},
             infinite_mean=parts.worth,
         )
-    found = carry_floats(flow, max_sweeps)
+    carried = carry_floats(flow, max_sweeps)
     return ReturnDistribution(
-        multiples=found.multiples,
+        multiples=carried.multiples,
         unit=unit,
-        probabilities=found.masses,
-        relative_error=float(gamma(found.roundings)) * SLACK,
-        remaining=found.remaining * SLACK,
+        probabilities=carried.masses,
+        relative_error=float(gamma(carried.roundings)) * SLACK,
+        remaining=carried.remaining * SLACK,
         unending={sign: _share(each, max_sweeps) for sign, each in flows.items()},
         infinite_mean=parts.worth,
     )
@@ -329,9 +329,9 @@ def _exact_share(flow: Flow) -> Certified:
 
 def _share(flow: Flow, max_sweeps: int) -> Bounded:
     """Return the probability of the ends of a flow, from sweeps."""
-    found = carry_floats(flow, max_sweeps)
-    value = float(found.masses.sum())
-    error = (float(gamma(found.roundings)) * value + found.remaining) * SLACK + NEGLIGIBLE
+    carried = carry_floats(flow, max_sweeps)
+    value = float(carried.masses.sum())
+    error = (float(gamma(carried.roundings)) * value + carried.remaining) * SLACK + NEGLIGIBLE
     return Bounded(value=value, error=error)
 
 

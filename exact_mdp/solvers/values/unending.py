@@ -57,10 +57,10 @@ class Parted:
     @property
     def ends(self) -> Mask:
         """(S,) True at ends of finite returns."""
-        found = self.chain.mdp.terminal.copy()
+        ends = self.chain.mdp.terminal.copy()
         for each in self.lost.values():
-            found &= ~each
-        return found
+            ends &= ~each
+        return ends
 
 
 def parted(chain: PolicyChain) -> Parted:
@@ -81,7 +81,7 @@ def parted(chain: PolicyChain) -> Parted:
     gone = np.logical_or.reduce([rest, *lost.values()])
     ending = PolicyChain(mdp=ended(mdp, gone), chosen=chain.chosen, policy=chain.policy)
     lost = {sign: each for sign, each in lost.items() if each.any()}
-    worth = sum(lost)
+    value = sum(lost)
     if len(lost) == 2:
         limit = expansion(model_of(chain), "total").start_value
         if isinstance(limit, Fraction):
@@ -90,16 +90,16 @@ def parted(chain: PolicyChain) -> Parted:
                 where="policy",
                 fix=ways_out(mdp, "take evaluate(), which gives the limit of the discounted means"),
             )
-        worth = limit
-    return Parted(chain=ending, lost=lost, worth=worth)
+        value = limit
+    return Parted(chain=ending, lost=lost, worth=value)
 
 
 def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
     """Return the `busy` states (S,), which earn for ever, that gain, and those that lose."""
     if not busy.any():
         return {}
-    mdp, found = chain.mdp, average(chain)
-    gain, open_ = found.value, busy & (np.abs(found.value) <= found.error)
+    mdp, averages = chain.mdp, average(chain)
+    gain, open_ = averages.value, busy & (np.abs(averages.value) <= averages.error)
     if open_.any():
         of_policy = model_of(chain)
         sign = 1 if of_policy.sense == "max" else -1
@@ -122,9 +122,9 @@ def average(chain: PolicyChain) -> AverageEvaluation:
     """
     mdp = chain.mdp.undiscounted
     try:
-        found = evaluated(mdp, chain.weights, chain.roundings, chain.policy)
-        if np.isfinite(found.share.error).all():
-            return found
+        evaluation = evaluated(mdp, chain.weights, chain.roundings, chain.policy)
+        if np.isfinite(evaluation.share.error).all():
+            return evaluation
     except SolverError as error:
         require_few(mdp, error)
     exact = ExactAverages(bellman_rows(model_of(chain).undiscounted))
@@ -214,15 +214,15 @@ def ended(mdp: MDP, rest: Mask) -> MDP:
     inside = np.repeat(still, lengths)
 
     def of_outcome(name: str, values: Numbers) -> Numbers:
-        kept: Numbers = values[chosen].copy()
-        kept[inside] = 0
+        chosen_values: Numbers = values[chosen].copy()
+        chosen_values[inside] = 0
         if name == "weight":
-            kept[inside] = np.broadcast_to(table.denominator, len(still))[still]
-        return kept
+            chosen_values[inside] = np.broadcast_to(table.denominator, len(still))[still]
+        return chosen_values
 
     def of_pair(name: str, values: Numbers) -> Numbers:
-        found: Numbers = np.where(still, 0, values) if name == "gain" else values
-        return found
+        settled: Numbers = np.where(still, 0, values) if name == "gain" else values
+        return settled
 
     following = table.next[chosen]
     following[inside] = mdp.pair_state[still]
