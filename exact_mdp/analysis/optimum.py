@@ -319,8 +319,8 @@ def optimum(
     Examples
     --------
     >>> mdp = MDP.from_arrays([[["1/3", "2/3"], [0, 1]]], [[1], [0]])
-    >>> found = optimum(mdp, "policy-iteration")
-    >>> round(found.start_value, 9), found.claim.value, found.optimal.tolist()
+    >>> best = optimum(mdp, "policy-iteration")
+    >>> round(best.start.value, 9), best.start.claim.value, best.optimal.tolist()
     (1.5, 'bounded', [True, True])
     """
     solver = _solver(model, method, tol, average=is_average(criterion))
