@@ -195,7 +195,11 @@ def _carried(
     def in_products(moving: Mass, outcomes: Integers) -> Mass | None:
         """Return the same in products of matrices, where few numbers of an array are 0."""
         state, multiple, mass = moving
-        if multiple.dtype != np.int64 or mass.dtype != np.float64 or not len(outcomes):
+        if (
+            multiple.dtype != np.int64
+            or mass.dtype != np.float64
+            or not min(len(mass), len(outcomes))
+        ):
             return None
         gains, kind = np.unique(gain[outcomes], return_inverse=True)
         to, row = np.unique(target[outcomes], return_inverse=True)
@@ -232,7 +236,8 @@ def _carried(
                 "simulate() samples",
             )
         if (products := in_products(moving, outcomes)) is not None:
-            lost += TINY * count
+            if mass.min() * share[outcomes].min() < EDGE:  # underflow takes some away
+                lost += TINY * count
             return products
         by, each = outcomes[spans(first, after)], np.repeat(np.arange(len(state)), after - first)
         onward = mass[each] * share[by]
