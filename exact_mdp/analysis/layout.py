@@ -28,6 +28,7 @@ from exact_mdp.mdp.table import Floats, Integers
 
 WIDE = 10  # states in a row where nothing says how many
 MOST_NAMED = 40  # states that are listed by their names, one in a row
+SHORT = 5  # letters of an action's name that fit into a cell
 SPARSE = 4  # cells for each state of a map of tuples, at most
 ARROWS = "←↓→↑"
 COMPASS = (("left", "down", "right", "up"), ("west", "south", "east", "north"))
@@ -319,25 +320,26 @@ def taken(model: MDP, chosen: Floats) -> list[list[int]]:
 
 
 def joined(signs: Sequence[str], many: str) -> str:
-    """Return up to two signs of actions side by side, else in words how many there are.
+    """Return up to two short signs of actions side by side, else in words how many there are.
 
     Examples
     --------
     >>> joined(["↓", "→"], "tied"), joined(["a0", "a1", "a2"], "tied")
     ('↓/→', '3 tied')
     """
-    return "/".join(signs) if len(signs) <= 2 else f"{len(signs)} {many}"
+    text = "/".join(signs)
+    return text if len(signs) < 2 or len(text) <= SHORT else f"{len(signs)} {many}"
 
 
 def symbols(actions: Sequence[str]) -> list[str]:
     """Return a sign for each action: an arrow where its name is a direction, else a short name.
 
-    Names of up to two characters stand for themselves where all are that short.
+    Names stand for themselves where all are short.
     """
     names = [name.strip().lower() for name in actions]
     words = [*COMPASS, *(letters for letters in INITIALS if set(letters) <= set(names))]
     known = {word: arrow for each in words for word, arrow in zip(each, ARROWS, strict=True)}
-    short = all(len(name) <= 2 for name in actions)
+    short = all(len(name) <= SHORT for name in actions)
     return [
         known.get(name) or (given if short else f"a{number}")
         for number, (name, given) in enumerate(zip(names, actions, strict=True))

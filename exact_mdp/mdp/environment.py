@@ -115,7 +115,7 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
         if pair < 0:
             raise ModelError(
                 f"action {action} is not available",
-                where=f"state ({self.mdp.space.label(self.state)})",
+                where=self.mdp.space.place(self.state),
                 fix='choose one that info["action_mask"] marks with 1',
             )
         reward, factor, taken = 0.0, 1.0, [pair]

@@ -480,7 +480,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         offered = [self.actions[self.pair_action[pair]] for pair in self.pairs_of(place)]
         raise ModelError(
             f"action {self.actions[number]} is not available",
-            where=f"state ({self.space.label(place)})",
+            where=self.space.place(place),
             fix=f"choose one of {', '.join(offered)}",
         )
 

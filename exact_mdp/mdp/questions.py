@@ -105,7 +105,7 @@ class Questions(Parts):
         for state, chance in self.start:
             if chance > 0 and outside[state] and not target[state]:
                 raise ModelError(
-                    f"the start, state ({space.label(state)}), is not among the allowed states",
+                    f"the start, {space.place(state)}, is not among the allowed states",
                     where=f"allowed {allowed!r}",
                     fix="allow it, or start elsewhere",
                 )

@@ -248,6 +248,11 @@ class StateSpace:
             parts.append(f"{column.name} {column.label(value)}")
         return ", ".join(reversed(parts))
 
+    def place(self, state: int) -> str:
+        """Return where a message says that one state is: "state A", "state (row 0, column 3)"."""
+        label = self.label(state)
+        return label if label.startswith("state ") else f"state ({label})"
+
     def labels(self, states: Iterable[int]) -> list[str]:
         """Return the printed forms of some states."""
         return [self.label(int(state)) for state in states]

@@ -94,8 +94,8 @@ class Parts:
 
     def where(self, pair: int) -> str:
         """Return the printed state and action of a pair, for messages."""
-        state = self.space.label(int(self.pair_state[pair]))
-        return f"state ({state}), action {self.actions[self.pair_action[pair]]}"
+        state = self.space.place(int(self.pair_state[pair]))
+        return f"{state}, action {self.actions[self.pair_action[pair]]}"
 
 
 OPTIONS = ("discount", "start", "states", "actions", "components", "labels", "sense", "name")
@@ -419,7 +419,7 @@ def _check_pairs(model: Parts) -> None:
         missing = int(gaps[0]) if len(gaps) else len(present)
         raise ModelError(
             "a state without action",
-            where=f"state ({model.space.label(missing)})",
+            where=model.space.place(missing),
             fix="add an action; a state where the process ends stays put with probability 1",
         )
 

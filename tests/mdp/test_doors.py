@@ -122,7 +122,7 @@ def test_a_faulty_row_does_not_say_the_layout(row: list[float], what: str) -> No
         with pytest.raises(DistributionError, match=what) as caught:
             MDP.from_arrays(rows, R)
         assert f'layout="{layout}"' in caught.value.fix
-        assert "(state 1)" in caught.value.where
+        assert "state 1," in caught.value.where
 
 
 def test_what_follows_the_layout() -> None:
@@ -446,7 +446,7 @@ def test_names_stay() -> None:
     renamed = MDP.from_arrays({"a": {"go": {"a": 1}}}, {"a": 0}, states=["x"], actions=["y"])
     assert (renamed.space.label(0), renamed.actions) == ("state x", ("y",))
     three = MDP.from_arrays(P, R, 0.9, actions=["stay", "go"], states=["a", "b", "c"])
-    assert three.where(3) == "state (state b), action go"
+    assert three.where(3) == "state b, action go"
     assert three.pair(1, "go") == three.pair(1, 1) == 3
 
 

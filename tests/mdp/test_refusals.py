@@ -293,7 +293,7 @@ def test_what_is_no_model_is_refused(call: Callable[[], Any], words: str) -> Non
     ("call", "where", "fix"),
     [
         (lambda: MDP.from_arrays(spoiled(1, 1, 0, 0.4), R, actions=["stay", "go"]),
-         "state (state 1), action go", "add the missing outcome"),
+         "state 1, action go", "add the missing outcome"),
         (lambda: MDP.from_arrays([SPARSE], ["a", "b"]), "R", ""),
         (lambda: MDP.from_arrays([SPARSE] * 2, [SPARSE, damaged(7)]), "R", ""),
         (lambda: MDP.from_arrays([damaged(5)], [0, 0]), "P", ""),

@@ -60,7 +60,7 @@ class Passes:
             place = int(np.flatnonzero(differ)[0])
             raise ModelError(
                 "the available actions reveal the status",
-                where=f"state ({mdp.space.label(place * size)}) and its other statuses",
+                where=f"{mdp.space.place(place * size)} and its other statuses",
                 fix="offer the same actions in every status of a place",
             )
         self.mdp, self.statuses = mdp, size

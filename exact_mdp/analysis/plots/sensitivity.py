@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,11 +62,18 @@ RADIUS = {
 }
 LOW, HIGH = (WHITE, ""), (BLUE, "//")
 MOST_ROWS = 32
+MOST_POLICIES = 8  # in a legend
 STEEP = 50  # times the usual value, beyond which values leave the picture
 
 
 def _with_range(name: str, low: Fraction, high: Fraction) -> str:
-    return f"{name} [{float(low):.3g}, {float(high):.3g}]"
+    return f"{name} [{_number(low)}, {_number(high)}]"
+
+
+def _number(value: float | Fraction) -> str:
+    """Return a number in three digits, or a whole one without an exponent."""
+    number = float(value)
+    return f"{number:,.0f}" if 1000 <= abs(number) < 1e9 else f"{number:.3g}"
 
 
 def _axis(parameter: Parameter) -> str:
@@ -225,8 +233,8 @@ def plot_thresholds(
                 ax.plot([x, x], ends, line, color=BLACK, lw=1, label="an optimal action changes")
         today = (float(each.parameter.value) - low) / width
         ax.plot(today, place, "D", color=BLACK, markersize=4, label="today")
-        ax.text(0, place + 0.42, f"{low:.3g}", ha="left", va="center", fontsize=7)
-        ax.text(1, place + 0.42, f"{high:.3g}", ha="right", va="center", fontsize=7)
+        ax.text(0, place + 0.42, _number(low), ha="left", va="center", fontsize=7)
+        ax.text(1, place + 0.42, _number(high), ha="right", va="center", fontsize=7)
     name_rows(ax, names)
     ax.set(xticks=[], xlim=(-0.02, 1.02), ylim=(len(every) - 0.4, -0.6))
     handles, labels = ax.get_legend_handles_labels()
@@ -238,26 +246,43 @@ def plot_thresholds(
 def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw which policy is optimal over two parameters, or which action in the state given.
 
-    Colours of policies have no order; a number stands in each region's first point.
+    Colours of policies have no order; a number stands in each region. The legend says the first
+    actions in which they differ, or those of the only one.
     """
     ax, styles = axes_or_new(ax), action_styles(found.mdp.actions)
     x, y = found.x_values, found.y_values
     shown = found.policy if state is None else found.actions_at(state)
     handles = []
     if state is None:
-        count = int(shown.max()) + 1
-        shades = np.linspace(1.0, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
+        chosen = [found.chosen(number) for number in range(int(shown.max()) + 1)]
+        count = len(chosen)
+        shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
         colours, names = [str(shade) for shade in shades], [str(n) for n in range(count)]
-        what = "Which policy is optimal, by number"
+        for number, own in enumerate(chosen[:MOST_POLICIES]):
+            told = [
+                f"{label}: {action}"
+                for label, action in own.items()
+                if count == 1 or any(other.get(label) != action for other in chosen)
+            ]
+            most = max(1, min(3, 12 // count))
+            text = ", ".join(told[:most]) + ", …" * (len(told) > most)
+            handles.append(swatch(fill(f"policy {number}: {text}", 30), (colours[number], "")))
+        what = "Which policy is optimal"
     else:
         colours, names = [s.fill for s in styles], [s.short for s in styles]
         used = np.unique(shown).tolist()
-        handles = [swatch(f"{styles[n].short} {styles[n].name}", (colours[n], "")) for n in used]
+        handles = [
+            swatch(" ".join(dict.fromkeys((styles[n].short, styles[n].name))), (colours[n], ""))
+            for n in used
+        ]
         what = f"Which action is optimal in {found.mdp.space.label(state)}"
     ends, colour_map = (-0.5, len(colours) - 0.5), ListedColormap(colours)
     ax.pcolormesh(x, y, shown, cmap=colour_map, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
-        row, column = np.argwhere(shown == number)[0]
+        places = np.argwhere(shown == number)
+        row = places[len(places) // 3, 0]  # the middle may be today's
+        columns = places[places[:, 0] == row, 1]
+        column = columns[len(columns) // 3]
         ink = "black" if np.mean(to_rgb(colours[number])) > 0.5 else "white"
         ax.text(x[column], y[row], names[number], ha="center", va="center", color=ink, fontsize=7)
     today = (float(found.x.value), float(found.y.value))
@@ -327,17 +352,18 @@ def plot_sobol(
 def plot_acceptability(
     draws: PSA,
     *,
-    candidates: Sequence[int] = (0,),
+    candidates: Sequence[int] | None = None,
     tolerances: ArrayLike | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw the probability that each candidate loses at most Δ, with its 95 % interval, against Δ.
 
-    Candidates are numbers of policies in `PSA.candidates`. Tolerances Δ that are given are on a
-    linear scale. Otherwise they reach from 0 to the largest 99 % quantile of these policies'
-    regrets; the scale is linear up to a ten-thousandth of that, then logarithmic.
+    Candidates are numbers of policies in `PSA.candidates`, all unless given. Tolerances Δ that are
+    given are on a linear scale. Otherwise they reach from 0 to the largest 99 % quantile of these
+    policies' regrets; the scale is linear up to a ten-thousandth of that, then logarithmic.
     """
     ax = axes_or_new(ax)
+    candidates = range(len(draws.candidates)) if candidates is None else candidates
     if tolerances is None:
         at = tolerances_of([draws.regret(number) for number in candidates], 201)
         if len(at) > 1:
@@ -356,11 +382,13 @@ def plot_acceptability(
         share, low, high = draws.accepted(at, number)
         colour, line = (BLACK, *INK)[place % 7], LINES[place % len(LINES)]
         name = draws.candidates[number].name
-        ax.plot(at, share, linestyle=line, color=colour, label=name)
+        ax.plot(at, share, linestyle=line, color=colour, label=name, marker="o" * (len(at) == 1))
         ax.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
     ax.set(xlabel="regret that is accepted, Δ (reward)", ylim=(-0.02, 1.02))
     if at.max() > 0:
         ax.set_xlim(0, at.max())
+    else:  # nothing is ever lost
+        ax.set_xticks([0.0])
     ax.set_ylabel("probability that the regret is at most Δ")
     return titled(ax, "How often each policy is good enough", draws.model)
 

@@ -424,6 +424,13 @@ class TwoWay(Pictured):
             }
         )
 
+    def chosen(self, number: int) -> dict[str, str]:
+        """Return what the policy of a number does in each state that it reaches, with a choice."""
+        mdp, choices = self.mdp, self.choices[self.policy == number][0]
+        taken = mdp.pair_action == choices[mdp.pair_state]
+        seen = np.flatnonzero(reachable(mdp, pairs=taken) & ~mdp.forced & ~mdp.over)
+        return {mdp.space.label(state): mdp.actions[choices[state]] for state in seen.tolist()}
+
     def actions_at(self, state: int) -> Integers:
         """Return (Y, X) the optimal action number in one state."""
         return self.choices[:, :, state]

@@ -294,8 +294,23 @@ def models(
         except ModelError as error:
             if first is None:
                 raise
-            where = f"draw {first + d}, {error.where}"
-            raise ModelError(error.what, where=where, fix=error.fix) from error
+            raise ModelError(
+                error.what,
+                where=f"draw {first + d}, {_moved(model, names, row)}: {error.where}",
+                fix="give distributions or ranges without such values (lognormal and gamma stay "
+                f"above 0, beta between 0 and 1); else {error.fix}",
+            ) from error
+
+
+def _moved(model: Parametric, names: Sequence[str], row: Sequence[object]) -> str:
+    """Return the parameters of a point in words, the first few of many that are moved."""
+    today = {parameter.name: parameter.value for parameter in model.parameters}
+    moved = [
+        f"{name} = {x if isinstance(x, Fraction) else f'{x:g}'}"
+        for name, x in zip(names, row, strict=True)
+        if x != today[name]
+    ]
+    return ", ".join(moved[:SHOWN]) + ", …" * (len(moved) > SHOWN) or "today's parameters"
 
 
 class _Part:
@@ -452,14 +467,7 @@ class ModelSolver:
         }
 
     def _at(self, names: Sequence[str], draws: Numbers, first: int | None, d: int) -> str:
-        """Return the parameters of a draw in words, the first few of many that are moved."""
-        today = {parameter.name: parameter.value for parameter in self.model.parameters}
-        moved = [
-            f"{name} = {x if isinstance(x, Fraction) else f'{x:g}'}"
-            for name, x in zip(names, draws[d].tolist(), strict=True)
-            if x != today[name]
-        ]
-        words = ", ".join(moved[:SHOWN]) + ", …" * (len(moved) > SHOWN) or "today's parameters"
+        words = _moved(self.model, names, draws[d].tolist())
         return words if first is None or len(names) <= SHOWN else f"draw {first + d}, {words}"
 
     def values(

@@ -296,7 +296,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
                 "the policy gives no action for a state with a choice"
                 if missing
                 else "the policy takes an action that is not available",
-                where=f"state ({model.space.label(state)})",
+                where=model.space.place(state),
                 fix=f"choose one of {', '.join(names)} there",
             )
         return weights

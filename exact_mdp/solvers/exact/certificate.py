@@ -380,7 +380,7 @@ class Certificate(Proof, Pictured):
             raise ModelError(
                 "several actions are optimal, and not every policy ends: drawn among, they may not "
                 "be optimal together",
-                where=f"state ({mdp.space.label(int(np.flatnonzero(several)[0]))})",
+                where=mdp.space.place(int(np.flatnonzero(several)[0])),
                 fix="take certificate.policy, which is",
             )
         table = optimal / optimal.sum(axis=1, keepdims=True)

@@ -222,7 +222,7 @@ def falling_costs(mdp: MDP, states: Flags) -> ModelError:
     """Return the error to raise where the costs of some states (S,) of the start have no least."""
     return ModelError(
         "at discount 1 no policy has the best value: costs fall without end before the goal",
-        where=f"state ({mdp.space.label(int(np.flatnonzero(states)[0]))})",
+        where=mdp.space.place(int(np.flatnonzero(states)[0])),
         fix=ways_out(mdp),
     )
 

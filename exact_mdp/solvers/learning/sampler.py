@@ -65,7 +65,7 @@ def rows_of(model: MDP, columns: Sequence[str] | None = None) -> Rows:
     if unlike.any():
         raise ModelError(
             "states that share a row of the Q-table offer different actions",
-            where=f"state ({mdp.space.label(int(np.flatnonzero(unlike)[0]))})",
+            where=mdp.space.place(int(np.flatnonzero(unlike)[0])),
             fix=f"read more columns: {', '.join(names)}",
         )
     inside = np.logical_not(offered.any(axis=1))[key]

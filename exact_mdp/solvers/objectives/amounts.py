@@ -152,7 +152,7 @@ class Objectives:
             ):
                 raise ModelError(
                     "no total is finite: a policy may end beside the goal",
-                    where=f"state ({mdp.space.label(int(np.flatnonzero(beside)[0]))})",
+                    where=mdp.space.place(int(np.flatnonzero(beside)[0])),
                     fix="count in the model itself, without --until, or leave out what leads there",
                 )
             return

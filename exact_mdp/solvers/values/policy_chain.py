@@ -435,7 +435,7 @@ def _checked(mdp: MDP, weights: Floats) -> Floats:
         state = int(np.flatnonzero(wrong)[0])
         raise ModelError(
             f"pair weights sum to {total[state]:.12g}, or one is negative",
-            where=f"policy, state ({mdp.space.label(state)})",
+            where=f"policy, {mdp.space.place(state)}",
             fix="make them at least 0, with sum 1",
         )
     return weights

@@ -109,7 +109,7 @@ def _for_ever(chain: PolicyChain, busy: Mask) -> dict[float, Mask]:
             state = int(np.flatnonzero(flat)[0])
             raise ModelError(
                 "rewards cancel for ever, and the return has no limit",
-                where=f"policy, state ({mdp.space.label(state)})",
+                where=f"policy, {mdp.space.place(state)}",
                 fix=ways_out(mdp, 'take evaluate(), with criterion="average"'),
             )
     return {inf: busy & (gain > 0), -inf: busy & (gain < 0)}

@@ -38,6 +38,7 @@ def build(at):
 
 MODEL = Family(parameters={"gain": 1, "price": 5}, build=build)
 POLICIES = {"wait": [0, 0], "treat": [1, 0], "both": [2, 0]}
+BETS = Family(parameters={"r": 1}, build=lambda at: MDP.from_arrays([[[1]]] * 2, [[at["r"], 2]], 0))
 SAID = {"gain": {"distribution": "uniform", "low": 0, "high": 2}}
 
 
@@ -217,11 +218,8 @@ def test_units_are_those_that_were_said() -> None:
 
 
 def test_a_tornado_shows_the_policy_that_was_given() -> None:
-    model = Family(
-        parameters={"r": 1}, build=lambda at: MDP.from_arrays([[[1]]] * 2, [[at["r"], 2]], 0)
-    )
     for policy, said in (("always:0", "held fixed"), ("optimal", "re-optimised")):
-        bars = tornado(model, policy=policy)
+        bars = tornado(BETS, policy=policy)
         ax = bars.plot()
         assert said in ax.get_xlabel()
         assert ax.lines[0].get_xdata()[0] == bars.today.fixed.value
@@ -239,3 +237,40 @@ def test_results_print_in_a_line_or_two(found) -> None:
     )  # fmt: skip
     for each in every:
         assert len(repr(each).replace("array", " " * 300)) < 300
+
+
+def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:
+    for wide in ("1/1000", 1):
+        over = two_way(MODEL, "gain", "price", relative=wide, points=3)
+        every = [over.chosen(number) for number in range(int(over.policy.max()) + 1)]
+        texts = [text.get_text() for text in over.plot().get_legend().get_texts()]
+        assert texts == [
+            f"policy {n}: state 0: {own['state 0']}" for n, own in enumerate(every)
+        ] + ["today"]
+
+
+def test_a_tornado_has_no_exponents_beside_its_bars() -> None:
+    model = Family(
+        parameters={"cost": 9007}, build=lambda at: MDP.from_arrays([[[1]]], [at["cost"]], 0)
+    )
+    (label,) = tornado(model).plot().get_yticklabels()
+    assert label.get_text() == "cost [7,206, 10,808]"
+
+
+def test_a_picture_of_draws_shows_every_candidate() -> None:
+    draws = psa(BETS, 50, uncertain={"r": {"distribution": "normal", "sd": 1}})
+    assert len(draws.plot().lines) == len(draws.candidates) > 1
+    same = psa(MODEL, 5, uncertain=SAID)  # all choices earn nothing
+    (line,) = same.plot().lines
+    assert [*line.get_xdata(), *line.get_ydata(), line.get_marker()] == [0, 1, "o"]
+
+
+def test_a_draw_that_makes_no_model_names_its_values() -> None:
+    def build(at):
+        p = at["p"]
+        return MDP.from_arrays([[[1 - p, p], [0, 1]]], [1, 0], "1/2", states=["ill", "well"])
+
+    model = Family(parameters={"p": "1/2"}, build=build)
+    words = r"draw 1, p = -0\.25: state ill, action 0\n +fix: +give distributions or ranges without"
+    with pytest.raises(ModelError, match=words):
+        study(model, {"p": [0.5, -0.25]})

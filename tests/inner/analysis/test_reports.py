@@ -68,7 +68,8 @@ def test_every_state_has_a_place_of_its_own() -> None:
         ("north east south west", "↑→↓←"),
         ("u d l r", "↑↓←→"),
         ("s m", "sm"),
-        ("stop go", ["a0", "a1"]),  # where some names are long, "a1" must not be a name too
+        ("stop go", ["stop", "go"]),
+        ("repair a0", ["a0", "a1"]),  # where some names are long, "a1" must not be a name too
     ],
 )
 def test_signs_of_actions(actions: str, expected: str | list[str]) -> None:

@@ -294,4 +294,4 @@ def test_an_infinite_total_is_refused() -> None:
     mdp, intervals = interval_model(case)
     with pytest.raises(ModelError, match="every episode to end") as caught:
         solve_robust(mdp, intervals)
-    assert "(state 2)" in str(caught.value)
+    assert "state 2" in str(caught.value)

@@ -517,6 +517,6 @@ def _refuse_ties(mdp: MDP, tied: NDArray[np.bool_]) -> None:
         state = int(np.flatnonzero(several & seen)[0])
         raise ModelError(
             "several actions are optimal, or floats cannot tell them apart",
-            where=f"state ({mdp.space.label(state)})",
+            where=mdp.space.place(state),
             fix="ask for exact=True, which gives one-sided derivatives at a tie",
         )
