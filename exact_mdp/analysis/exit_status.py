@@ -46,6 +46,7 @@ AT_ONCE = os._exit
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 TOO_LARGE = "a number is too large to compute with: {}"
 NO_PACKAGE = "install the package again, with the extra that this needs"
+ALSO_CALLED = {"--gamma": "--discount", "--plot": "--html"}
 ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
 
 Told = Callable[[int, str], None]
@@ -214,6 +215,11 @@ def _outcome(
         number = error.number if isinstance(error, Stopped) else signal.SIGINT
         asked = f"stopped by {signal.Signals(number).name}"
         return SIGNALS + number, "", "; ".join([asked, *getattr(error, "__notes__", ())]), "", ""
+    if isinstance(error, click.NoSuchOption):
+        known = {name for each in chosen.params for name in each.opts}
+        near = ALSO_CALLED.get(error.option_name)
+        if near in known:
+            error = click.UsageError(f"{error.message} Did you mean {near!r}?", error.ctx)
     if isinstance(error, click.ClickException):
         path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
         place = path or program

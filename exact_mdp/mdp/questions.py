@@ -308,6 +308,17 @@ class Questions(Parts):
         return replace(self, **parts)
 
 
+def unlimited(model: Parts, within: str) -> list[str]:
+    """Return the note that an answer leaves out the environment's limit; `within` keeps it."""
+    if model.time_limit is None:
+        return []
+    also = f": {within.format(model.time_limit)}" if within else ""
+    return [
+        f"the environment stops after {model.time_limit:,} steps; this answer is for episodes "
+        f"without a limit{also}"
+    ]
+
+
 def labelled(model: Parts, label: str) -> Flags:
     """Return the states (S,) of a label, if any; raises ModelError where the label is unknown.
 

@@ -157,7 +157,7 @@ def with_budget(model: MDP, trade: Fraction) -> Budgeted:
         raise ModelError(
             f"the discount is {shown(mdp.discount_exact)}, and risks are found at discount 1",
             where=WHERE,
-            fix="choose discount 1: then the reward so far says all that matters of the past",
+            fix="choose discount 1",
         )
     ends = mdp.terminal
     if mdp.goal is not None and (ends & ~mdp.goal).any():

@@ -473,9 +473,19 @@ REFUSED: list[tuple[MDP, Any, str, str]] = [  # model, form, kind, words
     (CARE, "optimall", "policy", "unknown kind of policy"),
     (CARE, {}, "policy", "rows are missing"),
     (CARE, {"0000": "none"}, "policy", "15 of 16 rows are missing: status 0001"),
-    *((CARE, np.zeros(shape), "q", r"\(65, 4\) (over|prob)|not floats")
+    *((CARE, np.zeros(shape), "q", r"\(65, 4\)")
       for shape in [(4, 16), (16, 5), (17, 4), (16,), (16, 4, 1), (0, 4), ()]),
     (CARE, np.where(np.arange(16)[:, None] == 2, np.nan, np.ones(4)), "q", "NaN(.|\n)*status 0010"),
+    (LAKE, np.where(np.arange(64).reshape(16, 4) == 14, np.nan, 1), "q",
+     r"NaN(.|\n)*Q-table\[3, 2\] \(row 0, column 3, action RIGHT\)"),
+    (LAKE, np.full((16, 4), -np.inf), "q", r"Q-table\[0\] \(row 0, column 0\)"),
+    (LAKE.within(5), np.where(np.arange(5)[:, None, None] == 2, np.nan, np.ones((5, 16, 4))), "q",
+     r"Q-table\[2, 0, 0\] \(time 2, row 0, column 0, action LEFT\)"),
+    (LAKE, np.full((16, 4), 0.25), "auto", r"or a Q-table(.|\n)*policy\[0\] \(row 0"),
+    (LAKE, np.full((16, 4), 0.3), "policy", r"not a distribution(.|\n)*policy\[0\] \(row 0"),
+    (LAKE, np.zeros(16, dtype=int), "q", r"a Q-table has shape \(16, 4\)"),
+    *((LAKE, np.ones(shape), kind, r"reshape\(16, 4\)")
+      for shape in [64, (4, 4, 4)] for kind in ("q", "auto")),
     (CARE, WIDE, "auto", "64 values here and 16"),
     (CARE.with_(actions=("nothing", *ACTIONS[1:])), Policy.by(CARE, ["status"], [0] * 16), "auto",
      "unknown action 'none'"),
@@ -593,7 +603,9 @@ BAD_FILES: list[tuple[str, str, str]] = [  # name, text, words
      "unknown trial '2'"),
     ("p.csv", shares("0.9"), "not a distribution"),
     ("p.csv", shares("often"), "not a finite rational"),
-    ("p.txt", CSV, "unknown kind of policy"),
+    ("p.txt", CSV, "cannot read .txt"),
+    ("q.csv", "5.2e-01,-1\n0,2\n", 'np.save("q_table.npy"'),
+    ("q.csv", "5.2e-01 -1\n0 2\n", 'np.save("q_table.npy"'),
     ("optimall", CSV, "unknown kind of policy"),
     *((name, text, "NumPy") for name, text in (("p.npy", CSV), ("p.npz", CSV), ("p.npy", ""))),
 ]  # fmt: skip

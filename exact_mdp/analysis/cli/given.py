@@ -20,6 +20,7 @@ from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, Posed, parametric
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.questions import unlimited
 from exact_mdp.mdp.report import Report, Shown
 from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -254,7 +255,10 @@ def given(
         perception=perception,
         kind=kind,
         head={},
-        notes=(*_limit_note(loaded.mdp, "horizon" in has and not average), *advice(endless)),
+        notes=(
+            *unlimited(loaded.mdp, "--horizon {}" * ("horizon" in has and not average)),
+            *advice(endless),
+        ),
     )
     if "policy" in has and (policy or perception) is not None:
         same = (policy or "optimal", perception) == ("optimal", None) and "kind" not in has
@@ -282,17 +286,6 @@ def _head(found: Given, has: Sequence[str], criterion: str, start: str | None) -
     if "horizon" in has:
         head["horizon"] = Shown(horizon, None if horizon is None else f"{horizon:,} steps")
     return head
-
-
-def _limit_note(mdp: MDP, has_horizon: bool) -> list[str]:
-    limit = mdp.time_limit
-    if limit is None:
-        return []
-    also = f": --horizon {limit}" if has_horizon else ""
-    return [
-        f"the environment stops after {limit:,} steps; this answer is for episodes without a "
-        f"limit{also}"
-    ]
 
 
 def advice(loaded: Loaded) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from exact_mdp.analysis.gate.verdicts import UNDECIDED, Verdict, number, share_o
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
+from exact_mdp.mdp.questions import unlimited
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, shown
@@ -36,7 +37,7 @@ SHOWN = 5  # states that `message` names
 AT_A_GLANCE = 3  # of them in `print(audit)`
 IN_TABLE = 10  # and in the table for people
 LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
-UNEXPLAINED = "not known: whether a policy that reads the same columns could do better"
+UNEXPLAINED = "not known: whether another policy that sees no more of the state could do better"
 COLUMNS = (
     "yours: what the policy does; optimal: what it should do; value lost: expected visits times "
     "what each loses; share: of all that is lost"
@@ -339,7 +340,12 @@ class Audit(Pictured):
         return f"{word}: {lost} of {best:.6g}, {len(self.disagreements)} disagreements"
 
     def __str__(self) -> str:
-        return "\n".join([self.question, self._outcome, *self._costliest(AT_A_GLANCE)])
+        lines = [self.question, self._outcome, *self._costliest(AT_A_GLANCE)]
+        return "\n".join([*lines, *self._unlimited])
+
+    @property
+    def _unlimited(self) -> list[str]:
+        return unlimited(self.mdp, "horizon={}" * (self.criterion == "total"))
 
     def message(self, *, explain: bool = True) -> str:
         """Return in words what was found, the costly states by name.
@@ -359,7 +365,7 @@ class Audit(Pictured):
         lines += self._costliest(SHOWN)
         if explain and self._partial:
             lines.append(UNEXPLAINED if self.unexplained else str(self.representation))
-        return "\n".join(lines)
+        return "\n".join([*lines, *self._unlimited])
 
     def _costliest(self, most: int) -> list[str]:
         """Return a line for each of the costliest states, one for others, one for never visited."""

@@ -479,11 +479,12 @@ class Representation:
             "uncertainty": why.uncertainty,
             "policy": best.actions,
         }
+        unseen = ", ".join(each for each in why.mdp.space.names if each not in best.columns)
         proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
         text = (
             f"the best policy that reads {', '.join(best.columns) or 'nothing'} has "
-            f"{cell(best.value)} ({proof}): {cell(why.loss)} is lost because of what it reads, "
-            f"{cell(why.learning_error)} by learning"
+            f"{cell(best.value)} ({proof}): {cell(why.loss)} is lost because it cannot see "
+            f"{unseen}, {cell(why.learning_error)} because of what was learned"
         )
         return {"representation": Shown(details, text), "rows": Shown(why.rows)}
 

@@ -327,9 +327,9 @@ def _policies(
         return
     if rng is None:
         raise ModelError(
-            "runs are trained from seeds, and nothing is given to draw these from",
+            "runs are trained from seeds, and there is no rng to draw these from",
             where="rng",
-            fix="give one: rng=0",
+            fix="give rng=0: the seeds of the runs are drawn from it",
         )
     root, number = as_sequence(rng), 0
     while True:

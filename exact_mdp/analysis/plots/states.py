@@ -244,7 +244,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
         _colours(ax, Normalize(0.0, max(losses)), LOSSES, "what the state loses (reward)")
     words = ["✗ not optimal; below it\n   the optimal action"] if losses else []
     if any(each.kind == "idle" for each in drawn):
-        words.append("grey: no choice or no visit")
+        words.append("grey sign: not wrong;\n   no choice or no visit")
     _explain(ax, mdp, layout, [*map(_words, words), *_signs(mdp, layout)])
     lost = f"regret at the start {float(audit.regret.at_start.value):.4g}"
     return titled(ax, f"Where the policy is not optimal; {lost}", mdp.name)

@@ -214,5 +214,8 @@ def _unknown(text: str) -> ModelError:
     known = f"{', '.join(FILES)} file, or {GYMNASIUM}ID"
     if Path(text).is_file():
         return ModelError("unknown kind of model file", where=text, fix=f"give a {known}")
-    fix = f"{suggest(text, shipped())} (or give a {known})"
+    if re.fullmatch(r"[\w/.:-]+-v\d+", text):
+        fix = f"did you mean {GYMNASIUM}{text}?"
+    else:
+        fix = f"{suggest(text, shipped())} (or give a {known})"
     return ModelError(f"unknown model {text!r}", where="model", fix=fix)

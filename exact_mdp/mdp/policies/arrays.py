@@ -19,6 +19,7 @@ NaN, +inf, and -inf for every action offered are refused. For costs the infiniti
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -33,7 +34,7 @@ from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, Numbers
 
 Flags = NDArray[np.bool_]
 KINDS = ("auto", "q", "policy")
-SAY = 'say which: kind="policy" (--kind policy) or kind="q" (--kind q)'
+SAY = 'say which: kind="policy" (--kind policy) or kind="q" (--kind q); the answers differ'
 UNIT_32 = 2.0**-24  # the unit roundoff of float32
 Q_TABLE, PROBABILITIES = "a Q-table: its greedy policy", "action probabilities"
 
@@ -58,11 +59,11 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     [[0.5, 0.5], [nan, nan]]
     >>> policy_of_array(mdp, table)
     Traceback (most recent call last):
-    exact_mdp.mdp.errors.ModelError: the rows may be probabilities or action values, which differ
-      where: policy, state 0
-      fix:   say which: kind="policy" (--kind policy) or kind="q" (--kind q)
+    exact_mdp.mdp.errors.ModelError: every row sums to 1: are these probabilities or a Q-table?
+      where: policy[0] (state 0)
+      fix:   say which: kind="policy" (--kind policy) or kind="q" (--kind q); the answers differ
     """
-    array = by_time(model, array, 0, of_actions=True)
+    given, array = array, by_time(model, array, 0, of_actions=True)
     space, actions, offered = _layout(model, array.shape)
     row, costs = rows_read(model, space), model.sense == "min"
 
@@ -71,6 +72,17 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         rows = np.zeros(space.size, dtype=bool)
         rows[row[states]] = True
         return rows
+
+    def place(row: int, action: int | None = None) -> str:
+        """Return the index of an entry in the array as it was given, and what it is of."""
+        untimed = model.space.untimed
+        index = [row]
+        if array is not given and untimed is not None:
+            index = [*divmod(row, untimed.regular)]
+        words = space.label(row)
+        if action is not None:
+            index, words = [*index, action], f"{words}, action {actions[action]}"
+        return f"{index} ({words})"
 
     counts = read_by(model.asked)
     fits = are_distributions(array, counts)
@@ -82,37 +94,37 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         if kind == "policy" or choosing.any():
             counts, wrong = choosing, choosing & ~fits
     if kind == "q" or (kind == "auto" and wrong.any()):
-        rule = _greedy(array, offered, counts, space, costs=costs)
+        rule = _greedy(array, offered, counts, place, costs=costs)
         read = {"rule": rule, "values": array, "source": Q_TABLE}
         return {"space": space, "actions": actions, **read}
     if wrong.any():
-        raise no_distribution(array[wrong][0].tolist(), space.label(int(np.flatnonzero(wrong)[0])))
+        raise no_distribution(array[wrong][0].tolist(), place(int(np.flatnonzero(wrong)[0])))
     alone = ((array == 1).sum(axis=1) == 1) & ((array == 0).sum(axis=1) == array.shape[1] - 1)
     mixed = counts & ~np.asarray(alone, dtype=bool)
     if kind == "auto" and costs and not mixed.any():  # a cost of 1 is not the least
-        least = _greedy(array, offered, counts, space, costs=True)
+        least = _greedy(array, offered, counts, place, costs=True)
         mixed = read_by(model.asked & ~model.indifferent)
         mixed &= array[np.arange(len(array)), least] != 1
     if kind == "auto" and mixed.any():
         raise ModelError(
-            "the rows may be probabilities or action values, which differ",
-            where=f"policy, {space.label(int(np.flatnonzero(mixed)[0]))}",
+            "every row sums to 1: are these probabilities or a Q-table?",
+            where=f"policy{place(int(np.flatnonzero(mixed)[0]))}",
             fix=SAY,
         )
     floats = np.where(fits[:, None], array, 0).astype(np.float64)
     lost = fits & ((floats == 0) & np.asarray(array != 0)).any(axis=1)
     if (lost & counts).any():
-        raise too_small(f"policy, {space.label(int(np.flatnonzero(lost & counts)[0]))}")
+        raise too_small(f"policy{place(int(np.flatnonzero(lost & counts)[0]))}")
     table: Numbers = np.full(array.shape, np.nan, dtype=np.result_type(array, np.float64))
     table[fits & ~lost] = array[fits & ~lost]
     return {"space": space, "actions": actions, "rule": table, "source": PROBABILITIES}
 
 
-def no_distribution(row: list[Any], label: str) -> ModelError:
+def no_distribution(row: list[Any], place: str) -> ModelError:
     """Return the error to raise for probabilities that are none."""
     return ModelError(
         f"action probabilities are {row}, not a distribution",
-        where=f"policy, {label}",
+        where=f"policy{place}",
         fix="make them at least 0, with sum 1",
     )
 
@@ -207,24 +219,30 @@ def _layout(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str, 
 
 
 def _greedy(
-    values: Numbers, offered: Flags, counts: Flags, space: StateSpace, *, costs: bool
+    values: Numbers, offered: Flags, counts: Flags, place: Callable[..., str], *, costs: bool
 ) -> Integers:
     """Return (K,) the greedy actions of action values (K, A), -1 for rows that say nothing."""
     worst, best = ("+inf", "-inf") if costs else ("-inf", "+inf")
     if values.dtype.kind in "iu":
         values = values.astype(object)  # beside infinities, and without overflow
     values = -values if costs else values
-    never, silent = np.asarray(values == -np.inf) | ~offered, np.zeros(len(values), dtype=bool)
-    for what, rows in (
-        ("an action value is NaN", (np.asarray(values != values) & offered).any(axis=1)),
-        (f"an action value is {best}", (np.asarray(values == np.inf) & offered).any(axis=1)),
-        (f"every action offered has the value {worst}", never.all(axis=1)),
-    ):
+    never: Flags = np.asarray(values == -np.inf, bool) | ~offered
+    silent = np.zeros(len(values), dtype=bool)
+    every = f"every action offered has the value {worst}"
+    refused: list[tuple[str, Flags]] = [
+        ("an action value is NaN", np.asarray(values != values, bool) & offered),
+        (f"an action value is {best}", np.asarray(values == np.inf, bool) & offered),
+        (every, never & np.asarray(never.all(axis=1))[:, None]),
+    ]
+    for what, entries in refused:
+        rows = entries.any(axis=1)
         wrong = np.flatnonzero(rows & counts)
         if len(wrong):
+            row = int(wrong[0])
             raise ModelError(
                 what,
-                where=f"Q-table, {space.label(int(wrong[0]))}",
+                where="Q-table"
+                + (place(row) if what is every else place(row, int(entries[row].argmax()))),
                 fix=f"give a number for every available action; {worst} for one never to be taken",
             )
         silent |= rows
@@ -323,6 +341,19 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
                 )
     if array.ndim == 2 or (timed and array.ndim == 3):
         return policy_of_array(model, array, kind)
+    table = f"({model.n_states}, {model.n_actions})"
+    if array.size == model.n_states * model.n_actions and array.ndim:
+        raise ModelError(
+            f"an array of shape {array.shape} is not {table}, a row for each state",
+            where="policy",
+            fix=f"reshape{table}, if its values come state by state, the actions of each in order",
+        )
+    if kind == "q":
+        raise ModelError(
+            f"a Q-table has shape {table}, a row for each state, not {array.shape}",
+            where="policy",
+            fix='give a value for each state and action; of action numbers leave out kind="q"',
+        )
     if array.ndim == 1 and array.dtype.kind == "f":
         raise ModelError(
             "action numbers are whole numbers, not floats",
@@ -332,8 +363,7 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     raise ModelError(
         f"a policy of shape {array.shape} and type {array.dtype}",
         where="policy",
-        fix=f"give ({model.n_states},) action numbers, or ({model.n_states}, {model.n_actions}) "
-        "probabilities or action values",
+        fix=f"give ({model.n_states},) action numbers, or {table} probabilities or action values",
     )
 
 

@@ -13,6 +13,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ from exact_mdp.mdp.space import TIME, StateSpace
 from exact_mdp.mdp.table import Numbers, as_float, exact
 
 PRINTED_TIME = re.compile(rf"{TIME} \d+, ")  # as printed; "time out" may be a name
+NUMBERS = re.compile(r"[-+\d.eE\s;]*\d[-+\d.eE\s;]*")  # as np.savetxt writes them
+SAVE = 'np.save("q_table.npy", q_table)'
 Chances = dict[int, dict[int, Fraction]]
 """Probabilities of actions by the number of a combination of column values."""
 
@@ -233,8 +236,12 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
             "give random, always:ACTION, or a .json, .csv, .npy or .npz file; the optimal policy "
             "is solve(mdp).policy, on the command line optimal"
         )
-        fix = f"did you mean always:{where}?" if where in model.actions else fix
-        raise ModelError(f"unknown kind of policy {where!r}", fix=fix)
+        what = f"unknown kind of policy {where!r}"
+        if where in model.actions:
+            fix = f"did you mean always:{where}?"
+        elif suffix and isfile(path):
+            what, fix = f"cannot read {suffix}", f"load it yourself, then {SAVE}"
+        raise ModelError(what, fix=fix)
     content = json_of(
         read_text(path), where, object_pairs_hook=_once, parse_float=str, parse_int=_digits
     )
@@ -264,6 +271,9 @@ def _of_csv(model: MDP, text: str) -> Parts:
     columns = [name for name in header if name not in ("action", "probability")]
     by_state = columns == ["state"] and "state" not in model.space.names
     known = [*(columns if by_state else model.space.names), "action", "probability"]
+    if header and all(NUMBERS.fullmatch(name) for name in header):
+        what = "the file holds numbers alone, with no header"
+        raise ModelError(what, fix=f"give a Q-table as .npy: {SAVE}")
     for name in header:
         if name not in known:
             fix = "separate the columns by commas" if ";" in name or "\t" in name else ""

@@ -133,7 +133,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         wrong = ~silent & ~are_distributions(given, ~silent)
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
-            raise no_distribution(table[row].tolist(), self.space.label(row))
+            raise no_distribution(table[row].tolist(), f"[{row}] ({self.space.label(row)})")
         total = table.sum(axis=1, keepdims=True)
         short = (np.abs(total - 1) > FLOAT_ROW_TOLERANCE).any()  # rows of a shorter type
         shares = _shares(given, table, exactly=short) if self.shares is None else self.shares

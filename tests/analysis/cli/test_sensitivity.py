@@ -102,6 +102,20 @@ def test_an_option_of_another_analysis_is_refused(words: str) -> None:
     assert f"exact-mdp {kind} --help" in done.err
 
 
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("tea", "random", "--gamma", "0.9"), "Did you mean '--discount'?"),
+        (("tea", "random", "--plot", "p.png"), "Did you mean '--html'?"),
+        (("FrozenLake-v1", "random"), "did you mean gymnasium:FrozenLake-v1?"),
+    ],
+)
+def test_what_other_tools_call_otherwise_is_suggested(words: tuple[str, ...], meant: str) -> None:
+    done = run("check", *words)
+    assert (done.status, done.out) == (2, "")
+    assert meant in done.err
+
+
 def test_grids_ask_for_as_many_parameters_as_they_vary() -> None:
     for kind, names in (("one-way", ()), ("two-way", ("--parameter", "base.anger"))):
         done = run(kind, "tea", *names)

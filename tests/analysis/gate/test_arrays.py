@@ -57,7 +57,7 @@ def test_an_array_that_fits_both_readings_is_refused_everywhere(mdp: MDP, tmp_pa
             lambda form: return_distribution(mdp, form),
             lambda form: simulate(mdp, form, 5, 0),
         ):
-            with pytest.raises(ModelError, match="may be probabilities or action values") as error:
+            with pytest.raises(ModelError, match="are these probabilities or a Q-table") as error:
                 reader(form)
             assert "first" in error.value.where
             assert "--kind" in error.value.fix
@@ -73,7 +73,7 @@ def test_an_array_that_fits_both_readings_is_refused_everywhere(mdp: MDP, tmp_pa
     for words in (("check",), ("evaluate",), ("returns",), ("simulate", "--episodes", "5")):
         done = run(*words, model, file)
         assert (done.status, done.out) == (2, "")
-        assert "may be probabilities or action values" in done.err
+        assert "are these probabilities or a Q-table" in done.err
         for kind, line in (("q", "a Q-table"), ("policy", "action probabilities")):
             found = run(*words, model, file, "--kind", kind, "--json")
             assert found.result["read_as"] == kind
@@ -330,7 +330,7 @@ def test_probabilities_of_a_network_are_no_q_table(kind: str, actions: int, tmp_
         F(float(mdp.reward[pair])) * exact[0][mdp.pair_action[pair]] for pair in mdp.pairs_of(0)
     )
     for form in forms:
-        with pytest.raises(ModelError, match="may be probabilities or action values"):
+        with pytest.raises(ModelError, match="are these probabilities or a Q-table"):
             check(mdp, form)
         audit = check(mdp, form, kind="policy")
         assert audit.regret.learned.value == 2 * worth / sum(exact[0])  # discount 1/2
@@ -363,3 +363,18 @@ def test_the_first_line_says_what_was_read(mdp: MDP) -> None:
     first = str(check(mdp, whole(BOTH), kind="policy", horizon=3)).splitlines()[0]
     assert first == "read as action probabilities, discount 1, horizon 3, start time 0, state first"
     assert "read as a Q-table" in str(check(mdp, whole(BOTH), kind="q")).splitlines()[0]
+
+
+def test_what_is_printed_says_that_the_limit_of_an_environment_is_left_out(mdp: MDP) -> None:
+    limited = mdp.with_(time_limit=7)
+    audit = check(limited, whole(BOTH), kind="q")
+    for text in (str(audit), audit.message()):
+        assert text.endswith("answer is for episodes without a limit: horizon=7")
+    for model, horizon in ((mdp, None), (limited, 7)):
+        other = check(model, whole(BOTH), kind="q", horizon=horizon)
+        assert "limit" not in str(other) + other.message()
+
+
+def test_a_loss_names_the_columns_that_a_policy_does_not_see(mdp: MDP) -> None:
+    said = check(mdp, whole(BOTH), kind="q", horizon=3).report().facts["representation"]
+    assert "cannot see time, " in str(said)

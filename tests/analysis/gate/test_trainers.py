@@ -65,7 +65,7 @@ def test_one_policy_is_no_list_of_them(one: object) -> None:
         ({"alpha": 1}, "a risk of error of 1 proves nothing"),
         ({"alpha": -0.5}, "alpha is -0.5"),
         ({"runs": 0}, "runs is 0"),
-        ({"rng": None}, "nothing is given to draw"),
+        ({"rng": None}, "the seeds of the runs are drawn from it"),
         ({"train": []}, "no policies"),
         ({"max_regret": -1}, "max_regret is -1"),
     ],

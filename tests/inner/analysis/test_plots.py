@@ -211,4 +211,4 @@ def test_a_listed_state_is_named_apart_from_its_actions() -> None:
     assert [text.get_text() for text in ax.texts[:2]] == ["✗ 0\n1", "0"]
     words = " ".join(text.get_text() for text in ax.get_legend().get_texts())
     assert "∎ an episode ends" in words
-    assert "grey: no choice or no visit" in words
+    assert "grey sign: not wrong" in words
