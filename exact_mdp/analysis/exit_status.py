@@ -260,12 +260,12 @@ def _outcome(
 
 def _place(error: BaseException) -> str:
     """Return the last line of this project that an exception went through."""
-    found, here = "an unknown place", Path(__file__).resolve().parents[1]
+    place, here = "an unknown place", Path(__file__).resolve().parents[1]
     for frame in traceback.extract_tb(error.__traceback__):
         file = Path(frame.filename).resolve()
         if any(file.is_relative_to(here / room) for room in ROOMS):
-            found = f"{file.relative_to(here).as_posix()}, line {frame.lineno}"
-    return found
+            place = f"{file.relative_to(here).as_posix()}, line {frame.lineno}"
+    return place
 
 
 def _chosen(command: click.Command, words: Sequence[str]) -> click.Command:
@@ -371,12 +371,12 @@ def _silence(stream: TextIO) -> None:
 
 def warner() -> Callable[..., None]:
     """Return what tells a warning as one line on standard error, each text once in a command."""
-    told: set[str] = set()
+    shown: set[str] = set()
 
     def warn(message: Warning | str, *rest: object, **more: object) -> None:
         text = shown_text(str(message), lines=True)
-        if text not in told:
-            told.add(text)
+        if text not in shown:
+            shown.add(text)
             say(f"warning: {text}")
 
     return warn

@@ -163,11 +163,11 @@ def _parts(model: MDP) -> tuple[StateSpace, Integers] | None:
     fields = getattr(tuples[0], "_fields", None) or [f"state[{k}]" for k in range(width)]
     columns, values = [], np.full((width, model.n_states), -1)
     for k, field in enumerate(fields):
-        found = _sorted(list(dict.fromkeys(each[k] for each in tuples)))
-        place = {value: number for number, value in enumerate(found)}
+        distinct = _sorted(list(dict.fromkeys(each[k] for each in tuples)))
+        place = {value: number for number, value in enumerate(distinct)}
         values[k, inside] = [place[each[k]] for each in tuples]
-        words = tuple(map(_word, found))
-        columns.append(Column(name=field, size=len(found), words=words, objects=tuple(found)))
+        words = tuple(map(_word, distinct))
+        columns.append(Column(name=field, size=len(distinct), words=words, objects=tuple(distinct)))
     if prod(column.size for column in columns) > SPARSE * len(tuples):
         return None
     space = StateSpace(columns=tuple(columns))

@@ -206,10 +206,10 @@ class Optimum:
         write_atomically(path, content.getvalue())
 
 
-def limited_report(found: ConstrainedSolution, written: Sequence[str | None]) -> Report:
+def limited_report(best: ConstrainedSolution, written: Sequence[str | None]) -> Report:
     """Return what an optimum under limits is, or that no policy keeps them."""
-    mdp, limits, feasible = found.of.mdp, found.limits, found.feasible
-    drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in found.rule]
+    mdp, limits, feasible = best.of.mdp, best.limits, best.feasible
+    drawn = [{mdp.actions[a]: c for a, c in enumerate(row) if c} for row in best.rule]
     said = ["they can be kept" if feasible else "no policy keeps them all (proven)"]
     said += [
         f"{low} and {high} contradict each other, whatever the model"
@@ -217,29 +217,29 @@ def limited_report(found: ConstrainedSolution, written: Sequence[str | None]) ->
         for high in limits
         if (low.name, low.sign, high.sign) == (high.name, 1, -1) and low.bound > high.bound
     ]
-    labels = {state: mdp.space.label(state) for state in found.randomises}
+    labels = {state: mdp.space.label(state) for state in best.randomises}
     facts = {
         "method": "limits",
-        "claim": Shown(found.claim),
+        "claim": Shown(best.claim),
         "feasible": Shown(feasible, "; ".join(said)),
-        "start_value": Shown(found.start and float(found.start), found.start),
+        "start_value": Shown(best.start and float(best.start), best.start),
         "error_bound": Shown(0.0 if feasible else None),
-        "exact_start_value": found.start_value,
+        "exact_start_value": best.start_value,
         "limits": [str(limit) for limit in limits],
-        "totals": Shown(found.totals),
-        "prices": Shown(found.prices),
-        "closest": Shown(found.closest),
+        "totals": Shown(best.totals),
+        "prices": Shown(best.prices),
+        "closest": Shown(best.closest),
         "randomises": Shown(
-            [{"state": labels[s], "actions": each} for s, each in found.randomises.items()],
+            [{"state": labels[s], "actions": each} for s, each in best.randomises.items()],
             [*labels.values()],
         ),
         "policy": Shown(of_every_state(mdp, drawn)),
         "written": [path for path in written if path],
     }
     rows = [
-        {"limit": str(limit), "total": float(found.totals[limit.name]), "price": float(price),
+        {"limit": str(limit), "total": float(best.totals[limit.name]), "price": float(price),
          "closest": float(moved.bound)}
-        for limit, price, moved in zip(limits, found.price, found.moved, strict=True)
+        for limit, price, moved in zip(limits, best.price, best.moved, strict=True)
     ]  # fmt: skip
     title, note = (
         "limits",
@@ -282,12 +282,12 @@ def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
         column = mdp.space.column("status")
         status = mdp.space.values("status")
         asked = np.flatnonzero(mdp.asked & (status >= 0)).tolist()
-        found = {
+        by_label = {
             column.label(value): said[mdp.space.index(status=value)] for value in range(column.size)
         }
-        found |= {column.label(int(status[state])): said[state] for state in asked}
-        if all(found[column.label(int(status[state]))] == said[state] for state in asked):
-            return found
+        by_label |= {column.label(int(status[state])): said[state] for state in asked}
+        if all(by_label[column.label(int(status[state]))] == said[state] for state in asked):
+            return by_label
     return dict(zip(state_names(mdp.space), said, strict=True))
 
 
@@ -340,16 +340,16 @@ def optimum(
     certificate = certified(model, criterion=criterion)
     if faults := certificate.violations():
         raise Contradiction(f"the certificate does not hold: {faults[0]}")
-    found = Optimum(mdp=model, method=solver.name, solution=solution, certificate=certificate)
+    best = Optimum(mdp=model, method=solver.name, solution=solution, certificate=certificate)
     if solution is not None:
-        same = solution.value == found.value  # infinite ones
-        apart = np.abs(np.where(same, 0.0, solution.value) - np.where(same, 0.0, found.value))
-        if not (apart <= solution.state_error + found.state_error).all():
+        same = solution.value == best.value  # infinite ones
+        apart = np.abs(np.where(same, 0.0, solution.value) - np.where(same, 0.0, best.value))
+        if not (apart <= solution.state_error + best.state_error).all():
             raise Contradiction(
                 f"exact values differ from those of {solution.solver} by up to {apart.max():.3g}, "
                 f"which states an error of at most {solution.error_bound:.3g}"
             )
-    return found
+    return best
 
 
 def _solver(mdp: MDP, method: str, tol: float | None, *, average: bool) -> Solver:

@@ -69,9 +69,9 @@ def policy_gate(request: pytest.FixtureRequest) -> Callable[..., Audit | Trainer
             check = import_module("exact_mdp.analysis.learning.trainers").check_trainer
             if isinstance(policy, list | tuple | Iterator):
                 policy = [_beside(request.path, one) for one in policy]
-            found = check(mdp, policy, **{"rng": 0} | limits)
-            low, high = map(float, found.interval)
-            known = {"within": found.within, "runs": len(found.audits), "low": low, "high": high}
+            result = check(mdp, policy, **{"rng": 0} | limits)
+            low, high = map(float, result.interval)
+            known = {"within": result.within, "runs": len(result.audits), "low": low, "high": high}
         else:
             if few := [name for name in OF_RUNS if name in limits]:
                 raise import_module("exact_mdp.mdp.errors").ModelError(
@@ -80,14 +80,14 @@ def policy_gate(request: pytest.FixtureRequest) -> Callable[..., Audit | Trainer
                     fix="give runs, as in runs=100, or leave it out",
                 )
             check = import_module("exact_mdp.analysis.gate.check").check
-            found = check(mdp, _beside(request.path, policy), **limits)
-            known = {"regret": float(found.regret.at_start.value), "agreement": found.agreement}
-            if found.interval is not None:
-                known["regret_interval"] = str(found.interval)
-        request.node.user_properties += [("claim", str(found.claim)), *known.items()]
-        if not found.passed:
-            pytest.fail(found.message(), pytrace=False)
-        return found
+            result = check(mdp, _beside(request.path, policy), **limits)
+            known = {"regret": float(result.regret.at_start.value), "agreement": result.agreement}
+            if result.interval is not None:
+                known["regret_interval"] = str(result.interval)
+        request.node.user_properties += [("claim", str(result.claim)), *known.items()]
+        if not result.passed:
+            pytest.fail(result.message(), pytrace=False)
+        return result
 
     judged: Callable[..., Audit | TrainerAudit]
     judged = import_module("exact_mdp.analysis.exit_status").answering()(gate)

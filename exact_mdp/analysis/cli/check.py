@@ -112,23 +112,23 @@ def check(
         "criterion": "average" if given.average else "total",
         "subject_to": limits_from(subject_to) or None,
     }
-    found: Audit | TrainerAudit
+    audit: Audit | TrainerAudit
     if single:
-        found, report = _audited(given, learned[0], not no_explain, asked, confidence, by, evidence)
+        audit, report = _audited(given, learned[0], not no_explain, asked, confidence, by, evidence)
     else:
         policies = (given.policy(name) for name in learned)
         asked |= {"share": share or "9/10", "alpha": alpha or "1/100", "prove": prove}
-        found = check_trainer(given.mdp, policies, runs=len(learned), **asked)
-        report = given.report(found.report(learned))
+        audit = check_trainer(given.mdp, policies, runs=len(learned), **asked)
+        report = given.report(audit.report(learned))
     name = learned[0] if single else f"{len(report.facts['policies'])} policies"
-    passed = "passed" if found.passed else "failed"
+    passed = "passed" if audit.passed else "failed"
     report = replace(report, title=f"{name} in {given.loaded.name}: {passed}")
-    text = found.message(explain=report.facts.get("representation") is not None)
+    text = audit.message(explain=report.facts.get("representation") is not None)
     if junit is not None:
-        _junit(junit, given, found, report, text, perf_counter() - started)
-    if html is not None and isinstance(found, Audit):
+        _junit(junit, given, audit, report, text, perf_counter() - started)
+    if html is not None and isinstance(audit, Audit):
         words = shlex.join(["exact-mdp", *typed()])
-        page = audit_page(found, report, given.loaded.name, name, rerun=words, first=ON_PAGE)
+        page = audit_page(audit, report, given.loaded.name, name, rerun=words, first=ON_PAGE)
         write_atomically(html, page)
     github.summarise(markdown(report))
     if not report.passed:
@@ -171,25 +171,25 @@ def _audited(
 
 
 def _junit(
-    path: str, given: Given, found: Audit | TrainerAudit, report: Report, text: str, seconds: float
+    path: str, given: Given, result: Audit | TrainerAudit, report: Report, text: str, seconds: float
 ) -> None:
     cases = [
         Case(each.name) if each.passed else Case(each.name, "failure", each.told, text)
-        for each in found.verdicts
+        for each in result.verdicts
     ]
-    properties = {"model": given.loaded.name, "claim": str(found.claim)}
-    if isinstance(found, Audit):
+    properties = {"model": given.loaded.name, "claim": str(result.claim)}
+    if isinstance(result, Audit):
         properties |= {
             "learned": report.facts["learned"],
-            "regret": repr(float(found.value.value)),
-            "agreement": repr(found.agreement),
+            "regret": repr(float(result.value.value)),
+            "agreement": repr(result.agreement),
         }
-        if found.interval is not None:
-            properties["regret_interval"] = str(found.interval)
+        if result.interval is not None:
+            properties["regret_interval"] = str(result.interval)
     else:
-        low, high = map(float, found.interval)
-        properties["within"] = f"{found.within} of {len(found.audits)}"
-        properties |= {"share": f"{low!r} to {high!r}", "alpha": str(found.alpha)}
+        low, high = map(float, result.interval)
+        properties["within"] = f"{result.within} of {len(result.audits)}"
+        properties |= {"share": f"{low!r} to {high!r}", "alpha": str(result.alpha)}
     if advice(given.endless):
         properties["notice"] = ADVICE
     suite = f"exact-mdp check {given.loaded.name}"

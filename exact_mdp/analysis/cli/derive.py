@@ -100,11 +100,11 @@ def function(target: str) -> tuple[str, list[Parameter]]:
     """Return what the docstring of "module:name" says, and its parameters."""
     module, _, name = target.partition(":")
     every = [each for each in _tree(module).body if isinstance(each, ast.FunctionDef)]
-    found = next(each for each in every if each.name == name)
+    section = next(each for each in every if each.name == name)
     said: dict[str, tuple[str, str]] = {}
-    for each in reversed([found, *every]):  # a parameter that is not explained, is in another one
+    for each in reversed([section, *every]):  # a parameter that is not explained, is in another one
         said |= _documented(each)[1]
-    return _documented(found)[0], [*_parameters(found.args, said)]
+    return _documented(section)[0], [*_parameters(section.args, said)]
 
 
 def _documented(function: ast.FunctionDef) -> tuple[str, dict[str, tuple[str, str]]]:

@@ -140,16 +140,16 @@ class Given:
         Under a perception the optimum is that of whoever sees the truth.
         """
         criterion: Criterion = "average" if self.average else "total"
-        found: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=criterion)
+        policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=criterion)
         if self.perception is None:
-            return found
-        seen: Policy = seeing.perceived(self.mdp, found, seeing.read(self.perception, self.mdp))
-        return replace(seen, source=found.source)
+            return policy
+        seen: Policy = seeing.perceived(self.mdp, policy, seeing.read(self.perception, self.mdp))
+        return replace(seen, source=policy.source)
 
-    def report(self, found: Report, **more: Any) -> Report:
+    def report(self, report: Report, **more: Any) -> Report:
         """Return what was found, after what was asked; `more` are facts that stand between."""
-        facts = {**self.head, **more, **found.facts}
-        return replace(found, facts=facts, notes=(*found.notes, *self.notes))
+        facts = {**self.head, **more, **report.facts}
+        return replace(report, facts=facts, notes=(*report.notes, *self.notes))
 
     def record(self, solver: str, seed: int | None = None) -> str:
         """Return the record of a result, as JSON."""
@@ -267,18 +267,18 @@ def given(
     return replace(found, head=_head(found, has, criterion, start))
 
 
-def _head(found: Given, has: Sequence[str], criterion: str, start: str | None) -> dict[str, Any]:
+def _head(given: Given, has: Sequence[str], criterion: str, start: str | None) -> dict[str, Any]:
     """Return how a report begins; what a policy was read as comes first."""
-    mdp, horizon, perception = found.mdp, found.horizon, found.perception
-    head: dict[str, Any] = {"model": found.loaded.name}
+    mdp, horizon, perception = given.mdp, given.horizon, given.perception
+    head: dict[str, Any] = {"model": given.loaded.name}
     if "start" in has:
-        words = found.question.words() if found.question else None
+        words = given.question.words() if given.question else None
         head |= {"sense": Shown(mdp.sense), "question": words, "start": start}
     if "criterion" in has:
-        head["criterion"] = Shown(criterion, "reward per step" if found.average else None)
-    if found.taken is not None and "kind" in has:
-        read = Shown(found.taken.read_as, found.taken.source or None)
-        head = {"read_as": read} | head | {"policy": found.form}
+        head["criterion"] = Shown(criterion, "reward per step" if given.average else None)
+    if given.taken is not None and "kind" in has:
+        read = Shown(given.taken.read_as, given.taken.source or None)
+        head = {"read_as": read} | head | {"policy": given.form}
     if "perception" in has:
         said = perception and f"{perception}, which the policy acts on"
         head |= {"perception": Shown(perception, said)}

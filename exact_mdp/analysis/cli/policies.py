@@ -110,19 +110,19 @@ def solve(
         )
     error = None if tol is None else number_of(tol, "--tol")
     criterion: Criterion = "average" if average else "total"
-    found = optimum(mdp, method, error, certify=certify, criterion=criterion)
+    best = optimum(mdp, method, error, certify=certify, criterion=criterion)
     if certificate:
-        proof = found.certificate or certified(mdp, bounded=True, solution=found.solution)
+        proof = best.certificate or certified(mdp, bounded=True, solution=best.solution)
         proof.save(certificate)
     if policy_out:
-        Policy.from_choices(mdp, found.best.policy).write(policy_out)
+        Policy.from_choices(mdp, best.best.policy).write(policy_out)
     if out:
-        found.save(out)
+        best.save(out)
     written = [path for path in (policy_out, out, certificate) if path]
-    solver = found.solution.solver if found.solution else found.method
+    solver = best.solution.solver if best.solution else best.method
     for path in written:
         write_atomically(Path(path).with_suffix(".run.json"), given.record(solver))
-    report = found.report()
+    report = best.report()
     return given.report(replace(report, facts={**report.facts, "written": written}))
 
 
@@ -226,11 +226,11 @@ def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
     exact : bool
         Give the probabilities as rationals, too.
     """
-    found = return_distribution(given.mdp, policy, exact=exact)
+    law = return_distribution(given.mdp, policy, exact=exact)
     moments = value_of(given.mdp, policy).report().facts
     mean, sd = moments["mean"], moments["sd"]
     bounds = {name: moments["error_bounds"].value[name] for name in ("mean", "sd")}
-    return given.report(found.report(), mean=mean, sd=sd, error_bounds=Shown(bounds))
+    return given.report(law.report(), mean=mean, sd=sd, error_bounds=Shown(bounds))
 
 
 def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> Report:
@@ -247,5 +247,5 @@ def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> R
     seed : S
         Seed of the random numbers.
     """
-    found = sample(given.asked, policy, episodes, seed, horizon=given.horizon)
-    return given.report(found.report(), seed=seed)
+    runs = sample(given.asked, policy, episodes, seed, horizon=given.horizon)
+    return given.report(runs.report(), seed=seed)

@@ -25,9 +25,9 @@ def show(report: Report, *, as_json: bool, as_markdown: bool = False) -> None:
             print(f"note: {note}", file=sys.stderr)
     if as_json or as_markdown:
         notice = {"notice": ADVICE} if ADVICE in report.notes else {}
-        found = report.json(**notice) if as_json else markdown(report)
+        printed = report.json(**notice) if as_json else markdown(report)
         # "##[" in a name would begin a command to a runner.
-        print(found.replace("##[", "##\\u005b") if github.running() else found)
+        print(printed.replace("##[", "##\\u005b") if github.running() else printed)
     else:
         for line in text(report).splitlines():
             print(github.inert(line.rstrip()))

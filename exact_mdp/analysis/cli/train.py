@@ -62,13 +62,13 @@ def train(
     mdp, settings = given.mdp, _settings(given.mdp, epsilon, learner)
     solve(mdp)  # a model that cannot be judged is refused before the work
     runs = training.train(mdp, settings, seeds, rng=seed, n_jobs=n_jobs, out=out, progress=True)
-    found = outcomes(mdp, runs)
-    report = given.report(found.report(), settings=repr(settings), seed=seed)
+    results = outcomes(mdp, runs)
+    report = given.report(results.report(), settings=repr(settings), seed=seed)
     if out is None:
         return report
     policy, table = files = Path(out, "policy.csv"), Path(out, "q.npy")
-    rows, run = found.rows, runs[0]
-    as_policy(mdp, rows.space, found.policies[0]).write(policy)
+    rows, run = results.rows, runs[0]
+    as_policy(mdp, rows.space, results.policies[0]).write(policy)
     free = np.flatnonzero(rows.offered[np.unique(rows.key[~mdp.forced])].any(axis=0))
     content = io.BytesIO()
     np.save(content, run.q if rows.space == mdp.space else run.q[:, free])

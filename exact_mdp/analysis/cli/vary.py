@@ -100,10 +100,10 @@ def tornado(
         The policy held fixed, whose value and regret are shown; today's optimum unless given.
     """
     spans, without = _spans(given.family, parameters, ranges, relative)
-    found = tornado_of(given.family, policy=policy, names=list(spans), ranges=spans)
+    result = tornado_of(given.family, policy=policy, names=list(spans), ranges=spans)
     if given.perception is not None:  # the question is what it does to the policy held fixed
-        found = replace(found, bars=tuple(sorted(found.bars, key=lambda b: -b.fixed_swing)))
-    return _report(given, "tornado", found.report(), without_range=without)
+        result = replace(result, bars=tuple(sorted(result.bars, key=lambda b: -b.fixed_swing)))
+    return _report(given, "tornado", result.report(), without_range=without)
 
 
 def gradient(
@@ -118,9 +118,9 @@ def gradient(
 
     exact-mdp gradient tea --parameter base.anxiety
     """
-    found = gradient_of(given.family, policy=policy, names=parameters or None)
+    result = gradient_of(given.family, policy=policy, names=parameters or None)
     more = {"claim_of": ROUNDED} if given.perception is not None else {}
-    return _report(given, "gradient", found.report(), **more)
+    return _report(given, "gradient", result.report(), **more)
 
 
 def threshold(
@@ -140,9 +140,9 @@ def threshold(
     """
     spans, without = _spans(given.family, parameters, ranges, relative)
     steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
-    found = {name: thresholds(given.family, name, spans) for name in steps}
+    results = {name: thresholds(given.family, name, spans) for name in steps}
     start = claimed("start_value", optimum(given.family.at({}))[1])
-    report = report_of(found)
+    report = report_of(results)
     return given.report(report, kind="threshold", **start, without_range=without)
 
 
@@ -178,9 +178,9 @@ def curve(
     spans = _ranges(given.family, [name], ranges, relative) if ranges or relative else None
     limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
     limited = any(limits.values())
-    held = "optimal" if policy is None and limited else policy
-    found = curve_of(given.family, name, spans, policy=held)
-    report = found.report(found.within(**limits) if limited else None)
+    fixed = "optimal" if policy is None and limited else policy
+    result = curve_of(given.family, name, spans, policy=fixed)
+    report = result.report(result.within(**limits) if limited else None)
     return given.report(report, kind="curve")
 
 
@@ -210,9 +210,9 @@ def one_way(
     """
     (name,) = _named(parameters, 1, "one-way")
     spans = _ranges(given.family, [name], ranges, relative)
-    found = values_along(given.family, name, spans, policy=policy, points=points)
+    result = values_along(given.family, name, spans, policy=policy, points=points)
     start = claimed("start_value", solve(given.mdp).start)
-    return _report(given, "one-way", found.report(), **start)
+    return _report(given, "one-way", result.report(), **start)
 
 
 def two_way(
@@ -239,9 +239,9 @@ def two_way(
     """
     x, y = _named(parameters, 2, "two-way")
     spans = _ranges(given.family, [x, y], ranges, relative)
-    found = values_over(given.family, x, y, policy=policy, points=points, ranges=spans)
+    result = values_over(given.family, x, y, policy=policy, points=points, ranges=spans)
     start = claimed("start_value", solve(given.mdp).start)
-    return _report(given, "two-way", found.report(), **start)
+    return _report(given, "two-way", result.report(), **start)
 
 
 # ---- all parameters at once ----------------------------------------------------------------------
@@ -288,8 +288,8 @@ def psa(
     chosen, size = _uncertain(model, uncertain, effective_sample_size, parameters)
     n = samples or (10_000 if solver_of(model).compiled else 500)
     how = _work(n_jobs, out)
-    found = psa_of(model, n, rng=seed, uncertain=chosen, policy=policy, **how)
-    report = found.report(given.form or "optimal")
+    result = psa_of(model, n, rng=seed, uncertain=chosen, policy=policy, **how)
+    report = result.report(given.form or "optimal")
     report = _report(given, "psa", report, effective_sample_size=size)
     return given.saved(report, out, "psa.json", ("psa", seed))
 
@@ -329,11 +329,11 @@ def sobol(
             fix="give a range: --range NAME=LOW:HIGH",
         )
     how = _work(n_jobs, out)
-    found = sobol_of(
+    result = sobol_of(
         given.family, names=list(spans), ranges=spans, n=samples, rng=seed, policy=policy, **how
     )
     start = claimed("start_value", solve(given.mdp).start)
-    report = _report(given, "sobol", found.report(), **start, without_range=without)
+    report = _report(given, "sobol", result.report(), **start, without_range=without)
     return given.saved(report, out, "sobol.json", ("sobol", seed))
 
 
@@ -387,9 +387,9 @@ def robust(
             fix=f"choose one from 0 to {MOST_APART}",
         )
     sets_of = ambiguity_of(given.mdp, set_kind, size)
-    found = robust_of(given.mdp, sets_of, policy=policy)
+    result = robust_of(given.mdp, sets_of, policy=policy)
     meaning = Shown(set_kind, MEANING[set_kind].format(f"{float(size):.4g}"))
-    return _report(given, "robust", found.report(), set_kind=meaning, radius=float(size))
+    return _report(given, "robust", result.report(), set_kind=meaning, radius=float(size))
 
 
 def _box(
@@ -469,20 +469,20 @@ def explore(
     """
     check_outputs((html, (".html",)))
     spans, _ = _spans(given.family, parameters, ranges, relative)
-    found = explorer_of(
+    page = explorer_of(
         given.family, *parameters, ranges=spans, policy=policy, said=given.form, n=points
     )
-    found = replace(found, model=given.loaded.name)
-    write_atomically(html, found.page(rerun=shlex.join(["exact-mdp", *typed()])))
-    return given.report(found.report(), written=html)
+    page = replace(page, model=given.loaded.name)
+    write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *typed()])))
+    return given.report(page.report(), written=html)
 
 
 # ---- what the options say ------------------------------------------------------------------------
 
 
-def _report(given: Given, kind: str, found: Report, **more: Any) -> Report:
+def _report(given: Given, kind: str, report: Report, **more: Any) -> Report:
     """Return a report with the policy held fixed."""
-    return given.report(found, kind=kind, policy=given.form or "optimal", **more)
+    return given.report(report, kind=kind, policy=given.form or "optimal", **more)
 
 
 def _named(parameters: Sequence[str], count: int, kind: str) -> Sequence[str]:

@@ -58,7 +58,7 @@ def typed() -> list[str]:
 
 def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
     """Return what --subject-to says, as `solve` takes it."""
-    found: dict[str, list[str]] = {}
+    limits: dict[str, list[str]] = {}
     for text in texts:
         name, *limit = re.split("(>=|<=)", text, maxsplit=1)
         if not limit:
@@ -67,8 +67,8 @@ def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
                 where="--subject-to",
                 fix='write "NAME >= -1/2" or "NAME <= 1/20"',
             )
-        found.setdefault(name.strip(), []).append("".join(limit))
-    return found
+        limits.setdefault(name.strip(), []).append("".join(limit))
+    return limits
 
 
 def number_of(text: str, option: str, *, positive: bool = False) -> float:
@@ -77,23 +77,23 @@ def number_of(text: str, option: str, *, positive: bool = False) -> float:
 
     try:
         with located(option, instead=True):
-            found = float(exact(text))
+            number = float(exact(text))
     except OverflowError as error:
         raise ModelError("too large for a float", where=option, fix="choose less") from error
-    if positive and not found > 0:
+    if positive and not number > 0:
         raise ModelError(f"{text} is not positive", where=option, fix="give more than 0")
-    return found
+    return number
 
 
 def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
     """Return what NAME=VALUE texts say."""
-    found = {}
+    pairs = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals or not value.strip():
             raise ModelError(f"{text!r} is not {form}", where=option, fix=f"write {form}")
-        found[name.strip()] = value.strip()
-    return found
+        pairs[name.strip()] = value.strip()
+    return pairs
 
 
 def settings_of(kind: type, texts: Sequence[str], option: str) -> dict[str, Any]:
@@ -102,7 +102,7 @@ def settings_of(kind: type, texts: Sequence[str], option: str) -> dict[str, Any]
     NAME.PART=VALUE is one entry of a mapping.
     """
     known = {each.name: str(each.type) for each in fields(kind)}
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for name, text in pairs_of(texts, option).items():
         where, (key, _, part) = f"{option} {name}", name.partition(".")
         if key not in known:
@@ -121,9 +121,9 @@ def settings_of(kind: type, texts: Sequence[str], option: str) -> dict[str, Any]
         elif form.startswith(("tuple", "Ends", "Given")) and text != "known":
             value = tuple(each.strip() for each in text.split(","))
         elif form.startswith("Mapping"):
-            value = found.get(key, {}) | {part: text}
-        found[key] = value
-    return found
+            value = settings.get(key, {}) | {part: text}
+        settings[key] = value
+    return settings
 
 
 def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:

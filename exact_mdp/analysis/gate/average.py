@@ -58,21 +58,21 @@ def average_loss(mdp: MDP, policy: Policy, exact: bool | None) -> Loss:
     if exact:
         lost = _certified(rewards, step, chain)
         gap = np.add.reduceat(chain.weights * lost.gap, mdp.pair_offsets[:-1])
-        found = listed(chain, lost, np.stack([gap, visits, visits * gap]), gap > 0)
+        disagreements = listed(chain, lost, np.stack([gap, visits, visits * gap]), gap > 0)
     else:
         assert own is not None
-        lost, found = _bounded(rewards, own), ()
-    return lost.negated() if mdp.sense == "min" else lost, partial(_both, visits, found)
+        lost, disagreements = _bounded(rewards, own), ()
+    return lost.negated() if mdp.sense == "min" else lost, partial(_both, visits, disagreements)
 
 
-def _both(visits: Floats, found: tuple[Disagreement, ...]) -> Findings:
-    return visits, found
+def _both(visits: Floats, disagreements: tuple[Disagreement, ...]) -> Findings:
+    return visits, disagreements
 
 
-def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
+def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:
     best = proven(mdp, "average")
     rows = bellman_rows(step)
-    alone = mixed_rows(rows, held)
+    alone = mixed_rows(rows, chain)
     own = ExactAverages(alone)
     gain, bias, second = own.expansion(own.reward)
     levels = [Level.of(each.tolist()) for each in (gain, bias, second)]
@@ -90,7 +90,7 @@ def _certified(mdp: MDP, step: MDP, held: PolicyChain) -> Regret:
         optimal |= gap.astype(np.float64) * SLACK <= most
         taken = best.pairs
         ideal = ExactAverages(rows.of_pairs(taken))
-        uses = [held.exact_weights(state) for state in range(mdp.n_states)]
+        uses = [chain.exact_weights(state) for state in range(mdp.n_states)]
         forgiven += _movable(step, own, uses, (gain, bias))
         forgiven += _movable(
             step, ideal, [{l: Fraction(1)} for l in taken.tolist()], (best.value, best.bias)
@@ -142,18 +142,18 @@ def _rounded(values: Numbers) -> FixedPoint:
 
 
 def _bounded(mdp: MDP, own: AverageEvaluation) -> Regret:
-    found = solve(mdp, criterion="average")
-    best = Bounded(value=found.start.value, error=found.start.error)
+    solution = solve(mdp, criterion="average")
+    best = Bounded(value=solution.start.value, error=solution.start.error)
     mine = Bounded(value=own.start.value, error=own.start.error)
     taken = np.zeros(mdp.n_pairs, dtype=bool)
-    taken[found.pairs] = True
+    taken[solution.pairs] = True
     return Regret(
         optimal=best,
         learned=mine,
         at_start=regret(best, mine),
-        optimal_value=found.value,
+        optimal_value=solution.value,
         learned_value=own.value,
-        by_state=np.maximum(found.value - own.value, 0.0),
+        by_state=np.maximum(solution.value - own.value, 0.0),
         optimal_pairs=np.ones(mdp.n_pairs, dtype=bool),
         unclear=~taken,
         gap=np.zeros(mdp.n_pairs),

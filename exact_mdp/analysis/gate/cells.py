@@ -42,7 +42,7 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     """Return the cell at each row and column of the map; None where no state is."""
     mdp, choices = audit.mdp, taken(audit.mdp, audit.chain.chosen)
     sign = dict(zip(mdp.actions, layout.signs, strict=True))
-    found: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
+    grid: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
     wrong = {each.state: each for each in audit.disagreements}
     most = max((each.cost for each in audit.disagreements), default=0.0) or 1.0
     idle = ~mdp.asked | (audit.visits == 0)
@@ -59,7 +59,7 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
                 f"yours {each.learned}, optimal {either(each.optimal)}; "
                 f"{each.expected_visits:.6g} expected visits, loses {each.cost:.6g}"
             )
-        found[layout.row[state]][layout.column[state]] = Cell(
+        grid[layout.row[state]][layout.column[state]] = Cell(
             state=state,
             kind="wrong" if each is not None else "idle" if idle[state] else "",
             text=text,
@@ -68,4 +68,4 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
             title=f"{label}: {said}",
             shade=0.0 if each is None else 1.0 if each.cost == most else each.cost / most,
         )
-    return found
+    return grid

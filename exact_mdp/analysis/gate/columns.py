@@ -158,7 +158,7 @@ def best_policy(
     upper = max(search.upper, value.interval[0])
     # Small rewards are rewards: beside a value of 0 alone the error counts.
     left, size = upper - (value.value - value.error), abs(value.value)
-    found = BestPolicy(
+    best = BestPolicy(
         columns=rows.space.names,
         policy=rows.policy(search.choice),
         value=value,
@@ -168,8 +168,8 @@ def best_policy(
         nodes=search.nodes,
     )
     if mdp.sense == "max":
-        return found
-    return replace(found, value=-value, upper_bound=0.0 - upper, mixed_upper_bound=0.0 - mixed)
+        return best
+    return replace(best, value=-value, upper_bound=0.0 - upper, mixed_upper_bound=0.0 - mixed)
 
 
 class Rows:
@@ -309,12 +309,12 @@ class Cycles:
 
     def visits(self, taken: Flags) -> Floats:
         """Return (S, N) discounted visits from the start where the pairs (L, N) are taken."""
-        found = []
+        visits = []
         for mask in taken.T:
             chain, _ = policy_chain(self.mdp, first_of(self.mdp, mask))
             system = LinearSystem(chain.T.tocsr(), self.mdp.discount)
-            found.append(system.approximate(self.mdp.start_distribution))
-        return np.stack(found, axis=1)
+            visits.append(system.approximate(self.mdp.start_distribution))
+        return np.stack(visits, axis=1)
 
 
 class _Search:

@@ -80,37 +80,37 @@ def total_loss(
     return lost.negated() if mdp.sense == "min" else lost, partial(findings, rewards, chain, lost)
 
 
-def findings(mdp: MDP, chain: PolicyChain, found: Regret) -> Findings:
+def findings(mdp: MDP, chain: PolicyChain, regret: Regret) -> Findings:
     """Return the visits of the policy of `chain`, and the states that make up a regret `found`.
 
     Visits are NaN where floats cannot bound them and rational arithmetic would be slow.
     """
-    exact = isinstance(found.at_start, Certified) or cheap(mdp, LAST_CYCLE)
+    exact = isinstance(regret.at_start, Certified) or cheap(mdp, LAST_CYCLE)
     try:
         visited = own_visits(chain, exact=exact)
     except SolverError:
         visited = np.where(chain.reached, np.nan, 0.0)
     first = mdp.pair_offsets[:-1]
-    gap = np.add.reduceat(chain.weights * np.where(chain.weights > 0, found.gap, 0.0), first)
-    wrong = np.add.reduceat(chain.weights * ~found.optimal_pairs, first) > 0
+    gap = np.add.reduceat(chain.weights * np.where(chain.weights > 0, regret.gap, 0.0), first)
+    wrong = np.add.reduceat(chain.weights * ~regret.optimal_pairs, first) > 0
     cost = np.where(gap > 0, visited, 0.0) * np.where(visited > 0, gap, 0.0)
     if np.isinf(visited).any():
-        waits = shares(chain, found.by_state, gap, wrong)
-        gap, cost = np.where(waits > 0, found.by_state, gap), cost + waits
-    return visited, listed(chain, found, np.stack([gap, visited, cost]), wrong & ~mdp.terminal)
+        waits = shares(chain, regret.by_state, gap, wrong)
+        gap, cost = np.where(waits > 0, regret.by_state, gap), cost + waits
+    return visited, listed(chain, regret, np.stack([gap, visited, cost]), wrong & ~mdp.terminal)
 
 
 def listed(
-    chain: PolicyChain, found: Regret, numbers: Floats, wrong: Flags
+    chain: PolicyChain, named: Regret, numbers: Floats, wrong: Flags
 ) -> tuple[Disagreement, ...]:
     """Return the states marked, the costliest first, with gap, visits and cost (3, S)."""
     mdp, states = chain.mdp, np.flatnonzero(wrong)
     gap, _, cost = numbers
     disagreements = []
     for state in states[np.lexsort((states, -gap[states], -cost[states]))].tolist():
-        right = [pair for pair in mdp.pairs_of(state) if found.optimal_pairs[pair]]
-        if isinstance(found.optimum, Certificate):
-            right = attaining(mdp, found.optimum, found.optimal_pairs, state)
+        right = [pair for pair in mdp.pairs_of(state) if named.optimal_pairs[pair]]
+        if isinstance(named.optimum, Certificate):
+            right = attaining(mdp, named.optimum, named.optimal_pairs, state)
         gap_here, visits_here, cost_here = numbers[:, state].tolist()
         disagreements.append(
             Disagreement(

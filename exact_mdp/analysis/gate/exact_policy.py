@@ -63,8 +63,8 @@ def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -
         scaled = zip(earned, rows.scale.tolist(), strict=True)
         constant = [int(number * times) * scale for number, scale in scaled]
         rows = replace(rows, constant=integers(constant))
-    (found,) = evaluated(rows, np.arange(mdp.n_states))
-    return ExactPolicy(mdp=mdp, h=replace(found, below=[below * times for below in found.below]))
+    (level,) = evaluated(rows, np.arange(mdp.n_states))
+    return ExactPolicy(mdp=mdp, h=replace(level, below=[below * times for below in level.below]))
 
 
 def exact_visits(chain: PolicyChain) -> ExactPolicy:

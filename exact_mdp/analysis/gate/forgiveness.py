@@ -92,8 +92,8 @@ def forgiven(
             off += (more * np.abs(value) + (np.abs(each) + more) * error) + 3 * UNIT * np.abs(x)
             apart, unsure = apart + sign * uses, unsure + loose
         most = _rounded_rewards(mdp) * (np.abs(apart) + unsure) + _moved_by_rows(mdp, x, off)
-    found = float(most.sum()) * SLACK
-    return Fraction(found) if np.isfinite(found) else Fraction(0)
+    bound = float(most.sum()) * SLACK
+    return Fraction(bound) if np.isfinite(bound) else Fraction(0)
 
 
 def ties(best: PolicyChain, known: FixedPoint) -> Floats:
@@ -101,8 +101,8 @@ def ties(best: PolicyChain, known: FixedPoint) -> Floats:
     mdp, each = best.mdp, per_use(best.mdp, known)
     counted = ~mdp.terminal & (best.ends if mdp.discount_exact == 1 else True)
     taken = np.add.reduceat(best.weights * each, mdp.pair_offsets[:-1])
-    found = best.discounted.solve(np.where(counted, taken, 0.0))
-    later = np.maximum(found.value, 0.0) + found.error
+    moved = best.discounted.solve(np.where(counted, taken, 0.0))
+    later = np.maximum(moved.value, 0.0) + moved.error
     return np.asarray(
         (each + mdp.discount * (mdp.transition @ later) + later[mdp.pair_state]) * SLACK
     )

@@ -151,7 +151,7 @@ class UnderLimits:
 
         Where no policy keeps the limits, there is no optimum: it is NaN, and so is the regret.
         """
-        priced, found = total_loss(self.priced, policy, True)
+        priced, disagreements = total_loss(self.priced, policy, True)
         best, none = self.best.start or Certified(value=nan), np.full_like(priced.by_state, nan)
         lost = replace(
             priced,
@@ -161,29 +161,29 @@ class UnderLimits:
         )
         if not self.best.feasible:
             lost = replace(lost, by_state=none, optimal_value=none)
-        return lost, found
+        return lost, disagreements
 
 
 def totals_under(of: Objectives, policy: Policy) -> Point:
     """Return the exact totals of a policy, mixed ones too, from the start; more is better."""
     chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)  # read by all that is counted
-    scale, found = of.rows.scale.tolist(), []
+    scale, totals = of.rows.scale.tolist(), []
     for amount in of.amounts:
         earned = [
             sum((w * int(amount[l]) for l, w in chain.exact_weights(s).items()), Fraction(0)) / unit
             for s, unit in enumerate(scale)
         ]
-        found.append(exact_policy(chain, earned).start_value)
-    return tuple(found)
+        totals.append(exact_policy(chain, earned).start_value)
+    return tuple(totals)
 
 
 def limit_of(name: str, limit: object) -> Fraction:
     """Return a limit of the regret, checked."""
     with located(name, instead=True):
-        found = exact(limit)
-    if not 0 <= found <= LARGEST:
+        limit_value = exact(limit)
+    if not 0 <= limit_value <= LARGEST:
         beyond, fix = (
-            (", beyond the floats", "choose less") if found > 0 else ("", "choose 0 or more")
+            (", beyond the floats", "choose less") if limit_value > 0 else ("", "choose 0 or more")
         )
-        raise ModelError(f"{name} is {shown(found)}{beyond}", where=name, fix=fix)
-    return found
+        raise ModelError(f"{name} is {shown(limit_value)}{beyond}", where=name, fix=fix)
+    return limit_value

@@ -50,10 +50,10 @@ from exact_mdp.solvers.values.unending import ended, model_of, recurrent
 
 def proven(mdp: MDP, criterion: str = "total") -> Certificate:
     """Return a certificate that its checker has accepted."""
-    found = certify(mdp, criterion=criterion)
-    if faults := found.violations():
+    proof = certify(mdp, criterion=criterion)
+    if faults := proof.violations():
         raise RuntimeError(f"a certificate does not hold: {faults[0]}")
-    return found
+    return proof
 
 
 EXACT_TRANSITIONS = 100_000
@@ -307,8 +307,8 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
     if np.array_equal(chain.pairs, optimum.pairs):
         own = FixedPoint(value=optimum.value, error=optimum.state_error)
     else:
-        found = evaluate(mdp, chain)
-        own = FixedPoint(value=found.value, error=found.error)
+        evaluation = evaluate(mdp, chain)
+        own = FixedPoint(value=evaluation.value, error=evaluation.error)
     known, near = (
         FixedPoint(value=optimum.value, error=optimum.state_error),
         ActionBounds(mdp, optimum),
@@ -361,12 +361,12 @@ def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
 def _optimum(mdp: MDP) -> Bounds:
     """Return bounds around the optimal values, as narrow as double precision allows."""
     solved = solve(mdp)
-    found = verify(mdp, solved.value)
-    if found.error <= CLOSE * float(np.abs(found.value).max()):
-        return found
+    bounds = verify(mdp, solved.value)
+    if bounds.error <= CLOSE * float(np.abs(bounds.value).max()):
+        return bounds
     # A solver may stop at its tolerance; the values of a policy have no error but rounding.
     better = verify(mdp, PolicyIteration(start=solved).solve(mdp).value)
-    return better if better.error <= found.error else found
+    return better if better.error <= bounds.error else bounds
 
 
 class ActionBounds:
@@ -443,9 +443,9 @@ def _largest_other(mdp: MDP, values: Floats) -> Floats:
     leader = np.minimum.reduceat(numbers, first)
     rest = values.copy()
     rest[leader] = -inf
-    found = best[state]
-    found[leader] = np.maximum.reduceat(rest, first)
-    return np.asarray(found)
+    other = best[state]
+    other[leader] = np.maximum.reduceat(rest, first)
+    return np.asarray(other)
 
 
 def _outward(values: Floats, sign: int, share: float = SLACK - 1) -> Floats:

@@ -58,29 +58,29 @@ def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
     mdp, label = chain.mdp, kept(chain)
     of, taken, optimal = mdp.pair_state, chain.chosen > 0, np.asarray(best.optimal_pairs)
     departs = taken & (mdp.pair_action != best.policy[of])
-    found, named = taken & ~optimal, np.zeros(mdp.n_states, dtype=bool)
-    for pairs in (found, taken & ways_out(mdp, label, optimal)[of], None, departs, taken):
+    at_fault, named = taken & ~optimal, np.zeros(mdp.n_states, dtype=bool)
+    for pairs in (at_fault, taken & ways_out(mdp, label, optimal)[of], None, departs, taken):
         open_ = ((label >= 0) & (lost > 0) & ~named[label])[of]
         some = _falling(mdp, best, departs & open_) if pairs is None else pairs & open_
-        found = found | some
+        at_fault = at_fault | some
         named[label[of[some]]] = True
     rows = bellman_rows(mdp)  # twins of an action are to blame with it
     following, weight = rows.next.tolist(), rows.weight.tolist()
     entries = map(slice, rows.offsets[:-1].tolist(), rows.offsets[1:].tolist())
     parts = zip(of.tolist(), rows.constant.tolist(), entries, strict=True)
     content = [(s, c, *following[each], *weight[each]) for s, c, each in parts]
-    blamed = {content[pair] for pair in np.flatnonzero(found)}
+    blamed = {content[pair] for pair in np.flatnonzero(at_fault)}
     return np.array([each in blamed for each in content])
 
 
 def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
     """Return those pairs (L,) of finite states for which V + w > P w."""
-    found = np.zeros(len(pairs), dtype=bool)
+    falling = np.zeros(len(pairs), dtype=bool)
     if best.g is not None and best.w is not None:
         some = np.flatnonzero(pairs & (best.infinite_sign == 0)[mdp.pair_state])
         third, _ = surplus(bellman_rows(mdp), best.g, best.h, best.w, pairs=some)[2]
-        found[some] = [top < 0 for top in third]
-    return found
+        falling[some] = [top < 0 for top in third]
+    return falling
 
 
 def arrivals(chain: PolicyChain, label: Integers) -> Floats:
@@ -126,5 +126,5 @@ def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[i
     home = stays & (sign == sign[state])
     arrives = closure((choice @ mdp.transition).T.tocsr(), home)
     arrives[state] = False
-    found = [pair for pair in pairs if arrives[mdp.transition[[pair]].indices].any()]
-    return found or pairs
+    attaining_pairs = [pair for pair in pairs if arrives[mdp.transition[[pair]].indices].any()]
+    return attaining_pairs or pairs

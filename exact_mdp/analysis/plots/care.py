@@ -171,14 +171,14 @@ def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> A
 @picture
 def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
     """Draw the loss by status: missed where present, and seen where absent."""
-    found = sorted(costs.by_status.items(), key=lambda item: -sum(item[1]))
-    ax = axes_or_new(ax, [name for name, _ in found] * 2)
+    by_cost = sorted(costs.by_status.items(), key=lambda item: -sum(item[1]))
+    ax = axes_or_new(ax, [name for name, _ in by_cost] * 2)
     fills = ((WHITE, ""), (BLUE, "//"))
-    for row, (_, losses) in enumerate(found):
+    for row, (_, losses) in enumerate(by_cost):
         for place, loss, (fill, hatch) in zip((row - 0.2, row + 0.2), losses, fills, strict=True):
             ax.barh(place, loss, height=0.38, facecolor=fill, edgecolor="black", hatch=hatch)
             ax.text(loss, place, f" {loss:.2f}", va="center", fontsize=8)
-    name_rows(ax, [name for name, _ in found])
+    name_rows(ax, [name for name, _ in by_cost])
     ax.margins(x=0.12)
     ax.set_xlabel("loss against perfect perception (reward)")
     words = ("present, not seen", "absent, but seen")

@@ -140,7 +140,7 @@ def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
 
 
 @picture
-def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
+def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw the share of runs whose final regret is at most x, one step line for each training.
 
     Parameters
@@ -164,7 +164,7 @@ def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = 
     'exact regret of the final policy (reward)'
     """
     ax = axes_or_new(ax)
-    every = found if isinstance(found, Mapping) else {"all runs": found}
+    every = outcomes if isinstance(outcomes, Mapping) else {"all runs": outcomes}
     for number, (label, each) in enumerate(every.items()):
         regret = np.append(0.0, np.sort(each.regret))
         ax.step(
@@ -181,23 +181,23 @@ def plot_regrets(found: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = 
 
 
 @picture
-def plot_trainer(found: TrainerAudit, *, ax: Axes | None = None) -> Axes:
+def plot_trainer(audit: TrainerAudit, *, ax: Axes | None = None) -> Axes:
     """Draw the share of runs within the limits, and its interval, after every run."""
-    ax, frame = axes_or_new(ax), found.frame()
-    runs, sure = np.arange(1, len(frame) + 1), 1 - float(found.alpha)
+    ax, frame = axes_or_new(ax), audit.frame()
+    runs, sure = np.arange(1, len(frame) + 1), 1 - float(audit.alpha)
     label = f"interval of confidence {sure:.4g}\nat all runs"
     band: Look = {"step": "mid", "color": BLUE, "alpha": 0.5, "linewidth": 0}
     ax.fill_between(runs, frame["low"], frame["high"], label=label, **band)
     passed = np.cumsum(frame["passed"]) / runs
     ax.step(runs, passed, where="mid", color=INK[0], label="share of the runs so far")
-    level(ax, float(found.share), "share required")
+    level(ax, float(audit.share), "share required")
     ax.set(xlabel="run", ylabel="share of runs within the limits", ylim=(-0.02, 1.02))
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return titled(ax, "How often the trainer is good enough", found.audits[0].mdp.name)
+    return titled(ax, "How often the trainer is good enough", audit.audits[0].mdp.name)
 
 
 @picture
-def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
+def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
     """Draw how many policies are greedy in the last episodes of a run, with 95 % intervals.
 
     Parameters
@@ -221,14 +221,14 @@ def plot_distinct(found: Mapping[str, Outcomes], *, ax: Axes | None = None) -> A
     'share of runs'
     """
     ax = axes_or_new(ax)
-    width = 0.8 / max(len(found), 1)
-    for number, (label, each) in enumerate(found.items()):
+    width = 0.8 / max(len(outcomes), 1)
+    for number, (label, each) in enumerate(outcomes.items()):
         many = np.arange(1, each.distinct.max() + 1)
         counts = [int((each.distinct == size).sum()) for size in many]
         shares = np.array(counts) / each.runs
         low, high = wilson(counts, each.runs)
         ax.bar(
-            many + (number - (len(found) - 1) / 2) * width,
+            many + (number - (len(outcomes) - 1) / 2) * width,
             shares,
             width=width,
             # Rounding may put a share of nothing or of everything beyond the end of its interval.

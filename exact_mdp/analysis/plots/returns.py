@@ -52,16 +52,16 @@ def plot_return_distribution(
 
 
 @picture
-def plot_simulation(found: Simulation, *, ax: Axes | None = None) -> Axes:
+def plot_simulation(simulation: Simulation, *, ax: Axes | None = None) -> Axes:
     """Draw how many sampled episodes had which return, and the mean with its 95 % interval."""
     ax = axes_or_new(ax)
-    finite = found.returns[np.isfinite(found.returns)]
+    finite = simulation.returns[np.isfinite(simulation.returns)]
     ax.hist(finite, bins=min(40, len(np.unique(finite)) + 1), color="0.6", ec="0.3")
-    if found.never_ends:
-        ax.plot([], [], color="white", label=f"a share of {found.never_ends:.4g} never ends")
+    if simulation.never_ends:
+        ax.plot([], [], color="white", label=f"a share of {simulation.never_ends:.4g} never ends")
     else:
-        ax.axvspan(*found.value.interval, color="0.85", zorder=0)
-        mean = f"mean {found.value}"
-        ax.axvline(found.mean, color="black", linestyle="--", linewidth=1, label=mean)
+        ax.axvspan(*simulation.value.interval, color="0.85", zorder=0)
+        mean = f"mean {simulation.value}"
+        ax.axvline(simulation.mean, color="black", linestyle="--", linewidth=1, label=mean)
     ax.set(xlabel="return (reward)", ylabel="episodes")
-    return titled(ax, f"Returns of {len(found.returns):,} simulated episodes")
+    return titled(ax, f"Returns of {len(simulation.returns):,} simulated episodes")

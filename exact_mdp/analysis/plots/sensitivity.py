@@ -82,12 +82,12 @@ def _axis(parameter: Parameter) -> str:
 
 
 @picture
-def plot_gradient(found: Gradient, *, most: int = 15, ax: Axes | None = None) -> Axes:
+def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None) -> Axes:
     """Draw the largest elasticities: per cent of the start value for a per cent of a parameter.
 
     Fills say where the value goes: a positive elasticity of a negative value lowers it.
     """
-    table = found.frame().dropna(subset="elasticity (% per %)").head(most)
+    table = gradient.frame().dropna(subset="elasticity (% per %)").head(most)
     ax = axes_or_new(ax, names := table["parameter"].tolist())
     rises = (table["derivative (reward per unit)"] > 0).tolist()
     for place, length in enumerate(table["elasticity (% per %)"]):
@@ -98,30 +98,30 @@ def plot_gradient(found: Gradient, *, most: int = 15, ax: Axes | None = None) ->
     words = {True: ("raises the value", HIGH), False: ("lowers the value", LOW)}
     handles = [swatch(*words[way]) for way in sorted({*rises}, reverse=True)]
     legend_beside(ax, handles, title="a higher parameter")
-    return titled(ax, "Which parameters move the value most", found.model)
+    return titled(ax, "Which parameters move the value most", gradient.model)
 
 
 @picture
 def plot_tornado(
-    found: Tornado, *, most: int = 15, output: str | None = None, ax: Axes | None = None
+    tornado: Tornado, *, most: int = 15, output: str | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw the widest bars: white where the parameter is at its low end, blue at its high end.
 
     `output` is "fixed" unless given where the policy held fixed is not optimal today, else
     "optimal".
     """
-    lost = found.today.regret
+    lost = tornado.today.regret
     output = output or ("fixed" if lost.value > lost.error else "optimal")
     if output not in OUTPUT:
         raise ModelError(f"unknown output {output!r}", where="output", fix=suggest(output, OUTPUT))
-    middle = float(getattr(found.today, output).value)
+    middle = float(getattr(tornado.today, output).value)
 
     def reaches(bar: Bar) -> list[tuple[float, tuple[str, str]]]:
         """Return both ends' reach and look, the wider first."""
         low, high = (getattr(end, output).value - middle for end in (bar.low, bar.high))
         return sorted(((low, LOW), (high, HIGH)), key=lambda end: -abs(end[0]))
 
-    bars = sorted(found.bars, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
+    bars = sorted(tornado.bars, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
     names = [_with_range(b.parameter.name, b.low.at, b.high.at) for b in bars]
     ax = axes_or_new(ax, names)
     for place, bar in enumerate(bars):
@@ -132,21 +132,21 @@ def plot_tornado(
     ax.set_xlabel(f"{OUTPUT[output]} (reward)")
     legend_beside(ax, [swatch("at the low end", LOW), swatch("at the high end", HIGH)])
     what = "regret" if output == "regret" else "value"
-    return titled(ax, f"Tornado: the {what} at both ends of each range", found.model)
+    return titled(ax, f"Tornado: the {what} at both ends of each range", tornado.model)
 
 
 @picture
-def plot_value_curves(found: Curve, *, ax: Axes | None = None) -> Axes:
+def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value along a parameter, the policy re-optimised and held fixed."""
     ax = axes_or_new(ax)
-    at = [float(point.at) for point in found.points]
+    at = [float(point.at) for point in curve.points]
     for line, output in zip(LINES, ("optimal", "fixed"), strict=False):
-        values = [getattr(point, output).value for point in found.points]
+        values = [getattr(point, output).value for point in curve.points]
         label = OUTPUT[output].partition(", ")[2]
         ax.plot(at, values, linestyle=line, color=BLACK, label=label)
-    _mark_today(ax, float(found.parameter.value), min(at), max(at))
-    ax.set(xlabel=_axis(found.parameter), ylabel="value at the start (reward)")
-    return titled(ax, f"The value along {found.parameter.name}", found.model)
+    _mark_today(ax, float(curve.parameter.value), min(at), max(at))
+    ax.set(xlabel=_axis(curve.parameter), ylabel="value at the start (reward)")
+    return titled(ax, f"The value along {curve.parameter.name}", curve.model)
 
 
 def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fraction) -> None:
@@ -158,13 +158,13 @@ def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fra
 
 
 @picture
-def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = None) -> Axes:
+def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = None) -> Axes:
     """Draw the optimal start value along a parameter, piece by piece, from its exact functions.
 
     A dotted line is a value at which another policy becomes optimal; each piece has `n` points.
     """
-    ax, name, drawn = axes_or_new(ax), found.parameter.name, list[float]()
-    for number, piece in enumerate(found.pieces):
+    ax, name, drawn = axes_or_new(ax), curve.parameter.name, list[float]()
+    for number, piece in enumerate(curve.pieces):
         low, high, first = piece.low[1], piece.high[0], number == 0
         at = [low + (high - low) * Fraction(k, n - 1) for k in range(n)]
         x = [float(value) for value in at]
@@ -184,9 +184,9 @@ def plot_value_function(found: ValueFunction, *, n: int = 33, ax: Axes | None = 
     if len(near) < len(drawn):  # a discount near 1
         ax.set_ylim(near.min(), near.max())
         ax.plot([], [], " ", label=f"beyond the picture: {drawn[sizes.argmax()]:.3g}")
-    _mark_today(ax, float(found.parameter.value), found.range.low, found.range.high)
-    ax.set(xlabel=_axis(found.parameter), ylabel=f"value at the start (reward; {found.claim})")
-    return titled(ax, f"The optimal value along {name}", found.mdp.name)
+    _mark_today(ax, float(curve.parameter.value), curve.range.low, curve.range.high)
+    ax.set(xlabel=_axis(curve.parameter), ylabel=f"value at the start (reward; {curve.claim})")
+    return titled(ax, f"The optimal value along {name}", curve.mdp.name)
 
 
 @picture
@@ -243,18 +243,18 @@ def plot_thresholds(
 
 
 @picture
-def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = None) -> Axes:
+def plot_two_way(grid: TwoWay, *, state: int | None = None, ax: Axes | None = None) -> Axes:
     """Draw which policy is optimal over two parameters, or which action in the state given.
 
     Colours of policies have no order; a number stands in each region. The legend says the first
     actions in which they differ, or those of the only one.
     """
-    ax, styles = axes_or_new(ax), action_styles(found.mdp.actions)
-    x, y = found.x_values, found.y_values
-    shown = found.policy if state is None else found.actions_at(state)
+    ax, styles = axes_or_new(ax), action_styles(grid.mdp.actions)
+    x, y = grid.x_values, grid.y_values
+    shown = grid.policy if state is None else grid.actions_at(state)
     handles = []
     if state is None:
-        chosen = [found.chosen(number) for number in range(int(shown.max()) + 1)]
+        chosen = [grid.chosen(number) for number in range(int(shown.max()) + 1)]
         count = len(chosen)
         shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
         colours, names = [str(shade) for shade in shades], [str(n) for n in range(count)]
@@ -275,7 +275,7 @@ def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = N
             swatch(" ".join(dict.fromkeys((styles[n].short, styles[n].name))), (colours[n], ""))
             for n in used
         ]
-        what = f"Which action is optimal in {found.mdp.space.label(state)}"
+        what = f"Which action is optimal in {grid.mdp.space.label(state)}"
     ends, colour_map = (-0.5, len(colours) - 0.5), ListedColormap(colours)
     ax.pcolormesh(x, y, shown, cmap=colour_map, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
@@ -285,21 +285,21 @@ def plot_two_way(found: TwoWay, *, state: int | None = None, ax: Axes | None = N
         column = columns[len(columns) // 3]
         ink = "black" if np.mean(to_rgb(colours[number])) > 0.5 else "white"
         ax.text(x[column], y[row], names[number], ha="center", va="center", color=ink, fontsize=7)
-    today = (float(found.x.value), float(found.y.value))
+    today = (float(grid.x.value), float(grid.y.value))
     (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
     legend_beside(ax, [*handles, mark])
-    ax.set(xlabel=_axis(found.x), ylabel=_axis(found.y))
-    return titled(ax, what, found.mdp.name)
+    ax.set(xlabel=_axis(grid.x), ylabel=_axis(grid.y))
+    return titled(ax, what, grid.mdp.name)
 
 
 @picture
-def plot_robust_curve(found: RobustCurve, *, ax: Axes | None = None) -> Axes:
+def plot_robust_curve(curve: RobustCurve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value of both policies against the radius: tables right, and worst case.
 
     The distance of the upper lines is the price of robustness, that of the lower ones the gain.
     """
-    ax, radii = axes_or_new(ax), [radius for radius, _ in found.points]
-    every = [each for _, each in found.points]
+    ax, radii = axes_or_new(ax), [radius for radius, _ in curve.points]
+    every = [each for _, each in curve.points]
     for label, values, line, marker, shade in (
         ("robust policy, tables right", [each.robust_value for each in every], "-", "s", "0"),
         ("nominal policy, tables right", [each.value for each in every], "--", "s", "0.55"),
@@ -309,7 +309,7 @@ def plot_robust_curve(found: RobustCurve, *, ax: Axes | None = None) -> Axes:
         form: Look = {"marker": marker, "markersize": 4, "color": shade, "label": label}
         form["markerfacecolor"] = shade if shade == "0" else "white"
         ax.plot(radii, [value.value for value in values], line, **form)
-    ax.set(xlabel=RADIUS[found.kind], ylabel="value at the start (reward)")
+    ax.set(xlabel=RADIUS[curve.kind], ylabel="value at the start (reward)")
     return titled(ax, "Values where the tables may be wrong", every[0].mdp.name)
 
 
@@ -395,14 +395,14 @@ def plot_acceptability(
 
 @picture
 def plot_cost_effectiveness(
-    found: CostEffectiveness, *, wtp: ArrayLike | None = None, ax: Axes | None = None
+    analysis: CostEffectiveness, *, wtp: ArrayLike | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw acceptability curves over the willingness to pay; the frontier is the wide grey line."""
     ax = axes_or_new(ax)
-    at = found.grid() if wtp is None else np.asarray(wtp, dtype=float)
-    frontier = [share for _, share in found.frontier(at)]
+    at = analysis.grid() if wtp is None else np.asarray(wtp, dtype=float)
+    frontier = [share for _, share in analysis.frontier(at)]
     ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
-    shares = zip(found.strategies, found.acceptability(at).T, strict=True)
+    shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)
     for place, (name, share) in enumerate(shares):
         colour, line = (BLACK, *INK)[place % 7], LINES[place % len(LINES)]
         ax.plot(at, share, linestyle=line, color=colour, label=name)

@@ -189,32 +189,32 @@ def plot_states(
 
 
 @picture
-def plot_solution(found: Solution, *, ax: Axes | None = None, **place: Any) -> Axes:
+def plot_solution(solution: Solution, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw the values of a solution, a certificate or an evaluation, with the policy's actions.
 
     A certificate that was read from a file has no model, and no picture.
     """
-    if found.mdp is None:
+    if solution.mdp is None:
         raise ModelError(
             "a certificate read from a file does not contain the model",
             where="plot",
             fix="draw plot_states(model, certificate.value_float)",
         )
-    value = getattr(found, "value_float", None)
-    value = found.value if value is None else value
-    average = getattr(found, "gain", None) is not None
+    value = getattr(solution, "value_float", None)
+    value = solution.value if value is None else value
+    average = getattr(solution, "gain", None) is not None
     label = "optimal gain (reward per step)" if average else "optimal value (reward)"
-    return plot_states(found.mdp, value, policy=found.policy, label=label, ax=ax, **place)
+    return plot_states(solution.mdp, value, policy=solution.policy, label=label, ax=ax, **place)
 
 
 @picture
 def plot_evaluation(
-    found: Evaluation, *, visits: bool = False, ax: Axes | None = None, **place: Any
+    own: Evaluation, *, visits: bool = False, ax: Axes | None = None, **place: Any
 ) -> Axes:
     """Draw the values of a policy, or its expected visits to each state from the start."""
-    values, label = (found.visits, "expected visits") if visits else (found.value, "value (reward)")
-    policy = found.policy
-    return plot_states(found.mdp, values, policy=policy, label=label, ax=ax, **place)
+    values, label = (own.visits, "expected visits") if visits else (own.value, "value (reward)")
+    policy = own.policy
+    return plot_states(own.mdp, values, policy=policy, label=label, ax=ax, **place)
 
 
 @picture
@@ -251,16 +251,16 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
 
 
 @picture
-def plot_comparison(found: PolicyComparison, *, ax: Axes | None = None) -> Axes:
+def plot_comparison(every: PolicyComparison, *, ax: Axes | None = None) -> Axes:
     """Draw the value of each policy at the start, certified or bounded; the optimum is a line."""
-    ax, best = axes_or_new(ax, list(found.regrets)), float(found.value.value)
+    ax, best = axes_or_new(ax, list(every.regrets)), float(every.value.value)
     names = []
-    for row, (name, each) in enumerate(found.regrets.items()):
+    for row, (name, each) in enumerate(every.regrets.items()):
         value = float(each.learned.value)
         ax.barh(row, value if np.isfinite(value) else 0.0, color=BLUE, edgecolor=BLACK, height=0.6)
         names.append(f"{name}\n{value:.6g} ({each.learned.claim})")
     if np.isfinite(best):
-        ax.axvline(best, color=BLACK, linestyle=":", label=f"optimum {best:.6g}\n({found.claim})")
+        ax.axvline(best, color=BLACK, linestyle=":", label=f"optimum {best:.6g}\n({every.claim})")
     ax.axvline(0, color=BLACK, linewidth=0.8)
     name_rows(ax, names)
     ax.set(xlabel="value at the start (reward)", title="Policies compared with the optimum")
@@ -310,9 +310,9 @@ def _ends(model: MDP) -> dict[int, tuple[str, str]]:
     """Return the sign and the words of each state in which an episode ends."""
     signs = dict.fromkeys(np.flatnonzero(model.over).tolist(), (END, "an episode ends"))
     for name, states in model.labels.items():
-        held = np.flatnonzero(states)
-        if 0 < len(held) < len(signs) and model.over[held].all():
-            signs |= dict.fromkeys(held.tolist(), (name[:1].upper(), name))
+        own = np.flatnonzero(states)
+        if 0 < len(own) < len(signs) and model.over[own].all():
+            signs |= dict.fromkeys(own.tolist(), (name[:1].upper(), name))
     return signs
 
 

@@ -57,15 +57,15 @@ def plot_transitions(
     with extra("plots"):
         import networkx as nx
     model = mdp_of(model)
-    found, graph = moves(model, policy, most=MOST), nx.DiGraph()
-    plain = not any(move.taken for move in found)
+    listed, graph = moves(model, policy, most=MOST), nx.DiGraph()
+    plain = not any(move.taken for move in listed)
     few = plain or model.n_states <= FEW
-    outcomes = sum(len(move.outcomes) for move in found if few or move.taken)
+    outcomes = sum(len(move.outcomes) for move in listed if few or move.taken)
     if outcomes > MANY:
         return _heat_map(model, policy, outcomes, ax)
     labels = dict[tuple[object, object], str]()
     graph.add_nodes_from(range(model.n_states))
-    for number, move in enumerate(found):
+    for number, move in enumerate(listed):
         point = f"a{number}"
         graph.add_edge(move.state, point, taken=move.taken)
         labels[move.state, point] = move.action
@@ -75,7 +75,7 @@ def plot_transitions(
             labels[point, following] = text if before is None else f"{before}; {text}"
     place = nx.kamada_kawai_layout(graph.to_undirected())
     if not few:  # where they stand does not depend on the policy
-        unused = [f"a{number}" for number, move in enumerate(found) if not move.taken]
+        unused = [f"a{number}" for number, move in enumerate(listed) if not move.taken]
         graph.remove_nodes_from(unused)
         labels = {edge: label for edge, label in labels.items() if graph.has_edge(*edge)}
     if ax is None:

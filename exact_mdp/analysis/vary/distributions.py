@@ -459,8 +459,8 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
         return FIXED
     if not settings and (name == DISCOUNT or not share):
         weights = "reward weights" if unit_of(parameter) == "reward" else f"{unit_of(parameter)}s"
-        held = "the discount is" if name == DISCOUNT else f"{weights} are"
-        return f"{held} held unless stated otherwise"
+        reason = "the discount is" if name == DISCOUNT else f"{weights} are"
+        return f"{reason} held unless stated otherwise"
     usual = "beta" if share else "normal" if low is None or low < 0 else "gamma"
     kind = str(settings.get("distribution", usual))
     said = {key: _float(settings[key], key, name) for key in settings if key in NUMBERS}
@@ -546,11 +546,11 @@ def _checked(name: str, settings: object) -> Settings:
         if key not in SETTINGS:
             fix = suggest(str(key), SETTINGS)
             raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
-    held, kind = settings.get("fixed", False), settings.get("distribution", "normal")
-    if not isinstance(held, bool):
+    fixed, kind = settings.get("fixed", False), settings.get("distribution", "normal")
+    if not isinstance(fixed, bool):
         fix = "write fixed = true, or leave it out"
-        raise ModelError(f"fixed is {held!r}", where=where, fix=fix)
-    if held and len(settings) > 1:
+        raise ModelError(f"fixed is {fixed!r}", where=where, fix=fix)
+    if fixed and len(settings) > 1:
         raise ModelError("fixed, and a distribution", where=where, fix="state one of the two")
     if kind not in EVERY:
         fix = suggest(str(kind), EVERY)

@@ -212,5 +212,5 @@ def _solved(gram: Floats, side: Floats) -> Floats:
     """Return least-squares coefficients from normal equations, scaled, near-null directions out."""
     size = np.sqrt(np.diag(gram))
     size = np.where(size > 0, size, 1.0)
-    found = np.linalg.lstsq(gram / size / size[:, None], side / size[:, None], rcond=1e-13)[0]
-    return found / size[:, None]
+    solution = np.linalg.lstsq(gram / size / size[:, None], side / size[:, None], rcond=1e-13)[0]
+    return solution / size[:, None]

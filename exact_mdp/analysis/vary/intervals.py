@@ -120,11 +120,11 @@ def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
 def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> list[Quantile]:
     """Return quantiles of a sample, with 95 % intervals that assume nothing of its shape."""
     ordered, count = np.sort(values), len(values)
-    found = []
+    listed = []
     for p in probabilities:
         reach = NORMAL * np.sqrt(count * p * (1 - p))
         low, high = int(np.floor(count * p - reach)) - 1, int(np.ceil(count * p + reach))
-        found.append(
+        listed.append(
             Quantile(
                 probability=p,
                 value=float(np.quantile(ordered, p)),
@@ -132,7 +132,7 @@ def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> lis
                 high=float(ordered[min(high, count - 1)]),
             )
         )
-    return found
+    return listed
 
 
 def upper_quantile(values: Floats, probability: float) -> float:

@@ -268,8 +268,8 @@ def one_way(
     """
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points)
-    found = study(family, {name: values}, [policy])
-    every = _points(found, values, family.at({}))
+    table = study(family, {name: values}, [policy])
+    every = _points(table, values, family.at({}))
     return Curve(model=family.name, parameter=parameter_of(family, name), points=every)
 
 
@@ -320,27 +320,27 @@ def tornado(
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
     solver = solver_of(family)
-    held, mdp = solver.base.held(policy), solver.base.mdp
+    own, mdp = solver.base.held(policy), solver.base.mdp
     ends = [end for span in spans.values() for end in (span.low, span.high)]
     parameters = [parameter_of(family, name) for name in spans]
     columns = {
         parameter.name: [at if row // 2 == k else parameter.value for row, at in enumerate(ends)]
         for k, parameter in enumerate(parameters)
     }
-    points = _points(study(family, columns, [held], solver=solver), ends, mdp) if ends else ()
+    points = _points(study(family, columns, [own], solver=solver), ends, mdp) if ends else ()
     bars = [
         Bar(parameter=parameter, low=low, high=high)
         for parameter, low, high in zip(parameters, points[::2], points[1::2], strict=True)
     ]
     bars.sort(key=lambda bar: -bar.swing)
-    fixed = finite_worth(mdp, held, "today's parameters")
+    fixed = finite_worth(mdp, own, "today's parameters")
     now = Point(optimal=solver.base.solution.start, fixed=fixed, sense=mdp.sense)
     return Tornado(model=family.name, today=now, bars=tuple(bars))
 
 
-def _points(found: Study, values: Sequence[Fraction], mdp: MDP) -> tuple[Point, ...]:
+def _points(table: Study, values: Sequence[Fraction], mdp: MDP) -> tuple[Point, ...]:
     return tuple(
-        Point(at=at, optimal=found.best(row), fixed=found.held(row), sense=mdp.sense)
+        Point(at=at, optimal=table.best(row), fixed=table.held(row), sense=mdp.sense)
         for row, at in enumerate(values)
     )
 
@@ -499,14 +499,14 @@ def two_way(
     columns = {x: across * points, y: [at for at in along for _ in across]}
     solver, shape = solver_of(family), (points, points)
     mdp = solver.base.mdp
-    found = study(family, columns, [policy], solver=solver)
-    weights = [solver.weights(row) for row in found.rows]
+    table = study(family, columns, [policy], solver=solver)
+    weights = [solver.weights(row) for row in table.rows]
     actions = np.array([mdp.pair_action[np.flatnonzero(each)] for each in weights])
     seen = np.array([reachable(mdp, pairs=each > 0) & ~mdp.forced for each in weights])
     known: dict[bytes, int] = {}
     numbers = [
         known.setdefault(np.where(seen[n], actions[n], -1).tobytes(), len(known))
-        for n in found.which.tolist()
+        for n in table.which.tolist()
     ]
     return TwoWay(
         mdp=mdp,
@@ -514,9 +514,9 @@ def two_way(
         y=parameter_of(family, y),
         x_values=np.array([float(at) for at in across]),
         y_values=np.array([float(at) for at in along]),
-        value=found.optimal.reshape(shape),
-        fixed_value=found.fixed[:, 0].reshape(shape),
-        error=found.error.sum(axis=1).reshape(shape),
-        choices=actions[found.which].reshape(*shape, -1),
+        value=table.optimal.reshape(shape),
+        fixed_value=table.fixed[:, 0].reshape(shape),
+        error=table.error.sum(axis=1).reshape(shape),
+        choices=actions[table.which].reshape(*shape, -1),
         policy=np.reshape(numbers, shape),
     )

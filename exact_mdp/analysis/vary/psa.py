@@ -210,8 +210,8 @@ class PSA(Pictured):
         """Return what knowing every drawn parameter would be worth, over all policies."""
         if self.compiled and all(name.startswith("reward.") for name in self.names):
             today = [candidate.name for candidate in self.candidates].index(TODAY)
-            found = mean_loss(self.regret(today))
-            return Information(low=found, high=found, best=TODAY)
+            loss = mean_loss(self.regret(today))
+            return Information(low=loss, high=loss, best=TODAY)
         best = int((self.sign * self.values).mean(axis=0).argmax())
         high, low = mean_loss(self.regret(best)), mean_loss(np.zeros(len(self)))
         if self.lost.shape[1]:
@@ -248,13 +248,13 @@ class PSA(Pictured):
         among, least = self.evpi_of_candidates(), self.evpi().low
         apart = 2 * np.hypot(among.standard_error, least.standard_error)
         doubt = (MISSING,) if among.value + apart < least.value else ()
-        found = {}
+        by_group = {}
         for label, members, columns in groups_of(self.uncertainty, groups, together=True):
             each = evppi(
                 self.sign * self.values[:REGRESSED], self.draws[:REGRESSED, columns], members
             )
-            found[label] = replace(each, doubts=(*each.doubts, *doubt))
-        return found
+            by_group[label] = replace(each, doubts=(*each.doubts, *doubt))
+        return by_group
 
     def report(self, policy: str = "optimal") -> Report:
         """Return value, regret, optimal actions and the value of information over the draws.
@@ -405,8 +405,8 @@ class PSA(Pictured):
         return table
 
 
-def _loss(found: MeanLoss) -> dict[str, Any]:
-    return {**plain(found), "draws_that_carry_it": found.carried, "few_draws": found.few}
+def _loss(loss: MeanLoss) -> dict[str, Any]:
+    return {**plain(loss), "draws_that_carry_it": loss.carried, "few_draws": loss.few}
 
 
 def _spread(values: Floats, lost: MeanLoss | None = None) -> dict[str, Any]:
@@ -416,8 +416,8 @@ def _spread(values: Floats, lost: MeanLoss | None = None) -> dict[str, Any]:
 
 
 def _middle(values: Floats) -> str:
-    found = {each.probability: each.value for each in quantiles(values)}
-    return f"{found[0.025]:.4g} to {found[0.975]:.4g}"
+    by_share = {each.probability: each.value for each in quantiles(values)}
+    return f"{by_share[0.025]:.4g} to {by_share[0.975]:.4g}"
 
 
 def groups_of(
@@ -545,12 +545,12 @@ def psa(
 
     def valued(policies: Sequence[Floats]) -> Arrays:
         """Return value and error (D, N) of policies in every draw."""
-        told = digest(*policies)
-        work, name = partial(_block, solver.values, chosen.names, policies), f"values-{told[:12]}"
-        more = key | {"policies": told}
+        mark = digest(*policies)
+        work, name = partial(_block, solver.values, chosen.names, policies), f"values-{mark[:12]}"
+        more = key | {"policies": mark}
         return joined(run(solver, name, work, pieces, more, rest, **how))
 
-    picked, found, frequency = _selected(solver, chosen.names, solved, blocks, given, valued)
+    picked, best, frequency = _selected(solver, chosen.names, solved, blocks, given, valued)
     return PSA(
         model=family.name,
         start=solver.base.solution.start,
@@ -571,8 +571,8 @@ def psa(
             )
             for name, weights in picked
         ),
-        values=found["value"],
-        value_error=found["error"],
+        values=best["value"],
+        value_error=best["error"],
         labels=solver.labels,
         actions=solver.actions,
         compiled=solver.compiled,
@@ -589,7 +589,7 @@ def _block(method: Callable[..., Arrays], names: tuple[str, ...], *given: Any) -
 def _selected(
     solver: DrawSolver,
     names: tuple[str, ...],
-    found: Mapping[str, np.ndarray],
+    candidates: Mapping[str, np.ndarray],
     blocks: Sequence[Arrays],
     given: Sequence[tuple[str, Floats]],
     valued: Callable[[Sequence[Floats]], Arrays],
@@ -608,8 +608,8 @@ def _selected(
 
     def to_be_won() -> Floats:
         """Return (D,) what the policies taken leave, and 0 where rounding may be all there is."""
-        left = sign * found["start"] - (sign * taken["value"]).max(axis=1)
-        return np.where(left > found["error"] + taken["error"].max(axis=1), left, 0.0)
+        left = sign * candidates["start"] - (sign * taken["value"]).max(axis=1)
+        return np.where(left > candidates["error"] + taken["error"].max(axis=1), left, 0.0)
 
     left = to_be_won()
     counts = np.bincount(which, minlength=len(rows))
@@ -619,18 +619,18 @@ def _selected(
     weights = {number: solver.weights(rows[number]) for number in {*order, *frequent}}
     frequency: dict[str, int] = {}
     for number, each in weights.items():
-        told = digest(each)
-        frequency[told] = frequency.get(told, 0) + int(counts[number])
+        own_digest = digest(each)
+        frequency[own_digest] = frequency.get(own_digest, 0) + int(counts[number])
     known = {digest(each) for _, each in given}
     pool: dict[str, list[int]] = {}
     for number in order:
-        if by_loss[number] > 0 and (told := digest(weights[number])) not in known:
-            pool.setdefault(told, []).append(number)
+        if by_loss[number] > 0 and (own_digest := digest(weights[number])) not in known:
+            pool.setdefault(own_digest, []).append(number)
     if not pool:
         return picked, taken, frequency
     others, alike = [weights[numbers[0]] for numbers in pool.values()], list(pool.values())
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: solver.pool])
-    values = sign * solver.values(names, found["draws"][some], others)["value"]
+    values = sign * solver.values(names, candidates["draws"][some], others)["value"]
     for count in range(1, CANDIDATES + 1):
         best = (sign * taken["value"][some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)

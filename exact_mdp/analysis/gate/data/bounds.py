@@ -227,11 +227,11 @@ class Operators:
         coupled = mdp.discount * (apart + (1 - own) * moved + others) * SLACK
         size = np.maximum(np.abs(least), np.abs(most))
         coupled += 8 * UNIT * (mdp.n_actions + 4) * ((mixing @ size)[state] + size)
-        found = []
+        advantages = []
         for mine, theirs, sign in ((least, most, -1), (most, least, 1)):
             rest = (mixing @ theirs)[state] - own * theirs
-            found.append(np.where(own == 1, 0.0, (1 - own) * mine - rest + sign * coupled))
-        return found[0], found[1]
+            advantages.append(np.where(own == 1, 0.0, (1 - own) * mine - rest + sign * coupled))
+        return advantages[0], advantages[1]
 
     def settled(self, step: Operator, side: int, first: Floats | None = None) -> Floats:
         """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
@@ -251,29 +251,29 @@ class Operators:
             return value
         value = known
         for _ in range(IMPROVEMENTS):
-            found = step(value)
-            over = max(float((sign * (found.bound - value)).max()), 0.0) / left * SLACK
+            after = step(value)
+            over = max(float((sign * (after.bound - value)).max()), 0.0) / left * SLACK
             known = take(known, value + sign * (over + 4 * UNIT * (np.abs(value) + over)))
-            chain, constant = found.piece()
+            chain, constant = after.piece()
             target = LinearSystem(chain, mdp.discount).approximate(constant)
             if np.abs(target - value).max() <= scale:
                 break
             value = target
         return np.asarray(known)
 
-    def _known(self, operator: Operator, worth: float, value: Floats) -> Step:
+    def _known(self, operator: Operator, gain: float, value: Floats) -> Step:
         """Return a step in which states of which nobody knows what follows are worth the most."""
-        unknown, found = self.sets.unknown, operator(value)
+        unknown, step = self.sets.unknown, operator(value)
 
         def piece() -> tuple[sp.csr_array, Floats]:
-            laws, constant = found.piece()
+            laws, constant = step.piece()
             rows = sp.csr_array(laws.multiply((~unknown).astype(np.float64)[:, None]))
-            return rows, np.where(unknown, worth, constant)
+            return rows, np.where(unknown, gain, constant)
 
-        return Step(np.where(unknown, worth, found.bound), piece if unknown.any() else found.piece)
+        return Step(np.where(unknown, gain, step.bound), piece if unknown.any() else step.piece)
 
-    def _best(self, worth: Floats) -> Integers:
+    def _best(self, gain: Floats) -> Integers:
         """Return (S,) the best pair of each state."""
         mdp = self.sets.mdp
-        best = np.maximum.reduceat(worth, mdp.pair_offsets[:-1])
-        return first_of(mdp, worth == best[mdp.pair_state])
+        best = np.maximum.reduceat(gain, mdp.pair_offsets[:-1])
+        return first_of(mdp, gain == best[mdp.pair_state])

@@ -121,14 +121,14 @@ def confidence_of(given: object) -> Fraction:
     (Fraction(19, 20), Fraction(9, 10))
     """
     with located("confidence", instead=True):
-        found = exact(str(given) if isinstance(given, float) else given)
-    if not 0 < found < 1 or float(found) in (0.0, 1.0):
+        confidence = exact(str(given) if isinstance(given, float) else given)
+    if not 0 < confidence < 1 or float(confidence) in (0.0, 1.0):
         raise ModelError(
             f"a confidence of {given}",
             where="confidence",
             fix="give more than 0 and less than 1, as a float too",
         )
-    return found
+    return confidence
 
 
 def observations_of(mdp: MDP) -> Integers:
@@ -148,24 +148,24 @@ def of_process(mdp: MDP) -> tuple[str, ...]:
     begin = "the recorded episodes begin as those of the process do, each drawn by itself"
     if mdp.episodes is None:
         begin = "episodes begin as the model says"
-    told = [
+    sentences = [
         "the process has the states and actions that were recorded, and what follows a state and "
         "an action depends on these alone",
         begin,
     ]
     if ends := entered(mdp):
         text = "nothing is earned any more after {}: entered and never left, taken for ends"
-        told.append(text.format(_some(ends)))
+        sentences.append(text.format(_some(ends)))
     # Where actions that nobody took are offered all the same, `Robust.assumptions` says so.
     offered = set(zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True))
     if never := [(s, a) for s, a in never_taken(mdp).tolist() if (s, a) not in offered]:
         names = [f"{mdp.space.label(state)}: {mdp.actions[action]}" for state, action in never]
-        told.append(f"what nobody took is not to be had: {_some(names)}")
+        sentences.append(f"what nobody took is not to be had: {_some(names)}")
     if mdp.n_actions == 1:
-        told.append(
+        sentences.append(
             "only one action was ever taken, and no other is to be had: nothing can be lost"
         )
-    return tuple(told)
+    return tuple(sentences)
 
 
 def named(mdp: MDP, states: Flags) -> str:

@@ -216,8 +216,8 @@ def mean_at_least(sample: Floats, doubt: float) -> float:
     grid = largest * np.geomspace(1e-4, 2.0, THRESHOLDS)
     promised = [_bernstein(np.minimum(first, c), c, doubt, len(rest)) for c in grid]
     threshold = float(grid[int(np.argmax(promised))])
-    found = _bernstein(np.minimum(rest, threshold), threshold, doubt, len(rest))
-    return max(found, 0.0)
+    bound = _bernstein(np.minimum(rest, threshold), threshold, doubt, len(rest))
+    return max(bound, 0.0)
 
 
 def _bernstein(sample: Floats, most: float, doubt: float, n: int) -> float:
@@ -326,12 +326,12 @@ def _trajectories(
 
 def _known(names: Mapping[Any, int], find: Any, what: str, record: Any) -> Integers:
     """Return the model's number of each name in records."""
-    found = np.empty(len(names), dtype=np.int64)
+    numbers = np.empty(len(names), dtype=np.int64)
     for name, number in names.items():
         try:
-            found[number] = find(str(name))
+            numbers[number] = find(str(name))
         except ModelError as error:
             raise ModelError(
                 f"the model has no {what} {str(name)!r}", where=record.where, fix=error.fix
             ) from error
-    return found
+    return numbers

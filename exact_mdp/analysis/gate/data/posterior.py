@@ -299,5 +299,5 @@ def _block(
         max(1, ROOM // mdp.transition.shape[0] // mdp.n_states),
     )
     parts = [min(size, count - done) for done in range(0, count, size)]
-    found = [drawn_regrets(drawn(mdp, known, prior, rng, part), own) for part in parts]
-    return {"regret": np.concatenate(found)}
+    regrets = [drawn_regrets(drawn(mdp, known, prior, rng, part), own) for part in parts]
+    return {"regret": np.concatenate(regrets)}

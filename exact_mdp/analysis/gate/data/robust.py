@@ -62,8 +62,8 @@ class Robust:
         With a horizon `chain` is the policy in `mdp.within(horizon)`.
         """
         sets = RowSets.of(mdp, float(1 - confidence), self.rewards)
-        found = self.bounds(mdp, sets, chain, horizon)
-        low, high = found.regret
+        bounds = self.bounds(mdp, sets, chain, horizon)
+        low, high = bounds.regret
         return RegretInterval(
             low=low,
             high=high,
@@ -71,8 +71,8 @@ class Robust:
             by=self.by,
             assumptions=self.assumptions(mdp, sets),
             found={
-                "optimal_value": found.at_start(mdp, found.best),
-                "learned_value": found.at_start(mdp, found.own),
+                "optimal_value": bounds.at_start(mdp, bounds.best),
+                "learned_value": bounds.at_start(mdp, bounds.own),
             },
             claim=Claim.BOUNDED,
         )
@@ -99,35 +99,35 @@ class Robust:
     def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
         """Return what the sets rest on besides the records."""
         low, high = sets.rewards if mdp.sense == "max" else (-sets.rewards[1], -sets.rewards[0])
-        told = list(of_process(mdp))
+        said = list(of_process(mdp))
         if sets.known:
-            told.append(
+            said.append(
                 "rewards are those seen for state, action and next state; where a next state was "
                 f"never seen they lie from {low:g} to {high:g}, as all that were seen"
             )
         else:
-            told.append(f"rewards lie from {low:g} to {high:g}, as stated")
+            said.append(f"rewards lie from {low:g} to {high:g}, as stated")
         if self.returns is not None:
-            told.append(f"total rewards lie from {self.returns[0]} to {self.returns[1]}, as stated")
+            said.append(f"total rewards lie from {self.returns[0]} to {self.returns[1]}, as stated")
         if sets.unknown.any():
-            told.append(
+            said.append(
                 "what follows where episodes were cut off and no record leaves, "
                 f"{named(mdp, sets.unknown)}, is worth whatever rewards allow"
             )
         if (sets.counted[~mdp.terminal[mdp.pair_state]] == 0).any():
-            told.append("actions that nobody took are worth what the model says")
-        return tuple(told)
+            said.append("actions that nobody took are worth what the model says")
+        return tuple(said)
 
 
 def _require_seen(mdp: MDP, returns: Ends) -> None:
     """Raise ModelError where a recorded transition cannot have a total in the range stated."""
     table = mdp.table
     pair = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))
-    kept = observations_of(mdp)[pair] > 0
+    seen = observations_of(mdp)[pair] > 0
     over = mdp.terminal & ~cut_off(mdp)
     gain, after = table.gains(), np.where(over[table.next], 0.0, mdp.discount)
     low, high = (gain + after * end for end in returns)
-    outside = kept & ((low > returns[1]) | (high < returns[0]))
+    outside = seen & ((low > returns[1]) | (high < returns[0]))
     if outside.any():
         first = int(np.flatnonzero(outside)[0])
         raise ModelError(

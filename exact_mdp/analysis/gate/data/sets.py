@@ -110,15 +110,15 @@ class RowSets:
     @cached_property
     def unknown(self) -> Flags:
         """(S,) states of which nobody knows what follows: episodes were cut off there."""
-        found: Flags = cut_off(self.mdp)
-        return found
+        flags: Flags = cut_off(self.mdp)
+        return flags
 
     @cached_property
     def over(self) -> Flags:
         """(S,) ends, worth 0 in every model of the sets: no row counted, nobody cut off."""
         left = np.logical_or.reduceat(self.counted > 0, self.mdp.pair_offsets[:-1])
-        found: Flags = self.mdp.terminal & ~left & ~self.unknown
-        return found
+        flags: Flags = self.mdp.terminal & ~left & ~self.unknown
+        return flags
 
     @property
     def of_a_step(self) -> Ends:
@@ -163,8 +163,8 @@ class RowSets:
         episodes = np.array([self.episodes])
         radius = _radius(p[:-1], 0 * seen, episodes, self.mdp.n_states, self.share)
         values = np.append(value, value.max() if most else value.min())
-        found = inner(Likelihood(radius=radius), block, values, discount=1.0, against=not most)
-        return float(found.high[0] if most else found.low[0])
+        worst = inner(Likelihood(radius=radius), block, values, discount=1.0, against=not most)
+        return float(worst.high[0] if most else worst.low[0])
 
     @cached_property
     def reward(self) -> tuple[Floats, Floats]:
@@ -190,9 +190,9 @@ class RowSets:
     def gains(self) -> Floats:
         """The reward of each entry of `counts`, where rewards are known."""
         mdp, table = self.mdp, self.mdp.table
-        kept = np.repeat(self.counted > 0, np.diff(table.offsets))
-        row = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))[kept]
-        then, gain = table.next[kept], table.gains()[kept]
+        seen = np.repeat(self.counted > 0, np.diff(table.offsets))
+        row = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))[seen]
+        then, gain = table.next[seen], table.gains()[seen]
         order = np.lexsort([then, row])
         row, then, gain = row[order], then[order], gain[order]
         again = (row[1:] == row[:-1]) & (then[1:] == then[:-1])
@@ -226,7 +226,7 @@ class RowSets:
         mdp, pairs = self.mdp, self.pairs
         far = int(value.argmax() if most else value.argmin())
         blocks = self._blocks[most]
-        found = inner(
+        values = inner(
             Likelihood(radius=self.radius),
             blocks,
             np.append(value, value[far]),
@@ -239,11 +239,11 @@ class RowSets:
         reward = self.reward[most] if rewards and not self.known else np.zeros(mdp.n_pairs)
         if rewards and self.known:
             reward = np.where(self.counted > 0, 0.0, mdp.reward)
-        bound[pairs] = found.high if most else found.low
+        bound[pairs] = values.high if most else values.low
         size = np.abs(value).max() + rewards * (np.abs(reward) + np.abs(self.rewards).max())
         length = np.diff(mdp.transition.indptr) + 8
         bound = bound + reward + sign * (length * 4 * UNIT * size + TINY * (size > 0))
-        return Rows(sets=self, bound=bound, reward=reward, blocks=blocks, found=found, far=far)
+        return Rows(sets=self, bound=bound, reward=reward, blocks=blocks, found=values, far=far)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -285,9 +285,9 @@ def _radius(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> F
     part, c = 1 / states, p * n[row]
     terms = c * np.log(p) - special.gammaln(c + part) + special.gammaln(part)
     total = np.bincount(row, terms) + special.gammaln(n + 1)
-    found = (total + log(1 / doubt)) / n
+    radius = (total + log(1 / doubt)) / n
     size = np.bincount(row, np.abs(c * np.log(p)) + np.abs(special.gammaln(c + part)))
-    return np.asarray(found + 64 * UNIT * (size + special.gammaln(n + 1) + log(states)) / n)
+    return np.asarray(radius + 64 * UNIT * (size + special.gammaln(n + 1) + log(states)) / n)
 
 
 def _highest(mean: Floats, edge: Floats) -> Floats:
