@@ -127,6 +127,10 @@ def chosen(name: str) -> Claim:
 
 def _named(name: str, known: Mapping[str, Any], what: str) -> Any:
     if name not in known:
+        there = [each.id for each in CLAIMS.values() if name in each.places and what == "claim"]
+        if there:
+            said = f"{name} is a place, and no claim"
+            raise ModelError(said, where=what, fix=f"choose one of {', '.join(there)}")
         near = get_close_matches(name, known, n=1, cutoff=0.6)
         fix = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(known)}"
         raise ModelError(f"unknown {what} {name!r}", where=what, fix=fix)
@@ -135,7 +139,9 @@ def _named(name: str, known: Mapping[str, Any], what: str) -> Any:
 
 def draw(name: str, out: Path, runs: int) -> list[Path]:
     """Draw one figure into a folder; raises ModelError for an unknown one."""
-    picture = _named(name, FIGURES, "figure")
+    by_place = {each.place.removeprefix("Figure "): each for each in FIGURES.values() if each.place}
+    number = name.lower().removeprefix("figure").strip()
+    picture = by_place[number] if number in by_place else _named(name, FIGURES, "figure")
     needs_matplotlib()
     return save(picture, default(runs=runs), out)
 
@@ -187,7 +193,9 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     if claim.open and not sets:
         others = [(each.label, claim.find(each)) for each in one_change(reading)]
         differing = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
-        lines["other readings"] = "; ".join(differing) or f"the same in all {len(others)}"
+        lines["other readings"] = (
+            "; ".join(differing) or f"the same in all {len(others)} with one change"
+        )
         if depends(finding, [one.verdict for _, one in others]):
             lines["verdict"] = f"{Verdict.DEPENDS}; {finding.says} under the default one"
     width = max(map(len, lines)) + 2
@@ -200,7 +208,8 @@ def listed() -> str:
     lines = [
         f"{claim.id:42} {', '.join(claim.places):32} {claim.says}" for claim in CLAIMS.values()
     ]
-    return "\n".join([*lines, f"figures: {', '.join(FIGURES)}"])
+    named = [each.name + f" ({each.place})" * bool(each.place) for each in FIGURES.values()]
+    return "\n".join([*lines, f"figures: {', '.join(named)}"])
 
 
 def table(results: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from exact_mdp import ModelError
 from exact_mdp.paper_repro import run
 from exact_mdp.paper_repro.__main__ import main
 from exact_mdp.paper_repro.claim import CLAIMS, Verdict
@@ -119,7 +120,7 @@ def test_one_claim_alone_and_under_another_reading() -> None:
     done = cli("claim", "policy.0100")
     assert done.exit_code == 0
     assert "not reproduced" in done.stdout
-    assert "the same in all 17" in done.stdout
+    assert "the same in all 17 with one change" in done.stdout
     change = "readings.task_bonus=no-subtask-skipped"
     verdict = r"verdict: +depends on the reading; not reproduced under the default one"
     assert re.search(verdict, cli("claim", "return.random").stdout)
@@ -171,3 +172,11 @@ def test_the_main_job_writes_everything_it_names(tmp_path: Path) -> None:
     assert record["training_runs"] == run.QUICK
     assert record["commit"]
     assert len(list((tmp_path / "figures").iterdir())) == 2 * len(FIGURES)
+
+
+def test_the_names_of_the_paper_find_a_figure_and_the_claims_of_a_place(tmp_path: Path) -> None:
+    for name in ("2", "figure 2"):
+        assert [path.name for path in run.draw(name, tmp_path, 1)] == ["flow.svg", "flow.png"]
+    assert "flow (Figure 2)" in run.listed()
+    with pytest.raises(ModelError, match=r"is a place, and no claim(.|\n)*choose one of table4"):
+        run.chosen("Table 4")
