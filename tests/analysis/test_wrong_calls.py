@@ -297,7 +297,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str, str, str]] = {
     ),
     "probabilities or values by pair": (
         lambda: Policy.of(MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}),
-        "which differ",
+        "probabilities or a Q-table",
         "state a",
         'kind="policy"',
     ),

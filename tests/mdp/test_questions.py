@@ -164,10 +164,10 @@ LABELLED = MDP.from_arrays(
     [
         (lambda: LABELLED.reaching("gaol"), r"unknown label 'gaol'(.|\n)*did you mean goal"),
         (lambda: LABELLED.with_(labels={}).until("x"), r"unknown label 'x'(.|\n)*labels="),
-        (lambda: LABELLED.reaching("goal", "no"), r"\(state 0\), is not among"),
+        (lambda: LABELLED.reaching("goal", "no"), "start, state 0, is not among"),
         (lambda: LABELLED.until("goal").reaching("no"), "a question already"),
         (lambda: LABELLED.reaching("goal").within(2).until("no"), "a question already"),
-        (lambda: LABELLED.with_(start=2).reaching("goal", "start"), r"\(state 2\), is not among"),
+        (lambda: LABELLED.with_(start=2).reaching("goal", "start"), "start, state 2, is not among"),
         (lambda: LABELLED.until("goal", "rewrad"), r"no reward component(.|\n)*reward"),
         (lambda: LABELLED.with_(sense="least"), r"the sense is 'least'(.|\n)*max"),
         (lambda: LABELLED.with_(labels={"goal": [0, 1, 1]}), r"label goal(.|\n)*one truth value"),

@@ -215,7 +215,8 @@ def _unknown(text: str) -> ModelError:
     if Path(text).is_file():
         return ModelError("unknown kind of model file", where=text, fix=f"give a {known}")
     if re.fullmatch(r"[\w/.:-]+-v\d+", text):
-        fix = f"did you mean {GYMNASIUM}{text}?"
+        name = re.sub("^gymnasium:", "", text, flags=re.IGNORECASE)
+        fix = f"did you mean {GYMNASIUM}{name}?"
     else:
         fix = f"{suggest(text, shipped())} (or give a {known})"
     return ModelError(f"unknown model {text!r}", where="model", fix=fix)

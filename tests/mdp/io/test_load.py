@@ -84,7 +84,7 @@ def test_a_gymnasium_environment() -> None:
         ("missing.toml", "cannot read the file", "check the path"),
         ("missing.umb#cost", "cannot read the file", "check the path"),
         ("gymnasium:FrozenLakes-v1", "FrozenLakes", "FrozenLake-v1"),
-        ("Gymnasium:FrozenLake-v1", "unknown model", "gymnasium:ID"),
+        ("Gymnasium:FrozenLake-v1", "unknown model", "did you mean gymnasium:FrozenLake-v1?"),
     ],
 )
 def test_models_that_are_not_there(
