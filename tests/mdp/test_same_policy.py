@@ -214,7 +214,8 @@ class Case:
             yield "function", self.function(self.at)
             others = [(s, a) for s, a in self.at if a != first]
             yield "function that has a default", self.function(others, first)
-            if not self.loaded:
+            pairs = all(isinstance(s, tuple) and is_number(a) for s, a in self.at)
+            if not self.loaded and not pairs:  # they may be {(state, action): number}
                 yield "dictionary of objects", dict(self.at)
 
 

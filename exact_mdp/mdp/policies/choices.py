@@ -141,13 +141,16 @@ def _is_row(model: MDP, choice: Any, kind: str) -> bool:
         return False
     plain = choice.tolist() if isinstance(choice, np.ndarray) else choice
     named = model.action_names.knows(tuple(plain))
-    if named and not isinstance(choice, tuple) and kind == "auto":
+    action = named and isinstance(choice, tuple)
+    # (0.0, 1.0) equals (0, 1), the action that "(0, 1)" is the text of.
+    equal = (tuple(of(x) if whole_of(x) == x else x for x in plain) for of in (int, float))
+    if kind == "auto" and not action and (named or any(map(model.action_names.knows, equal))):
         raise ModelError(
             f"{choice} may be the action of that name, or a row of numbers for all actions, "
             "which differ",
             fix="give the action by its name, as text, or rows as one array with kind=",
         )
-    return not (named and isinstance(choice, tuple))
+    return not action
 
 
 def _of_rows(model: MDP, space: StateSpace, rows: Mapping[int, Any], kind: str) -> Parts:
