@@ -1,7 +1,6 @@
 """Cost-effectiveness against loops and closed forms, and the speed of draws of small models."""
 
 import re
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from exact_mdp import (
     psa,
     robust,
     sobol,
-    solve,
     study,
     tornado,
     tradeoff,
@@ -97,13 +95,6 @@ def test_rates_of_a_front_are_icers(found) -> None:
     assert [float(edge.rate) for edge in front.edges] == pytest.approx(mean["ICER"].tolist()[1:])
 
 
-def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(ModelError, match="unknown component 'qalys'"):
-        cost_effectiveness(MODEL, POLICIES, 5, effect="qalys", uncertain=SAID)
-    with pytest.raises(ModelError, match="no strategy"):
-        cost_effectiveness(MODEL, {}, 5, uncertain=SAID)
-
-
 def test_the_guide_has_the_numbers_of_the_published_model() -> None:
     """Today's costs and effects of the four strategies, worked out by powers of the matrices."""
     code = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text("utf-8"), re.M | re.S)[0]
@@ -119,53 +110,6 @@ def test_the_guide_has_the_numbers_of_the_published_model() -> None:
             total += state @ mdp.components[action::4]
             state = state @ rows / 1.03
         assert list(parts.values()) == pytest.approx(total.tolist(), rel=1e-9)
-
-
-def test_points_are_the_numbers_that_were_given() -> None:
-    """A float beside a fraction in words stays the float that it is."""
-    found = study(MODEL, {"gain": [0.1, "1/10", 2]})
-    assert found.points[:, 0].tolist() == [Fraction(0.1), Fraction(1, 10), 2]
-    assert found.frame()["gain"].tolist() == [0.1, 0.1, 2]
-    for points, message in (
-        ({"gain": [1], "price": [1, 2]}, "columns of shape"),
-        ({"gain": [[1, 2]]}, "columns of shape"),
-        ({"gain": []}, "no points"),
-        ({}, "none"),
-        ({"gains": [1]}, "unknown parameter 'gains'"),
-    ):
-        with pytest.raises(ModelError, match=message):
-            study(MODEL, points)
-
-
-# ---- many small models at once -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("seed", range(12))
-@pytest.mark.parametrize("discount", [1, "9/10", "999/1000"])
-def test_small_models_at_once_are_those_solved_one_by_one(seed: int, discount: object) -> None:
-    rng = np.random.default_rng(seed)
-    states, sense = int(rng.integers(2, 7)), ("max", "min")[seed % 2]
-    shape = (states - 1, 3, 2)
-    to, gain = rng.integers(states, size=shape), rng.integers(-3, 4, size=shape)
-
-    def build(at):
-        x, end = at["x"], states - 1
-        left, rows = (1 - x) / 2, []
-        for s, a in np.ndindex(shape[:2]):
-            (one, two), (high, low) = to[s, a].tolist(), gain[s, a].tolist()
-            rows.append((s, a, [(x, one, high * x), (left, two, 1), (left, end, low)]))
-        return MDP.from_outcomes([*rows, (end, 0, [(1, end, 0)])], discount, sense=sense)
-
-    model = Family(parameters=(Parameter(name="x", value="1/3", low=0, high=1),), build=build)
-    points = [0.1, "1/3", 0.75]
-    found = study(model, {"x": points}, ["optimal", "random"])
-    for row, x in enumerate(points):
-        mdp = model.at({"x": x})
-        best, own = solve(mdp).start, evaluate(mdp, "random").start
-        assert abs(found.optimal[row] - best.value) <= found.error[row, 0] + best.error
-        assert abs(found.fixed[row, 1] - own.value) <= found.error[row, 2] + own.error
-        assert found.error[row].max() < 1e-9
-        assert found.regret[row, 1] >= 0
 
 
 def test_several_willingnesses_to_pay_are_taken_one_by_one(found) -> None:
@@ -198,6 +142,7 @@ def test_one_row_of_todays_values_is_the_base_case() -> None:
     [
         (["wait"], SAID, "give {name: policy}"),
         ({}, SAID, "give {name: policy}"),
+        ({}, {}, "no strategy"),
         ({"a": "1"}, SAID, "did you mean always:1?"),
         (POLICIES, None, "for the base case"),
         (POLICIES, ["gain"], "pandas.DataFrame"),
@@ -206,6 +151,8 @@ def test_one_row_of_todays_values_is_the_base_case() -> None:
 def test_calls_that_say_too_little_are_refused(strategies, uncertain, words) -> None:
     with pytest.raises(ModelError, match=re.escape(words)):
         cost_effectiveness(MODEL, strategies, 5, uncertain=uncertain)
+    with pytest.raises(ModelError, match="unknown component 'qalys'"):
+        cost_effectiveness(MODEL, POLICIES, 5, effect="qalys", uncertain=SAID)
 
 
 def test_units_are_those_that_were_said() -> None:

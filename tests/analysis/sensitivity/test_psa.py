@@ -1,5 +1,6 @@
 """Probabilistic sensitivity analysis against independent loops and closed forms; EVPPI covers."""
 
+from dataclasses import replace
 from fractions import Fraction as F
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,16 @@ def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: Any
     assert care.evpi_of_candidates().value <= worth.high.value + 1e-9
     best = care.values.mean(axis=0).max()
     assert worth.high.value == pytest.approx(care.optimal.mean() - best)
+    for each in care.evppi().values():
+        assert each.regression.value <= care.evpi_of_candidates().value + 1e-15
+        assert each.reliable == (each.doubts == ())
+    regret = care.regret()
+    costly = np.argsort(-regret)[:20]  # the draws in which most is lost have their policies
+    left = (care.optimal - care.values.max(axis=1)).clip(0)
+    assert left[costly].mean() < regret[costly].mean() / 2
+    alone = replace(care, values=care.values[:, :1], candidates=care.candidates[:1])
+    doubts = alone.evppi({"base.anger": ["base.anger"]})["base.anger"].doubts
+    assert any("candidate" in doubt for doubt in doubts)
 
 
 def test_shares_of_optimal_actions_are_those_of_the_draws(care: Any) -> None:
@@ -153,6 +164,9 @@ def test_workers_and_sample_sizes_change_no_byte(tmp_path: Path) -> None:
         for name in ("draws", "optimal", "values", "counts", "lost"):
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
         assert [c.name for c in one.candidates] == [c.name for c in other.candidates]
+    written = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*.npz")}
+    psa(SMALL, 9001, rng=0, folder=tmp_path / "run")  # whole pieces are used again
+    assert sum(path.stat().st_mtime_ns == at for path, at in written.items()) >= 2
     short = psa(SMALL, 100, rng=0)
     assert short.optimal.tobytes() == one.optimal[:100].tobytes()
     assert psa(SMALL, 100, rng=1).optimal.tobytes() != short.optimal.tobytes()

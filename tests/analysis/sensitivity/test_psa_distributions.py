@@ -1,5 +1,7 @@
 """Distributions of uncertain parameters: moments, streams, files, and what is refused."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from exact_mdp import (
     Uncertain,
     Uncertainty,
     load_uncertainty,
+    moving,
     parametric,
     psa,
     uncertainty,
@@ -194,53 +197,102 @@ def test_files_that_cannot_be_are_refused(tmp_path: Path, text: str, message: st
         uncertainty(YUAN, load_uncertainty(file)[0])
 
 
+ROW = "(state 0, 0)"
+ONE, TWO = f"{ROW}: to state 1", f"{ROW}: to state 2"
+THREE = "(state 1, 0): to state 1"
+LAWS = MDP.from_arrays([[["1/2", "1/4", "1/4"], ["2/3", "1/3", 0], [0, 0, 1]]], [1, 0, 0])
+ROWS = replace(
+    moving(LAWS, {ONE: [(0, 1)], TWO: [(0, 2)], THREE: [(1, 1)]}, {"reward.1": 1}),
+    rows={ROW: (ONE, TWO), "(state 1, 0)": (THREE,)},
+)
+FIVE, FIXED = {"effective_sample_size": 5}, {"fixed": True}
+PART = Uncertain.of("a", "beta", mean=0.3, effective_sample_size=10)
+REFUSED: dict[str, Callable[[], object]] = {
+    "unknown setting 'efective_sample_size'": lambda: uncertainty(
+        YUAN, {"base": {"efective_sample_size": 3}}
+    ),
+    "fixed is 1": lambda: uncertainty(YUAN, {"base": {"fixed": 1}}),
+    "50 is stated": lambda: uncertainty(YUAN, {"base": 50}),
+    "gama": lambda: uncertainty(YUAN, {"reward": {"distribution": "gama"}}),
+    "outside of what the parameter may be": lambda: uncertainty(
+        MODEL, {"p": {"distribution": "uniform", "low": 0, "high": 2}}
+    ),
+    "beta of mean 1.2": lambda: Uncertain.of("a", "beta", mean=1.2, sd=0.1),
+    "so large a spread": lambda: Uncertain.of("a", "beta", mean=0.5, sd=0.6),
+    "alpha = 0": lambda: Uncertain.of("a", "beta", alpha=0, beta=2),
+    "gamma of mean 0": lambda: Uncertain.of("a", "gamma", mean=0, sd=1),
+    "lognormal of mean -1": lambda: Uncertain.of("a", "lognormal", mean=-1, sd=1),
+    "low = 2": lambda: Uncertain.of("a", "uniform", low=2, high=1),
+    "mode = 3": lambda: Uncertain.of("a", "triangular", low=0, mode=3, high=1),
+    "normal with mean": lambda: Uncertain.of("a", "normal", mean=1),
+    "relative_sd": lambda: Uncertain.of("a", "normal", mean=1, sd=1, relative_sd=1),
+    "around inf": lambda: Uncertain.of("a", "normal", mean=float("inf"), sd=1),
+    "around nan": lambda: Uncertain.of("a", "beta", mean=float("nan"), effective_sample_size=9),
+    "relative spread around 0": lambda: Uncertain.of("a", "normal", mean=0, relative_sd=1),
+    "'gauss'": lambda: Uncertain.of("a", "gauss", mean=0, sd=1),
+    "2 concentrations for 2": lambda: Uncertain.of_row("row", ("a", "b"), (1, 2)),
+    "concentrations 1, 0": lambda: Uncertain.of_row("row", ("a",), (1, 0)),
+    "a is drawn twice": lambda: Uncertainty(parts=(PART, PART), fixed={}),
+    "different settings.*1": lambda: uncertainty(ROWS, {ONE: FIVE}),
+    "different settings.*2": lambda: uncertainty(ROWS, {TWO: FIXED}),
+    "different settings.*3": lambda: uncertainty(ROWS, {ROW: FIVE, TWO: FIXED}),
+    "are Dirichlet": lambda: uncertainty(ROWS, {ROW: {"relative_sd": 0.3}}),
+    "unknown parameter": lambda: uncertainty(ROWS, {"(state 0, 1)": FIXED}),
+    "without the others.*1": lambda: uncertainty(ROWS, names=[ONE]),
+    "without the others.*2": lambda: uncertainty(ROWS, names=[TWO]),
+    "in two rows": lambda: uncertainty(replace(ROWS, rows={"a": (ONE,), "b": (ONE, TWO)})),
+    "not a probability of a row": lambda: uncertainty(replace(ROWS, rows={"a": ("discount",)})),
+    "no parameter is uncertain": lambda: psa(MDP.from_arrays([[[1]]], [1], "1/2"), 2),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_cannot_be_stated_is_refused(message: str) -> None:
+    with pytest.raises(ModelError, match=message.partition(".*")[0]):
+        REFUSED[message]()
+
+
+# ---- rows ----------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize(
-    ("stated", "message"),
+    ("stated", "size"),
     [
-        ({"base": {"efective_sample_size": 3}}, "unknown setting 'efective_sample_size'"),
-        ({"base": {"fixed": 1}}, "fixed is 1"),
-        ({"base": 50}, "50 is stated"),
-        ({"reward": {"distribution": "gama"}}, "gama"),
+        ({}, 7.0),
+        ({ROW: FIVE}, 5.0),
+        ({ONE: FIVE, TWO: FIVE}, 5.0),
+        ({ROW: FIVE, ONE: FIVE}, 5.0),
+        ({ROW: FIXED}, None),
+        ({ONE: FIXED, TWO: FIXED}, None),
     ],
 )
-def test_settings_that_cannot_be_are_refused_from_python_too(stated, message) -> None:
-    with pytest.raises(ModelError, match=message):
-        uncertainty(YUAN, stated)
+def test_what_is_stated_of_a_row_holds_for_all_of_it(stated, size) -> None:
+    found = uncertainty(ROWS, stated, default=7)
+    sizes = {part.label: part.size for part in found.parts}
+    assert (sizes.get(ROW), sizes["(state 1, 0)"]) == (size, 7.0)
+    assert {ONE, TWO} <= (set(found.names) if size else set(found.fixed))
+    assert not set(found.names) & set(found.fixed)
+    for names in ([ROW], [ONE, TWO]):  # drawn whole, and nothing else
+        alone = uncertainty(ROWS, names=names)
+        assert alone.names == (ONE, TWO)
+        assert set(alone.fixed) == {THREE, "reward.1", "discount"}
+    assert {part.kind for part in uncertainty(replace(ROWS, rows={})).parts} == {"beta"}
+
+
+THIRD = 1 / 3
 
 
 @pytest.mark.parametrize(
-    ("kind", "said", "message"),
-    [
-        ("beta", {"mean": 1.2, "sd": 0.1}, "beta of mean 1.2"),
-        ("beta", {"mean": 0.5, "sd": 0.6}, "so large a spread"),
-        ("beta", {"alpha": 0, "beta": 2}, "alpha = 0"),
-        ("gamma", {"mean": 0, "sd": 1}, "gamma of mean 0"),
-        ("lognormal", {"mean": -1, "sd": 1}, "lognormal of mean -1"),
-        ("uniform", {"low": 2, "high": 1}, "low = 2"),
-        ("triangular", {"low": 0, "mode": 3, "high": 1}, "mode = 3"),
-        ("normal", {"mean": 1}, "normal with mean"),
-        ("normal", {"mean": 1, "sd": 1, "relative_sd": 1}, "relative_sd"),
-        ("normal", {"mean": float("inf"), "sd": 1}, "around inf"),
-        ("beta", {"mean": float("nan"), "effective_sample_size": 9}, "around nan"),
-        ("normal", {"mean": 0, "relative_sd": 1}, "relative spread around 0"),
-        ("gauss", {"mean": 0, "sd": 1}, "'gauss'"),
-    ],
+    "row", [("1/2", "1/3", "1/6"), (THIRD, 0.1, 1 - THIRD - 0.1 + 1e-16)], ids=["exact", "floats"]
 )
-def test_distributions_that_cannot_be_are_refused(kind, said, message) -> None:
-    with pytest.raises(ModelError, match=message):
-        Uncertain.of("a", kind, **said)
-
-
-def test_concentrations_are_those_of_a_row() -> None:
-    with pytest.raises(ModelError, match="2 concentrations for 2"):
-        Uncertain.of_row("row", ("a", "b"), (1, 2))
-    with pytest.raises(ModelError, match="concentrations 1, 0"):
-        Uncertain.of_row("row", ("a",), (1, 0))
-    with pytest.raises(ModelError, match="outside of what the parameter may be"):
-        uncertainty(MODEL, {"p": {"distribution": "uniform", "low": 0, "high": 2}})
-
-
-def test_a_parameter_is_drawn_once() -> None:
-    part = Uncertain.of("a", "beta", mean=0.3, effective_sample_size=10)
-    with pytest.raises(ModelError, match="a is drawn twice"):
-        Uncertainty(parts=(part, part), fixed={})
+def test_rows_of_any_model_are_dirichlet_and_stay_distributions(row: tuple[object, ...]) -> None:
+    """Rows of floats that sum to 1 but for rounding, too."""
+    ends = [(state, 0, [(1, state, 0)]) for state in (1, 2)]
+    mdp = MDP.from_outcomes([(0, 0, [(p, s, s) for s, p in enumerate(row)]), *ends], "9/10")
+    family = replace(moving(mdp, {ONE: [(0, 1)], TWO: [(0, 2)]}), rows={ROW: (ONE, TWO)})
+    found = uncertainty(family)
+    assert [(part.kind, part.label) for part in found.parts] == [("dirichlet", ROW)]
+    for one, two in found.draw(SeedSequence(3), 5).tolist():
+        chance = {s: p for p, s, _ in family.at({ONE: one, TWO: two}).table.row(0)}
+        assert sum(chance.values()) == 1
+        assert (float(chance[1]), float(chance[2])) == pytest.approx((one, two))

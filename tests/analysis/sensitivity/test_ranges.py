@@ -9,7 +9,9 @@ from care_oracle import oracle_of
 
 from exact_mdp import (
     MDP,
+    Family,
     ModelError,
+    Parameter,
     Range,
     Scenario,
     load_ranges,
@@ -80,12 +82,27 @@ def test_bars_are_values_of_an_independent_model() -> None:
             fixed = twin.evaluate(lambda _: {"directive": F(1)}, distribution=False)["mean"]
             assert end.fixed.value == pytest.approx(float(fixed), abs=1e-9)
             assert end.regret.value == pytest.approx(end.optimal.value - end.fixed.value)
+            assert end.regret.error >= end.optimal.error + end.fixed.error
     assert [bar.swing for bar in found.bars] == sorted((b.swing for b in found.bars), reverse=True)
     base = next(bar for bar in found.bars if bar.parameter.name == "base.confusion")
     assert (base.low.at, base.high.at) == (F(24, 100), F(36, 100))
     assert found.frame()["unit"].tolist() == [
         "probability" if bar.parameter.name.startswith("base") else "reward" for bar in found.bars
     ]
+
+
+def test_ranges_are_shares_of_today_that_end_where_the_parameter_does() -> None:
+    given = (("p", "1/10", 0, 1), ("q", "9/10", 0, 1), ("r", -5, None, None))
+    family = Family(
+        parameters=[Parameter(name=n, value=v, low=low, high=high) for n, v, low, high in given],
+        build=lambda at: MDP.from_arrays([[[1]]], [sum(at.values())], 0),
+    )
+    for relative, wanted in (
+        (2, {"p": (0, F(3, 10)), "q": (0, 1), "r": (-15, 5)}),
+        ("1/2", {"p": (F(1, 20), F(3, 20)), "q": (F(9, 20), 1), "r": (F(-15, 2), F(-5, 2))}),
+    ):
+        bars = tornado(family, relative=relative).bars
+        assert {bar.parameter.name: (bar.low.at, bar.high.at) for bar in bars} == wanted
 
 
 def test_curves_start_to_part_at_a_threshold() -> None:

@@ -1,44 +1,74 @@
-"""Sobol indices against closed forms and scipy's; draws of whole models; seeds."""
+"""Sobol indices against closed forms; how often their intervals cover; seeds."""
 
 from __future__ import annotations
 
-from fractions import Fraction
+from collections.abc import Callable
+from fractions import Fraction as F
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from exact_mdp import MDP, ModelError, Parametric, moving, sobol
+from exact_mdp import MDP, Family, ModelError, Parametric, moving, sobol
 
-F = Fraction
-HALF = F(1, 2)
+PI = np.pi
 
 
-def choice() -> Parametric:
+def told(f: Callable[..., float], *names: str) -> Family:
+    """Return a model whose value is a function of its parameters."""
+
+    def build(at: Any) -> MDP:
+        return MDP.from_arrays([[[1]]], [float(f(*(float(at[name]) for name in names)))], 0)
+
+    return Family(parameters=dict.fromkeys(names, 0), build=build)
+
+
+def choice(unit: F = F(1)) -> Parametric:
     """V = max(p, q): two actions, each earns 1 with its own probability."""
-    rows = [
-        (0, 0, [(HALF, 1, 1), (HALF, 2, 0)]),
-        (0, 1, [(HALF, 1, 1), (HALF, 2, 0)]),
-        (1, 0, [(1, 1, 0)]),
-        (2, 0, [(1, 2, 0)]),
-    ]
-    return moving(MDP.from_outcomes(rows, 1), {"p": [(0, 1)], "q": [(1, 1)]})
+    rows = [(0, a, [("1/2", 1, unit), ("1/2", 2, 0)]) for a in (0, 1)]
+    ends = [(s, 0, [(1, s, 0)]) for s in (1, 2)]
+    return moving(MDP.from_outcomes([*rows, *ends], 1), {"p": [(0, 1)], "q": [(1, 1)]})
 
 
-# ---- Sobol ---------------------------------------------------------------------------------------
+def test_the_indices_of_ishigami() -> None:
+    """Ishigami and Homma (1990): Var = 49/8 + π⁴/50 + π⁸/1800 + 1/2; x3 weighs with x1 alone."""
+    model = told(
+        lambda x, y, z: np.sin(x) + 7 * np.sin(y) ** 2 + z**4 * np.sin(x) / 10, "x", "y", "z"
+    )
+    shares = sobol(model, ranges=dict.fromkeys("xyz", (-PI, PI)), n=2**11, rng=0).optimal
+    variance = 49 / 8 + PI**4 / 50 + PI**8 / 1800 + 1 / 2
+    alone = np.array([(1 + PI**4 / 50) ** 2 / 2, 49 / 8, 0]) / variance
+    joint = PI**8 * (1 / 18 - 1 / 50) / 100 / variance
+    np.testing.assert_allclose(shares.first, alone, atol=0.01)
+    np.testing.assert_allclose(shares.total, alone + np.array([joint, 0, joint]), atol=0.01)
+    assert shares.sd == pytest.approx(variance**0.5, rel=3e-3)
+
+
+def test_intervals_cover_as_often_as_they_say() -> None:
+    """Of x + 2 y, both indices are 1/5 and 4/5; intervals are those of a random sample."""
+    model = told(lambda x, y: x + 2 * y, "x", "y")
+    for seed in range(20):
+        shares = sobol(model, ranges={"x": (0, 1), "y": (0, 1)}, n=64, rng=seed).optimal
+        for index, half in ((shares.first, shares.first_half), (shares.total, shares.total_half)):
+            assert (np.abs(index - [0.2, 0.8]) < half).all()
+            assert (half < 0.5).all()
 
 
 def test_the_maximum_of_two_and_the_regret_of_one_have_known_indices() -> None:
     """Var max(p, q) = 1/18, of which 1/45 is each one's own; so is the regret's, max(0, q - p)."""
-    found = sobol(choice(), policy="always:0", ranges={"p": (0, 1), "q": (0, 1)}, n=512, rng=1)
-    for output in (found.optimal, found.regret):
+    how: dict[str, Any] = {"policy": "always:0", "ranges": {"p": (0, 1), "q": (0, 1)}, "rng": 1}
+    shares = sobol(choice(), n=512, **how)
+    for output in (shares.optimal, shares.regret):
         np.testing.assert_allclose(output.first, [0.4, 0.4], atol=0.06)
         np.testing.assert_allclose(output.total, [0.6, 0.6], atol=0.06)
         assert (abs(output.first - 0.4) < output.first_half).all()
         assert output.sd == pytest.approx((1 / 18) ** 0.5, rel=0.02)
-    assert found.regret.mean == pytest.approx(1 / 6, rel=0.02)
-    np.testing.assert_allclose(found.fixed.first, [1, 0], atol=0.02)
+    assert shares.regret.mean == pytest.approx(1 / 6, rel=0.02)
+    np.testing.assert_allclose(shares.fixed.first, [1, 0], atol=0.02)
+    one, other = (sobol(choice(unit), n=32, **how).optimal for unit in (F(1), F(1, 2**40)))
+    assert other.sd == pytest.approx(one.sd / 2**40, rel=1e-9, abs=0)  # in any unit of reward
+    assert other.total == pytest.approx(one.total)
 
 
 def same(a: Any, b: Any) -> bool:
@@ -60,24 +90,20 @@ def test_seed_zero_is_a_seed_and_workers_change_nothing(tmp_path: Path) -> None:
         sobol(choice(), rng=1, folder=tmp_path, **how)
 
 
-# ---- draws ---------------------------------------------------------------------------------------
-
-
 def test_an_index_that_is_not_there_is_not_a_number() -> None:
     """The first action is best everywhere, so that nothing is lost by it."""
     ranges = {"p": (F(3, 5), 1), "q": (0, F(2, 5))}
-    found = sobol(choice(), policy="always:0", ranges=ranges, n=32, rng=0)
-    assert (found.names, found.draws) == (("p", "q"), 32 * 4)
-    assert found.regret.constant
-    assert found.regret.mean == 0
-    np.testing.assert_allclose(found.fixed.first, found.optimal.first, atol=1e-9)
-    frame = found.frame("regret")
+    shares = sobol(choice(), policy="always:0", ranges=ranges, n=32, rng=0)
+    assert (shares.names, shares.draws) == (("p", "q"), 32 * 4)
+    assert (shares.regret.constant, shares.regret.mean) == (True, 0)
+    np.testing.assert_allclose(shares.fixed.first, shares.optimal.first, atol=1e-9)
+    frame = shares.frame("regret")
     assert frame["total (share of variance)"].isna().all()
     assert frame.attrs["sd (reward)"] == 0
-    assert set(found.frame()["claim"]) == {"estimated"}
-    assert found.frame()["parameter"][0] == "p"
+    assert set(shares.frame()["claim"]) == {"estimated"}
+    assert shares.frame()["parameter"][0] == "p"
     with pytest.raises(ModelError, match="unknown output"):
-        found.frame("loss")
+        shares.frame("loss")
 
 
 @pytest.mark.parametrize(
@@ -88,7 +114,7 @@ def test_an_index_that_is_not_there_is_not_a_number() -> None:
         ({"n": True}, "n is True"),
         ({"rng": -1}, "-1 is not a source"),
         ({"names": ["x"]}, "unknown parameter 'x'"),
-        ({"ranges": {"p": (HALF, HALF)}}, "empty"),
+        ({"ranges": {"p": ("1/2", "1/2")}}, "empty"),
         ({"ranges": {"p": (0, 2)}}, "outside"),
         ({"confidence": 1.0}, "confidence"),
         ({"relative": F(0)}, "share of 0"),
@@ -99,15 +125,3 @@ def test_an_index_that_is_not_there_is_not_a_number() -> None:
 def test_bad_requests_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         sobol(choice(), **({"n": 4, "rng": 0} | change))
-
-
-def test_the_spread_of_small_rewards_is_a_spread() -> None:
-    """Shares of variance do not depend on the unit of reward."""
-    half, found = HALF, []
-    for unit in (F(1), F(1, 2**40)):
-        rows = [(0, 0, [(half, 1, 5 * unit), (half, 2, 0)]), (1, 0, [(1, 3, unit)])]
-        rows += [(2, 0, [(F(1, 3), 3, 0), (F(2, 3), 1, 2 * unit)]), (3, 0, [(1, 3, 0)])]
-        model = moving(MDP.from_outcomes(rows), {"p": [(0, 1)], "q": [(2, 1)]})
-        found.append(sobol(model, n=32, rng=1).optimal)
-    assert found[1].sd == pytest.approx(found[0].sd / 2**40, rel=1e-9, abs=0)
-    assert found[1].total == pytest.approx(found[0].total)

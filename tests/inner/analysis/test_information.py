@@ -1,0 +1,141 @@
+"""What knowing a parameter is worth, and intervals of means, shares and quantiles."""
+
+from collections.abc import Callable
+from math import sqrt
+
+import numpy as np
+import pytest
+from scipy.stats import binom, binomtest
+
+from exact_mdp.analysis.vary.information import evpi, evppi
+from exact_mdp.analysis.vary.intervals import (
+    mean_loss,
+    mean_of,
+    quantiles,
+    upper_quantile,
+    wilson,
+)
+
+STEP = 0.02  # what the second action costs below the step
+
+
+def quadratic() -> float:
+    """E[max((x - 1/2)² - 1/20, 0)] less the mean, 1/30, for x uniform."""
+    root = sqrt(0.05)
+    return 2 * ((0.5**3 - root**3) / 3 - 0.05 * (0.5 - root)) - 1 / 30
+
+
+def edge(at: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
+    """1 above the edge, -0.02 below it, against nothing."""
+    return lambda x: np.where(x > at, 1.0, -STEP), 1 - at - max(0.0, 1 - at - STEP * at)
+
+
+CASES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], float]] = {
+    "linear": (lambda x: x - 0.4, 0.08),
+    "centred": (lambda x: x - 0.5, 0.125),
+    "quadratic": (lambda x: (x - 0.5) ** 2 - 0.05, quadratic()),
+    "none": (lambda x: 0.0 * x, 0.0),
+    "behind": (lambda x: 0.0 * x - 0.2, 0.0),
+    "edge 0.9": edge(0.9),
+    "edge 0.98": edge(0.98),
+    "middle": (lambda x: np.where(x > 0.5, 1.0, -1.0), 0.5),
+}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("case", CASES)
+def test_intervals_cover_or_are_doubted(case: str, noise: float) -> None:
+    """500 draws, 60 times; 95 % or more is not excluded by Wilson's interval of the share.
+
+    Splines round a step off, and their residuals beside it add up: that is doubted.
+    """
+    gain, truth = CASES[case]
+    rng, covered = np.random.default_rng(3), []
+    for _ in range(60):
+        x = rng.uniform(size=(500, 1))
+        ahead = gain(x) + noise * rng.normal(size=x.shape)
+        worth = evppi(np.hstack([ahead, 0 * ahead]), x, ("x",))
+        low, high = worth.regression.interval
+        covered += [low <= truth <= high] * worth.reliable
+        assert worth.regression.value <= evpi(np.hstack([ahead, 0 * ahead])).value + 1e-12
+    assert not covered or wilson(sum(covered), len(covered))[1] >= 0.95
+    if noise == 0.3 and case in ("edge 0.9", "edge 0.98", "middle"):
+        assert len(covered) <= 4
+    if noise == 0.3 and case == "linear":
+        assert len(covered) >= 54
+
+
+def test_of_two_parameters_each_is_worth_less_than_both() -> None:
+    rng = np.random.default_rng(3)
+    values = np.column_stack([rng.uniform(size=20_000), rng.uniform(size=20_000)])
+    one, both = evppi(values, values[:, :1], ("p",)), evppi(values, values, ("p", "q"))
+    for worth, exact in ((one.regression, 1 / 8), (one.lower, 1 / 8), (both.regression, 1 / 6)):
+        assert abs(worth.value - exact) < 4 * worth.standard_error + 1e-9
+    assert abs(evpi(values).value - 1 / 6) < 4 * evpi(values).standard_error
+
+
+@pytest.mark.parametrize("worth", [0.0, 0.5])
+def test_evppi_is_cut_at_evpi_where_the_fit_promises_more(worth: float) -> None:
+    """A step that loses, and seldom wins: splines swing above it where nothing is to be won."""
+    known = np.linspace(-1, 1, 400)[:, None]
+    ahead = np.where(known > 0.3, -1.0, 0.0) + np.where(known > 0.99, 1 + worth, 0.0)
+    values = np.hstack([np.zeros_like(known), ahead])
+    cut, most = evppi(values, known, ("x",)), evpi(values).value
+    assert cut.regression.value == most == pytest.approx(worth * (known > 0.99).mean())
+    assert not worth or "cut at EVPI of the candidates" in cut.doubts
+
+
+def test_the_lower_estimate_is_on_average_no_more_than_what_knowing_is_worth() -> None:
+    rng, count = np.random.default_rng(1), 400
+    every = []
+    for _ in range(150):
+        known = rng.choice([-1.0, 1.0], size=(count, 1))
+        second = 1 + known + (0.8 * count) ** 0.5 * rng.normal(size=(count, 1))
+        every.append(evppi(np.hstack([np.zeros((count, 1)), second]), known, ("x",)))  # 0
+    lower = np.array([each.lower.value for each in every])
+    assert lower.mean() < 2 * lower.std() / len(lower) ** 0.5
+    assert np.mean([each.regression.value for each in every]) > 0.05  # which noise pulls up
+    assert sum(not each.reliable for each in every) > 100
+
+
+# ---- intervals -----------------------------------------------------------------------------------
+
+
+def test_the_interval_of_a_mean_that_few_draws_carry_covers_more_often_than_the_normal() -> None:
+    rng, covered, plain = np.random.default_rng(2), 0, 0
+    for _ in range(400):
+        values = rng.exponential(size=1000) * (rng.random(1000) < 0.02)
+        loss, (low, high) = mean_loss(values), mean_of(values).interval
+        covered += loss.low <= 0.02 <= loss.high
+        plain += low <= 0.02 <= high
+        assert loss.few == (values.sum() ** 2 < 50 * (values**2).sum())
+    assert plain < 0.93 * 400 < covered
+    even = mean_loss(1 + rng.random(5000))
+    assert np.allclose(even.interval, 1.5, atol=0.02)
+    assert not even.few
+    assert mean_loss(np.zeros(9)).interval == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("hits", "count"), [(0, 10), (3, 10), (10, 10), (997, 1000)])
+def test_intervals_of_shares_are_those_of_another_library(hits: int, count: int) -> None:
+    theirs = binomtest(hits, count).proportion_ci(method="wilson")
+    assert wilson(hits, count) == pytest.approx((theirs.low, theirs.high), abs=1e-12)
+
+
+def test_intervals_of_quantiles_end_at_order_statistics_that_cover() -> None:
+    """By another library's distribution; none closer does."""
+    for p in (0.5, 0.1):
+        (found,) = quantiles(np.arange(1.0, 1001.0)[::-1], [p])  # sorted, the k-th smallest is k
+        below, (low, high) = binom(1000, p).cdf, (found.low - 1, found.high - 1)
+        assert below(high - 1) - below(low + 1) < below(high) - below(low)
+        assert 0.95 <= below(high) - below(low) < 0.97
+        assert found.value == 999 * p + 1
+    (least,) = quantiles(np.arange(1.0, 11.0), [0.025])
+    assert (least.low, least.high) == (1, 3)
+
+
+@pytest.mark.parametrize("count", [72, 73, 150, 2000])
+@pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
+def test_the_upper_end_is_the_lowest_order_statistic_that_covers(level: float, count: int) -> None:
+    rank = int(upper_quantile(np.arange(1.0, count + 1), level))
+    assert binom(count, level).cdf(rank - 1) >= 0.975 > binom(count, level).cdf(rank - 2)
