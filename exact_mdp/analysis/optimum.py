@@ -48,8 +48,6 @@ Mask = NDArray[np.bool_]
 
 
 LISTED = 1000  # states whose actions are listed
-PRICE = "price: what the optimum gains for one point by which the limit is moved"
-CLOSEST = "all are moved by the same step, the least that suffices"
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
 
 
@@ -236,22 +234,8 @@ def limited_report(best: ConstrainedSolution, written: Sequence[str | None]) -> 
         "policy": Shown(of_every_state(mdp, drawn)),
         "written": [path for path in written if path],
     }
-    rows = [
-        {"limit": str(limit), "total": float(best.totals[limit.name]), "price": float(price),
-         "closest": float(moved.bound)}
-        for limit, price, moved in zip(limits, best.price, best.moved, strict=True)
-    ]  # fmt: skip
-    title, note = (
-        "limits",
-        "price: what the optimum gains for one point by which the limit is moved",
-    )
-    columns = {"limit": "limit", "total": "total", "price": "price:.10g"}
-    if not feasible:
-        title, note = f"{title}, and the closest ones that can be kept", CLOSEST
-        columns = {"limit": "limit", "closest": "closest:.10g"}
-    table = Table(title=title, rows=rows, columns=columns, note=note)
-    title = "optimum under limits"
-    return Report(title=title, facts=facts, tables={"moved": table}, passed=feasible)
+    tables = {"moved": best.table(best.totals)}
+    return Report(title="optimum under limits", facts=facts, tables=tables, passed=feasible)
 
 
 def state_names(space: StateSpace) -> list[str]:

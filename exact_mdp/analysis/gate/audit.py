@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.columns import Representation
+from exact_mdp.analysis.gate.criteria import Total
 from exact_mdp.analysis.gate.data.interval import RegretInterval
 from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, either
-from exact_mdp.analysis.gate.limits import UnderLimits
 from exact_mdp.analysis.gate.q_error import QError, q_error
 from exact_mdp.analysis.gate.regret import Regret
 from exact_mdp.analysis.gate.verdicts import UNDECIDED, Verdict, number, share_of
@@ -50,22 +50,16 @@ class Audit(Pictured):
 
     Attributes
     ----------
-    mdp : MDP
-    policy : Policy
-        The policy, or the greedy policy of the Q-table.
-    chain : PolicyChain
-        The model under it.
+    criterion : Total, Average or UnderLimits
+        What counts, of which policy and model; under limits also the policy's totals. The regret is
+        then against the optimum that keeps them, and values and gaps of states are those of the
+        reward and the priced totals.
     regret : Regret
         Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
     found : callable
         Makes `visits` and `disagreements` when they are first asked for.
     max_regret, max_relative_regret : Fraction, optional
         The limits; without either, the regret has to be zero.
-    criterion : "total" or "average"
-        Whether the values are total rewards, or rewards per step in the long run.
-    limits : UnderLimits, optional
-        The limits, the optimum under them and the policy's totals. The regret is against that
-        optimum, and values and gaps of states are those of the reward and the priced totals.
     interval : RegretInterval, optional
         Where the regret lies in the process behind the records; the verdicts then rest on it, and
         all other numbers are those of the estimated model.
@@ -79,16 +73,28 @@ class Audit(Pictured):
     2 (certified) [2.0]
     """
 
-    mdp: MDP
-    policy: Policy
-    chain: PolicyChain
+    criterion: Total
     regret: Regret
     found: Callable[[], Findings] = field(repr=False)
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
-    criterion: str = "total"
-    limits: UnderLimits | None = None
     interval: RegretInterval | None = None
+
+    @property
+    def chain(self) -> PolicyChain:
+        """The model under the policy."""
+        return self.criterion.chain
+
+    @property
+    def mdp(self) -> MDP:
+        """The model."""
+        return self.chain.mdp
+
+    @property
+    def policy(self) -> Policy:
+        """The policy, or the greedy policy of the Q-table."""
+        assert self.chain.policy is not None
+        return self.chain.policy
 
     # ---- numbers -----------------------------------------------------------------------------
 
@@ -120,7 +126,7 @@ class Audit(Pictured):
     @property
     def feasible(self) -> bool:
         """Whether some policy keeps the limits; without one there is no optimum to compare with."""
-        return self.limits is None or self.limits.best.feasible
+        return self.criterion.feasible
 
     @property
     def relative_regret(self) -> float | None:
@@ -233,15 +239,13 @@ class Audit(Pictured):
 
     def _of_model(self) -> Iterator[Verdict]:
         """Yield the verdict on each limit given; without one, on whether the regret is zero."""
-        regret, limits, share = self.regret, self.limits, self.max_relative_regret
-        text = f"it is {number(regret.at_start)}"
-        if limits is not None:
-            yield from limits.verdicts()
-            if not limits.best.feasible:
-                return
-            text += ", against the best policy that keeps the limits"
+        regret, criterion, share = self.regret, self.criterion, self.max_relative_regret
+        yield from criterion.verdicts()
+        if not criterion.feasible:
+            return
+        text = f"it is {number(regret.at_start)}{criterion.against}"
         if self.max_regret is None and share is None:
-            name = "zero" if limits is None else "at most 0"
+            name = criterion.least
             if regret.forgiven:
                 below = Context(prec=2, rounding=ROUND_DOWN)
                 moved = below.create_decimal(Decimal(float(regret.forgiven)))
@@ -274,15 +278,10 @@ class Audit(Pictured):
 
     # ---- reasons -----------------------------------------------------------------------------
 
-    @property
-    def _of_totals(self) -> bool:
-        """Whether values are plain totals, of which there is more to say."""
-        return self.criterion == "total" and self.limits is None
-
     @cached_property
     def q_error(self) -> QError | None:
         """How wrong the Q-table is; None for a policy, and under limits."""
-        if self.policy.values is None or not self._of_totals:
+        if self.policy.values is None or not self.criterion.plain:
             return None
         gap = self.regret.gap if self.mdp.sense == "max" else -self.regret.gap
         optimal = self.regret.optimal_value[self.mdp.pair_state] - gap
@@ -310,7 +309,7 @@ class Audit(Pictured):
 
     @property
     def _partial(self) -> bool:
-        return set(self.policy.columns) != set(self.mdp.space.names) and self._of_totals
+        return set(self.policy.columns) != set(self.mdp.space.names) and self.criterion.plain
 
     # ---- words -------------------------------------------------------------------------------
 
@@ -318,20 +317,17 @@ class Audit(Pictured):
     def question(self) -> str:
         """What was read, how rewards add up and from where: all that a number here depends on."""
         space = self.mdp.space
-        sums = f"discount {self.mdp.discount}".removesuffix(".0")
-        if self.criterion == "average":
-            sums = "reward per step"
         steps = "" if space.untimed is None else f", horizon {space.columns[0].size - 1}"
         read = self.policy.source or "a policy"
-        return f"read as {read}, {sums}{steps}, start {self.begins}"
+        return f"read as {read}, {self.criterion.sums}{steps}, start {self.begins}"
 
     def __repr__(self) -> str:
         return f"Audit({self.question}; {self._outcome})"
 
     @property
     def _outcome(self) -> str:
-        if self.limits is not None and not self.feasible:
-            return f"failed: no policy keeps {', '.join(map(str, self.limits.best.limits))}"
+        if not self.feasible:
+            return f"failed: no policy keeps {', '.join(self.criterion.facts()['limits'])}"
         lost = f"regret {number(self.value)}"
         if self.interval is not None:
             lost = f"regret in {self.interval}; estimated {number(self.value)}"
@@ -345,7 +341,7 @@ class Audit(Pictured):
 
     @property
     def _unlimited(self) -> list[str]:
-        return unlimited(self.mdp, "horizon={}" * (self.criterion == "total"))
+        return unlimited(self.mdp, "horizon={}" * (self.criterion.name == "total"))
 
     def message(self, *, explain: bool = True) -> str:
         """Return in words what was found, the costly states by name.
@@ -424,7 +420,7 @@ class Audit(Pictured):
             "unclear": Shown(self.unclear, self.unclear or None),
             "disagreements": self._rows(),
             "regret_by_state": Shown(dict(by_state) if mdp.n_states <= LISTED_STATES else None),
-            **UnderLimits.facts(self.limits),
+            **self.criterion.facts(),
             **Representation.facts(why),
             "q_error": Shown(self.q_error, self.q_error and str(self.q_error)),
         }
@@ -446,14 +442,14 @@ class Audit(Pictured):
             rows=[vars(change) for change in why.rows] if why else (),
             columns={"row": "row", "yours": "learned", "better": "best", "gain": "gain"},
         )
-        tables = {} if self.limits is None else {"limits of the policy": self.limits.table()}
         notes = [UNEXPLAINED] if explain and self.unexplained else []
         if self.interval is not None:
             notes += [f"assumed: {each}" for each in self.interval.assumptions]
         return Report(
             title="audit",
             facts=facts,
-            tables=tables | {"disagreements": wrong, "rows of the policy": changes},
+            tables=self.criterion.tables()
+            | {"disagreements": wrong, "rows of the policy": changes},
             notes=notes,
             passed=self.passed,
         )

@@ -3,10 +3,10 @@
     audit = check(model, policy, max_regret=…)   # how much it loses, where, and why
     assert_policy_optimal(model, policy)         # the same as an assertion
 
-An audit is a criterion times an evidence. The criterion says what is lost: of the total reward
-(`analysis.gate.regret`), of the reward per step (`analysis.gate.average`), or of the total under
-limits (`analysis.gate.limits`). The evidence says of what: of the model, exactly or within bounds,
-or of the process that its records are from (`analysis.gate.data`), within an interval.
+An audit is a criterion times an evidence. The criterion says what is lost: of the total reward, of
+the reward per step, or of the total under limits (`analysis.gate.criteria`). The evidence says of
+what: of the model, exactly or within bounds, or of the process that its records are from
+(`analysis.gate.data`), within an interval.
 
 A policy passes only by proof: where bounds or an interval leave a limit open, it does not. Without
 a limit the regret has to be zero, but for what the rounding of given floats can move
@@ -15,25 +15,22 @@ a limit the regret has to be zero, but for what the rounding of given floats can
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.gate.average import average_loss
+from exact_mdp.analysis.gate.criteria import Average, Total, UnderLimits
 from exact_mdp.analysis.gate.data.interval import confidence_of
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior
 from exact_mdp.analysis.gate.data.robust import Robust
-from exact_mdp.analysis.gate.disagreements import Loss, total_loss
-from exact_mdp.analysis.gate.limits import UnderLimits, limit_of
-from exact_mdp.analysis.gate.regret import LAST_CYCLE, cheap
+from exact_mdp.analysis.gate.regret import LAST_CYCLE, cheap, limit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, suggest
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import SolverError
@@ -87,7 +84,7 @@ def check(
         (N, S, A) depend on time.
     criterion : "total" or "average"
         Whether the total reward counts, discounted as the model says, or the average reward per
-        step in the long run; see `analysis.gate.average`.
+        step in the long run; see `analysis.gate.criteria`.
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals that the policy has to keep, as `solve` takes them. The regret is
         then against the optimum under these limits, exactly, and nothing is forgiven.
@@ -140,35 +137,22 @@ def check(
             where="subject_to",
             fix="leave criterion out",
         )
-    recorded = mdp = mdp_of(model)
-    if horizon is not None:
-        mdp = mdp.within(horizon)
+    if average:
+        require_no_horizon(horizon)
+    recorded = mdp_of(model)
+    mdp = recorded if horizon is None else recorded.within(horizon)
     given = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
     most: dict[str, Any] = {
         name: limit_of(name, limit) for name, limit in given.items() if limit is not None
     }
-    held = policy_of(mdp, policy, kind=kind, criterion=criterion)
-    limits = None if subject_to is None else UnderLimits.of(mdp, held, subject_to)
-    if average:
-        require_no_horizon(horizon)
-        lose: Callable[[MDP, Policy, bool | None], Loss] = average_loss
-    elif limits is not None:
-        lose = limits.loss
-    else:
-        lose = partial(total_loss, optimum=_optimum(like, mdp))
+    chain = PolicyChain.of(mdp, policy_of(mdp, policy, kind=kind, criterion=criterion))
+    about = Average(chain=chain) if average else Total(chain=chain, optimum=_optimum(like, mdp))
+    if subject_to is not None:
+        about = UnderLimits.of(chain, subject_to)
 
     def audit(exactly: bool | None) -> Audit:
-        regret, found = lose(mdp, held, exactly)
-        return Audit(
-            mdp=mdp,
-            policy=held,
-            chain=PolicyChain.of(mdp, held),
-            regret=regret,
-            found=found,
-            criterion=criterion,
-            limits=limits,
-            **most,
-        )
+        regret, found = about.loss(exactly)
+        return Audit(criterion=about, regret=regret, found=found, **most)
 
     last = exact_values is None and cheap(mdp, LAST_CYCLE)
     try:
@@ -183,20 +167,20 @@ def check(
     if evidence is None:
         return result
     level = confidence_of(confidence)
-    return replace(result, interval=evidence.interval(recorded, result.chain, level, horizon))
+    return replace(result, interval=evidence.interval(recorded, chain, level, horizon))
 
 
 def _optimum(like: Audit | None, mdp: MDP) -> Certificate | Bounds | None:
     """Return the optimum that another audit of the model was made with."""
     if like is None:
         return None
-    if not isinstance(like, Audit) or like.mdp is not mdp or like.criterion != "total":
+    if not isinstance(like, Audit) or like.mdp is not mdp or like.criterion.name != "total":
         raise ModelError(
             "the audit is of another model",
             where="like",
             fix="give its model: check(audit.mdp, policy, like=audit)",
         )
-    return None if like.limits is not None else like.regret.optimum
+    return like.regret.optimum if like.criterion.plain else None
 
 
 def _evidence(by: object) -> Evidence:

@@ -441,7 +441,7 @@ class Representation:
         """Return how much of a policy's regret `lost` its columns explain."""
         best = best_policy(mdp, _columns(mdp, policy), start=policy)
         chain = PolicyChain.of(mdp, best.policy)
-        loss = policy_regret(mdp, chain, optimum=lost.optimum).at_start
+        loss = policy_regret(chain, optimum=lost.optimum).at_start
         rest = difference(lost.at_start, loss)
         return cls(mdp=mdp, policy=policy, best=best, loss=loss, learning_error=rest)
 

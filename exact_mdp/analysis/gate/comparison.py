@@ -113,6 +113,6 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     optimum = None
     for name, policy in policies.items():
         chain = PolicyChain.of(mdp, policy_of(mdp, policy))
-        regrets[name] = regret = policy_regret(mdp, chain, optimum=optimum)
+        regrets[name] = regret = policy_regret(chain, optimum=optimum)
         optimum = regret.optimum
     return PolicyComparison(regrets=regrets)

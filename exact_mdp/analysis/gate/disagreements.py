@@ -9,18 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import exact_visits
-from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret
+from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap
 from exact_mdp.analysis.gate.waiting import arrivals, attaining, kept, shares
-from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.solution import Certified, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -67,24 +63,12 @@ Loss = tuple[Regret, Callable[[], Findings]]
 """What a policy loses, and a function that finds where: a verdict does not need it."""
 
 
-def total_loss(
-    mdp: MDP,
-    policy: Policy,
-    exact: bool | None,
-    optimum: Certificate | Bounds | None = None,
-) -> Loss:
-    """Return what a policy loses of the total reward; see `analysis.gate.regret.policy_regret`."""
-    rewards = mdp.maximised
-    chain = PolicyChain.of(rewards, policy)
-    lost = policy_regret(rewards, chain, exact=exact, optimum=optimum)
-    return lost.negated() if mdp.sense == "min" else lost, partial(findings, rewards, chain, lost)
-
-
-def findings(mdp: MDP, chain: PolicyChain, regret: Regret) -> Findings:
-    """Return the visits of the policy of `chain`, and the states that make up a regret `found`.
+def findings(chain: PolicyChain, regret: Regret) -> Findings:
+    """Return the visits of the policy of `chain`, and the states that make up its regret.
 
     Visits are NaN where floats cannot bound them and rational arithmetic would be slow.
     """
+    mdp = chain.mdp
     exact = isinstance(regret.at_start, Certified) or cheap(mdp, LAST_CYCLE)
     try:
         visited = own_visits(chain, exact=exact)

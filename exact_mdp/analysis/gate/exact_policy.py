@@ -8,20 +8,22 @@ been proven: a rank that falls along every pair, or w > γ P w, holds for mixtur
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from math import lcm
 
 import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, divide, in_proportion, integers
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import evaluated, visited
-from exact_mdp.solvers.exact.levels import Level, surplus
+from exact_mdp.solvers.exact.levels import Level, fraction, surplus
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.totals import Flow
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
@@ -48,23 +50,31 @@ class ExactPolicy:
         return self.h.mean(self.mdp.start)
 
 
-def exact_policy(chain: PolicyChain, earned: Sequence[Fraction] | None = None) -> ExactPolicy:
+def exact_policy(chain: PolicyChain) -> ExactPolicy:
     """Return the exact values of a policy whose equations are known to have one solution.
 
-    With `earned`, (S,) Fractions, that is what each state earns in place of the model's rewards.
     States from which the policy need not end at discount 1 have no value, and 0 stands for it.
     """
     mdp = chain.mdp
-    rows, times = mixed_rows(bellman_rows(mdp), chain), 1
+    rows = mixed_rows(bellman_rows(mdp), chain)
     if mdp.discount_exact == 1:
         rows = replace(rows, terminal=rows.terminal | ~chain.ends)
-    if earned is not None:
-        times = lcm(*(number.denominator for number in earned))
-        scaled = zip(earned, rows.scale.tolist(), strict=True)
-        constant = [int(number * times) * scale for number, scale in scaled]
-        rows = replace(rows, constant=integers(constant))
     (level,) = evaluated(rows, np.arange(mdp.n_states))
-    return ExactPolicy(mdp=mdp, h=replace(level, below=[below * times for below in level.below]))
+    return ExactPolicy(mdp=mdp, h=level)
+
+
+def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
+    """Return the expected visits of pairs under any policy, of which totals are made."""
+    chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
+    states = chain.reached & ~of.ending.terminal
+    (level,) = visited(mixed_rows(of.rows, chain), states, of.mdp.start)
+    pairs, visits = list[int](), list[Fraction]()
+    for s in np.flatnonzero(states).tolist():
+        if number := fraction(level.top[s], level.below[level.group[s]]):
+            shares = chain.exact_weights(s)
+            pairs += shares
+            visits += [share * number for share in shares.values()]
+    return Flow(pairs=np.array(pairs, dtype=np.int64), visits=Level.of(visits))
 
 
 def exact_visits(chain: PolicyChain) -> ExactPolicy:

@@ -27,11 +27,12 @@ import numpy as np
 from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
 from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, ties
 from exact_mdp.analysis.gate.waiting import taking, to_blame
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import LARGEST, Floats, shown
+from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.bounds import Bounds, lower, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
@@ -106,11 +107,13 @@ class Regret(Brief):
         lost = f"{float(self.at_start.value):.6g} ({self.claim})"
         return f"Regret({lost}: optimal {optimal:.6g}, learned {learned:.6g})"
 
-    def negated(self) -> Regret:
-        """Return the same of costs, where this is of rewards that are the costs times -1.
+    def of_sense(self, sense: str) -> Regret:
+        """Return the same of costs where the sense is "min", and this is of their negative.
 
         What is lost stays as it is, and `optimum` that of the rewards.
         """
+        if sense == "max":
+            return self
         return replace(
             self,
             optimal=-self.optimal,
@@ -145,20 +148,20 @@ class Regret(Brief):
 
 
 def policy_regret(
-    mdp: MDP,
     chain: PolicyChain,
     *,
     exact: bool | None = None,
     optimum: Certificate | Bounds | None = None,
 ) -> Regret:
-    """Return what a policy is worth against the optimum.
+    """Return what a policy is worth against the optimum of its model.
 
     `exact` asks for rational arithmetic, or for bounds; unless given, the model's size decides, or
     an `optimum` that another policy's regret was found with, which is not computed again.
     """
+    mdp = chain.mdp
     if mdp.sense == "min":
-        chain = PolicyChain(mdp=chain.mdp.maximised, chosen=chain.chosen, policy=chain.policy)
-        return policy_regret(mdp.maximised, chain, exact=exact, optimum=optimum).negated()
+        chain = PolicyChain(mdp=mdp.maximised, chosen=chain.chosen, policy=chain.policy)
+        return policy_regret(chain, exact=exact, optimum=optimum).of_sense(mdp.sense)
     if endless(mdp):
         exact = True  # bounds are of models in which every policy ends
     if exact is None:
@@ -166,6 +169,18 @@ def policy_regret(
     if not exact:
         return _bounded(mdp, chain, optimum if isinstance(optimum, Bounds) else _optimum(mdp))
     return _certified(mdp, chain, optimum if isinstance(optimum, Certificate) else proven(mdp))
+
+
+def limit_of(name: str, limit: object) -> Fraction:
+    """Return a limit of the regret, checked."""
+    with located(name, instead=True):
+        value = exact_number(limit)
+    if not 0 <= value <= LARGEST:
+        what, fix = (
+            (", beyond the floats", "choose less") if value > 0 else ("", "choose 0 or more")
+        )
+        raise ModelError(f"{name} is {shown(value)}{what}", where=name, fix=fix)
+    return value
 
 
 def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:

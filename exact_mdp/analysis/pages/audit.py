@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.gate.cells import cells
-from exact_mdp.analysis.layout import arrange
+from exact_mdp.analysis.layout import arrange, cells
 from exact_mdp.analysis.pages.page import ADVICE, render
 from exact_mdp.mdp.report import Report
 

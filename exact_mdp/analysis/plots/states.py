@@ -21,8 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.gate.cells import cells
-from exact_mdp.analysis.layout import ARROWS, Layout, arrange, joined, taken
+from exact_mdp.analysis.layout import ARROWS, Layout, arrange, cells, joined, taken
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.analysis.gate.limits import totals_under
+from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
@@ -40,7 +40,6 @@ from exact_mdp.solvers.exact.levels import Level, combined
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import Attained, Point, TotalsProof, about, extreme
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -163,7 +162,7 @@ class Front(TotalsProof, Pictured):
     def totals(self, policy: PolicyLike) -> Point:
         """Return the exact totals of a policy, mixed ones too, from the start."""
         of = self.of
-        return tuple(of.sign * value for value in totals_under(of, policy_of(of.mdp, policy)))
+        return tuple(of.sign * value for value in flow_of(of, policy).totals(of))
 
     def distance(self, policy: PolicyLike) -> Fraction:
         """Return by how much all totals of a policy could be better at once: 0 on the front.
@@ -171,7 +170,7 @@ class Front(TotalsProof, Pictured):
         It is the least (H(w) - w · totals) over the corners w, whose weights sum to 1.
         """
         of = self.of
-        own = totals_under(of, policy_of(of.mdp, policy))
+        own = flow_of(of, policy).totals(of)
         return min(c.dual.mean(of.mdp.start) - _worth(c.weights, own) for c in self.corners)
 
     def report(self, policies: Mapping[str, PolicyLike] | None = None) -> Report:

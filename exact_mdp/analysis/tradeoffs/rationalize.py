@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.gate.exact_policy import mixed_rows
+from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.model import MDP
@@ -35,13 +35,12 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.solvers.exact.duals import allowed
 from exact_mdp.solvers.exact.find import visited
-from exact_mdp.solvers.exact.levels import Level, fraction
+from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.objectives.totals import Flow, Point, TotalsProof, about, optimum
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -220,7 +219,7 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     """
     mdp = mdp_of(model)
     of = Objectives.of(mdp, mdp.component_names)
-    own = _flow(of, policy)
+    own = flow_of(of, policy)
     search = _Search(of, own.totals(of))
     multipliers, change, dual, cuts = search.least()
     return Rationalization(
@@ -232,20 +231,6 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
         intervals=tuple(search.alone(k) for k in range(len(of.names))),
         **about(of, "weights"),
     )
-
-
-def _flow(of: Objectives, policy: PolicyLike) -> Flow:
-    """Return the expected visits of pairs under any policy."""
-    chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
-    states = chain.reached & ~of.ending.terminal
-    (level,) = visited(mixed_rows(of.rows, chain), states, of.mdp.start)
-    pairs, visits = list[int](), list[Fraction]()
-    for s in np.flatnonzero(states).tolist():
-        if number := fraction(level.top[s], level.below[level.group[s]]):
-            shares = chain.exact_weights(s)
-            pairs += shares
-            visits += [share * number for share in shares.values()]
-    return Flow(pairs=np.array(pairs, dtype=np.int64), visits=Level.of(visits))
 
 
 class _Search:

@@ -40,6 +40,7 @@ from exact_mdp.mdp.exact import fraction as as_fraction
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.report import Table
 from exact_mdp.mdp.table import Integers, Numbers, common, exact, shown
 from exact_mdp.solvers.exact.find import first_of, nearly, visited
 from exact_mdp.solvers.exact.levels import Level, combined, signs, surplus
@@ -208,6 +209,29 @@ class ConstrainedSolution(TotalsProof):
         """The policy, with its exact probabilities."""
         mdp = self.of.mdp
         return Policy(space=mdp.space, actions=mdp.actions, rule=self.rule)
+
+    def table(self, totals: Mapping[str, Fraction], kept: Sequence[str] = ()) -> Table:
+        """Return each limit with a policy's total of it, and its price or the closest to be kept.
+
+        `kept` says of each limit whether the policy keeps it.
+        """
+        rows = [
+            {"limit": str(limit), "total": totals[limit.name], "price": price, "closest": near}
+            for limit, price, near in zip(
+                self.limits, self.price, (limit.text(10) for limit in self.moved), strict=True
+            )
+        ]
+        columns = {"limit": "limit", "total": "total:.10g"}
+        if kept:
+            rows = [row | {"kept": word} for row, word in zip(rows, kept, strict=True)]
+            columns |= {"kept": "kept"}
+        if self.feasible:
+            note = "price: what the optimum gains for one point by which the limit is moved"
+            columns |= {"price": "price:.10g"}
+        else:
+            note = "closest: all moved by the same step, the least with which a policy keeps them"
+            columns |= {"closest": "closest"}
+        return Table(title="limits", rows=rows, columns=columns, note=note)
 
     def frame(self) -> DataFrame:
         """Return one row for each limit: the total, the price, and the closest limit."""

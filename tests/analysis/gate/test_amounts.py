@@ -28,7 +28,7 @@ def test_a_state_that_earns_nothing_is_not_over_where_an_amount_is_counted() -> 
     table = np.array([[1, -np.inf], [0, 5]])
     for policy in (table, [0, 1], {0: 0, 1: 1}):
         audit = check(WORK, policy, subject_to={"effort": "<= 0"})
-        assert (audit.passed, audit.limits.totals) == (False, {"effort": F(1)})
+        assert (audit.passed, audit.criterion.totals) == (False, {"effort": F(1)})
     assert check(WORK, [0, 0], subject_to={"effort": "<= 0"}).passed
     assert tradeoff(WORK, ["effort", "reward"]).vertices == [(F(1), F(1))]
     with pytest.raises(ModelError, match=r"rows are missing|no action"):
@@ -84,7 +84,7 @@ def test_limits_fronts_and_gates_agree_with_every_policy(
     total = mine.pop()
     audit = check(mdp, q, subject_to=kept, horizon=steps, kind="q")
     keeps = all(sign * (total[k] - bound) >= 0 for k, sign, bound in limits)
-    assert audit.limits.totals == {names[k]: total[k] for k, _, _ in limits}
+    assert audit.criterion.totals == {names[k]: total[k] for k, _, _ in limits}
     assert audit.passed == (keeps and total[0] == best)
 
     front = tradeoff(mdp.within(steps) if steps else mdp, ["c0", "c1"])

@@ -31,8 +31,8 @@ def test_each_policy_against_the_best_mixture(mdp: MDP, bound: F, data: Any) -> 
     policy = [int(mdp.pair_action[pair]) for pair in choices[number]]
     limit = {"c0": f">= {bound}"}
     audit, best = check(mdp, policy, subject_to=limit), solve(mdp, subject_to=limit)
-    assert audit.limits is not None
-    assert (audit.limits.totals, audit.limits.earned) == ({"c0": total}, earned)
+    assert audit.criterion.best.feasible is best.feasible
+    assert (audit.criterion.totals, audit.criterion.earned) == ({"c0": total}, earned)
     if not best.feasible:
         assert not audit.passed
         assert total < bound
@@ -40,7 +40,7 @@ def test_each_policy_against_the_best_mixture(mdp: MDP, bound: F, data: Any) -> 
     sign = 1 if mdp.sense == "max" else -1
     assert audit.value.value == sign * (best.start_value - earned)
     assert audit.passed is (total >= bound and audit.value.value <= 0)
-    explained = sum(each.cost for each in audit.disagreements) + float(audit.limits.room)
+    explained = sum(each.cost for each in audit.disagreements) + float(audit.criterion.room)
     assert explained == pytest.approx(float(audit.value.value), abs=1e-6)
     assert check(mdp, best.policy, subject_to=limit).passed
 

@@ -26,8 +26,7 @@ from exact_mdp import (
     solve,
     solvers,
 )
-from exact_mdp.analysis.gate.cells import cells
-from exact_mdp.analysis.layout import arrange
+from exact_mdp.analysis.layout import arrange, cells
 from exact_mdp.analysis.plots.pictures import PICTURES
 from exact_mdp.mdp.result import Pictured
 

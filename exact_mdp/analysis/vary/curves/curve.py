@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import flint
 import numpy as np
 
-from exact_mdp.analysis.gate.limits import limit_of
+from exact_mdp.analysis.gate.regret import limit_of
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.analysis.vary.curves.checker import (
     Bracket,
