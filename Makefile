@@ -42,7 +42,7 @@ test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versi
 	$(call TESTS,$(LOWEST)) -k "not compiled_draws" $(addprefix tests/,mdp solvers/exact solvers/values inner/mdp \
 	    solvers/test_solvers.py analysis/cli/test_commands.py analysis/cli/test_train.py project/test_house.py \
 	    analysis/gate/test_check_command.py analysis/sensitivity/test_sobol.py inner/analysis/test_draws.py solvers/test_laws.py \
-	    $(patsubst %,inner/solvers/test_%.py,equations kernels parallel returns robust robust_sets))
+	    $(patsubst %,inner/solvers/test_%.py,equations parallel robust))
 lint: ## ruff's checks, its formatting among them
 	$(PY) -m ruff check . && $(PY) -m ruff format --check .
 format: ## rewrite the files as ruff formats them

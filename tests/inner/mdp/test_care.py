@@ -1,11 +1,10 @@
-"""The batched engine of care and its rules, against exact fractions and the explicit model."""
+"""Care models in batches and in blocks, against exact fractions and the explicit model."""
 
 from __future__ import annotations
 
-import json
+from dataclasses import fields
 from fractions import Fraction as F
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,20 +12,18 @@ import pytest
 from care_oracle import ACTIONS, Oracle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_scenarios import check_own, own_text, scenario_of
 
 from exact_mdp import MDP, READINGS, ModelError, Scenario, evaluate, solve, study
-from exact_mdp.mdp.care import rules
-from exact_mdp.mdp.care.laws import chances, excess
-from exact_mdp.mdp.care.tables import Tables
+from exact_mdp.mdp.care import compile as blocks
+from exact_mdp.mdp.care.compile import check_explicit, size
+from exact_mdp.mdp.table import OutcomeTable
 from exact_mdp.solvers.care import optimal, policy_values
 
 YUAN = Scenario.load("yuan2025")
 CHANCES = [p.name for p in YUAN.parameters if p.low is not None]
 WEIGHTS = [p.name for p in YUAN.parameters if p.low is None]
 TODAY = np.empty((1, 0))
-
-
-# ---- the batched engine --------------------------------------------------------------------------
 
 
 @st.composite
@@ -50,7 +47,9 @@ def staged(scenario: Scenario, shares: np.ndarray) -> np.ndarray:
     return np.broadcast_to(shares[:, None, None, None], (len(shares), *stages, *shares.shape[1:]))
 
 
-def against_the_reference(world: Any) -> None:
+@settings(max_examples=3)
+@given(worlds())
+def test_values_are_those_of_the_exact_reference(world: Any) -> None:
     readings, tasks, trials, values, discount, policy = world
     oracle = Oracle(readings, tasks, trials, discount, values)
     scenario = YUAN.with_(readings=readings, tasks=tasks, max_trial=trials)
@@ -69,19 +68,6 @@ def against_the_reference(world: Any) -> None:
         distribution=False,
     )
     assert abs(F(value[0, 0]) - exact["mean"]) <= F(error[0])
-
-
-@settings(max_examples=3)
-@given(worlds())
-def test_values_are_those_of_the_exact_reference(world: Any) -> None:
-    against_the_reference(world)
-
-
-@pytest.mark.slow
-@settings(max_examples=12)
-@given(worlds())
-def test_values_of_more_worlds_are_those_of_the_exact_reference(world: Any) -> None:
-    against_the_reference(world)
 
 
 def sampled(count: int, seed: int) -> tuple[list[str], np.ndarray]:
@@ -130,21 +116,10 @@ def test_neither_the_order_nor_the_company_changes_a_bit() -> None:
     assert policy_values(YUAN, (), TODAY, policies[7:8])[0][0, 0] == many[0, 7]
 
 
-def test_shipped_scenarios_and_one_with_more_weights_than_chances(tmp_path: Path) -> None:
-    """One status, eight actions that differ by price: arrays are as long as what they hold."""
-    words = [f"a{number}" for number in range(8)]
-    lines = [
-        f'name = "simple"\nstatuses = ["x"]\nactions = {json.dumps(words)}\ntasks = [2]',
-        'max_trial = 3\n[readings]\nskip_onset = "base"\n[base]\nx = 0.25\n[persistence]\nx = 0.9',
-        "[assistance.a1.x]\npersistence = 0.3\nonset = 0.1\n[skip.x]\npersistence = 0.4",
-        "[reward]\nx = -1\ntrial = -1\nsubtask-complete = 20\nsubtask-skip = -8",
-        "timestep = -0.5\ntask-complete = 10\n[reward.assist]\na0 = 0",
-        *(f"{word} = -3" for word in words[1:]),
-    ]
-    (tmp_path / "simple.toml").write_text("\n".join(lines))
-    simple, names = Scenario.load(tmp_path / "simple.toml"), ["base.x", "persistence.x"]
+def test_shipped_scenarios_and_one_with_more_weights_than_chances() -> None:
+    """Two statuses, eight actions: arrays are as long as what they hold."""
     draws = np.array([[0.2, 0.7], [0.6, 0.5]])
-    cases = [(simple, names, draws)]
+    cases = [(scenario_of(own_text(2, 8)), ["base.s0", "persistence.s0"], draws)]
     cases += [(Scenario.load(name), [], TODAY) for name in ("tea", "yuan2025")]
     for scenario, chosen, rows in cases:
         batch = optimal(scenario, chosen, rows)
@@ -173,61 +148,58 @@ def test_draws_that_cannot_be_are_refused(points: Any, message: str) -> None:
     assert np.isfinite(study(YUAN, {"reward.trial": [1e200]}).optimal).all()
 
 
-# ---- the rules -----------------------------------------------------------------------------------
-
-EVERY = (("complete", 0), ("skip", 1))
-CHANGES: dict[str, tuple[Any, str, Any]] = {
-    "pay the bonus on a skip": (rules, "BONUS", dict.fromkeys(rules.BONUS, EVERY)),
-    "never pay the bonus": (rules, "BONUS", dict.fromkeys(rules.BONUS, ())),
-    "charge a trial on a skip": (rules, "CHARGES", (*rules.CHARGES, ("skip", "trial", None))),
-    "charge nothing on completing": (
-        rules, "CHARGES", tuple(row for row in rules.CHARGES if row[0] != "complete"),
-    ),
-    "charge statuses twice": (rules, "STATUS_COST", {"next": (1, 1), "current": (1, 1)}),
-    "charge no statuses": (rules, "STATUS_COST", {"next": (0, 0), "current": (0, 0)}),
-    "skip one trial later": (Tables, "trials", property(lambda tables: tables.max_trial + 1)),
-}  # fmt: skip
-VARIANTS = (
-    {},
-    {"task_bonus": "no-subtask-skipped", "status_cost": "current"},
-    {"task_bonus": "last-subtask-completed", "skip_timestep": "own", "skip_onset": "base"},
-    {"task_bonus": "no-subtask-skipped", "skip_timestep": "own", "trial_cost": "failed-trials"},
-)
+# ---- models built in blocks ----------------------------------------------------------------------
 
 
-def start_values(scenario: Scenario) -> np.ndarray:
-    """The optimum and the mean of a policy, in which matrix and batch agree."""
-    mdp, flags = scenario.compile(), rules.Rules(scenario).flags
-    best, mean = solve(mdp).start.value, evaluate(mdp, "always:directive")
-    assert optimal(scenario, (), TODAY).start[0] == pytest.approx(best, abs=1e-9)
-    always = np.broadcast_to(np.eye(4)[3], (1, 3, scenario.trials, flags, 16, 4))
-    value, _ = policy_values(scenario, (), TODAY, always)
-    assert value[0, 0] == pytest.approx(mean.mean, abs=1e-9)
-    assert sum(mean.components.values()) == pytest.approx(mean.mean, abs=1e-9)
-    return np.array([best, mean.mean])
+@pytest.mark.parametrize("option", READINGS["skip_timestep"])
+@pytest.mark.parametrize("tasks", [[1], [2, 1]])
+def test_the_size_of_a_table_is_known_beforehand(option: str, tasks: list[int]) -> None:
+    others = ("status_cost", "skip_onset", "task_bonus")
+    for chosen in product(*(READINGS[name] for name in others)):
+        readings = dict(zip(others, chosen, strict=True)) | {"skip_timestep": option}
+        scenario = Scenario.load("yuan2025").with_(tasks=tasks, max_trial=2, readings=readings)
+        (outcomes, denominator), table = size(*check_explicit(scenario)), scenario.compile().table
+        assert len(table.next) <= outcomes <= 3 * len(table.next)
+        assert max(int(bottom) for bottom in table.denominator) <= denominator
 
 
-@pytest.mark.parametrize("readings", VARIANTS)
-@pytest.mark.parametrize("change", CHANGES)
-def test_a_rule_that_is_changed_in_its_one_place_is_followed_by_all(
-    change: str, readings: dict[str, str], monkeypatch: pytest.MonkeyPatch
+def weighted(
+    statuses: int, *, same: bool, subtasks: int = 2, base: F = F(1, 10**12 + 39)
+) -> Scenario:
+    """Made-up numbers, one trial; statuses that weigh the same, or all sums of them distinct."""
+    numbers = {f"reward.s{i}": -1 if same else -(2**i) for i in range(statuses)}
+    numbers |= {"base.s0": base, "base.s1": base}
+    scenario = scenario_of(own_text(statuses, 2))
+    return scenario.with_(tasks=[subtasks], max_trial=1, parameters=numbers)
+
+
+@pytest.mark.parametrize("statuses", [3, 5])
+@pytest.mark.parametrize("same", [True, False])
+@pytest.mark.parametrize("base", [F(1, 3), F(1, 10**12 + 39)])
+def test_last_trials_of_statuses_with_weights_of_their_own(
+    statuses: int, same: bool, base: F, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scenario = YUAN.with_(tasks=[2, 1], max_trial=2, discount="19/20", readings=readings)
-    before = start_values(scenario)
-    monkeypatch.setattr(*CHANGES[change])
-    assert (abs(start_values(scenario) - before) > 1e-6).all()
+    scenario = weighted(statuses, same=same, base=base)
+    table, (outcomes, denominator) = scenario.compile().table, size(*check_explicit(scenario))
+    assert (table.weight.dtype == object) == (base != F(1, 3))
+    assert (denominator >= 2**62) == (base != F(1, 3))
+    check_own(scenario, range(0, table.pairs - 1, 1 if statuses == 3 else 37))
+    assert len(table.next) <= outcomes
+    monkeypatch.setattr(blocks, "ENTRIES", 1)
+    parts = weighted(statuses, same=same, base=base).compile().table
+    for field in fields(OutcomeTable):
+        assert np.array_equal(getattr(table, field.name), getattr(parts, field.name)), field.name
 
 
-PRESENT = ("influence_on_present", "influence_orientation", "skip_onset")
-
-
-@pytest.mark.parametrize("readings", [*product(*(READINGS[name] for name in PRESENT))])
-def test_every_chance_above_1_is_counted(readings: tuple[str, ...]) -> None:
-    given = dict(zip(PRESENT, readings, strict=True))
-    scenario = YUAN.with_(readings=given, tasks=[1], max_trial=2)
-    laws, words = chances(scenario), excess(scenario)
-    values = [*(parameter.value for parameter in scenario.parameters), F(0)]
-    which = [*laws.step.reshape(-1).tolist(), *laws.skip.reshape(-1).tolist()]
-    count = sum(sum(values[k] for k in laws.terms[number]) > 1 for number in which)
-    assert (words is None) == (count == 0)
-    assert words is None or count == 1 or f"so are {count - 1} others" in words
+def test_what_is_too_large_to_build_is_refused_for_a_reason_that_is_true() -> None:
+    scenario = Scenario.load("yuan2025").with_(tasks=[90_000])
+    with pytest.raises(ModelError, match=r"7,200,000 states and up to [\d,]+ outcomes") as refused:
+        scenario.compile()
+    assert "statuses, more" not in refused.value.what
+    with pytest.raises(ModelError, match=r"^11 statuses, more than 10"):
+        scenario_of(own_text(11, 2))
+    # 9 statuses have as many transitions either way, but not as many outcomes.
+    check_explicit(weighted(9, same=True, subtasks=4))
+    with pytest.raises(ModelError, match=r"2,048 states and up to [\d,]+ outcomes of 230 bytes"):
+        check_explicit(weighted(9, same=False, subtasks=4))
+    check_explicit(weighted(9, same=False, subtasks=4, base=F(1, 3)))

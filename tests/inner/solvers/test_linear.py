@@ -19,7 +19,6 @@ from exact_mdp.mdp.table import integers
 from exact_mdp.solvers.exact import checker, linear
 from exact_mdp.solvers.exact.lifting import Lifting
 from exact_mdp.solvers.exact.linear import Matrix, exact_solve
-from exact_mdp.solvers.exact.reconstruction import SPARE, convergents
 
 Entries = dict[tuple[int, int], int]
 
@@ -146,25 +145,8 @@ def test_sets_that_are_hardly_ever_left(parts: int) -> None:
         assert fractions(exact_solve(matrix, side)) == fractions(wanted)
 
 
-def test_components_are_solved_in_order() -> None:
-    """Rings that lead to the next one, and single unknowns between them."""
-    size, entries, rng = 300, Entries(), np.random.default_rng(1)
-    for s in range(size):
-        base, length = s - s % 30, 20
-        if s - base < length:
-            entries[s, base + (s - base + 1) % length] = -int(rng.integers(1, 9))
-        if s + 30 < size:
-            entries[s, s + 30] = -int(rng.integers(1, 9))
-        entries[s, s] = 30
-    order = rng.permutation(size)
-    entries = {(int(order[i]), int(order[j])): a for (i, j), a in entries.items()}
-    matrix, side = matrix_of(size, entries), rng.integers(-9, 9, size).tolist()
-    assert {len(states) for states, block in matrix.steps if block} == {20}
-    assert fractions(exact_solve(matrix, side)) == fractions(linear._dense(matrix, side))
-
-
 def test_a_known_denominator_takes_half_the_digits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is tried first, also by the transposed system; a wrong one changes nothing."""
+    """It is tried first; a wrong one changes nothing."""
     taken, each = list[int](), Lifting._taken
 
     def counted(lifting: Lifting, digits: Any, count: int) -> Any:
@@ -175,18 +157,11 @@ def test_a_known_denominator_takes_half_the_digits(monkeypatch: pytest.MonkeyPat
     matrix = ring(500, 10, 3)
     first = exact_solve(matrix, list(range(500)))
     whole = sum(taken)
-    for known in (first[1], first[1] // 7 if first[1] % 7 == 0 else first[1], 6 * first[1]):
+    for known in (first[1], 6 * first[1], fmpz(11)):  # the last is wrong
         taken.clear()
         matrix.denominators[0] = known
         assert fractions(exact_solve(matrix, list(range(500)))) == fractions(first)
-        assert len(taken) == 1
-        assert sum(taken) < 0.6 * whole
-    taken.clear()
-    found = exact_solve(matrix.transposed, [1] + [0] * 499)
-    assert fractions(found)[0] == F(10**499, 10**500 - 3**500)
-    assert sum(taken) < 0.6 * whole
-    matrix.denominators[0] = fmpz(11)
-    assert fractions(exact_solve(matrix, list(range(500)))) == fractions(first)
+        assert (sum(taken) < 0.6 * whole) == (known != 11)
 
 
 def test_what_floats_cannot_start_is_refused_where_it_is_large(
@@ -197,24 +172,6 @@ def test_what_floats_cannot_start_is_refused_where_it_is_large(
     monkeypatch.setattr(linear, "MOST_CHANGES", 0)
     with pytest.raises(ModelError, match="are singular, or nearly so"):
         exact_solve(ring(10, 2**90, 2**90 - 1), [1] * 10)
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.integers(1, 3**900), st.integers(-(3**900), 3**900), st.data())
-def test_fractions_are_found_from_their_first_digits(
-    under: int, over: int, data: st.DataObject
-) -> None:
-    """From twice the bits of the denominator on, also in two steps."""
-    wanted = F(over, under).denominator
-    bits = 2 * wanted.bit_length() + 2 * SPARE + 4
-    assert convergents(fmpz((over << bits) // under), bits)[1:] in (
-        (fmpz(wanted), True), (fmpz(-wanted), True)
-    )  # fmt: skip
-    early = data.draw(st.integers(SPARE, bits))
-    *start, _ = convergents(fmpz((over << early) // under), early)
-    _, below, fits = convergents(fmpz((over << bits) // under), bits, start)
-    assert fits
-    assert abs(below) == wanted
 
 
 def test_cycles_that_are_too_large_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -88,13 +88,6 @@ MODELS: dict[str, tuple[MDP, dict[str, Any]]] = {
 }  # fmt: skip
 
 
-def file_of(name: str, folder: Path) -> dict[str, Any]:
-    mdp, asked = MODELS[name]
-    certify(mdp, **asked).save(folder / "proof.json")
-    content: dict[str, Any] = json.loads((folder / "proof.json").read_text("utf-8"))
-    return content
-
-
 def changes(value: Any) -> Iterator[Any]:
     """Yield values of the same type, or of another that a field may have."""
     if isinstance(value, bool):
@@ -146,7 +139,7 @@ def mutants(content: dict[str, Any]) -> Iterator[dict[str, Any]]:
             yield content | {key: [1] * states}
 
 
-def claims(content: dict[str, Any], mdp: MDP) -> tuple[Any, ...]:
+def claims(content: dict[str, Any], mdp: MDP, folder: Path) -> tuple[Any, ...]:
     """Return what a certificate that was accepted says of the model, and what is true of that."""
     kind = content["kind"]
     if kind == "bounds":
@@ -163,7 +156,8 @@ def claims(content: dict[str, Any], mdp: MDP) -> tuple[Any, ...]:
         return true, True
     asked = {} if kind == "total" else {"criterion": "average"}
     truth = certify(mdp, **asked)
-    said = loaded(content, mdp)
+    (folder / "mutant.json").write_text(json.dumps(content), "utf-8")
+    said = Certificate.load(folder / "mutant.json", mdp)
     own = certify(under(mdp, content["policy"]), **asked)
     values = [list(said.value), list(said.bias) if kind == "average" else []]
     right = [list(truth.value), list(truth.bias) if kind == "average" else []]
@@ -175,15 +169,6 @@ def claims(content: dict[str, Any], mdp: MDP) -> tuple[Any, ...]:
         (values, attained, said.start_value, said.unique, said.model, said.sense),
         (right, right, truth.start_value, truth.unique, truth.model, truth.sense),
     )
-
-
-def loaded(content: dict[str, Any], mdp: MDP) -> Certificate:
-    path = Path(FOLDER[0]) / "mutant.json"
-    path.write_text(json.dumps(content), "utf-8")
-    return Certificate.load(path, mdp)
-
-
-FOLDER: list[Path] = []
 
 
 def under(mdp: MDP, policy: list[int]) -> MDP:
@@ -282,9 +267,9 @@ def test_a_key_that_is_written_twice_is_refused(tmp_path: Path) -> None:
 def test_no_change_of_a_certificate_is_accepted_that_makes_it_false(
     name: str, tmp_path: Path
 ) -> None:
-    mdp, _ = MODELS[name]
-    FOLDER[:] = [tmp_path]
-    content, model = file_of(name, tmp_path), model_json.content(mdp)
+    mdp, asked = MODELS[name]
+    certify(mdp, **asked).save(path := tmp_path / "proof.json")
+    content, model = json.loads(path.read_text("utf-8")), model_json.content(mdp)
     assert checker.violations(model, content) == []
     tried = 0
     for mutant in mutants(content):
@@ -296,6 +281,6 @@ def test_no_change_of_a_certificate_is_accepted_that_makes_it_false(
         except checker.Unreadable:
             continue
         if not wrong:
-            said, true = claims(mutant, mdp)
+            said, true = claims(mutant, mdp, tmp_path)
             assert said == true, {k: v for k, v in mutant.items() if v != content[k]}
     assert tried > 50

@@ -189,7 +189,11 @@ def test_one_and_one_point_zero_are_one_state(tmp_path: Path) -> None:
             assert (mdp.space, mdp.actions) == (wanted.space, wanted.actions)
 
 
-def test_where_episodes_were_cut_off_is_no_end(tmp_path: Path) -> None:
+@pytest.mark.parametrize("rows_in_a_block", [1, 3, 100])
+def test_where_episodes_were_cut_off_is_no_end(
+    tmp_path: Path, rows_in_a_block: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("exact_mdp.mdp.io.transitions.ROWS", rows_in_a_block)
     rows = [
         (1, "a", "x", 0, "b", False), (1, "b", "y", 1, "trap", True),
         (2, "a", "x", 0, "home", False), (3, "a", "y", 1, None, True),
