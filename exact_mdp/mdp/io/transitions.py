@@ -27,6 +27,7 @@ from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from fractions import Fraction
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -60,7 +61,9 @@ NO_NAMES = frozenset(
     ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
 )
 OVER, NOWHERE = -1, -2  # the next state of a row that has none: the end, or cut off
-ROWS = 2**16  # of a chunk
+ROWS = 2**14  # of a chunk
+TOGETHER = 2**9  # rows that are lists at once: each is short-lived work for Python's collector
+BREAK = re.compile(r"\r\n|\r|\n")
 LARGEST_FILE = 2**40
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
 END, UNSEEN = "end", "unseen"
@@ -239,31 +242,20 @@ class Record:
         import pandas
 
         text = io.TextIOWrapper(file, "utf-8-sig", newline="")
-        lines, rows, begins = csv.reader(text, strict=True), list[Any](), list[int]()
-
-        def table() -> DataFrame:
-            columns = dict(enumerate(zip(*rows, strict=True)))
-            return pandas.DataFrame(columns, begins, range(len(header))).set_axis(header, axis=1)
-
+        lines = csv.reader(text, strict=True)
         try:
-            header = next(lines, [])
-            begin = lines.line_num + 1
-            for line in lines:
-                if line and len(line) != len(header):
-                    raise ModelError(
-                        f"{len(line)} values under {len(header)} headings",
-                        where=f"{self.where}, line {begin}",
-                        fix="correct the line; where an episode is over, leave next_state empty "
-                        "after its comma",
-                    )
-                if line:
-                    rows.append(line)
-                    begins.append(begin)
-                begin = lines.line_num + 1
-                if len(rows) == ROWS:
-                    yield table()
-                    rows, begins = [], []
-            yield table()
+            header, last = next(lines, []), None
+            while last is None or last:
+                columns, begins = [list[str]() for _ in header], list[int]()
+                while len(begins) < ROWS and last != []:
+                    first = lines.line_num + 1
+                    last = list(islice(lines, min(TOGETHER, ROWS - len(begins))))
+                    begins += self._begins(last, first, lines.line_num, len(header))
+                    parts = zip(*filter(None, last), strict=True)  # nothing, if all are blank
+                    for column, values in zip(columns, parts, strict=False):
+                        column += values
+                named = dict(enumerate(columns))
+                yield pandas.DataFrame(named, begins, dtype=object).set_axis(header, axis=1)
         except UnicodeError as error:
             raise ModelError(
                 "the file is not UTF-8 text", where=self.where, fix="save it as UTF-8 text"
@@ -276,6 +268,22 @@ class Record:
             ) from error
         finally:
             text.detach()
+
+    def _begins(self, rows: list[list[str]], first: int, last: int, width: int) -> list[int]:
+        """Return the line in which each row begins that is not blank; raise where one is ragged."""
+        lines = [*range(first, last + 1)]
+        if len(rows) != len(lines):  # some values have several lines
+            sizes = [1 + sum(len(BREAK.findall(value)) for value in row) for row in rows]
+            lines = [*accumulate(sizes[:-1], initial=first)]
+        for row, line in zip(rows, lines, strict=True):
+            if row and len(row) != width:
+                raise ModelError(
+                    f"{len(row)} values under {width} headings",
+                    where=f"{self.where}, line {line}",
+                    fix="correct the line; where an episode is over, leave next_state empty "
+                    "after its comma",
+                )
+        return [line for row, line in zip(rows, lines, strict=True) if row]
 
     def _parquet(self, file: Any) -> Generator[DataFrame]:
         with extra("models"):
