@@ -243,7 +243,9 @@ def cell(value: Any, form: str = "") -> str:
         text = ratio(value)
         return text if len(text) <= SHORT else number(float(value))
     if _claims(value) and hasattr(value, "standard_error"):
-        return f"{number(value.value, value.standard_error)} ± {value.standard_error:.1g}"
+        error = value.standard_error
+        off = f" ± {error:.1g}" if math.isfinite(error) else ""
+        return f"{number(value.value, error if off else 0.0)}{off}"
     if _claims(value):
         return number(float(value.value), error_of(value))
     if isinstance(value, Mapping):
@@ -270,6 +272,8 @@ def fact(value: Any) -> str:
         return "unknown: double precision cannot bound it"
     if hasattr(value, "standard_error"):
         error = value.standard_error
+        if not math.isfinite(error):
+            return f"{number(value.value)} ({value.claim}, of one draw)"
         cut = f", cut off within {at_most(value.cut_off)}" if value.cut_off else ""
         return f"{number(value.value, error / 10)} ({value.claim}, standard error {error:.2g}{cut})"
     within = f", within {at_most(value.error)}" if hasattr(value, "error") else ""

@@ -26,7 +26,7 @@ import numpy as np
 import tqdm
 from numpy.random import SeedSequence
 
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, of_type
 from exact_mdp.mdp.io.arrays import read_arrays
 from exact_mdp.mdp.io.files import read_text, write_atomically
 from exact_mdp.mdp.io.structured import json_of
@@ -99,7 +99,9 @@ def many(
     """
     n_jobs = None if n_jobs is None else counted(n_jobs, "n_jobs")
     record, stem = files
-    place = None if folder is None else _opened(Path(folder), dict(key), name=record, what=what)
+    place = (
+        None if folder is None else _opened(folder_of(folder), dict(key), name=record, what=what)
+    )
     paths = [place and place / f"{stem}{index:06d}.npz" for index in range(len(pieces))]
     known = ((index, read_piece(path)) for index, path in enumerate(paths) if path)
     done = {index: arrays for index, arrays in known if arrays is not None}
@@ -189,6 +191,11 @@ def _track_quietly() -> None:
 
 
 # ---- a folder of finished pieces -----------------------------------------------------------------
+
+
+def folder_of(given: object) -> Path:
+    """Return the folder in which work is kept; raises ModelError for what is no path."""
+    return Path(of_type(given, str | os.PathLike, "folder", "give a path"))
 
 
 def _opened(folder: Path, record: Mapping[str, object], *, name: str, what: str) -> Path:

@@ -17,7 +17,7 @@ from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
 from functools import cached_property
-from math import inf, nan
+from math import inf, isinf, nan
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -76,10 +76,15 @@ class PrecisionWarning(UserWarning):
 
 def warn_of_precision(message: str) -> None:
     """Issue a PrecisionWarning at the line that called this package."""
+    warn(message, PrecisionWarning)
+
+
+def warn(message: str, category: type[Warning]) -> None:
+    """Issue a warning at the line that called this package."""
     frame, level = sys._getframe(1), 2
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in OWN:
         frame, level = frame.f_back, level + 1
-    warnings.warn(message, PrecisionWarning, stacklevel=level)
+    warnings.warn(message, category, stacklevel=level)
 
 
 class SolverError(RuntimeError):
@@ -263,6 +268,8 @@ class Estimated:
 
     def __str__(self) -> str:
         cut = f" ± {self.cut_off:.2g} cut off" if self.cut_off else ""
+        if isinf(self.standard_error):
+            return f"{self.value:.6g}{cut} ({self.claim}, of one draw)"
         return f"{self.value:.6g} ± {self.standard_error:.1g} s.e.{cut} ({self.claim})"
 
 

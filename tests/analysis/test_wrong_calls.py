@@ -6,8 +6,10 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Callable
+from contextlib import suppress
 from fractions import Fraction
 from itertools import product
+from math import exp
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +32,29 @@ from exact_mdp import (
     best_policy,
     check,
     compare,
+    cost_effectiveness,
+    curve,
     fingerprint,
     gradient,
     learning_curve,
     load,
     moving,
+    one_way,
     outcomes,
+    psa,
     rationalize,
+    robust,
+    robust_curve,
     save,
+    sobol,
     solve,
+    study,
+    thresholds,
     tornado,
     tradeoff,
     train,
+    two_way,
+    worst_point,
 )
 
 STATES = ["a", "b"]
@@ -61,6 +74,10 @@ SWING = MDP.from_outcomes(
     [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 0, -1)]), (2, 0, [(1, 2, 0)])]
 )
 MORE: dict[str, Any] = {"layout": "ass"}
+FLOATS = Family(
+    parameters={"r": 0.15},
+    build=lambda at: MDP.from_arrays([[[exp(-at["r"]), 1 - exp(-at["r"])], [0, 1]]], [1, 0], 0.5),
+)
 
 
 def table(rows: list[list[float]], index: list[str], columns: list[str]) -> pd.DataFrame:
@@ -95,6 +112,24 @@ REFUSED: dict[str, tuple[Callable[[], object], str, str, str]] = {
         "tol=1e-6",
     ),
     "no model": (lambda: solve(ANY and 3), "int is not a model", "model", "MDP.from_"),
+    "a number for sets": (
+        lambda: robust(MODEL, ANY and 0.1),
+        "0.1 is no set of laws",
+        "ambiguity",
+        "Intervals.relative(model, 0.1)",
+    ),
+    "a list for ranges": (
+        lambda: tornado(MODEL, ranges=ANY and [0, 1]),
+        "[0, 1] is of type list",
+        "ranges",
+        "{name: (low, high)}",
+    ),
+    "floats for an exact curve": (
+        lambda: thresholds(FLOATS, "r"),
+        "not polynomials of degree 1 in r",
+        "parameter r",
+        "not with floats",
+    ),
     "no family": (lambda: tornado(ANY and 3), "int is not a model", "model", "a Family"),
     "a list for a label": (
         lambda: MODEL.reaching(ANY and ["x"]),
@@ -381,6 +416,40 @@ def test_wrong_types_are_refused_by_their_place(name: str) -> None:
         call()
     assert caught.value.where == where
     assert caught.value.fix
+
+
+VARIED = moving(MODEL, {"p": [(0, 0)]})
+VARY: dict[Callable[..., object], dict[str, Any]] = {
+    gradient: {"model": VARIED, "names": 0, "policy": 0},
+    tornado: {"model": VARIED, "names": 0, "ranges": 0, "relative": 0, "policy": 0},
+    one_way: {"model": VARIED, "name": "p", "ranges": 0, "points": 2, "relative": 0},
+    two_way: {"model": VARIED, "x": "p", "y": "discount", "ranges": 0, "points": 2},
+    thresholds: {"model": VARIED, "name": "p", "ranges": 0, "relative": 0},
+    curve: {"model": VARIED, "name": "p", "ranges": 0, "policy": 0},
+    psa: {"model": VARIED, "n": 2, "uncertain": 0, "policy": 0, "folder": 0, "n_jobs": 0},
+    sobol: {"model": VARIED, "n": 2, "rng": 0, "names": 0, "ranges": 0, "confidence": 0},
+    worst_point: {"model": VARIED, "ranges": 0, "policy": 0},
+    study: {"model": VARIED, "points": {"p": [0.5]}, "policies": 0, "folder": 0},
+    robust: {"model": MODEL, "ambiguity": 0, "policy": 0},
+    robust_curve: {"model": MODEL, "kind": "l1", "radii": [0], "policy": 0},
+    cost_effectiveness: {"model": VARIED, "strategies": {"a": [0, 0]}, "n": 2, "uncertain": 0},
+}
+
+
+@pytest.mark.parametrize("wrong", [3.5, "x", [["x"]], {"x": 1}, ANY and object()], ids=str)
+@pytest.mark.parametrize("function", VARY)
+def test_what_varies_takes_or_refuses_whatever_is_given(
+    function: Callable[..., object],
+    wrong: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No option ends in an error that is not the toolkit's own; what is needed is given rightly."""
+    monkeypatch.chdir(tmp_path)
+    needed = {name: each for name, each in VARY[function].items() if each or name == "rng"}
+    for name in VARY[function]:
+        with suppress(ModelError):
+            function(**needed | {name: wrong})
 
 
 def test_the_optimal_policy_is_said_to_be_that_of_solve() -> None:

@@ -22,11 +22,11 @@ from typing import Any
 
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.criteria import Average, Total, UnderLimits
-from exact_mdp.analysis.gate.data.interval import confidence_of
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, cheap, limit_of
+from exact_mdp.analysis.vary.intervals import confidence_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, suggest
 from exact_mdp.mdp.model import MDP

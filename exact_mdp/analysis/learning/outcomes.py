@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.analysis.gate.columns import BestPolicy, best_policy
-from exact_mdp.analysis.vary.intervals import wilson
+from exact_mdp.analysis.vary.intervals import mean_interval, wilson
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, number
@@ -384,22 +384,6 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
         steps=sum(run.steps for run in runs),
         cut_short=sum(run.cut_short for run in runs),
     )
-
-
-# ---- intervals -----------------------------------------------------------------------------------
-
-
-def mean_interval(values: Floats) -> Interval | None:
-    """Return the BCa bootstrap 95 % interval of a mean; None for fewer than ten values."""
-    from scipy import stats
-
-    if len(values) < 10:
-        return None
-    if np.ptp(values) == 0:
-        return float(values[0]), float(values[0])
-    bootstrap = stats.bootstrap((values,), np.mean, n_resamples=2000, batch=500, rng=0)
-    interval = bootstrap.confidence_interval
-    return float(interval.low), float(interval.high)
 
 
 def common_rows(model: MDP, runs: Sequence[TrainingRun]) -> Rows:

@@ -18,14 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from math import ceil, log
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers.solution import Estimated
 
 NORMAL = 1.959963984540054
@@ -77,6 +78,25 @@ class MeanLoss(Estimated):
         return self.carried < FEW
 
 
+def confidence_of(given: object) -> Fraction:
+    """Return a confidence between 0 and 1.
+
+    Examples
+    --------
+    >>> confidence_of(0.95), confidence_of("0.9")
+    (Fraction(19, 20), Fraction(9, 10))
+    """
+    with located("confidence", instead=True):
+        confidence = exact(str(given) if isinstance(given, float) else given)
+    if not 0 < confidence < 1 or float(confidence) in (0.0, 1.0):
+        raise ModelError(
+            f"a confidence of {given}",
+            where="confidence",
+            fix="give more than 0 and less than 1, as a float too",
+        )
+    return confidence
+
+
 def mean_of(values: Floats) -> Estimated:
     """Return the mean of independent values with its standard error."""
     spread = float(values.std(ddof=1)) if len(values) > 1 else float("inf")
@@ -106,6 +126,19 @@ def mean_loss(values: Floats) -> MeanLoss:
         high=max(high, plain.value),
         carried=carried,
     )
+
+
+def mean_interval(values: Floats) -> tuple[float, float] | None:
+    """Return the BCa bootstrap 95 % interval of a mean; None for fewer than ten values."""
+    from scipy import stats
+
+    if len(values) < 10:
+        return None
+    if np.ptp(values) == 0:
+        return float(values[0]), float(values[0])
+    bootstrap = stats.bootstrap((values,), np.mean, n_resamples=2000, batch=500, rng=0)
+    interval = bootstrap.confidence_interval
+    return float(interval.low), float(interval.high)
 
 
 def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_worth
-from exact_mdp.analysis.vary.ranges import Range, range_of, ranges_of, unit_of
-from exact_mdp.analysis.vary.study import Study, solver_of, study
+from exact_mdp.analysis.vary.ranges import Range, checked, range_of, ranges_of, unit_of
+from exact_mdp.analysis.vary.study import Study, solver_of, study_by
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import reachable
@@ -268,8 +268,8 @@ def one_way(
     """
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points)
-    table = study(family, {name: values}, [policy])
-    every = _points(table, values, family.at({}))
+    solver = solver_of(family)
+    every = _points(study_by(solver, {name: values}, [policy]), values, solver.base.mdp)
     return Curve(model=family.name, parameter=parameter_of(family, name), points=every)
 
 
@@ -319,22 +319,22 @@ def tornado(
     """
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
-    solver = solver_of(family)
-    own, mdp = solver.base.held(policy), solver.base.mdp
     ends = [end for span in spans.values() for end in (span.low, span.high)]
     parameters = [parameter_of(family, name) for name in spans]
     columns = {
         parameter.name: [at if row // 2 == k else parameter.value for row, at in enumerate(ends)]
         for k, parameter in enumerate(parameters)
     }
-    points = _points(study(family, columns, [own], solver=solver), ends, mdp) if ends else ()
+    solver = solver_of(family)
+    base, held = solver.base, solver.base.held(policy)
+    points = _points(study_by(solver, columns, [held]), ends, base.mdp) if ends else ()
     bars = [
         Bar(parameter=parameter, low=low, high=high)
         for parameter, low, high in zip(parameters, points[::2], points[1::2], strict=True)
     ]
     bars.sort(key=lambda bar: -bar.swing)
-    fixed = finite_worth(mdp, own, "today's parameters")
-    now = Point(optimal=solver.base.solution.start, fixed=fixed, sense=mdp.sense)
+    fixed = finite_worth(base.mdp, held, "today's parameters")
+    now = Point(optimal=base.solution.start, fixed=fixed, sense=base.mdp.sense)
     return Tornado(model=family.name, today=now, bars=tuple(bars))
 
 
@@ -484,11 +484,12 @@ def two_way(
     [[1, 0], [1, 0]]
     """
     family = parametric(model)
+    across_by, along_by = parameter_of(family, x), parameter_of(family, y)
     if x == y:
         raise ModelError(
             f"both parameters are {x}", where="two-way", fix="name two different parameters"
         )
-    if odd := sorted(set(ranges or {}) - {x, y}):
+    if odd := sorted(set(checked(family, ranges)) - {x, y}):
         raise ModelError(
             f"{odd[0]} has a range, and is neither of the two parameters",
             where="two-way",
@@ -498,8 +499,7 @@ def two_way(
     across, along = (grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}
     solver, shape = solver_of(family), (points, points)
-    mdp = solver.base.mdp
-    table = study(family, columns, [policy], solver=solver)
+    mdp, table = solver.base.mdp, study_by(solver, columns, [policy])
     weights = [solver.weights(row) for row in table.rows]
     actions = np.array([mdp.pair_action[np.flatnonzero(each)] for each in weights])
     seen = np.array([reachable(mdp, pairs=each > 0) & ~mdp.forced for each in weights])
@@ -510,8 +510,8 @@ def two_way(
     ]
     return TwoWay(
         mdp=mdp,
-        x=parameter_of(family, x),
-        y=parameter_of(family, y),
+        x=across_by,
+        y=along_by,
         x_values=np.array([float(at) for at in across]),
         y_values=np.array([float(at) for at in along]),
         value=table.optimal.reshape(shape),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError, listed, located, of_type
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
@@ -20,6 +20,7 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of, unposed
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.table import beside, exact, shown
+from exact_mdp.solvers.solution import warn
 
 RELATIVE = Fraction(1, 5)
 HALVINGS = 40  # of the distance from today's value to an end without a model
@@ -159,7 +160,8 @@ def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
     if isinstance(ranges, Ranges):
         return ranges
     valid = Ranges()
-    for name, given in (ranges or {}).items():
+    stated = of_type(ranges or {}, Mapping, "ranges", "give {name: (low, high)}")
+    for name, given in stated.items():
         parameter = parameter_of(model, name)
         where = f"range of {name}"
         if isinstance(given, Range):
@@ -196,7 +198,7 @@ def ranges_of(
     if names is None:
         names = list(stated) or [parameter.name for parameter in model.parameters]
     spans = Ranges()
-    for name in names:
+    for name in listed(names, "names"):
         parameter = parameter_of(model, name)
         if name in stated:
             spans[name] = stated[name]
@@ -204,6 +206,14 @@ def ranges_of(
         share = RELATIVE if relative is None else relative
         span = whole(parameter) if share == "whole" else around(parameter, share)
         spans[name] = admitted(model, parameter, span)
+        plain = parameter.unit is None and parameter.low is None and parameter.high is None
+        if relative is None and plain and 0 < parameter.value < 1 < spans[name].high:
+            warn(
+                f"{name}, {shown(parameter.value)} today, is varied up to "
+                f"{shown(spans[name].high)}; if it is a utility or a probability, state "
+                f'Parameter(name="{name}", value=…, low=0, high=1), else its range',
+                UserWarning,
+            )
     return spans
 
 

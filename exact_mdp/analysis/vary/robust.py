@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_worth
-from exact_mdp.mdp.errors import ModelError, named_options, suggest
+from exact_mdp.mdp.errors import ModelError, listed, named_options, suggest
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -35,6 +35,7 @@ from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
 from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball, radius_of
 from exact_mdp.solvers.solution import Bounded, difference
+from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
@@ -234,8 +235,8 @@ SETS: MappingProxyType[str, Callable[[MDP, object], Ambiguity]] = MappingProxyTy
 
 def ambiguity_of(mdp: MDP, kind: str, radius: object) -> Ambiguity:
     """Return a set of laws by name (see `SETS`); raises ModelError for others."""
-    if kind not in SETS:
-        raise ModelError(f"unknown set {kind!r}", where="robust", fix=suggest(kind, [*SETS]))
+    if not isinstance(kind, str) or kind not in SETS:
+        raise ModelError(f"unknown set {kind!r}", where="robust", fix=suggest(str(kind), [*SETS]))
     return SETS[kind](mdp, radius)
 
 
@@ -272,6 +273,7 @@ def robust(
     >>> print(f"{found.value.value:.4f} {found.worst.value:.4f} {found.robust.start.value:.4f}")
     146.2359 140.7817 140.7817
     """
+    model = mdp_of(model)
     sets = Intervals.relative(model, "1/5") if ambiguity is None else ambiguity
     chain = PolicyChain.of(model, policy)
 
@@ -323,7 +325,8 @@ def robust_curve(
     >>> [round(each.robust.start.value, 3) for _, each in found.points]
     [146.236, 139.106]
     """
-    numbers = [radius_of(radius, "a radius") for radius in radii]
+    model = mdp_of(model)
+    numbers = [radius_of(radius, "a radius") for radius in listed(radii, "radii")]
     if not numbers:
         raise ModelError(
             "no radius is given", where="robust curve", fix="give some, such as [0, 0.1, 0.2]"

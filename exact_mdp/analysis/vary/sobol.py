@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.random import default_rng
 
+from exact_mdp.analysis.vary.intervals import confidence_of
 from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
 from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
@@ -278,10 +279,7 @@ def sobol(
     >>> found.names, found.draws, (found.optimal.total > found.optimal.first).tolist()
     (('p', 'q'), 256, [True, True])
     """
-    if not 0 < confidence < 1:
-        raise ModelError(
-            f"a confidence of {confidence}", where="confidence", fix="choose one from 0 to 1"
-        )
+    confidence = float(confidence_of(confidence))
     n = counted(n, "n", 2)
     if n & (n - 1):
         near = 1 << (n.bit_length() - 1)
@@ -291,7 +289,7 @@ def sobol(
             fix=f"ask for {near} or {2 * near}",
         )
     family, seed = parametric(model), seed_of(rng)
-    spans = spans_of(family, None if names is None else list(names), ranges, relative)
+    spans = spans_of(family, names, ranges, relative)
     draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))

@@ -18,14 +18,13 @@ from fractions import Fraction
 from functools import partial
 from hashlib import sha256
 from math import inf
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 import numpy as np
 
 from exact_mdp.analysis.vary.base_case import BaseCase, digest, finite_optimum, finite_worth
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
@@ -35,7 +34,7 @@ from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
-from exact_mdp.solvers.parallel import Arrays, How, joined, many
+from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
 from exact_mdp.solvers.solution import Bounded, Solution, regrets
 from exact_mdp.solvers.values.evaluate import evaluate
 
@@ -116,8 +115,6 @@ def study(
     model: Scenario | MDP | Parametric,
     points: Mapping[str, Sequence[object]] | DataFrame,
     policies: Sequence[PolicyLike] = ("optimal",),
-    *,
-    solver: DrawSolver | None = None,
     **how: Unpack[How],
 ) -> Study:
     """Return the optimum's value and the policies' at every point.
@@ -129,8 +126,6 @@ def study(
         A column for each parameter that is varied, a row for each point.
     policies : sequence of PolicyLike
         Held fixed at every point; "optimal" is the optimum at today's values.
-    solver : optional
-        That of the model, where there is one (`solver_of`).
     **how
         n_jobs, folder and progress; see `solvers.parallel.many`.
 
@@ -152,10 +147,23 @@ def study(
     >>> found.optimal.round(9).tolist(), found.regret.tolist()
     ([2.0, 4.0], [[0.0], [0.0]])
     """
-    family, names = parametric(model), tuple(points)
-    solver = solver or solver_of(family)
+    return study_by(solver_of(parametric(model)), points, policies, **how)
+
+
+def study_by(
+    solver: DrawSolver,
+    points: Mapping[str, Sequence[object]] | DataFrame,
+    policies: Sequence[PolicyLike],
+    **how: Unpack[How],
+) -> Study:
+    """Return the study of a solver's model."""
+    family = solver.model
+    if not isinstance(points, Mapping) and not hasattr(points, "columns"):
+        fix = "give {name: numbers}, or a pandas.DataFrame"
+        raise ModelError(f"{points!r:.60} is no table of points", where="points", fix=fix)
+    names = tuple(points)
     table, draws = _checked(family, {name: _column(points[name]) for name in names})
-    weights = [solver.base.held(policy) for policy in policies]
+    weights = [solver.base.held(policy) for policy in listed(policies, "policies")]
     size = max(1, solver.block // 2)
     key: dict[str, object] = {}
     if how.get("folder") is not None:
@@ -204,7 +212,7 @@ def _block(
 def _column(numbers: Any) -> Numbers:
     """Return numbers as an array: of floats where all are, else as each of them was given."""
     column = np.asarray(numbers)
-    return column if column.dtype.kind == "f" else np.array(list(numbers), dtype=object)
+    return column if column.dtype.kind == "f" else np.array(listed(numbers, "points"), dtype=object)
 
 
 def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers, Floats]:
@@ -261,7 +269,7 @@ def run(
     done = list[Arrays]()
     for name, own, some in ((what, dict(key), pieces[:full]), (*last, pieces[full:])):
         if some:
-            how["folder"] = None if folder is None else Path(folder) / name
+            how["folder"] = None if folder is None else folder_of(folder) / name
             done += many(work, some, key=own, what=what, threads=solver.compiled, **how)
     return done
 
@@ -539,6 +547,7 @@ class CareSolver:
     compiled = True
 
     def __init__(self, model: ScenarioFamily) -> None:
+        self.model: Parametric = model
         self.scenario: Scenario = model.scenario
         self.base = BaseCase(mdp=model.at({}))
         count = len(self.scenario.statuses)

@@ -169,9 +169,9 @@ def _no_polynomial(what: str, name: str, degree: int, where: str = "") -> ModelE
     return ModelError(
         f"{what} of degree {degree} in {name}",
         where=f"parameter {name}" + (f", {where}" if where else ""),
-        fix=f'state the degree, Family(degrees={{"{name}": 2}}), and the values at which rows pass '
-        "to another polynomial, breaks=…; and let build compute with the fractions that it is "
-        "given: floats are rounded, and other functions are not polynomials",
+        fix="let build compute with the fractions that it is given, not with floats; state a "
+        f'higher degree, Family(degrees={{"{name}": 2}}), and where rows pass to another '
+        f'polynomial, breaks={{"{name}": […]}}; one_way and tornado take any function',
     )
 
 

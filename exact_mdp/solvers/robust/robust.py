@@ -175,6 +175,11 @@ def solve_robust(
     started = perf_counter()
     if nature not in ("worst", "best"):
         raise ModelError(f"unknown nature {nature!r}", where="robust", fix="say worst or best")
+    if not callable(getattr(ambiguity, "check", None)):
+        fix = (
+            "give Intervals.relative(model, 0.1), for ± 10 %, or L1Ball(radius=0.1), or other sets"
+        )
+        raise ModelError(f"{ambiguity!r:.60} is no set of laws", where="ambiguity", fix=fix)
     ambiguity.check(model)
     if tol is not None and not 0 < tol < np.inf:
         raise ModelError(f"tol is {tol}", where="robust", fix="choose a positive number, or None")

@@ -1,5 +1,6 @@
 """Parametric models, one-way and two-way analyses, their figures, and the command."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -29,6 +30,19 @@ SMALL = {"tasks": [1], "max_trial": 2}
 
 def scenario(**readings: str) -> Scenario:
     return Scenario.load("yuan2025").with_(readings=readings, **SMALL)
+
+
+def test_a_range_that_passes_1_by_default_is_warned_of() -> None:
+    """A utility may not be 1.02; an open number may, and where a range is stated nobody asks."""
+    family = Family(
+        parameters={"u": "17/20"}, build=lambda at: MDP.from_arrays([[[1]]], [at["u"]], "1/2")
+    )
+    with pytest.warns(UserWarning, match=r'u, 0.85 today, .* to 1.02; .*name="u", .*high=1'):
+        tornado(family)
+    assert tornado(family, ranges={"u": (0, 1)}).bars[0].high.at == 1
+    assert tornado(family, relative="1/5").bars[0].high.at == F(51, 50)
+    bounded = replace(family, parameters=(Parameter(name="u", value="17/20", low=0, high=1),))
+    assert tornado(bounded).bars[0].high.at == 1
 
 
 # ---- parametric models -----------------------------------------------------------------------

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.verdicts import Verdict, number
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown
@@ -110,25 +110,6 @@ class RegretInterval(Result):
 
         ends = {"low": self.low, "high": self.high, "confidence": self.confidence, "by": self.by}
         return pandas.DataFrame([ends | dict(self.found)])
-
-
-def confidence_of(given: object) -> Fraction:
-    """Return a confidence between 0 and 1.
-
-    Examples
-    --------
-    >>> confidence_of(0.95), confidence_of("0.9")
-    (Fraction(19, 20), Fraction(9, 10))
-    """
-    with located("confidence", instead=True):
-        confidence = exact(str(given) if isinstance(given, float) else given)
-    if not 0 < confidence < 1 or float(confidence) in (0.0, 1.0):
-        raise ModelError(
-            f"a confidence of {given}",
-            where="confidence",
-            fix="give more than 0 and less than 1, as a float too",
-        )
-    return confidence
 
 
 def observations_of(mdp: MDP) -> Integers:
