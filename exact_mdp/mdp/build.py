@@ -1,28 +1,32 @@
-"""Models from arrays, from rows and from lists of outcomes, floats or exact rationals alike.
+"""Models from arrays, from rows of pairs and from lists of outcomes, floats or exact rationals.
 
-Every number keeps its exact value, whatever stands beside it (`mdp.forms.numbers`); rows of floats
-mean what `mdp.forms.rows` says, and outcomes that come twice are added exactly. Where all numbers
-are doubles, and one at least was given as a float, the table holds them as floats; else as integers
-over one denominator for each row.
+Every form becomes columns: state and action of each pair, and next state, probability, reward and
+amounts of what follows; `_model` makes the parts of a model of these. Every number keeps its exact
+value, whatever stands beside it (`mdp.forms.numbers`); rows of floats mean what `mdp.forms.rows`
+says, and outcomes that come twice are added exactly. Where all numbers are doubles, and one at
+least was given as a float, the table holds them as floats; else as integers over one denominator
+for each row.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
+from fractions import Fraction
 from operator import index
 from typing import Any, Self
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.components import each_component, named_components, of_length
-from exact_mdp.mdp.errors import DistributionError, ModelError, ShapeError, words_of
+from exact_mdp.mdp.errors import ModelError, ShapeError, words_of
 from exact_mdp.mdp.forms import listed
 from exact_mdp.mdp.forms.columns import table_of
 from exact_mdp.mdp.forms.numbers import (
     array_of,
+    as_given,
     check_places,
     dense,
     is_table,
@@ -30,36 +34,27 @@ from exact_mdp.mdp.forms.numbers import (
     picked,
     whole_numbers,
 )
-from exact_mdp.mdp.forms.rows import counted
+from exact_mdp.mdp.forms.rows import counted, meant
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import (
-    Integers,
-    OutcomeTable,
-    integers,
-    multiply,
-)
-from exact_mdp.mdp.validate import Parts as ModelParts
-from exact_mdp.mdp.validate import as_discount, as_start, check_model, check_options
+from exact_mdp.mdp.table import Integers, OutcomeTable, exact, integers, multiply
+from exact_mdp.mdp.validate import Parts, as_discount, as_start, check_options
 
 MOST_UNNAMED_ACTIONS = 100_000
 LAYOUTS = {"ass": 1, "sas": 0}
 """Orders of the indices of P, action, state, next state or state, action, next state, and which of
 the indices is that of the states."""
 
-TABLE_FIELDS = fields(OutcomeTable)
-
-Parts = dict[str, Any]
-"""What `MDP` takes, by name."""
+Flags = NDArray[np.bool_]
 
 
-class FromArrays(ModelParts):
+class FromArrays(Parts):
     """Models from arrays, from rows of pairs, and from lists of outcomes."""
 
     @classmethod
     def from_arrays(
         cls,
-        P: object,
-        R: object,
+        P: Any,
+        R: Any,
         discount: object = 1,
         *,
         layout: str | None = None,
@@ -107,7 +102,69 @@ class FromArrays(ModelParts):
         >>> mdp.table.row(0)
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
-        return cls(**_of_arrays(P, R, discount, layout, start, names))
+        check_options(names)
+        if layout not in (None, *LAYOUTS):
+            raise ModelError(
+                f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"'
+            )
+        if isinstance(P, Mapping) and P and all(map(is_table, P.values())):
+            P, words = listed.of_tables(P, words_of(names.get("states"), "states"))
+            if words:
+                names, layout = names | {"states": words}, layout or "ass"
+        listed_pairs, keys = None, None
+        if listed.is_listed(P):
+            fitting = listed.layouts_of(P)
+            if layout not in (None, *fitting):
+                raise ModelError(
+                    f"these dictionaries or lists are not {layout!r}",
+                    where="layout",
+                    fix="leave it out; or give one square matrix for each action, by its name"
+                    if layout == "ass"
+                    else "leave it out; or give the rows of each state's actions, by state",
+                )
+            if (layout or fitting[0]) == "sas":
+                rows, found = listed.rows_of(P, R, costs=names.get("sense") == "min")
+                return cls.from_outcomes(rows, discount, start=start, **(found | names))
+            P, listed_pairs, keys, found = listed.by_action(P)
+            names, layout = found | names, layout or (None if len(fitting) == 2 else "ass")
+        rows, shape, order = _rows_of_matrices(P, "P", layout)
+        states, actions = shape
+        swapped = None
+        if layout is None and states == actions > 1:
+            swapped = np.arange(states * actions).reshape(shape).T.reshape(-1)
+            _check_alike(rows, swapped)
+            if listed_pairs is not None:
+                _check_alike(listed_pairs, swapped)
+        words = words_of(names.get("states"), "states")
+
+        def of_pairs(values: Any, where: str) -> Any:
+            if keys is not None and is_table(values) and len(words) and {*values.index} == {*words}:
+                values = values.T.to_dict()
+            if keys is not None and isinstance(values, Mapping):
+                values = listed.rewards_by_action(values, where, keys, words or range(states))
+            like = order if states == actions else layout
+            rewards, of_transitions = _rewards_of_arrays(values, where, shape, like, order)
+            if swapped is not None and of_transitions:
+                _check_alike(rewards, swapped)
+            return rewards
+
+        reward = of_pairs(R, "R")
+        offered = _offered(reward, names, listed_pairs)
+        count = states * actions if offered is None else np.count_nonzero(offered)
+
+        def amounts(values: Any, where: str) -> Any:
+            if not isinstance(values, Mapping) and not _holds_sparse(values):
+                array = array_of(values, where)
+                if array.shape in ((count,), (states * actions,)):
+                    return array  # one for each pair
+            return of_pairs(values, where)
+
+        names.setdefault("actions", [str(number) for number in range(actions)])
+        each_component(names, amounts)
+        pair = np.arange(states * actions)
+        columns = pair // actions, pair % actions, rows, reward, None, offered
+        own = not isinstance(P, np.ndarray) or not np.may_share_memory(rows, P)
+        return cls(**_of_pairs(*columns, discount, start, names, own=own))
 
     @classmethod
     def from_pairs(
@@ -151,10 +208,8 @@ class FromArrays(ModelParts):
         Fraction(1, 3)
         """
         check_options(names)
-        state, action = (
-            whole_numbers(pair_state, "pair_state"),
-            whole_numbers(pair_action, "pair_action"),
-        )
+        state = whole_numbers(pair_state, "pair_state")
+        action = whole_numbers(pair_action, "pair_action")
         below = None
         if isinstance(transition, tuple) and len(transition) == 2 and sp.issparse(transition[0]):
             transition, below = transition[0], whole_numbers(transition[1], "denominators")
@@ -176,16 +231,10 @@ class FromArrays(ModelParts):
             )
         rewards = _rewards_of_rows(reward, "reward", rows)
         each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
-        order = _offered(rewards, names)
-        if not _in_order(state, action):
-            sorted_ = np.lexsort((action, state))
-            order = sorted_ if order is None else sorted_[np.isin(sorted_, order)]
-        if order is not None:
-            _observed(names, order, len(state))
-            state, action, rows, rewards = state[order], action[order], rows[order], rewards[order]
-            each_component(names, lambda values, _: values[order])
-            below = None if below is None else below[order]
-        return cls(**_from_rows(state, action, rows, rewards, discount, start, names, below))
+        offered = _offered(rewards, names)
+        return cls(
+            **_of_pairs(state, action, rows, rewards, below, offered, discount, start, names)
+        )
 
     @classmethod
     def from_outcomes(
@@ -201,7 +250,8 @@ class FromArrays(ModelParts):
         Parameters
         ----------
         rows : iterable
-            One for each pair, in any order.
+            One for each pair, in any order. In place of a reward there may be
+            {component: amount}: the reward is their sum.
         discount, start, **names
             As in `from_arrays`.
 
@@ -222,102 +272,58 @@ class FromArrays(ModelParts):
         [0.5, 0.0]
         """
         check_options(names)
-        return cls(**_of_outcomes(rows, discount, start, names))
-
-
-def _of_arrays(
-    P: Any,
-    R: Any,
-    discount: object,
-    layout: str | None,
-    start: object,
-    names: dict[str, Any],
-) -> Parts:
-    check_options(names)
-    if layout is not None and layout not in tuple(LAYOUTS):
-        raise ModelError(f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"')
-    shape: tuple[int, ...] = ()
-    if isinstance(P, Mapping) and P and all(map(is_table, P.values())):
-        P, words = listed.of_tables(P, words_of(names.get("states"), "states"))
-        if words:
-            names, layout = names | {"states": words}, layout or "ass"
-    by_entry = listed.is_listed(P)
-    if by_entry:
-        fitting = listed.layouts_of(P)
-    else:
-        P, shape = _array_or_matrices(P, "P")
-        fitting = _layouts(shape)
-    if layout is None and len(fitting) == 2:
-        return _of_only_reading(P, R, discount, start, names)
-    offered, keys = None, None
-    if by_entry:
-        if layout not in (None, *fitting):
-            raise ModelError(
-                f"these dictionaries or lists are not {layout!r}",
-                where="layout",
-                fix="leave it out; or give one square matrix for each action, by its name"
-                if layout == "ass"
-                else "leave it out; or give the rows of each state's actions, by state",
-            )
-        if (layout or fitting[0]) == "sas":
-            rows, found = listed.rows_of(P, R, costs=names.get("sense") == "min")
-            return _of_outcomes(rows, discount, start, found | names)
-        P, offered, keys, found = listed.by_action(P)
-        P, shape = _array_or_matrices(P, "P")
-        names, layout = found | names, "ass"
-    stacked, (states, actions), order = _stacked(P, shape, "P", "transitions", layout)
-    pair = np.arange(actions * states)
-    state, action = pair // actions, pair % actions
-
-    def of_pairs(values: Any, where: str) -> Any:
-        words = words_of(names.get("states"), "states")
-        if keys is not None and is_table(values) and len(words) and {*values.index} == {*words}:
-            values = values.T.to_dict()
-        if keys is not None and isinstance(values, Mapping):
-            values = listed.rewards_by_action(values, where, keys, words or range(states))
-        like = order if states == actions else layout
-        return _rewards_of_arrays(values, where, shape, order, like, (states, actions))
-
-    def amounts(values: Any, where: str) -> Any:
-        plain = not isinstance(values, Mapping) and not _is_sparse_list(values)
-        if kept is not None and plain and array_of(values, where).shape == kept.shape:
-            return array_of(values, where)  # of the pairs that are offered
-        amounts_of = of_pairs(values, where)
-        return amounts_of if kept is None else amounts_of[kept]
-
-    reward = of_pairs(R, "R")
-    names.setdefault("actions", [str(number) for number in range(actions)])
-    kept = _offered(reward, names)
-    if offered is not None:
-        kept = np.flatnonzero(offered) if kept is None else kept[offered[kept]]
-    each_component(names, amounts)
-    if kept is not None:
-        state, action, stacked, reward = state[kept], action[kept], stacked[kept], reward[kept]
-    return _from_rows(state, action, stacked, reward, discount, start, names)
-
-
-def _of_only_reading(
-    P: Any, R: Any, discount: object, start: object, names: dict[str, Any]
-) -> Parts:
-    """Return the model of P whose shape fits both layouts; ModelError unless both make the same."""
-    read: list[Parts] = []
-    errors: dict[str, ModelError] = {}
-    for layout in LAYOUTS:
         try:
-            parts = _of_arrays(P, R, discount, layout, start, dict(names))
-            check_model(ModelParts(**parts))
-            read.append(parts)
-        except ModelError as error:
-            errors[layout] = error
-    texts = {*map(str, errors.values())}
-    for layout, fault in errors.items():
-        if isinstance(fault, DistributionError) and (read or len(texts) == 2):
-            other, shape = {"ass": ("sas", "(S, A, S)"), "sas": ("ass", "(A, S, S)")}[layout]
-            fix = f'{fault.fix}; for P {shape} say layout="{other}"'
-            raise type(fault)(fault.what, where=fault.where, fix=fix) from fault
-    if not read:
-        raise errors["ass"]
-    if errors or not _same(*read):
+            pairs = [(index(row[0]), index(row[1]), list(row[2])) for row in rows]
+            order = np.array(sorted(range(len(pairs)), key=lambda each: pairs[each][:2]), np.int64)
+            state = np.array([row[0] for row in pairs], dtype=np.int64)[order]
+            action = np.array([row[1] for row in pairs], dtype=np.int64)[order]
+            every = [(p, index(to), r) for number in order for p, to, r in pairs[number][2]]
+            following = np.array([to for _, to, _ in every], dtype=np.int64)
+        except (TypeError, ValueError, LookupError, OverflowError) as error:
+            raise ModelError(
+                f"a row or an outcome is not of the right form: {error}",
+                where="rows",
+                fix="give (state, action, [(probability, next state, reward), …]) with whole "
+                "numbers for states and actions",
+            ) from error
+        size = int(max([*state, *following], default=-1)) + 1
+        chance, gain = ([each[place] for each in every] for place in (0, 2))
+        lengths = [len(pairs[number][2]) for number in order]
+        offsets = np.cumsum([0, *lengths])
+        if any(isinstance(reward, Mapping) for reward in gain):
+            amounts = _amounts(gain, chance, offsets, names)
+            names = {"components": {k: v[np.argsort(order)] for k, v in amounts.items()}} | names
+            gain = [sum(map(exact, r.values())) if isinstance(r, Mapping) else r for r in gain]
+        columns = offsets, following, one_kind(chance), one_kind(gain)
+        each_component(names, lambda values, where: of_length(values, where, len(pairs)))
+        settings = discount, start, names
+        return cls(**_model(state, action, *columns, size, order, *settings, by_pair=False))
+
+
+def _amounts(
+    gains: list[Any], chances: list[Any], offsets: Integers, names: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the expected amounts (L,) of each component that rewards of outcomes (N,) name."""
+    parted = [gain if isinstance(gain, Mapping) else {} for gain in gains]
+    given = [as_given(amount) for amounts in parted for amount in amounts.values()]
+    names.setdefault("float_rewards", any(isinstance(amount, float) for amount in given))
+    expected: dict[str, list[Fraction]] = {str(name): [] for part in parted for name in part}
+    for first, last in zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True):
+        row = list(map(exact, meant([as_given(p) for p in chances[first:last]])))
+        each = [{str(name): exact(x) for name, x in part.items()} for part in parted[first:last]]
+        for name, amounts in expected.items():
+            terms = (p * part.get(name, 0) for p, part in zip(row, each, strict=True))
+            amounts.append(sum(terms, Fraction(0)))
+    return {name: np.array(amounts, dtype=object) for name, amounts in expected.items()}
+
+
+# ---- layouts of arrays ---------------------------------------------------------------------------
+
+
+def _check_alike(rows: Any, swapped: Integers) -> None:
+    """Raise ModelError unless rows (L, …) of as many actions as states are the same by either."""
+    differ = rows[swapped] != rows
+    if differ.nnz if sp.issparse(differ) else np.asarray(differ, dtype=bool).any():
         raise ModelError(
             "there are as many actions as states: P may go by action, then state, or by state, "
             "then action, and the models differ",
@@ -325,33 +331,14 @@ def _of_only_reading(
             fix='say which: layout="ass" for P[action][state][next state], layout="sas" for '
             "P[state][action][next state]",
         )
-    return read[0]
-
-
-def _same(one: Parts, other: Parts) -> bool:
-    """Return whether two models are the same, number for number and name for name."""
-    pairs = ("pair_state", "pair_action")
-    arrays = [
-        *((getattr(one["table"], f.name), getattr(other["table"], f.name)) for f in TABLE_FIELDS),
-        *((one[name], other[name]) for name in pairs),
-    ]
-    named = ("space", "actions", "component_names", "component_table")
-    return all(np.array_equal(*both) for both in arrays) and all(
-        one.get(name) == other.get(name) for name in named
-    )
 
 
 def _rewards_of_arrays(
-    R: Any,
-    where: str,
-    of_transitions: tuple[int, ...],
-    order: str,
-    layout: str | None,
-    shape: tuple[int, int],
-) -> Any:
+    R: Any, where: str, shape: tuple[int, int], layout: str | None, order: str
+) -> tuple[Any, bool]:
     """Return rewards as `from_arrays` takes them for each pair (L,) or transition (L, S).
 
-    Transitions have a shape and an order, rewards of transitions this layout where it is given.
+    And whether they are those of transitions, which have the layout where it is given.
     """
     states, actions = shape
     if isinstance(R, Mapping):
@@ -360,29 +347,68 @@ def _rewards_of_arrays(
             where=where,
             fix=f"give an array ({states}, {actions}), or P as a dictionary, too",
         )
-    given, given_shape = _array_or_matrices(R, where)
-    rewards = None if isinstance(given, list) else dense(given)
-    if where != "R" and rewards is not None and rewards.shape == (states * actions,):
-        return rewards  # a component's amounts, one for each pair
-    if rewards is None or rewards.ndim == 3:
-        reward, sizes, _ = _stacked(given, given_shape, where, "rewards", layout)
+    given = R if _holds_sparse(R) else dense(array_of(R, where))
+    of_transitions = _holds_sparse(R) or given.ndim == 3
+    if of_transitions:
+        reward, sizes, _ = _rows_of_matrices(given, where, layout)
+        size: tuple[int, ...] = (sizes[1], sizes[0], reward.shape[1])
+        fits = sizes == shape
     else:
-        sizes = {(states,): shape}.get(rewards.shape, rewards.shape)
-        reward = np.repeat(rewards, actions) if rewards.ndim == 1 else rewards.reshape(-1)
-    if sizes != shape:
-        turned = f"transitions have shape {of_transitions}, (S, A, S), and " * (order == "sas")
+        size = given.shape
+        fits = size in ((states,), shape)
+        reward = np.repeat(given, actions) if given.ndim == 1 else given.reshape(-1)
+    if not fits:
+        transitions = f"transitions have shape ({states}, {actions}, {states}), (S, A, S), and "
         raise ShapeError(
-            f"{turned}rewards have shape {given_shape}",
+            f"{transitions * (order == 'sas')}rewards have shape {size}",
             where=where,
             fix=f"give ({states},), ({states}, {actions}) or ({actions}, {states}, {states})",
         )
-    return reward
+    return reward, of_transitions
 
 
-def _in_order(state: Integers, action: Integers) -> bool:
-    """Return whether pairs are sorted by state, then action."""
-    ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
-    return bool((ahead | (level & (action[1:] >= action[:-1]))).all())
+def _holds_sparse(values: Any) -> bool:
+    row = isinstance(values, np.ndarray) and values.dtype == object and values.ndim == 1
+    return (row or isinstance(values, Sequence)) and any(map(sp.issparse, values))
+
+
+def _rows_of_matrices(
+    values: Any, where: str, layout: str | None
+) -> tuple[Any, tuple[int, int], str]:
+    """Return P, or R by transition, as (L, S) rows in pair order, (S, A), and the layout."""
+    what = "transitions" if where == "P" else "rewards"
+    if _holds_sparse(values):
+        if not all(map(sp.issparse, values)):
+            raise ModelError(
+                f"{where} mixes sparse and dense matrices", where=where, fix="use one kind"
+            )
+        shapes = sorted({matrix.shape for matrix in values})
+        shape = (len(values), *shapes[0])
+    else:
+        array = array_of(values, where)
+        shapes, shape = [array.shape[1:]], array.shape
+    fits = [each for each, at in LAYOUTS.items() if len(shape) == 3 and shape[at] == shape[2]]
+    if len(shapes) > 1 or 0 in shape or not fits or layout not in (None, *fits):
+        raise ShapeError(
+            f"matrices of {what} have shapes {shapes}"
+            if len(shapes) > 1
+            else f"{what} have shape {shape}",
+            where=where,
+            fix="give (A, S, S), (S, A, S), or a list of A sparse (S, S) matrices"
+            + (f"; this is not {layout!r}" if fits else ""),
+        )
+    layout = layout or fits[0]
+    sizes = (shape[0], shape[1]) if layout == "sas" else (shape[1], shape[0])
+    rows = sizes[0] * sizes[1]
+    if not _holds_sparse(values):
+        by_state = array if layout == "sas" else array.transpose(1, 0, 2)
+        return by_state.reshape(rows, -1), sizes, layout
+    stacked = sp.csr_array(sp.vstack([array_of(matrix, where) for matrix in values], "csr"))
+    order = np.arange(rows).reshape(shape[:2]).T.reshape(-1)
+    return stacked if layout == "sas" else stacked[order], sizes, layout
+
+
+# ---- from columns to the parts of a model --------------------------------------------------------
 
 
 def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
@@ -399,112 +425,103 @@ def _rewards_of_rows(reward: Any, where: str, rows: Any) -> Any:
     return rewards
 
 
-def _of_outcomes(
-    rows: Iterable[Any], discount: object, start: object, names: dict[str, Any]
-) -> Parts:
-    try:
-        pairs = [(index(row[0]), index(row[1]), list(row[2])) for row in rows]
-        order = sorted(range(len(pairs)), key=lambda number: pairs[number][:2])
-        pairs = [pairs[number] for number in order]
-        state = np.array([row[0] for row in pairs], dtype=np.int64)
-        action = np.array([row[1] for row in pairs], dtype=np.int64)
-        every = [(p, index(then), reward) for row in pairs for p, then, reward in row[2]]
-        following = np.array([then for _, then, _ in every], dtype=np.int64)
-    except (TypeError, ValueError, LookupError, OverflowError) as error:
-        raise ModelError(
-            f"a row or an outcome is not of the right form: {error}",
-            where="rows",
-            fix="give (state, action, [(probability, next state, reward), …]) with whole numbers "
-            "for states and actions",
-        ) from error
-    size = int(max([*state, *following], default=-1)) + 1
-    chance, gain = (one_kind([each[place] for each in every]) for place in (0, 2))
-    offsets = np.cumsum([0, *(len(row[2]) for row in pairs)])
-    table = table_of(offsets, following, chance, gain, size, names, by_pair=False, own=True)
-    each_component(names, lambda values, where: of_length(values, where, len(pairs))[order])
-    _observed(names, np.array(order, dtype=np.int64), len(order))
-    return _assemble(state, action, table, size, discount, start, names)
+def _offered(reward: Any, names: dict[str, Any], listed: Flags | None = None) -> Flags | None:
+    """Return which pairs there are: those listed, without the infinite reward; None for all."""
+    if sp.issparse(reward):
+        return listed
+    never = np.inf if names.get("sense") == "min" else -np.inf
+    offered: Flags = np.asarray(reward != never, dtype=bool)
+    if offered.ndim == 2:
+        offered = np.asarray(offered.any(axis=1))
+    offered = offered if listed is None else offered & listed
+    return None if offered.all() else offered
 
 
-def _observed(names: dict[str, Any], order: Integers, total: int) -> None:
-    """Put observations of all pairs (L,) in the order of those that the model has."""
-    if names.get("observations") is not None:
-        seen = whole_numbers(names["observations"], "observations")
-        if seen.shape != (total,):
-            raise ShapeError(
-                f"{len(seen)} observations for {total} pairs",
-                where="observations",
-                fix="give one number for each pair",
-            )
-        names["observations"] = seen[order]
-
-
-def _counted(table: OutcomeTable, seen: Integers) -> OutcomeTable:
-    """Return a table in which rows that were observed n times are counts over n.
-
-    Where floats are not the ones next to such counts, or exact numbers not equal to them, the table
-    stays, and the model refuses it.
-    """
-    lengths, watched = np.diff(table.offsets), seen > 0
-    top, bottom = table.integer_weights()
-    if table.weight.dtype == np.float64:
-        some = table.of_pairs(np.flatnonzero(watched))
-        counts = counted(some.weight, some.offsets, seen[watched])
-        if counts is None:
-            return table
-    else:
-        each = np.repeat(watched, lengths)
-        share, left = np.divmod(
-            multiply(top, np.repeat(seen, lengths))[each], np.repeat(bottom, lengths)[each]
-        )
-        if left.any():
-            return table
-        counts = share
-    top = np.array(top, dtype=object)
-    top[np.repeat(watched, lengths)] = counts
-    weights, below = integers(top.tolist()), integers(np.where(watched, seen, bottom).tolist())
-    return replace(table, weight=weights, denominator=below)
-
-
-def _from_rows(
+def _of_pairs(
     state: Integers,
     action: Integers,
     rows: Any,
     reward: Any,
+    below: Integers | None,
+    offered: Flags | None,
     discount: object,
     start: object,
     names: dict[str, Any],
-    below: Integers | None = None,
-) -> Parts:
-    """Build from sorted pairs, their (L, S) rows, over `below` (L,), and rewards (L,) or (L, S)."""
-    size, by_pair = rows.shape[1], reward.ndim == 1
-    if sp.issparse(rows):
+    *,
+    own: bool = False,
+) -> dict[str, Any]:
+    """Return a model's parts from pairs in any order, rows (L, S) and rewards (L,) or (L, S).
+
+    Dense rows are copied unless they are the model's `own`.
+    """
+    order, total = np.arange(len(state)), len(state)
+    ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
+    rising = (ahead | (level & (action[1:] >= action[:-1]))).all()
+    if not rising:
+        order = np.lexsort((action, state))
+    if offered is not None:
+        order = order[offered[order]]
+    if offered is not None or not rising:
+        state, action, rows, reward = state[order], action[order], rows[order], reward[order]
+        below = None if below is None else below[order]
+    size, by_pair, sparse = rows.shape[1], reward.ndim == 1, sp.issparse(rows)
+    if sparse:
         offsets, following, chance = rows.indptr, rows.indices, rows.data
         check_places(rows, "transition")
     else:
         positive, column = rows != 0, np.arange(size, dtype=np.int32)
         offsets = np.concatenate([[0], np.cumsum(np.count_nonzero(positive, axis=1))])
         if offsets[-1] == rows.size:  # as masks take their time
-            following, chance = np.tile(column, len(rows)), rows.flatten()
+            following, chance = np.tile(column, len(rows)), rows.ravel() if own else rows.flatten()
         else:
             following, chance = np.broadcast_to(column, rows.shape)[positive], rows[positive]
     if not by_pair:
         reward = picked(reward, np.repeat(np.arange(len(state)), np.diff(offsets)), following)
-    columns = offsets.astype(np.int64), following, chance, reward
-    own = not sp.issparse(rows)
-    table = table_of(*columns, size, names, by_pair=by_pair, own=own, below=below)
-    return _assemble(state, action, table, size, discount, start, names)
+    columns = state, action, offsets.astype(np.int64), following, chance, reward
+    return _model(
+        *columns, size, order, discount, start, names, by_pair=by_pair, own=not sparse, below=below,
+        total=total,
+    )  # fmt: skip
 
 
-def _assemble(
+def _model(
     state: Integers,
     action: Integers,
-    table: OutcomeTable,
+    offsets: Integers,
+    following: Any,
+    chance: Any,
+    gain: Any,
     size: int,
+    order: Integers,
     discount: object,
     start: object,
     names: dict[str, Any],
-) -> Parts:
+    *,
+    by_pair: bool,
+    own: bool = True,
+    below: Integers | None = None,
+    total: int = 0,
+) -> dict[str, Any]:
+    """Return a model's parts from columns: sorted pairs (L,), and their outcomes (N,).
+
+    Amounts and observations are those of all pairs that were given, of which the model has `order`
+    (L,); amounts may be those of the model's own.
+    """
+    total = total or len(order)
+    columns = offsets, following, chance, gain, size, names
+    table = table_of(*columns, by_pair=by_pair, own=own, below=below)
+    each_component(names, lambda given, _: given[order] if len(given) == total else given)
+    seen = names.get("observations")
+    if seen is not None:
+        seen = whole_numbers(seen, "observations")
+        if seen.shape != (total,):
+            raise ShapeError(
+                f"{len(seen)} observations for {total} pairs",
+                where="observations",
+                fix="give one number for each pair",
+            )
+        seen = names["observations"] = seen[order]
+        table = _counted(table, seen)
     words = words_of(names.pop("states", ()), "states")
     actions = words_of(names.pop("actions", ()), "actions")
     if not actions:
@@ -517,15 +534,9 @@ def _assemble(
                 fix="number actions from 0 on, or name them all: actions=[…]",
             )
         actions = tuple(map(str, range(last + 1)))
-    if words and len(words) > size:
-        size = len(words)
-    seen = names.get("observations")
-    if seen is not None:
-        seen = names["observations"] = whole_numbers(seen, "observations")
-        table = _counted(table, seen) if seen.shape == (table.pairs,) else table
     space = names.pop("space", None)
     if space is None or words:
-        space = StateSpace.plain(size, words)
+        space = StateSpace.plain(max(size, len(words)), words)
     names |= named_components(names, table)
     return dict(
         table=table,
@@ -539,75 +550,26 @@ def _assemble(
     )
 
 
-def _offered(reward: Any, names: dict[str, Any]) -> Integers | None:
-    """Return the pairs whose reward is not the infinity of actions not offered; None: all are."""
-    never = np.inf if names.get("sense") == "min" else -np.inf
-    if sp.issparse(reward):
-        return None
-    missing: Any = np.asarray(reward == never, dtype=bool)
-    missing = missing.all(axis=1) if missing.ndim == 2 else missing
-    return np.flatnonzero(~missing) if missing.any() else None
+def _counted(table: OutcomeTable, seen: Integers) -> OutcomeTable:
+    """Return a table in which rows that were observed n times are counts over n.
 
-
-def _is_sparse_list(values: Any) -> bool:
-    row = isinstance(values, np.ndarray) and values.dtype == object and values.ndim == 1
-    return (row or isinstance(values, Sequence)) and any(map(sp.issparse, values))
-
-
-def _array_or_matrices(values: Any, where: str) -> tuple[Any, tuple[int, ...]]:
-    """Return an array, or a list of sparse matrices of one shape, and the shape of all."""
-    what = "transitions" if where == "P" else "rewards"
-    if sp.issparse(values) and values.ndim > 2:
-        raise ShapeError(
-            f"sparse {what} have shape {values.shape}",
-            where=where,
-            fix="give a list of A sparse (S, S) matrices, or np.array",
-        )
-    if not _is_sparse_list(values):
-        array = array_of(values, where)
-        return array, array.shape
-    if not all(sp.issparse(matrix) for matrix in values):
-        raise ModelError(
-            f"{where} mixes sparse and dense matrices", where=where, fix="use one kind"
-        )
-    shapes = {matrix.shape for matrix in values}
-    if len(shapes) > 1 or len(values[0].shape) != 2:
-        raise ShapeError(
-            f"matrices of {what} have shapes {sorted(shapes)}",
-            where=where,
-            fix="give A square matrices of the same size",
-        )
-    return list(values), (len(values), *values[0].shape)
-
-
-def _layouts(shape: tuple[int, ...]) -> list[str]:
-    """Return the layouts that an array of some shape fits; of a sparse matrix none."""
-    if len(shape) != 3 or 0 in shape:
-        return []
-    return [layout for layout, at in LAYOUTS.items() if shape[at] == shape[2]]
-
-
-def _stacked(
-    array: Any, shape: tuple[int, ...], where: str, what: str, layout: str | None
-) -> tuple[Any, tuple[int, int], str]:
-    """Return P, or R by transition, as (L, S) rows in pair order, (S, A), and the layout."""
-    fits = _layouts(shape)
-    if not fits or layout not in (None, *fits):
-        kind = "sparse " if sp.issparse(array) else ""
-        subject = (
-            f"matrices of {what} have shapes" if isinstance(array, list) else f"{what} have shape"
-        )
-        raise ShapeError(
-            f"{kind}{subject} {shape}",
-            where=where,
-            fix="give (A, S, S), (S, A, S), or a list of A sparse (S, S) matrices"
-            + (f"; this is not {layout!r}" if fits else ""),
-        )
-    layout = layout or fits[0]
-    sizes = (shape[0], shape[1]) if layout == "sas" else (shape[1], shape[0])
-    rows = sizes[0] * sizes[1]
-    if isinstance(array, list):
-        stacked = sp.csr_array(sp.vstack([array_of(matrix, where) for matrix in array], "csr"))
-        order = np.arange(rows).reshape(shape[:2]).T.reshape(-1)
-        return stacked if layout == "sas" else stacked[order], sizes, layout
-    return (array if layout == "sas" else array.transpose(1, 0, 2)).reshape(rows, -1), sizes, layout
+    Where floats are not the ones next to such counts, or exact numbers not equal to them, the table
+    stays, and the model refuses it.
+    """
+    lengths, watched = np.diff(table.offsets), seen > 0
+    each = np.repeat(watched, lengths)
+    top, bottom = table.integer_weights()
+    if table.weight.dtype == np.float64:
+        some = table.of_pairs(np.flatnonzero(watched))
+        counts = counted(some.weight, some.offsets, seen[watched])
+        if counts is None:
+            return table
+    else:
+        scaled = multiply(top, np.repeat(seen, lengths))[each]
+        counts, left = np.divmod(scaled, np.repeat(bottom, lengths)[each])
+        if left.any():
+            return table
+    top = np.array(top, dtype=object)
+    top[each] = counts
+    weights, below = integers(top.tolist()), integers(np.where(watched, seen, bottom).tolist())
+    return replace(table, weight=weights, denominator=below)

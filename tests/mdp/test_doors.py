@@ -114,15 +114,17 @@ def test_elsewhere_the_shape_says_the_layout(form: str) -> None:
      ([-0.5, 1.5], r"is -0\.5"), ([0, 0], "sum to 0")],
 )  # fmt: skip
 def test_a_faulty_row_does_not_say_the_layout(row: list[float], what: str) -> None:
-    """What is not offered may hold anything; what is offered in the other layout may be a fault."""
+    """What is not offered may hold anything, but no reading of P is tried out."""
     P, R = np.array([[[1, 0], row], [[0, 1], [0, 1]]]), np.array([[1, -np.inf], [2, 3]])
     wanted = MDP.from_pairs([0, 1, 1], [0, 0, 1], [[1, 0], [0, 1], [0, 1]], [1, 2, 3])
     for layout, rows in (("sas", P), ("ass", P.transpose(1, 0, 2))):
         assert same(MDP.from_arrays(rows, R, layout=layout), wanted)
-        with pytest.raises(DistributionError, match=what) as caught:
+        with pytest.raises(ModelError, match="as many actions as states") as caught:
             MDP.from_arrays(rows, R)
         assert f'layout="{layout}"' in caught.value.fix
-        assert "state 1," in caught.value.where
+        with pytest.raises(DistributionError, match=what) as caught:
+            MDP.from_arrays(rows, [[1, 4], [2, 3]], layout=layout)
+        assert "state 0, action 1" in caught.value.where
 
 
 def test_what_follows_the_layout() -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from fractions import Fraction
 from typing import Any, Self
 
 import numpy as np
@@ -20,7 +19,6 @@ from exact_mdp.mdp.errors import ModelError, located, of_type
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
-from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import check_options, counted
 
@@ -152,14 +150,6 @@ def explored(
         else holds
         for name, holds in (labels or {}).items()
     }
-    outcomes_of = [list(each) for _, _, each in rows]
-    named = _components(outcomes_of)
-    if named:  # nothing is earned in an end
-        ends = [0] * (len(listed) - len(rows))
-        names["components"] = {name: amounts + ends for name, amounts in named.items()}
-        every = (amount for amounts in _amounts(outcomes_of) for amount in amounts.values())
-        names["float_rewards"] = any(isinstance(as_given(amount), float) for amount in every)
-        listed = [(s, a, [(p, then, _total(r)) for p, then, r in each]) for s, a, each in listed]
     places = ByNumber((states.number[state], chance) for state, chance in begins.items())
     return listed, names | {"start": places, "labels": flags}
 
@@ -208,40 +198,6 @@ def _noted(where: str) -> Iterator[None]:
     except Exception as error:
         error.add_note(f"raised by the model's own function, for {where}")
         raise
-
-
-def _components(rows: list[list[Any]]) -> dict[str, list[Fraction]]:
-    """Return the expected amount of each component in each row, where rewards are dictionaries."""
-    names = dict.fromkeys(name for amounts in _amounts(rows) for name in amounts)
-    if not names:
-        return {}
-    chances = [meant([as_given(p) for p, _, _ in row]) for row in rows]
-    return {
-        str(name): [
-            sum(
-                (
-                    exact(p) * exact(reward.get(name, 0))
-                    for p, (_, _, reward) in zip(each, row, strict=True)
-                    if isinstance(reward, Mapping)
-                ),
-                Fraction(0),
-            )
-            for each, row in zip(chances, rows, strict=True)
-        ]
-        for name in names
-    }
-
-
-def _amounts(rows: list[list[Any]]) -> Iterator[Mapping[Any, Any]]:
-    """Yield the rewards that are dictionaries."""
-    return (reward for row in rows for _, _, reward in row if isinstance(reward, Mapping))
-
-
-def _total(reward: Any) -> Any:
-    """Return a reward that is a dictionary of amounts as their exact sum."""
-    if not isinstance(reward, Mapping):
-        return reward
-    return sum(map(exact, reward.values()), Fraction(0))
 
 
 def _outcome(given: Any) -> tuple[Any, Hashable, Any]:

@@ -109,7 +109,8 @@ def _sparse(values: Any, *, columns: bool) -> sp.csr_array:
         raise ModelError(f"a sparse matrix of type {values.dtype}", fix="give real numbers")
     if values.ndim != 2:
         raise ModelError(
-            f"a sparse array of {values.ndim} dimensions", fix="give a sparse matrix, or np.array"
+            f"a sparse array of shape {values.shape}",
+            fix="give a sparse matrix, a list of A sparse (S, S) matrices, or np.array",
         )
     if values.format in ("csr", "csc", "coo"):
         _check_places(values, columns=columns or values.format != "csr")
