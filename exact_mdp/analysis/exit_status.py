@@ -44,8 +44,6 @@ TRACEBACK = "EXACT_MDP_TRACEBACK"
 ONE_REQUEST = 1.0  # seconds: `timeout` and others signal the process, then its group with it in it
 AT_ONCE = os._exit
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-TOO_LARGE = "a number is too large to compute with: {}"
-NO_PACKAGE = "install the package again, with the extra that this needs"
 ALSO_CALLED = {"--gamma": "--discount", "--plot": "--html"}
 ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
 
@@ -92,6 +90,21 @@ def _exit_by(end: Callable[[int], object]) -> Callable[[int], NoReturn]:
     return before
 
 
+LIMITS: dict[type[BaseException], tuple[str, str]] = {
+    NoAnswer: ("{}", "let the environment, trainer or policy return instead"),
+    MemoryError: ("{}", "use a smaller model"),
+    RecursionError: ("something is nested too deeply", "use flatter input"),
+    OverflowError: (
+        "a number is too large to compute with: {}",
+        "scale the model, or round its numbers",
+    ),
+    ImportError: (
+        "a package cannot be loaded: {}",
+        "install the package again, with the extra that this needs",
+    ),
+}
+
+
 class Stopped(KeyboardInterrupt):
     """The process was asked to end by a signal; everything ends as it does after Ctrl-C."""
 
@@ -126,37 +139,30 @@ def run(
 ) -> int:
     """Run a command and return its exit status; what goes wrong is reported on standard error.
 
-    What the command returns is the status; None is 0. `program` is its name in messages, `words`
-    are those after the name. Where it neither passed nor failed, `told` hears status and message.
-    With --json the last line of standard error is an object with the parts of the message.
+    What the command returns is the status, None is 0; what it prints is written when it has come to
+    its end. `program` is its name in messages, `words` are those after the name. If the command
+    fails, `told` is called with status and message. With --json the last line of standard error is
+    an object with the parts of the message.
     """
-    output = None
+    output = io.StringIO()
     try:
         if not _streams():
             what = "standard output is closed, so the result could not be printed"
             raise Unwritten(what, fix="send it to /dev/null to see the exit status alone")
-        output = _Output(sys.stdout)
-        with redirect_stdout(output), _signals(), warnings.catch_warnings():
+        with _signals(), redirect_stdout(output), warnings.catch_warnings():
             warnings.showwarning = warner()
-            with (
-                answering(),
-                command.make_context(program, list(words), obj=list(words)) as context,
-            ):
-                status = command.invoke(context)
-            output.flush()
-        return int(status or DONE)
-    except click.exceptions.Exit as end:  # --help and --version
-        return end.exit_code
-    except BaseException as raised:
-        error = raised
+            try:
+                with (
+                    answering(),
+                    command.make_context(program, list(words), obj=list(words)) as context,
+                ):
+                    status = command.invoke(context)
+            except click.exceptions.Exit as end:  # --help and --version
+                status = end.exit_code
+        return int(status or DONE) if _printed(output.getvalue()) else PIPE_CLOSED
+    except BaseException as error:
         if os.environ.get(TRACEBACK, "") not in ("", "0"):
             traceback.print_exc()
-        if output is not None and output.error is not None:
-            _silence(sys.stdout)
-            if isinstance(output.error, BrokenPipeError):
-                return PIPE_CLOSED
-            what = f"cannot write to standard output: {output.error.strerror}"
-            error = Unwritten(what, fix="make room there, or send it elsewhere")
         status, *parts = _outcome(error, command, program, words)
     kind, what, where, fix = parts = [*map(shown_text, parts)] if parts[2] else parts
     message = f"{kind}: {what}\n  where: {where}\n  fix:   {fix}" if where else what
@@ -167,6 +173,20 @@ def run(
     if told is not None:
         told(status, message)
     return int(status)
+
+
+def _printed(text: str) -> bool:
+    """Print the result; return False where nobody reads any more."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except OSError as error:
+        _silence(sys.stdout)
+        if not isinstance(error, BrokenPipeError):
+            what = f"cannot write to standard output: {error.strerror}"
+            raise Unwritten(what, fix="make room there, or send it elsewhere") from error
+        return False
+    return True
 
 
 def leave(status: int) -> NoReturn:
@@ -240,15 +260,11 @@ def _outcome(
         place = str(error.filename) if error.filename is not None else usage
         fix = "make room, or write elsewhere" if error.errno in FULL else "try again"
         return BROKEN, "OSError", f"the system refuses: {error.strerror}", place, fix
-    for kinds, what, fix in (
-        (NoAnswer, "{}", "let the environment, trainer or policy return instead"),
-        (MemoryError, "{}" if said else "not enough memory", "use a smaller model"),
-        (RecursionError, "something is nested too deeply", "use flatter input"),
-        (OverflowError, TOO_LARGE, "scale the model, or round its numbers"),
-        (ImportError, "a package cannot be loaded: {}", NO_PACKAGE),
-    ):
-        if isinstance(error, kinds) or (what == TOO_LARGE and "integer string conversion" in said):
-            return BROKEN, kind, what.format(said), usage, fix
+    if "integer string conversion" in said:
+        error = OverflowError(said)
+    for kinds, (what, fix) in LIMITS.items():
+        if isinstance(error, kinds):
+            return BROKEN, kind, what.format(said or "not enough memory"), usage, fix
     return (
         BROKEN,
         kind,
@@ -334,33 +350,6 @@ def _streams() -> bool:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may lack a letter of a state's name
         sys.stdout.reconfigure(errors="backslashreplace")
     return open_before
-
-
-class _Output:
-    """Standard output that remembers why it took nothing more."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self.error: OSError | None = None
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str, /) -> int:
-        with self._noted():
-            return self._stream.write(text)
-
-    def flush(self) -> None:
-        with self._noted():
-            self._stream.flush()
-
-    @contextmanager
-    def _noted(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            self.error = error
-            raise
 
 
 def _silence(stream: TextIO) -> None:

@@ -12,7 +12,8 @@ outside. A grid world whose states are only numbered is given its
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+import re
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import prod
@@ -321,8 +322,12 @@ def taken(model: MDP, chosen: Floats) -> list[list[int]]:
     ]
 
 
+COUNTED = {"mixed": "one of n actions is drawn", "tied": "n actions are optimal"}
+"""What a cell says of n actions, and what that means."""
+
+
 def joined(signs: Sequence[str], many: str) -> str:
-    """Return up to two short signs of actions side by side, else in words how many there are.
+    """Return up to two short signs of actions side by side, else how many, by a word of COUNTED.
 
     Examples
     --------
@@ -331,6 +336,16 @@ def joined(signs: Sequence[str], many: str) -> str:
     """
     text = "/".join(signs)
     return text if len(signs) < 2 or len(text) <= SHORT else f"{len(signs)} {many}"
+
+
+def counts(texts: Iterable[str]) -> list[str]:
+    """Return what the words of COUNTED in some cells mean.
+
+    >>> counts(["✗ 3 tied", "a0"])
+    ['n tied: n actions are optimal']
+    """
+    words = {match[1] for text in texts if (match := re.search(r"\d+ (\w+)$", text))}
+    return [f"n {word}: {meaning}" for word, meaning in COUNTED.items() if word in words]
 
 
 def symbols(actions: Sequence[str]) -> list[str]:

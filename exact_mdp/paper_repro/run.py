@@ -180,9 +180,11 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     claim = chosen(name)
     reading = changed_reading(default(runs=runs), sets)
     finding = claim.find(reading)
+    known = finding.kind
+    error = f" ± {finding.error:.2g}" if known == "estimated" else ""
     lines = {
         "paper": "" if finding.paper is None else f"{float(finding.paper):g}",
-        "here": "" if finding.exact is None else f"{float(finding.exact):.10g} ({finding.kind})",
+        "here": "" if finding.exact is None else f"{float(finding.exact):.10g}{error} ({known})",
         "verdict": finding.says,
         "why": finding.why,
         "reading": reading.label,
@@ -193,9 +195,8 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     if claim.open and not sets:
         others = [(each.label, claim.find(each)) for each in one_change(reading)]
         differing = [f"{one.says}: {label}" for label, one in others if one.says != finding.says]
-        lines["other readings"] = (
-            "; ".join(differing) or f"the same in all {len(others)} with one change"
-        )
+        with_change = "; ".join(differing) or f"the same in all {len(others)} with one change"
+        lines["other readings"] = f"{with_change} (a full run tries the best supported one, too)"
         if depends(finding, [one.verdict for _, one in others]):
             lines["verdict"] = f"{Verdict.DEPENDS}; {finding.says} under the default one"
     width = max(map(len, lines)) + 2

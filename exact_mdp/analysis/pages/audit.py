@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.layout import arrange, cells
+from exact_mdp.analysis.layout import arrange, cells, counts
 from exact_mdp.analysis.pages.page import ADVICE, render
 from exact_mdp.mdp.report import Report
 
@@ -19,7 +19,10 @@ def audit_page(
     """Return the page; `model` and `policy` are what the user named, `first` rows are shown."""
     layout, actions = arrange(audit.mdp), audit.mdp.actions
     drawn = len(layout.rows) * len(layout.columns) <= MOST_CELLS
-    legend = [pair for pair in zip(layout.signs, actions, strict=True) if len({*pair}) > 1]
+    grid = cells(audit, layout) if drawn else []
+    texts = [text for row in grid for each in row if each for text in (each.text, each.small)]
+    legend = [f"{a} {b}" for a, b in zip(layout.signs, actions, strict=True) if a != b]
+    legend += counts(texts)
     tables = [replace(each, first=first) for each in report.shown_tables()]
     return render(
         "audit.html.j2",
@@ -31,8 +34,8 @@ def audit_page(
         ),
         facts=[each for each in report.lines().items() if each[0] not in AT_THE_TOP],
         layout=layout,
-        cells=cells(audit, layout) if drawn else [],
-        legend=legend,
+        cells=grid,
+        legend=", ".join(legend),
         tables=[
             {
                 "heading": each.heading(),

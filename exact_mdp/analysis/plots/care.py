@@ -15,11 +15,10 @@ from exact_mdp.analysis.plots.style import (
     WHITE,
     Look,
     axes_or_new,
-    legend_beside,
+    described,
     name_rows,
     picture,
     swatch,
-    titled,
 )
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.table import Floats
@@ -72,7 +71,7 @@ def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
     reach = float(np.abs(places).max()) + RADIUS + 0.03
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     ax.set_axis_off()
-    return titled(ax, "Who raises whom, in points of chance per timestep", scenario.name)
+    return described(ax, "Who raises whom, in points of chance per timestep", scenario.name)
 
 
 def _influence(ax: Axes, start: Floats, end: Floats, amount: float) -> None:
@@ -122,8 +121,8 @@ def plot_status_transitions(
     """
     ax = axes_or_new(ax, high=6.0)
     _vector_map(ax, law, threshold)
-    ax.set(xlabel="status after the action", ylabel=f"status now: {', '.join(statuses)}")
-    return titled(ax, "How the status moves in one step (chances in %)")
+    names = {"x": "status after the action", "y": f"status now: {', '.join(statuses)}"}
+    return described(ax, "How the status moves in one step (chances in %)", **names)
 
 
 def _vector_map(ax: Axes, shares: Floats, threshold: float) -> None:
@@ -162,10 +161,13 @@ def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> A
             linewidth=1.8 if every else 1.1,
             label="all four alike" if every and len(curves.values) == 5 else name,
         )
-    ax.set_xlabel("accuracy of perception (sensitivity = specificity)")
-    ax.set_ylabel("value at the start (reward)")
-    legend_beside(ax, title="read with this accuracy")
-    return titled(ax, "What a policy is worth by how well the status is read")
+    return described(
+        ax,
+        "What a policy is worth by how well the status is read",
+        x="accuracy of perception (sensitivity = specificity)",
+        y="value at the start (reward)",
+        legend="read with this accuracy",
+    )
 
 
 @picture
@@ -180,10 +182,12 @@ def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
             ax.text(loss, place, f" {loss:.2f}", va="center", fontsize=8)
     name_rows(ax, [name for name, _ in by_cost])
     ax.margins(x=0.12)
-    ax.set_xlabel("loss against perfect perception (reward)")
-    words = ("present, not seen", "absent, but seen")
-    legend_beside(ax, [*map(swatch, words, fills)])
-    return titled(ax, "What errors in reading each status cost")
+    return described(
+        ax,
+        "What errors in reading each status cost",
+        x="loss against perfect perception (reward)",
+        handles=[*map(swatch, ("present, not seen", "absent, but seen"), fills)],
+    )
 
 
 @picture
@@ -208,5 +212,5 @@ def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
     """
     ax = axes_or_new(ax, high=6.0)
     _vector_map(ax, confusion, 0.05)
-    ax.set(xlabel="perceived status", ylabel="true status")
-    return titled(ax, "How each status is perceived (chances in %)")
+    what = "How each status is perceived (chances in %)"
+    return described(ax, what, x="perceived status", y="true status")

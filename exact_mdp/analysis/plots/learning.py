@@ -15,10 +15,10 @@ from exact_mdp.analysis.plots.style import (
     INK,
     Look,
     axes_or_new,
+    described,
     level,
     line,
     picture,
-    titled,
 )
 from exact_mdp.analysis.vary.intervals import wilson
 from exact_mdp.mdp.table import Floats
@@ -80,8 +80,10 @@ def plot_learning_curves(
             ax.plot(curve.value, ".", color=form["color"], markersize=1, alpha=0.3)
         at, smooth = smoothed(curve.value, window)
         ax.plot(at, smooth, linewidth=1.6, label=label, **form)
-    ax.set_title("Value of the greedy policy while it learns")
-    return _by_epoch(ax, "return (reward)", optimum)
+    if optimum is not None:
+        level(ax, optimum)
+    what = "Value of the greedy policy while it learns"
+    return described(ax, what, x="epoch", y="return (reward)")
 
 
 @picture
@@ -120,15 +122,10 @@ def plot_value_bands(
         band = "5 to 95 % of the runs" if len(values) == 1 else None
         ax.fill_between(at, below, above, color=form["color"], alpha=0.25, linewidth=0, label=band)
         ax.plot(at, middle, linewidth=1.4, label=label, **form)
-    ax.set_title("Exact value of the greedy policy, mean over runs")
-    return _by_epoch(ax, "value (reward)", optimum)
-
-
-def _by_epoch(ax: Axes, what: str, optimum: float | None) -> Axes:
     if optimum is not None:
         level(ax, optimum)
-    ax.set(xlabel="epoch", ylabel=what)
-    return ax
+    what = "Exact value of the greedy policy, mean over runs"
+    return described(ax, what, x="epoch", y="value (reward)")
 
 
 def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
@@ -175,9 +172,14 @@ def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None
             label=f"{label}:\nmean {each.regret.mean():.2f}, optimal {each.optimal_fraction:.1%}",
         )
     ax.set_xlim(left=0)
-    ax.set(ylim=(0, 1.02), xlabel="exact regret of the final policy (reward)")
-    ax.set_ylabel("share of runs that lose at most this")
-    return titled(ax, "What trained policies lose", next(iter(every.values())).mdp.name)
+    ax.set_ylim(0, 1.02)
+    return described(
+        ax,
+        "What trained policies lose",
+        next(iter(every.values())).mdp.name,
+        x="exact regret of the final policy (reward)",
+        y="share of runs that lose at most this",
+    )
 
 
 @picture
@@ -191,9 +193,10 @@ def plot_trainer(audit: TrainerAudit, *, ax: Axes | None = None) -> Axes:
     passed = np.cumsum(frame["passed"]) / runs
     ax.step(runs, passed, where="mid", color=INK[0], label="share of the runs so far")
     level(ax, float(audit.share), "share required")
-    ax.set(xlabel="run", ylabel="share of runs within the limits", ylim=(-0.02, 1.02))
+    ax.set_ylim(-0.02, 1.02)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return titled(ax, "How often the trainer is good enough", audit.audits[0].mdp.name)
+    names = {"x": "run", "y": "share of runs within the limits"}
+    return described(ax, "How often the trainer is good enough", audit.audits[0].mdp.name, **names)
 
 
 @picture
@@ -241,6 +244,6 @@ def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -
             linewidth=0.6,
             error_kw={"elinewidth": 0.8, "capsize": 2},
         )
-    ax.set(xlabel="policies greedy in the last episodes", ylabel="share of runs")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return titled(ax, "How many policies a run ends between")
+    names = {"x": "policies greedy in the last episodes", "y": "share of runs"}
+    return described(ax, "How many policies a run ends between", **names)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots.style import axes_or_new, picture, titled
+from exact_mdp.analysis.plots.style import axes_or_new, described, picture
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.values.returns import ReturnDistribution
@@ -41,14 +41,14 @@ def plot_return_distribution(
         ax.bar(edges[:-1], shares, width=bin, align="edge", color="0.45", edgecolor="white")
     mean, sd = distribution.mean, distribution.sd
     ax.set_ylim(bottom=0)
-    ax.set_xlabel("return (reward)")
-    ax.set_ylabel("probability" if bin is None else f"probability\nof each {bin:g} points")
     title = f"mean {mean:.2f}, standard deviation {sd:.2f}"
     if distribution.unending:
         title = f"never ends, and is infinite, with probability {distribution.never_ends:.4g}"
     else:
         ax.axvline(mean, color="black", linestyle="--", linewidth=1, label="mean")
-    return titled(ax, f"{label or 'Distribution of the return'}: {title}")
+    y = "probability" if bin is None else f"probability\nof each {bin:g} points"
+    what = f"{label or 'Distribution of the return'}: {title}"
+    return described(ax, what, x="return (reward)", y=y)
 
 
 @picture
@@ -63,5 +63,5 @@ def plot_simulation(simulation: Simulation, *, ax: Axes | None = None) -> Axes:
         ax.axvspan(*simulation.value.interval, color="0.85", zorder=0)
         mean = f"mean {simulation.value}"
         ax.axvline(simulation.mean, color="black", linestyle="--", linewidth=1, label=mean)
-    ax.set(xlabel="return (reward)", ylabel="episodes")
-    return titled(ax, f"Returns of {len(simulation.returns):,} simulated episodes")
+    what = f"Returns of {len(simulation.returns):,} simulated episodes"
+    return described(ax, what, x="return (reward)", y="episodes")

@@ -27,11 +27,10 @@ from exact_mdp.analysis.plots.style import (
     action_styles,
     axes_or_new,
     bars_across,
-    legend_beside,
+    described,
     name_rows,
     picture,
     swatch,
-    titled,
 )
 from exact_mdp.analysis.vary.intervals import tolerances_of
 from exact_mdp.analysis.vary.ranges import unit_of
@@ -94,11 +93,15 @@ def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None)
         bars_across(ax, place, length, HIGH if rises[place] else LOW, "")
     name_rows(ax, names)
     ax.axvline(0, color=BLACK, linewidth=0.8)
-    ax.set_xlabel("elasticity of the value at the start (% per %)")
     words = {True: ("raises the value", HIGH), False: ("lowers the value", LOW)}
-    handles = [swatch(*words[way]) for way in sorted({*rises}, reverse=True)]
-    legend_beside(ax, handles, title="a higher parameter")
-    return titled(ax, "Which parameters move the value most", gradient.model)
+    return described(
+        ax,
+        "Which parameters move the value most",
+        gradient.model,
+        x="elasticity of the value at the start (% per %)",
+        handles=[swatch(*words[way]) for way in sorted({*rises}, reverse=True)],
+        legend="a higher parameter",
+    )
 
 
 @picture
@@ -129,10 +132,14 @@ def plot_tornado(
             bars_across(ax, place, reach, look, "", left=middle)
     name_rows(ax, names)
     ax.axvline(middle, color=BLACK, linewidth=0.8)
-    ax.set_xlabel(f"{OUTPUT[output]} (reward)")
-    legend_beside(ax, [swatch("at the low end", LOW), swatch("at the high end", HIGH)])
     what = "regret" if output == "regret" else "value"
-    return titled(ax, f"Tornado: the {what} at both ends of each range", tornado.model)
+    return described(
+        ax,
+        f"Tornado: the {what} at both ends of each range",
+        tornado.model,
+        x=f"{OUTPUT[output]} (reward)",
+        handles=[swatch("at the low end", LOW), swatch("at the high end", HIGH)],
+    )
 
 
 @picture
@@ -145,8 +152,8 @@ def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
         label = OUTPUT[output].partition(", ")[2]
         ax.plot(at, values, linestyle=line, color=BLACK, label=label)
     _mark_today(ax, float(curve.parameter.value), min(at), max(at))
-    ax.set(xlabel=_axis(curve.parameter), ylabel="value at the start (reward)")
-    return titled(ax, f"The value along {curve.parameter.name}", curve.model)
+    names = {"x": _axis(curve.parameter), "y": "value at the start (reward)"}
+    return described(ax, f"The value along {curve.parameter.name}", curve.model, **names)
 
 
 def _mark_today(ax: Axes, today: float, low: float | Fraction, high: float | Fraction) -> None:
@@ -185,8 +192,8 @@ def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = 
         ax.set_ylim(near.min(), near.max())
         ax.plot([], [], " ", label=f"beyond the picture: {drawn[sizes.argmax()]:.3g}")
     _mark_today(ax, float(curve.parameter.value), curve.range.low, curve.range.high)
-    ax.set(xlabel=_axis(curve.parameter), ylabel=f"value at the start (reward; {curve.claim})")
-    return titled(ax, f"The optimal value along {name}", curve.mdp.name)
+    names = {"x": _axis(curve.parameter), "y": f"value at the start (reward; {curve.claim})"}
+    return described(ax, f"The optimal value along {name}", curve.mdp.name, **names)
 
 
 @picture
@@ -238,8 +245,8 @@ def plot_thresholds(
     name_rows(ax, names)
     ax.set(xticks=[], xlim=(-0.02, 1.02), ylim=(len(every) - 0.4, -0.6))
     handles, labels = ax.get_legend_handles_labels()
-    legend_beside(ax, [*dict(zip(labels, handles, strict=True)).values()])
-    return titled(ax, "How far each parameter may move", every[0].model)
+    once = [*dict(zip(labels, handles, strict=True)).values()]
+    return described(ax, "How far each parameter may move", every[0].model, handles=once)
 
 
 @picture
@@ -257,7 +264,7 @@ def plot_two_way(grid: TwoWay, *, state: int | None = None, ax: Axes | None = No
         chosen = [grid.chosen(number) for number in range(int(shown.max()) + 1)]
         count = len(chosen)
         shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
-        colours, names = [str(shade) for shade in shades], [str(n) for n in range(count)]
+        colours, signs = [str(shade) for shade in shades], [str(n) for n in range(count)]
         for number, own in enumerate(chosen[:MOST_POLICIES]):
             told = [
                 f"{label}: {action}"
@@ -269,7 +276,7 @@ def plot_two_way(grid: TwoWay, *, state: int | None = None, ax: Axes | None = No
             handles.append(swatch(fill(f"policy {number}: {text}", 30), (colours[number], "")))
         what = "Which policy is optimal"
     else:
-        colours, names = [s.fill for s in styles], [s.short for s in styles]
+        colours, signs = [s.fill for s in styles], [s.short for s in styles]
         used = np.unique(shown).tolist()
         handles = [
             swatch(" ".join(dict.fromkeys((styles[n].short, styles[n].name))), (colours[n], ""))
@@ -284,12 +291,11 @@ def plot_two_way(grid: TwoWay, *, state: int | None = None, ax: Axes | None = No
         columns = places[places[:, 0] == row, 1]
         column = columns[len(columns) // 3]
         ink = "black" if np.mean(to_rgb(colours[number])) > 0.5 else "white"
-        ax.text(x[column], y[row], names[number], ha="center", va="center", color=ink, fontsize=7)
+        ax.text(x[column], y[row], signs[number], ha="center", va="center", color=ink, fontsize=7)
     today = (float(grid.x.value), float(grid.y.value))
     (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
-    legend_beside(ax, [*handles, mark])
-    ax.set(xlabel=_axis(grid.x), ylabel=_axis(grid.y))
-    return titled(ax, what, grid.mdp.name)
+    names = {"x": _axis(grid.x), "y": _axis(grid.y)}
+    return described(ax, what, grid.mdp.name, handles=[*handles, mark], **names)
 
 
 @picture
@@ -309,8 +315,8 @@ def plot_robust_curve(curve: RobustCurve, *, ax: Axes | None = None) -> Axes:
         form: Look = {"marker": marker, "markersize": 4, "color": shade, "label": label}
         form["markerfacecolor"] = shade if shade == "0" else "white"
         ax.plot(radii, [value.value for value in values], line, **form)
-    ax.set(xlabel=RADIUS[curve.kind], ylabel="value at the start (reward)")
-    return titled(ax, "Values where the tables may be wrong", every[0].mdp.name)
+    names = {"x": RADIUS[curve.kind], "y": "value at the start (reward)"}
+    return described(ax, "Values where the tables may be wrong", every[0].mdp.name, **names)
 
 
 @picture
@@ -340,9 +346,9 @@ def plot_sobol(
     name_rows(ax, names)
     ax.axvline(0, color=BLACK, linewidth=0.8)
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
-    ax.set_xlabel("share of the variance")
-    legend_beside(ax, title=f"{indices.confidence:.0%} intervals")
-    return titled(ax, f"Variance of the {OUTPUT[output]}", indices.model)
+    legend = f"{indices.confidence:.0%} intervals"
+    what = f"Variance of the {OUTPUT[output]}"
+    return described(ax, what, indices.model, x="share of the variance", legend=legend)
 
 
 # ---- draws -------------------------------------------------------------------------------------
@@ -384,13 +390,13 @@ def plot_acceptability(
         name = draws.candidates[number].name
         ax.plot(at, share, linestyle=line, color=colour, label=name, marker="o" * (len(at) == 1))
         ax.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
-    ax.set(xlabel="regret that is accepted, Δ (reward)", ylim=(-0.02, 1.02))
+    ax.set_ylim(-0.02, 1.02)
     if at.max() > 0:
         ax.set_xlim(0, at.max())
     else:  # nothing is ever lost
         ax.set_xticks([0.0])
-    ax.set_ylabel("probability that the regret is at most Δ")
-    return titled(ax, "How often each policy is good enough", draws.model)
+    x, y = "regret that is accepted, Δ (reward)", "probability that the regret is at most Δ"
+    return described(ax, "How often each policy is good enough", draws.model, x=x, y=y)
 
 
 @picture
@@ -406,9 +412,9 @@ def plot_cost_effectiveness(
     for place, (name, share) in enumerate(shares):
         colour, line = (BLACK, *INK)[place % 7], LINES[place % len(LINES)]
         ax.plot(at, share, linestyle=line, color=colour, label=name)
-    ax.set(xlabel="willingness to pay for one unit of effect", ylim=(-0.02, 1.02))
-    ax.set_ylabel("share of draws in which it is the best")
-    return titled(ax, "Cost-effectiveness acceptability curves")
+    ax.set_ylim(-0.02, 1.02)
+    x, y = "willingness to pay for one unit of effect", "share of draws in which it is the best"
+    return described(ax, "Cost-effectiveness acceptability curves", x=x, y=y)
 
 
 @picture
@@ -440,9 +446,10 @@ def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
         ax.text(column, row, _share(value), ha="center", va="center", color=ink, fontsize=7)
     ax.set_xticks(range(len(draws.actions)), draws.actions)
     ax.set_yticks(range(len(labels)), labels)
-    ax.set(xlabel="action", ylabel="status at subtask 0, trial 0" if draws.compiled else "state")
     ax.tick_params(length=0)
-    return titled(ax, "Share of draws in which each action is optimal", draws.model)
+    y = "status at subtask 0, trial 0" if draws.compiled else "state"
+    what = "Share of draws in which each action is optimal"
+    return described(ax, what, draws.model, x="action", y=y)
 
 
 def _share(value: float) -> str:

@@ -10,6 +10,7 @@ down, across and the columns held fixed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
@@ -21,7 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.layout import ARROWS, Layout, arrange, cells, joined, taken
+from exact_mdp.analysis.layout import ARROWS, Layout, arrange, cells, counts, joined, taken
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
@@ -30,12 +31,11 @@ from exact_mdp.analysis.plots.style import (
     action_styles,
     axes_or_new,
     cell,
-    legend_beside,
+    described,
     name_rows,
     narrow,
     picture,
     swatch,
-    titled,
 )
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -106,8 +106,8 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
         cell(ax, *where, drawn, **look)
     names = {styles[n].short: styles[n].name for n in range(len(styles))}
     handles = [swatch(_named(styles[n].short, names), styles[n]) for n in sorted(used)]
-    _explain(ax, model, layout, handles)
-    return titled(ax, "What the policy does", model.name)
+    handles += _signs_of_states(ax, model, layout)
+    return described(ax, "What the policy does", model.name, handles=handles)
 
 
 @picture
@@ -168,8 +168,7 @@ def plot_states(
     acting = ", and what the policy does" if policy is not None else ""
     if layout.listed:
         ax = _bars(axes_or_new(ax), model, given, texts, label)
-        if signs:
-            legend_beside(ax, signs)
+        signs += _counts(texts)
     else:
         ax, scale, ends = _map(layout, ax), _scale(given[layout.shown]), _ends(model)
         numbered, style = len(layout.shown) <= NUMBERED, action_styles(["-"])[0]
@@ -183,8 +182,8 @@ def plot_states(
             look["ink"] = "white" if share > 0.7 else "black"
             cell(ax, *where, style, font=_font(layout), **look)
         _colours(ax, scale, SHADES, label)
-        _explain(ax, model, layout, signs)
-    return titled(ax, f"{what} of each state{acting}", model.name)
+        signs += _signs_of_states(ax, model, layout)
+    return described(ax, f"{what} of each state{acting}", model.name, handles=signs)
 
 
 @picture
@@ -244,9 +243,10 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     words = ["✗ not optimal; below it\n   the optimal action"] if losses else []
     if any(each.kind == "idle" for each in drawn):
         words.append("grey sign: not wrong;\n   no choice or no visit")
-    _explain(ax, mdp, layout, [*map(_words, words), *_signs(mdp, layout)])
-    lost = f"regret at the start {float(audit.regret.at_start.value):.4g}"
-    return titled(ax, f"Where the policy is not optimal; {lost}", mdp.name)
+    signs = [*map(_words, words), *_signs(mdp, layout), *_signs_of_states(ax, mdp, layout)]
+    what = "Where the policy is not optimal; regret at the start"
+    lost = f"{what} {float(audit.regret.at_start.value):.4g}"
+    return described(ax, lost, mdp.name, handles=signs)
 
 
 @picture
@@ -262,8 +262,7 @@ def plot_comparison(every: PolicyComparison, *, ax: Axes | None = None) -> Axes:
         ax.axvline(best, color=BLACK, linestyle=":", label=f"optimum {best:.6g}\n({every.claim})")
     ax.axvline(0, color=BLACK, linewidth=0.8)
     name_rows(ax, names)
-    ax.set(xlabel="value at the start (reward)", title="Policies compared with the optimum")
-    return ax
+    return described(ax, "Policies compared with the optimum", x="value at the start (reward)")
 
 
 # ---- maps --------------------------------------------------------------------------------------
@@ -315,9 +314,9 @@ def _ends(model: MDP) -> dict[int, tuple[str, str]]:
     return signs
 
 
-def _explain(ax: Axes, model: MDP, layout: Layout, handles: Iterable[Any]) -> None:
-    """Frame the start, and say beside the map what signs and frames mean."""
-    listed, ends = [*handles], _ends(model)
+def _signs_of_states(ax: Axes, model: MDP, layout: Layout) -> list[Any]:
+    """Frame the start; return a legend's entries for it, for ends and for numbers of actions."""
+    listed, ends = list[Any](), _ends(model)
     starts = [s for s, _ in model.start if layout.row[s] >= 0]
     if len(starts) < len(layout.shown) / 2:
         for s in starts:
@@ -326,9 +325,13 @@ def _explain(ax: Axes, model: MDP, layout: Layout, handles: Iterable[Any]) -> No
         if starts:
             listed.append(Patch(facecolor="none", edgecolor=BLACK, lw=2, label="start"))
     shown = dict.fromkeys(ends[s] for s in layout.shown.tolist() if s in ends)
-    listed += [_words(f"{sign} {words}") for sign, words in shown]
-    if listed:
-        legend_beside(ax, listed)
+    texts = (line for text in ax.texts for line in text.get_text().splitlines())
+    return [*listed, *(_words(f"{sign} {words}") for sign, words in shown), *_counts(texts)]
+
+
+def _counts(texts: Iterable[str]) -> list[Line2D]:
+    """Return a legend's entries for the numbers of actions in some cells."""
+    return [_words(fill(each, 20, subsequent_indent="   ")) for each in counts(texts)]
 
 
 def _signs(model: MDP, layout: Layout) -> list[Line2D]:

@@ -98,7 +98,7 @@ def action_styles(actions: Sequence[str], signs: Sequence[str] = ()) -> list[Act
 def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
     """Let a function draw in this style, on its own axes or on given ones; texts are as written.
 
-    The legend stands beside the axes, and the title is broken where the figure ends.
+    The title is broken where the figure ends.
 
     Examples
     --------
@@ -119,8 +119,6 @@ def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
         own = {"text.parse_math": False, "legend.frameon": False} if given else SETTINGS
         with _context(own):
             ax = named_options(function)(*arguments, **settings)
-            if ax.get_legend() is None and ax.get_legend_handles_labels()[1]:
-                legend_beside(ax)
             title = ax.get_title() or ax.get_title(loc="left")
             ax.set_title("")
             # Where lines are broken, matplotlib measures formulas whatever it was told.
@@ -169,13 +167,28 @@ def axes_or_new(ax: Axes | None, names: Sequence[str] = (), high: float = 4.2) -
     return plt.subplots(figsize=(wide, high), layout="constrained")[1]
 
 
-def titled(ax: Axes, what: str, model: str = "") -> Axes:
-    """Return the axes with a title: what is shown, and of which model."""
+def described(
+    ax: Axes,
+    what: str,
+    model: str = "",
+    *,
+    x: str = "",
+    y: str = "",
+    handles: Sequence[Any] = (),
+    legend: str = "",
+) -> Axes:
+    """Return the axes with a title (what is shown, and of which model), their names, a legend.
+
+    The legend has the `handles`, or what was drawn with a label, below the title `legend`.
+    """
     ax.set_title(f"{what} \N{EN DASH} {model}" if model else what)
+    ax.set(**{key: text for key, text in (("xlabel", x), ("ylabel", y)) if text})
+    if handles or ax.get_legend_handles_labels()[1]:
+        _legend_beside(ax, handles or None, legend)
     return ax
 
 
-def legend_beside(ax: Axes, handles: Sequence[Any] | None = None, title: str = "") -> None:
+def _legend_beside(ax: Axes, handles: Sequence[Any] | None, title: str) -> None:
     """Draw the legend to the right of the axes, or below them where the figure is narrow."""
     drawn = ax.get_legend_handles_labels()[0] if handles is None else handles
     columns = 2 if max((len(str(each.get_label())) for each in drawn), default=0) < 20 else 1

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.axes import Axes
 
-from exact_mdp.analysis.plots.style import BLACK, BLUE, INK, MARKS, axes_or_new, picture, titled
+from exact_mdp.analysis.plots.style import BLACK, BLUE, INK, MARKS, axes_or_new, described, picture
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.policies.policy import PolicyLike
 
@@ -50,9 +50,9 @@ def draw_front(
         if far:
             sign = front.of.sign * far
             ax.plot([x, x + sign], [y, y + sign], color=BLACK, linewidth=0.8, linestyle=":")
-    ax.set_xlabel(f"expected total of {front.names[0]}")
-    ax.set_ylabel(f"expected total of {front.names[1]}")
-    return titled(ax, f"The front of {front.names[1]} against {front.names[0]}")
+    first, second = front.names
+    names = {"x": f"expected total of {first}", "y": f"expected total of {second}"}
+    return described(ax, f"The front of {second} against {first}", **names)
 
 
 @picture
@@ -81,6 +81,10 @@ def plot_mean_cvar(points: MeanCVaR, *, ax: Axes | None = None) -> Axes:
         mark, ink = MARKS[1 + number % (len(MARKS) - 1)], INK[number % len(INK)]
         ax.plot([float(mean)], [float(value)], linestyle="", marker=mark, color=ink, label=name)
     what = "return" if points.mdp.sense == "max" else "cost"
-    ax.set_xlabel(f"mean {what} of all episodes")
-    ax.set_ylabel(f"mean {what} of the worst {float(points.level):.3g} of them")
-    return titled(ax, "The mean against the worst episodes", points.mdp.name)
+    return described(
+        ax,
+        "The mean against the worst episodes",
+        points.mdp.name,
+        x=f"mean {what} of all episodes",
+        y=f"mean {what} of the worst {float(points.level):.3g} of them",
+    )

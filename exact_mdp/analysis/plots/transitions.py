@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.graph import moves
-from exact_mdp.analysis.plots.style import picture, titled
+from exact_mdp.analysis.plots.style import described, picture
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import extra
 from exact_mdp.mdp.model import MDP
@@ -108,7 +108,7 @@ def plot_transitions(
     ax.margins(0.05)
     ax.set_axis_off()
     what = "Transitions; at an arrow its probability, and its reward if any"
-    return titled(ax, what, model.name)
+    return described(ax, what, model.name)
 
 
 def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | None) -> Axes:
@@ -123,8 +123,7 @@ def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | N
     names = [model.space.label(state).removeprefix("state ") for state in states]
     ax.set_xticks(states, names, rotation=90, fontsize=7)
     ax.set_yticks(states, names, fontsize=7)
-    ax.set(xlabel="next state", ylabel="state")
     ax.figure.colorbar(image, ax=ax, label="probability", shrink=0.8)
     acting = "all actions equally likely" if policy is None else "as the policy acts"
     what = f"Transitions, {acting}; {outcomes:,} outcomes are too many for a graph"
-    return titled(ax, what, model.name)
+    return described(ax, what, model.name, x="next state", y="state")
