@@ -99,16 +99,6 @@ def test_episodes_have_the_exact_means(readings: dict[str, str]) -> None:
         assert abs(np.mean(found) - mean) < 4 * np.std(found) / np.sqrt(len(found))
 
 
-def test_the_same_seed_gives_the_same_episode() -> None:
-    def episode(seed: int) -> list[tuple[int, float]]:
-        env = care_env()
-        env.reset(seed=seed)
-        return [env.step(np.int64(2))[:2] for _ in range(3)]
-
-    assert episode(0) == episode(0)
-    assert any(episode(seed) != episode(0) for seed in range(1, 5))
-
-
 def test_an_action_that_is_not_offered_is_refused() -> None:
     rows = [(0, 0, [(1, 1, 0)]), (0, 2, [(1, 2, 1)]), (1, 0, [(1, 2, 5)]), (1, 1, [(1, 2, 7)])]
     env = MDPEnv(MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]))

@@ -288,32 +288,6 @@ def test_integers_over_denominators_are_fractions(order: list[int], times: int) 
     assert found.table.row(0) == wanted.table.row(0)
 
 
-OUTCOMES = st.lists(
-    st.tuples(st.integers(1, 9), st.integers(0, 4), st.integers(-3, 3)), min_size=1, max_size=6
-)
-
-
-@given(st.lists(OUTCOMES, min_size=1, max_size=5), st.booleans(), st.booleans())
-def test_expected_rewards_are_the_sums_of_the_rows(
-    weights: list[list[tuple[int, int, int]]], floats: bool, paid: bool
-) -> None:
-    """Whatever outcomes earn nothing: each of them, some, or none."""
-    kind = float if floats else F
-    rows = [
-        (0, a, [(kind(F(w, sum(x for x, _, _ in row))), t, kind(F(r, 3))) for w, t, r in row])
-        for a, row in enumerate(weights)
-    ]
-    ends = [(s, 0, [(1, s, int(paid))]) for s in range(1, 5)]
-    mdp = MDP.from_outcomes([*rows, *ends], "9/10")
-    top, bottom = mdp.table.expected_gain_exact()
-    for pair in range(mdp.n_pairs):
-        outcomes = mdp.table.row(pair)
-        wanted = sum((p * r for p, _, r in outcomes), F(0))
-        if len(mdp.table.gain) == mdp.n_pairs:
-            wanted = outcomes[0][2]
-        assert F(int(top[pair]), int(bottom[pair])) == wanted
-
-
 # ---- what rows of floats mean -------------------------------------------------------------------
 
 

@@ -414,31 +414,6 @@ def test_files_keep_exact_shares(tmp_path: Path, suffix: str, share: str) -> Non
     assert (done.status, done.result["exact_regret"]) == (0, exact)
 
 
-CHANCES = st.lists(st.integers(0, 50), min_size=2, max_size=2).filter(any)
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.lists(CHANCES, min_size=3, max_size=3), st.lists(st.integers(-9, 9), min_size=6,
-       max_size=6))  # fmt: skip
-def test_a_mixed_policy_is_worth_the_sum_over_its_paths(
-    counts: list[list[int]], rewards: list[int]
-) -> None:
-    """Enumeration in fractions: state 0 leads to 1 or 2 by the action, then all ends."""
-    outcomes = [
-        (0, 0, [(1, 1, rewards[0])]),
-        (0, 1, [("1/3", 1, rewards[1]), ("2/3", 2, rewards[1])]),
-        *((s, a, [(1, 3, rewards[2 * s + a])]) for s in (1, 2) for a in (0, 1)),
-        (3, 0, [(1, 3, 0)]),
-    ]
-    share = [[Fraction(n, sum(row)) for n in row] for row in counts]
-    later = {s: sum(share[s][a] * rewards[2 * s + a] for a in (0, 1)) for s in (1, 2)}
-    mean = share[0][0] * (rewards[0] + later[1])
-    mean += share[0][1] * (rewards[1] + later[1] / 3 + later[2] * Fraction(2, 3))
-    policy = {str(s): {str(a): str(share[s][a]) for a in (0, 1)} for s in range(3)}  # not the end
-    audit = check(MDP.from_outcomes(outcomes), policy, exact_values=True)
-    assert audit.regret.learned.value == mean
-
-
 # ---- what is no policy ---------------------------------------------------------------------------
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +10,6 @@ import pytest
 from exact_mdp import (
     MDP,
     SOLVERS,
-    BoundedCertificate,
-    Certificate,
     ModelError,
     Policy,
     best_policy,
@@ -41,21 +37,6 @@ def test_solvers_themselves_take_costs(name: str) -> None:
         assert found.program.lower <= least <= found.program.upper
 
 
-def test_certificates_of_costs_are_of_costs(tmp_path: Path) -> None:
-    """They go through files, and a certificate of the greatest costs is none of the least."""
-    proof, most = certify(COSTS), certify(COSTS.with_(sense="max"))
-    proof.save(tmp_path / "exact.json")
-    assert Certificate.load(tmp_path / "exact.json").violations(COSTS) == []
-    bounds = certify(COSTS, bounded=True)
-    bounds.save(tmp_path / "bounds.json")
-    assert BoundedCertificate.load(tmp_path / "bounds.json").violations(COSTS) == []
-    assert most.violations(COSTS) == ["the certificate is of another model"]
-    forged = replace(most, model=proof.model, mdp=COSTS)
-    assert forged.violations()
-    greatest = certify(COSTS.with_(sense="max"), bounded=True)
-    assert replace(greatest, model=bounds.model, sense="min", mdp=COSTS).violations()
-
-
 def test_a_table_of_costs_is_read_by_its_least_entries() -> None:
     value = certify(COSTS).value_float
     q = np.full((3, 2), np.inf)
@@ -79,12 +60,3 @@ def test_what_columns_cannot_express_of_costs() -> None:
     assert best.upper_bound <= best.value.value + 1e-9
     audit = check(COSTS, "always:0")
     assert audit.representation is None or audit.representation.loss.value >= 0
-
-
-def test_the_least_average_costs() -> None:
-    costs = MDP.from_arrays([[[0, 1], [1, 0]], [[1, 0], [0, 1]]], [[2, 1], [3, "1/2"]], sense="min")
-    proof = certify(costs, criterion="average")
-    assert (proof.start_value, proof.violations()) == (F(1, 2), [])
-    most = certify(costs.with_(sense="max"), criterion="average")
-    forged = replace(most, model=proof.model, mdp=costs)
-    assert forged.violations()

@@ -15,9 +15,7 @@ from exact_mdp import (
     MDP,
     Column,
     Policy,
-    Scenario,
     StateSpace,
-    assert_policy_optimal,
     certify,
     check,
     evaluate,
@@ -95,15 +93,6 @@ def test_known_optima_within_the_registered_limit(name: str) -> None:
     assert abs(found.start_value - wanted[0]) <= found.start.error + 1e-13
 
 
-def test_the_optimum_is_certified_fraction_for_fraction() -> None:
-    """The certificate holds, and its value is that of a recursion in Fractions."""
-    mdp = MDP.from_gymnasium(LAKE)
-    certificate = certify(mdp.within(30))
-    assert certificate.start_value == exactly(mdp, 30)[0]
-    assert certificate.value[:16].tolist() == exactly(mdp, 30)
-    assert certificate.violations() == []
-
-
 def test_a_learned_policy_of_the_wide_lake_is_judged_exactly() -> None:
     """What is optimal without a limit loses within 200 steps, by a certified amount."""
     mdp = MDP.from_gymnasium(WIDE)
@@ -116,15 +105,6 @@ def test_a_learned_policy_of_the_wide_lake_is_judged_exactly() -> None:
     assert float(audit.regret.optimal.value) == pytest.approx(0.9132202, abs=1e-7)
     exact = certify(mdp.within(200)).policy
     assert check(mdp, exact, horizon=200).regret.at_start.value == 0
-
-
-def test_a_policy_of_a_solution_can_be_given_back() -> None:
-    mdp = MDP.from_gymnasium(LAKE)
-    found = solve(mdp, horizon=12)
-    for given in (found, found.policy, Policy.from_choices(found.mdp, found.policy)):
-        own = evaluate(mdp, given, horizon=12)
-        assert abs(own.mean - found.start_value) <= own.start.error + found.start.error
-    assert_policy_optimal(mdp, certify(mdp.within(12)).policy, max_regret=0, horizon=12)
 
 
 def test_tables_over_states_and_over_times_are_both_policies() -> None:
@@ -179,29 +159,6 @@ def test_puterman_inventory_over_three_periods() -> None:
     assert found.policy[:4].tolist() == [3, 0, 0, 0]
 
 
-@pytest.mark.parametrize("discount", ["1", "9/10"])
-def test_the_care_model_within_five_steps(discount: str) -> None:
-    """yuan2025 stopped after 5 steps, against a recursion over its exact rows."""
-    mdp = Scenario.load("yuan2025").with_(discount=discount).compile()
-    wanted = exactly(mdp, 5)
-    model = mdp.within(5)
-    certificate = certify(model)
-    assert certificate.start_value == wanted[mdp.start[0][0]]
-    assert certificate.violations() == []
-    assert model.component_names == mdp.component_names
-    own = evaluate(mdp, "always:directive", horizon=5)
-    assert own.steps <= 5
-    assert sum(own.components.values()) == pytest.approx(own.mean)
-    assert own.skip_probability is not None
-    table = np.arange(64.0).reshape(16, 4)
-    assert check(mdp, table, horizon=5).policy.columns == ("status",)
-
-
-def test_a_process_that_ends_by_itself_is_not_changed_by_a_late_horizon() -> None:
-    mdp = Scenario.load("yuan2025").with_(tasks=[1]).compile()
-    assert certify(mdp.within(40)).start_value == certify(mdp).start_value
-
-
 def test_returns_sum_to_one_exactly() -> None:
     """The exact distribution of the return within N steps; its mean is that of evaluate."""
     thirds = [["1/3", "2/3"], [0, 1]]
@@ -230,23 +187,6 @@ def test_simulation_stops_at_the_limit() -> None:
     assert abs(found.steps.mean() - own.steps) < 4 * spread
     assert 0 < found.truncated < (found.steps == 100).sum() + 1
     assert found.truncation_error == 0
-
-
-def test_the_environment_itself_agrees() -> None:
-    """Episodes of Gymnasium with its own time limit, under the time-dependent optimum."""
-    env = gymnasium.make(LAKE)
-    found = solve(MDP.from_gymnasium(env), horizon=100)
-    action = np.asarray(found.policy).reshape(101, 16)
-    env.reset(seed=5)
-    returns = []
-    for _ in range(600):
-        state, total, over, time = int(env.reset()[0]), 0.0, False, 0
-        while not over:
-            state, reward, ended, cut, _ = env.step(int(action[time, state]))
-            total, over, time = total + float(reward), ended or cut, time + 1
-        returns.append(total)
-    error = np.std(returns, ddof=1) / np.sqrt(len(returns))
-    assert abs(np.mean(returns) - found.start_value) < 4 * error
 
 
 def test_extra_states_that_go_on_are_unrolled_as_well() -> None:

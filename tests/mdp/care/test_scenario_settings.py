@@ -28,22 +28,11 @@ def test_six_statuses() -> None:
     check_own(scenario, Random(0).sample(range(mdp.n_pairs - 1), 12))
 
 
-def test_one_status() -> None:
-    check_own(scenario_of(own_text(2, 2).replace("tasks = [2]", "tasks = [1]")), range(2 * 4 * 2))
-
-
 def test_the_tea_scenario() -> None:
     tea = Scenario.load("tea")
     assert tea["assistance.demonstrate.anxiety.persistence"] == Fraction(2, 3)
     check_own(tea.with_(tasks=[2], readings={"skip_timestep": "same"}), range(0, 2 * 3 * 8 * 3, 5))
     assert tea.compile().space.size == 5 * 4 * 8 + 1
-
-
-def test_a_file_of_ones_own(tmp_path: Path) -> None:
-    path = tmp_path / "own.toml"
-    path.write_text(own_text(3, 3), encoding="utf-8")
-    scenario = Scenario.load(path)
-    assert scenario.name == "own"
 
 
 def test_every_shipped_scenario_compiles() -> None:

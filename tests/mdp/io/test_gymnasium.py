@@ -203,12 +203,6 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert mdp.reward.tolist() == [0.5, 0]
 
 
-def test_equal_outcomes_are_merged() -> None:
-    table = {0: {0: [(0.25, 0, 1, False), (0.25, 0, 1, False), (0.5, 0, 2, False)]}}
-    mdp = MDP.from_gymnasium(Env(table), 0.5)
-    assert mdp.table.row(0) == [(Fraction(1, 2), 0, 1), (Fraction(1, 2), 0, 2)]
-
-
 def test_a_start_can_be_given() -> None:
     table = {0: {0: [(1, 1, 1, True)]}, 1: {0: [(1, 0, 9, False)]}}
     with pytest.raises(ModelError, match="no initial_state_distrib"):

@@ -68,13 +68,6 @@ def test_a_nameless_model_goes_by_its_file(tmp_path: Path) -> None:
     assert run("info", tmp_path / "two states.npz", "--json").result["model"] == "two states"
 
 
-def test_a_gymnasium_environment() -> None:
-    found = load("gymnasium:CliffWalking-v1", discount="99/100")
-    assert found.name == "CliffWalking-v1"
-    assert found.discount_exact == Fraction(99, 100)
-    assert load("gymnasium:CliffWalking-v1").discount_exact == 1
-
-
 @pytest.mark.parametrize(
     ("spec", "what", "fix"),
     [
@@ -121,13 +114,6 @@ def test_bad_discounts(tmp_path: Path, discount: object) -> None:
     for spec in ("yuan2025", "gymnasium:FrozenLake-v1", str(tmp_path / "m.npz")):
         with pytest.raises(ModelError):
             load(spec, discount=discount)
-
-
-def test_bad_settings_are_named() -> None:
-    with pytest.raises(ModelError, match=r"base\.anger"):
-        load("yuan2025", sets=["base.angre=1"])
-    with pytest.raises(ModelError, match="unknown model"):
-        load("yuan")
 
 
 def test_without_storm_the_error_names_the_extra(

@@ -261,26 +261,6 @@ def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
         MDP.from_transitions(path)
 
 
-@pytest.mark.parametrize("ending", ["csv", "parquet"])
-def test_damaged_files_are_read_or_refused(ending: str, tmp_path: Path) -> None:
-    path = tmp_path / f"log.{ending}"
-    frame = table([GOOD] * 3)
-    frame.to_csv(path, index=False) if ending == "csv" else frame.to_parquet(path)
-    whole = path.read_bytes()
-    refused = 0
-    for place in range(0, len(whole), 1 if ending == "csv" else 53):
-        for byte in (0x00, 0x0D, 0x22, 0xFF):
-            path.write_bytes(whole[:place] + bytes([byte]) + whole[place + 1 :])
-            try:
-                MDP.from_transitions(path)
-            except ModelError:
-                refused += 1
-    assert refused
-    path.write_bytes(whole[: len(whole) // 3])
-    found = run("data", path, "--out", tmp_path / "m.npz")
-    assert (found.status, found.out) == (2, "")
-
-
 @pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
 def test_a_text_in_another_encoding_is_refused(encoding: str, tmp_path: Path) -> None:
     table([(1, "ä", "x", 0, "b")]).to_csv(tmp_path / "log.csv", index=False, encoding=encoding)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from fractions import Fraction as F
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,14 +75,6 @@ def test_gain_and_bias_of_putermans_two_classes() -> None:
     assert [float(x) for x in found.bias] == pytest.approx([0, 0.354, -0.416], abs=2e-3)
 
 
-def test_periodic_chains_average_out() -> None:
-    """Two states in turn, of rewards 0 and 4; from a third, a third of the runs earn 9 for ever."""
-    rows = [[0, 1, 0, 0], [1, 0, 0, 0], ["2/3", 0, 0, "1/3"], [0, 0, 0, 1]]
-    found = proven(MDP.from_arrays([rows], [[0], [4], [7], [9]]))
-    assert found.value.tolist() == [2, 2, F(13, 3), 9]
-    assert found.bias[:2].tolist() == [-1, 1]
-
-
 def test_rows_of_floats_mean_what_was_written() -> None:
     wait, cut = [[0.1, 0.9, 0], [0.1, 0, 0.9], [0.1, 0, 0.9]], [[1, 0, 0]] * 3
     mdp = MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], 0.5)
@@ -120,11 +111,3 @@ def test_a_policy_of_the_same_relative_values_and_less_bias_is_found() -> None:
     found = replace(worse, model=good.model, mdp=mdp)
     assert found.violations()[0] == "state 0, action 1: its w is more than is claimed"
     assert worse.bias.tolist() == [0, -1]
-
-
-def test_files(tmp_path: Path) -> None:
-    found, path = proven(multichain()), tmp_path / "proof.json"
-    found.save(path)
-    read = Certificate.load(path)
-    assert read.violations(multichain()) == []
-    assert (read.kind, read.value.tolist(), read.start_value) == ("average", [3, 2, 2], 3)

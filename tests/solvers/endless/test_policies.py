@@ -147,11 +147,3 @@ def test_who_gives_up_an_infinite_value_loses_it() -> None:
     )
     (only,) = check(mdp, {"x": "leave"}).disagreements
     assert (only.gap, only.cost, only.expected_visits) == (inf, inf, 1.0)
-
-
-def test_an_end_beside_the_goal_is_a_miss() -> None:
-    """One half of the runs ends in a state that is not the goal: they never arrive."""
-    rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
-    mdp = MDP.from_outcomes(rows, labels={"goal": [False, False, True]}).until("goal")
-    assert evaluate(mdp, [0, 0, 0]).mean == inf
-    assert return_distribution(mdp, [0, 0, 0]).as_dict() == {0: 0.5, inf: 0.5}

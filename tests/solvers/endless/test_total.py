@@ -15,11 +15,9 @@ from strategies import Pairs, Row, any_models, model_of
 
 from exact_mdp import (
     MDP,
-    Certificate,
     ModelError,
     PrecisionWarning,
     certify,
-    evaluate,
     solve,
 )
 
@@ -111,55 +109,6 @@ def test_costs_that_fall_elsewhere_leave_the_start_its_value() -> None:
             asked(mdp.with_(start=2))
 
 
-def test_rewards_that_cancel_for_ever_have_a_total() -> None:
-    """Discounted, 1 - 1 + 1 - … is worth 1 / (1 + γ), and 1/2 in the limit."""
-    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), (1, 0, [(1, 0, -1)])])
-    for found in (certify(mdp), solve(mdp), evaluate(mdp, "optimal")):
-        assert np.array(found.value).tolist() == [F(1, 2), F(-1, 2)]
-
-
-def test_gains_and_losses_without_end_may_cancel() -> None:
-    rows = [(0, 0, [("1/2", 1, 2), ("1/2", 2, 0)]), (1, 0, [(1, 1, 1)]), (2, 0, [(1, 2, -1)])]
-    mdp = MDP.from_outcomes(rows)
-    for found in (certify(mdp), solve(mdp), evaluate(mdp, "optimal")):
-        assert np.array(found.value).tolist() == [1, inf, -inf]
-
-
-def test_a_total_that_settles_without_an_end() -> None:
-    # From state 0 to either state alike, and back: half a step ahead on average, for ever.
-    half = [("1/2", 0, 1), ("1/2", 1, 1)]
-    mdp = MDP.from_outcomes([(0, 0, half), (1, 0, [("1/2", 0, -1), ("1/2", 1, -1)])])
-    found = certify(mdp)
-    assert found.value.tolist() == [1, -1]
-    assert found.violations() == []
-    assert solve(mdp).value.tolist() == [1, -1]
-
-
-def test_gains_and_losses_together_go_by_the_mean() -> None:
-    rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 1)])]
-    for loss, value in ((-3, -inf), (F(-1, 2), inf)):
-        found = certify(MDP.from_outcomes([*rows, (2, 0, [(1, 2, loss)])]))
-        assert found.value.tolist() == [value, inf, -inf]
-        assert found.violations() == []
-
-
-def test_the_policy_does_not_rest_where_resting_is_worth_less(tmp_path) -> None:
-    # Waiting in state 0 keeps its value, -1 or 5, which only leaving it earns.
-    for reward in (-1, 5):
-        rest = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 0, 0)]), (1, 1, [(1, 2, reward)])]
-        # A loss for ever, so that resting is not free.
-        rows = [*rest, (2, 0, [(1, 2, 0)]), (3, 0, [(1, 3, -1)])]
-        mdp = MDP.from_outcomes(rows, start={1: 1})
-        found, floats = certify(mdp), solve(mdp)
-        leaves = reward > 0
-        assert found.value.tolist() == [max(0, reward)] * 2 + [0, -inf]
-        assert (found.policy[1] == 1) == leaves == (floats.policy[1] == 1)
-        found.save(tmp_path / "proof.json")
-        again = Certificate.load(tmp_path / "proof.json")
-        assert again.violations(mdp) == []
-        assert again.value.tolist() == found.value.tolist()
-
-
 def test_a_bandit_with_dead_ends() -> None:
     # Ghallab, Nau and Traverso, Automated Planning and Acting, figure 6.1, as in markkho/msdm,
     # tests/domains, DeadEndBandit: pull the odd one of three letters; bbb and ccc end it, aaa not.
@@ -231,12 +180,6 @@ def mixed() -> MDP:
     )
 
 
-def changed(array: np.ndarray, place: int, value: int) -> np.ndarray:
-    array = array.copy()
-    array[place] = value
-    return array
-
-
 def test_faults_are_caught() -> None:
     mdp = mixed()
     found = certify(mdp)
@@ -256,23 +199,6 @@ def test_faults_are_caught() -> None:
         assert replace(found, policy=policy).violations()
     assert replace(found, start_value=inf).violations()
     assert replace(found, g=None, w=None).violations()
-
-
-def test_actions_need_not_be_numbered_from_0() -> None:
-    """A chain, as a policy leaves it, has one action in each state, of any number."""
-    half = F(1, 2)
-    mdp = MDP.from_outcomes(
-        [
-            (0, 1, [(half, 0, 0), (half, 3, -1)]),
-            (1, 2, [(1, 1, -1)]),
-            (2, 0, [(half, 1, 0), (half, 3, 0)]),
-            (3, 1, [(F(3, 4), 0, 2), (F(1, 4), 3, 0)]),
-        ]
-    )
-    proof = certify(mdp)
-    assert proof.value.tolist() == [inf, -inf, -inf, inf]
-    assert proof.violations() == []
-    assert proof.policy.tolist() == [1, 2, 0, 1]
 
 
 @given(model=any_models(4), data=st.data())

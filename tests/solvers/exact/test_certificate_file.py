@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 from certificates import MODELS, certified
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from strategies import model_of
 
 import exact_mdp
@@ -140,59 +138,6 @@ def test_texts_that_are_no_certificate(text: str, tmp_path: Path) -> None:
     for kind in (Certificate, BoundedCertificate):
         with pytest.raises(ModelError):
             kind.load(path)
-
-
-def mutated(draw: st.DrawFn, content: bytes) -> bytes:
-    """Cut, overwrite, repeat or insert a few bytes."""
-    for _ in range(draw(st.integers(1, 4))):
-        place = draw(st.integers(0, len(content)))
-        length = draw(st.integers(0, 20))
-        other = draw(
-            st.one_of(
-                st.binary(max_size=8),
-                st.sampled_from(
-                    [b"", b"null", b"[", b"]", b'"', b"-", b"1e999", b"0", b",", b"ffff"]
-                ),
-                st.just(content[place : place + 50]),
-            )
-        )
-        content = content[:place] + other + content[place + length :]
-    return content
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a certificate of each kind for each of NAMES."""
-    path = tmp_path_factory.mktemp("certificates")
-    for name in NAMES:
-        certified(name).save(path / f"{name} True.json")
-        certify(MODELS[name], bounded=True).save(path / f"{name} False.json")
-    return path
-
-
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(st.data(), st.sampled_from(NAMES), st.booleans())
-def test_mutated_files_are_read_or_refused(
-    folder: Path, data: st.DataObject, name: str, exact: bool
-) -> None:
-    """What still is a certificate is judged without a crash, and holds only if it is the same."""
-    content = (folder / f"{name} {exact}.json").read_bytes()
-    path = folder / "mutated.json"
-    path.write_bytes(mutated(data.draw, content))
-    kind = Certificate if exact else BoundedCertificate
-    try:
-        read = kind.load(path)
-    except ModelError:
-        return
-    if read.violations(MODELS[name]) != []:
-        return
-    value = certified(name).value
-    if isinstance(read, Certificate):
-        assert list(read.value) == list(value)
-        assert read.unique == certified(name).unique
-    else:
-        for low, exactly, high in zip(read.lower, value, read.upper, strict=True):
-            assert F(float(low)) <= exactly <= F(float(high))
 
 
 CHECKER = Path(exact_mdp.__file__).parent / "solvers" / "exact" / "checker.py"

@@ -13,7 +13,6 @@ from exact_mdp import MDP, certify, check_certificate, save
 END = (1, 0, [(1, 1, 0)])
 WAIT_OR_PAY = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, -1)]), END]
 CHOICE = [(0, 0, [(1, 1, -1)]), (0, 1, [(1, 1, -1)]), END]
-TO_GOAL = {"labels": {"goal": [False, True]}}
 
 
 def level(*values: int) -> dict[str, Any]:

@@ -118,18 +118,6 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
     assert learning_curve(care, runs[0], rng=6).sampled.tobytes() != curve.sampled.tobytes()
 
 
-def test_discounted_curves_of_another_reading() -> None:
-    mdp = (
-        Scenario.load("yuan2025")
-        .with_(readings={"skip_timestep": "own"}, discount="19/20")
-        .compile()
-    )
-    run = QLearning(epochs=60, columns=("trial", "status")).train(mdp, 1)
-    curve = learning_curve(mdp, run, rng=0, n=200)
-    error = sqrt((curve.standard_error**2).sum())
-    assert abs((curve.sampled - curve.value).sum()) < 4 * error
-
-
 # ---- an implementation of its own ----------------------------------------------------------------
 
 

@@ -49,22 +49,6 @@ def test_zero_is_a_seed_of_its_own(care: MDP) -> None:
     assert not np.array_equal(first, learner.train(care, 1).q)
 
 
-def test_action_values_without_choice_are_policy_values() -> None:
-    """SARSA that always explores learns the values of the random policy."""
-    mdp = CARE.with_(tasks=[1], max_trial=2, discount="19/20").compile()
-    exact = evaluate(mdp, "random").value
-    learner = QLearning(
-        method="sarsa",
-        epochs=4000,
-        columns=mdp.space.names,
-        rate=Constant(1.0),
-        rate_power=0.8,
-        exploration=Constant(1.0),
-    )
-    found = learner.train(mdp, 1).q[0].mean()
-    assert abs(found - exact[0]) < 1.0
-
-
 def test_training_returns_are_those_of_the_exploring_policy(care: MDP) -> None:
     """With a rate of 0 the greedy policy stays, and the returns have its exact ε-greedy mean."""
     epsilon = 0.25
@@ -151,13 +135,3 @@ def test_a_damaged_file_is_named(care: MDP, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="damaged") as refused:
         train(care, SMALL, 1, rng=1, out=tmp_path)
     assert refused.value.where == str(path)
-
-
-def test_settings_and_runs_cannot_be_changed(care: MDP) -> None:
-    run = SMALL.train(care, 0)
-    with pytest.raises(AttributeError):
-        run.steps = 0
-    with pytest.raises(ValueError, match="read-only"):
-        run.q[0, 0] = 1.0
-    with pytest.raises(AttributeError):
-        SMALL.epochs = 1

@@ -14,7 +14,7 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import garnet_rows
-from objective_models import LIMITS, sound, totals, with_components
+from objective_models import LIMITS, best_under, sound, totals, with_components
 
 from exact_mdp import MDP, Scenario, certify, solve
 
@@ -66,6 +66,33 @@ def test_one_limit_is_the_best_mixture_of_two_policies(mdp: MDP, sense: str, bou
     else:
         assert (found.start_value, found.start) == (None, None)
         assert found.closest == {"c0": SENSES[sense] * max(p[1] for p in points)}
+
+
+@pytest.mark.parametrize("floats", [True, False])
+@settings(max_examples=15)
+@given(mdp=with_components(2), bounds=st.tuples(LIMITS, LIMITS))
+def test_two_limits_are_the_best_mixture_of_policies(
+    floats: bool, mdp: MDP, bounds: tuple[F, F]
+) -> None:
+    """With the basis that floats propose, or by exact steps from the greatest return on."""
+    every = sorted(set(totals(mdp, [*mdp.component_names])))
+    points = [(sum(p, F(0)), p[0], p[1]) for p in every]
+    best = 1 if mdp.sense == "max" else -1
+
+    def optimum(low: F, high: F) -> F | None:
+        return best_under(points, [(1, 1, low), (2, -1, high)], best)
+
+    with pytest.MonkeyPatch.context() as patch:
+        if not floats:
+            patch.setattr("exact_mdp.solvers.objectives.limits._Program._proposed", lambda *_: None)
+        found = solve(mdp, subject_to={"c0": f">= {bounds[0]}", "c1": f"<= {bounds[1]}"})
+    sound(found, 2)
+    assert (found.feasible, found.start_value) == (optimum(*bounds) is not None, optimum(*bounds))
+    if not found.feasible:
+        low, high = found.closest["c0"], found.closest["c1"]
+        assert bounds[0] - low == high - bounds[1] == found.shift > 0
+        assert optimum(low, high) is not None
+        assert optimum(low + found.shift / 9, high - found.shift / 9) is None
 
 
 def test_holding_anger_to_half_a_point() -> None:

@@ -27,8 +27,6 @@ from exact_mdp import (
     certify,
     check,
     evaluate,
-    return_distribution,
-    simulate,
     solve,
 )
 
@@ -126,14 +124,6 @@ def test_the_care_model_is_the_oracles(number: int, discount: F) -> None:
     assert found.start.error < 1e-10
 
 
-def test_the_papers_model_is_the_oracles() -> None:
-    mdp, oracle = care({}, [3], max_trial=5)
-    wanted = oracle.evaluate(uniform, distribution=False)
-    numbers = evaluate(mdp, "random").numbers
-    assert within(numbers["mean"], wanted["mean"])
-    assert within(numbers["variance"], wanted["variance"])
-
-
 def test_quantiles_are_the_oracles() -> None:
     mdp, oracle = care({}, [1, 1], max_trial=3)
     found, wanted = evaluate(mdp, "always:directive"), oracle.evaluate(directive)
@@ -150,22 +140,6 @@ def two_rewards() -> MDP:
     """To the same next state with 1/2 or with -1: the reward says what the state does not."""
     rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, -1)]), (1, 0, [(1, 1, 0)])]
     return MDP.from_outcomes(rows)
-
-
-def test_rewards_that_differ_on_the_way_to_the_same_state_count() -> None:
-    found = evaluate(two_rewards(), "random")
-    assert found.mean == -0.25
-    assert found.start_variance == 0.5625
-    assert found.sd == 0.75
-    assert found.variance.tolist() == [0.5625, 0.0]
-
-
-def test_the_spread_between_start_states_counts() -> None:
-    rows = [(0, 0, [(1, 2, 10)]), (1, 0, [(1, 2, 20)]), (2, 0, [(1, 2, 0)])]
-    found = evaluate(MDP.from_outcomes(rows, start={0: "1/2", 1: "1/2"}), "random")
-    assert (found.mean, found.sd) == (15.0, 5.0)
-    assert found.variance.tolist() == [0.0, 0.0, 0.0]
-    assert found.visits.tolist() == [0.5, 0.5, 1.0]
 
 
 def test_a_large_mean_does_not_drown_a_small_spread() -> None:
@@ -193,20 +167,6 @@ def test_a_policy_that_ends_may_be_evaluated_where_others_never_do() -> None:
     found = evaluate(HALL, [1, 1, 0])
     assert found.value.tolist() == [-4.0, -6.0, 0.0]
     assert found.ends
-
-
-def test_a_policy_that_never_ends_loses_all() -> None:
-    found = evaluate(HALL, [0, 1, 0])
-    assert (found.mean, found.quantiles[0.5]) == (-inf, -inf)
-    assert return_distribution(HALL, [0, 1, 0]).as_dict() == {-inf: 1.0}
-    assert evaluate(HALL.with_(discount="1/2"), [0, 1, 0]).mean == -2.0
-
-
-def test_no_event_happens_in_an_end() -> None:
-    """As in a simulation, which does not go on there."""
-    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 0)])], 0)
-    mdp = mdp.with_(table=replace(mdp.table, event=np.ones(1, dtype=np.uint8)), events=("hit",))
-    assert evaluate(mdp, [0]).event_probability == simulate(mdp, [0], 3, 0).events == {"hit": 0.0}
 
 
 def test_parts_of_what_is_earned_for_ever_are_infinite_or_finite() -> None:
@@ -252,22 +212,6 @@ def test_a_policy_may_come_in_any_form() -> None:
     assert evaluate(mdp, solution).mean == pytest.approx(solution.start_value, abs=1e-10)
     chain = evaluate(mdp, "random").chain
     assert evaluate(mdp, chain).mean == evaluate(mdp, "random").mean
-
-
-def test_a_model_that_starts_at_its_end_is_worth_nothing() -> None:
-    found = evaluate(MDP.from_outcomes([(0, 0, [(1, 0, 0)])]), "random")
-    assert (found.mean, found.sd, found.steps, found.start.error) == (0.0, 0.0, 0.0, 0.0)
-    assert found.components == {"reward": 0.0}
-    assert found.quantiles == dict.fromkeys((0.05, 0.25, 0.5, 0.75, 0.95), 0.0)
-    assert found.skip_probability is None
-
-
-@settings(deadline=None, max_examples=25)
-@given(cases(discounts=(F(1, 2), F(19, 20))))
-def test_the_occupancy_gives_the_mean_back(case: Case) -> None:
-    found = evaluate(case.model, case.weights)
-    size = np.abs(case.model.reward) @ found.occupancy
-    assert found.occupancy @ case.model.reward == pytest.approx(found.mean, abs=1e-9 * (1 + size))
 
 
 def test_large_models_with_cycles_agree_with_the_solvers() -> None:

@@ -281,12 +281,3 @@ def test_runs_that_miss_a_goal() -> None:
     lost = MDP.from_outcomes([(0, 0, [(1, 0, -1)])])
     found = return_distribution(lost, "random")
     assert (found.as_dict(), found.quantile(1), found.mean) == ({-inf: 1.0}, -inf, -inf)
-
-
-def test_several_starts_and_a_start_at_the_end() -> None:
-    rows = [(0, 0, [(1, 2, 3)]), (1, 0, [(1, 0, 4)]), (2, 0, [(1, 2, 0)])]
-    start = {0: "1/2", 1: "1/4", 2: "1/4"}
-    mdp = MDP.from_outcomes(rows, start=start)
-    wanted = {F(0): 0.25, F(3): 0.5, F(7): 0.25}
-    assert return_distribution(mdp, "random").as_dict() == wanted
-    assert return_distribution(mdp, "random", exact=True).as_dict() == wanted
