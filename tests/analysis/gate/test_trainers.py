@@ -38,6 +38,28 @@ def test_what_is_open_passes_unless_it_has_to_be_proven() -> None:
     assert not check_trainer(TWO, often(0), max_regret="199/100").passed
 
 
+def test_a_trainer_is_judged_by_its_seeds() -> None:
+    seeds: list[int] = []
+
+    def train(seed: int) -> list[int]:
+        seeds.append(seed)
+        return [seed % 2, 0]
+
+    found = check_trainer(TWO, train, rng=0, share="9/10", alpha="1/20")
+    assert (found.proven, found.passed, list(found.names)) == (False, False, seeds)
+    assert found.frame()["passed"].tolist() == [seed % 2 == 1 for seed in seeds]
+    assert found.frame()["regret"].tolist() == [2 * (1 - seed % 2) for seed in seeds]
+    assert found.within == sum(seed % 2 for seed in seeds)
+    assert found.value == found.within / len(seeds)
+    assert "is not at least 0.9" in found.message()
+    assert f"the run that lost most, {next(s for s in seeds if s % 2 == 0)}:" in found.message()
+    one_less = check_trainer(TWO, [[s % 2, 0] for s in seeds[:-1]], share="9/10", alpha="1/20")
+    assert one_less.proven is None  # it stops as soon as it knows
+    again = list(seeds)
+    check_trainer(TWO, train, rng=0, share="9/10", alpha="1/20")
+    assert seeds == again * 2
+
+
 def test_too_few_runs_to_fail_are_refused() -> None:
     """Two bad runs leave a share of 9/10 open, three do not; a proof may be asked for with any."""
     for train in (lambda seed: [0, 0], [[0, 0]] * 9):

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from fractions import Fraction
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,11 +28,18 @@ from exact_mdp import (
     explore,
     gradient,
     moving,
+    parametric,
     thresholds,
 )
 
 F = Fraction
 SMALL = Scenario.load("tea").with_(tasks=[1], max_trial=2)
+# Puterman (1994), section 3.1; QuantEcon.py, quantecon/markov/tests/test_ddp.py
+PUTERMAN = MDP.from_outcomes(
+    [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])], "1/2"
+)
+TODAY = Parameter(name="t", value=F(0), low=F(-1), high=F(1))
+HALF = Parameter(name="p", value=F(1, 2), low=F(0), high=F(1))
 
 
 def start_of(mdp: MDP, policy: object) -> Fraction:
@@ -39,11 +49,18 @@ def start_of(mdp: MDP, policy: object) -> Fraction:
     return value
 
 
+def agrees(found: Any, family: Parametric, at: Fraction, policy: object) -> None:
+    mdp = family.at({found.parameter.name: at})
+    certificate = certify(mdp)
+    assert found.at(at) == certificate.start_value
+    assert found.fixed_at(at) == start_of(mdp, policy)
+    for piece in found.around(at):
+        if piece.low[1] < at < piece.high[0]:
+            assert (piece.optimal == certificate.optimal_pairs)[~mdp.terminal[mdp.pair_state]].all()
+
+
 def test_puterman_in_closed_form() -> None:
-    # Puterman (1994), section 3.1; QuantEcon.py, quantecon/markov/tests/test_ddp.py
-    rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
-    found = curve(MDP.from_outcomes(rows, "1/2"), "discount", (0, "99/100"))
-    low, high = found.pieces
+    low, high = curve(PUTERMAN, "discount", (0, "99/100")).pieces
     assert (low.value.numerator, low.value.denominator) == ((10, -11), (1, -1))
     assert (high.value.numerator, high.value.denominator) == (
         (5, F(-11, 2)),
@@ -51,64 +68,119 @@ def test_puterman_in_closed_form() -> None:
     )
     assert low.high == high.low
     assert low.high[0] <= F(10, 11) <= low.high[1]
-    with pytest.raises(ModelError, match="outside the range"):
-        found.at(1)
 
 
-shares = st.integers(1, 6)
-PUTERMAN = MDP.from_outcomes(
-    [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])], "1/2"
-)
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    weights=st.lists(st.tuples(shares, shares, shares), min_size=6, max_size=6),
-    rewards=st.lists(st.integers(-5, 5), min_size=6, max_size=6),
-    limit=st.fractions(0, 2, max_denominator=10),
-    relative=st.booleans(),
-    sense=st.sampled_from(["max", "min"]),
-)
-def test_where_a_policy_keeps_a_limit(
-    weights: list[tuple[int, int, int]],
-    rewards: list[int],
-    limit: Fraction,
-    relative: bool,
-    sense: str,
-) -> None:
+@st.composite
+def cyclic(draw: st.DrawFn) -> tuple[MDP, list[int]]:
+    """Draw a model of three states and two actions, all of which lead everywhere; its rewards."""
+    share = st.integers(1, 6)
+    weights = draw(st.lists(st.tuples(share, share, share), min_size=6, max_size=6))
+    rewards = draw(st.lists(st.integers(-5, 5), min_size=6, max_size=6))
     rows = [
         (s // 2, s % 2, [(F(w, sum(each)), t, rewards[s]) for t, w in enumerate(each)])
         for s, each in enumerate(weights)
     ]
-    mdp = MDP.from_outcomes(rows, discount="1/2", sense=sense)
-    found = curve(mdp, "discount", (0, "19/20"), policy=[0, 0, 0])
+    sense, start = draw(st.sampled_from(["max", "min"])), {0: F(1, 3), 2: F(2, 3)}
+    return MDP.from_outcomes(rows, discount="9/10", start=start, sense=sense), rewards
+
+
+@settings(max_examples=25, deadline=None)
+@given(cyclic(), st.fractions(0, 1, max_denominator=50), st.sampled_from(["p", "discount", "gain"]))
+def test_random_models_with_cycles(
+    drawn: tuple[MDP, list[int]], place: Fraction, name: str
+) -> None:
+    mdp, rewards = drawn
+    gains = {"gain": rewards[1] or rewards[0]} if rewards[1] or rewards[0] else {}
+    family = moving(mdp, {"p": [(0, 1)]}, gains)
+    if name not in [parameter.name for parameter in family.parameters]:
+        return
+    found = curve(family, name, policy="random")
+    assert found.violations() == []
+    agrees(found, family, found.range.low + (found.range.high - found.range.low) * place, "random")
+    for left, right in pairwise(found.pieces):
+        assert left.high == right.low
+        for end in left.high:
+            agrees(found, family, end, "random")
+
+
+@pytest.mark.parametrize("name", ["base.anxiety", "reward.assist.prompt", "discount"])
+def test_scenarios(name: str) -> None:
+    family = parametric(SMALL)
+    span = (F(1, 10), F(9, 10)) if name != "reward.assist.prompt" else (-6, 1)
+    found = curve(SMALL, name, span, policy="always:prompt")
+    crossed = [t for t in thresholds(SMALL, name, span).found if not t.touch]
+    ends = {(t.low, t.high) for t in crossed}
+    assert ends <= {piece.high for piece in found.pieces[:-1]}
+    assert len(found.frame()) == len(found.pieces) > len(ends)
+    for k in range(5):
+        agrees(found, family, F(span[0]) + (F(span[1]) - span[0]) * F(k, 4), "always:prompt")
+
+
+@settings(max_examples=25, deadline=None)
+@given(cyclic(), st.fractions(0, 2, max_denominator=10), st.booleans())
+def test_where_a_policy_keeps_a_limit(
+    drawn: tuple[MDP, list[int]], limit: Fraction, relative: bool
+) -> None:
+    mdp, policy = drawn[0], [0, 0, 0]
+    found = curve(mdp, "discount", (0, "19/20"), policy=policy)
     kept = found.within(**{"max_relative_regret" if relative else "max_regret": limit})
-    tests = [F(19 * k, 20 * 24) for k in range(25)]
-    tests += [e for each in kept for e in (*each.low, *each.high)]
-    for at in tests:
-        best, mine = found.at(at), start_of(mdp.with_(discount=at), [0, 0, 0])
+    every = [F(19 * k, 20 * 24) for k in range(25)]
+    for at in [*every, *(end for each in kept for end in (*each.low, *each.high))]:
+        best, mine = found.at(at), start_of(mdp.with_(discount=at), policy)
         inside = [each for each in kept if each.low[0] <= at <= each.high[1]]
-        if all(
-            not (each.low[0] < at < each.low[1] or each.high[0] < at < each.high[1])
-            and not (each.low[0] != each.low[1] and at == each.low[0])
-            and not (each.high[0] != each.high[1] and at == each.high[1])
-            for each in inside
+        if all(  # not inside a bracket of an end
+            (low == up or not low <= at < up) and (end == top or not end < at <= top)
+            for (low, up), (end, top) in ((each.low, each.high) for each in inside)
         ):
             assert (abs(best - mine) <= limit * (abs(best) if relative else 1)) == bool(inside)
 
 
 def test_limits_that_say_nothing_are_refused() -> None:
-    found = curve(PUTERMAN, "discount", (0, "99/100"))
-    with pytest.raises(ModelError, match="no policy"):
-        found.within(1)
     held = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
-    with pytest.raises(ModelError, match="two limits"):
-        held.within(1, 1)
-    with pytest.raises(ModelError, match="0 or more"):
-        held.within(-1)
-    (only,) = held.within()  # optimal from 10/11 on: Puterman (1994), section 3.1
+    for call, message in (
+        (lambda: curve(PUTERMAN, "discount", (0, "99/100")).within(1), "no policy"),
+        (lambda: held.within(1, 1), "two limits"),
+        (lambda: held.within(-1), "0 or more"),
+        (lambda: held.at(1), "outside the range"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            call()
+    (only,) = held.within()  # optimal from 10/11 on
     assert only.low[0] <= F(10, 11) <= only.low[1]
     assert only.high == (F(99, 100),) * 2
+
+
+def test_what_is_false_between_breakpoints_is_found() -> None:
+    """Each claim is changed alone; samples at ends and in the middle would see few of these."""
+    found = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
+    (low, high), tiny = found.pieces, F(1, 10**9)
+    assert found.violations() == []
+
+    def faults(first: dict[str, Any], second: dict[str, Any] | None) -> str:
+        pieces = [replace(low, **first), replace(high, **(second or {}))][: 2 - (second is None)]
+        return " | ".join(replace(found, pieces=tuple(pieces)).violations())
+
+    # The left policy is not optimal a billionth further; the right one is not so far on the left.
+    for shift in (tiny, -tiny):
+        bracket = (low.high[0] + shift, low.high[1] + shift)
+        said = faults({"high": bracket}, {"low": bracket})
+        assert "is better" in said or (shift < 0 and "next to" in said)
+    for first, second, message in (
+        ({"optimal": ~low.optimal}, {}, "pair"),
+        ({"value": high.value}, {}, "another one"),
+        ({}, {"fixed_values": low.values}, "held fixed"),
+        ({}, {"values": (high.values[0], -high.values[1])}, "not positive"),
+        ({}, None, "no piece covers"),
+        ({"section": replace(low.section, high=low.low[0])}, {}, "outside"),
+        # One bracket that is wide, between sections, where nothing is checked, proves nothing.
+        ({}, {"low": (found.range.low, found.range.high)}, "no piece covers"),
+        (
+            {"high": (F(1, 2), F(98, 100))},
+            {"low": (F(1, 2), F(98, 100)), "section": replace(high.section)},
+            "next to",
+        ),
+    ):
+        assert message in faults(first, second)
 
 
 def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
@@ -130,14 +202,13 @@ def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
 @pytest.mark.parametrize("sense", ["max", "min"])
 def test_a_table_is_followed_where_nothing_is_earned_today(sense: str) -> None:
     """Its greedy action counts in states that are over, or whose actions are alike, at 0."""
-    parameter = Parameter(name="t", value=F(0), low=F(-1), high=F(1))
 
     def build(at: Mapping[str, F]) -> MDP:
         rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, at["t"])]), (2, 0, [(1, 2, 0)])]
         rows += [(1, 0, [(1, 1, at["t"])]), (1, 1, [(1, 1, 0)])]
         return MDP.from_outcomes(rows, "1/2", sense=sense)
 
-    family = Family(parameters=(parameter,), build=build)
+    family = Family(parameters=(TODAY,), build=build)
     table = np.array([[0.0, 2.0], [1.0, 3.0], [0.0, 0.0]]) * (1 if sense == "max" else -1)
     found = curve(family, "t", (-1, 1), policy=table)
     for t in (F(-1), F(-1, 2), F(0), F(1)):
@@ -148,9 +219,8 @@ def test_a_table_is_followed_where_nothing_is_earned_today(sense: str) -> None:
 
 def test_a_policy_that_is_silent_where_it_matters_elsewhere_is_refused() -> None:
     """A function is not asked about a state in which all is over today."""
-    parameter = Parameter(name="t", value=F(0), low=F(-1), high=F(1))
     family = Family(
-        parameters=(parameter,),
+        parameters=(TODAY,),
         build=lambda at: MDP.from_outcomes([(0, 0, [(1, 0, at["t"])]), (0, 1, [(1, 0, 0)])], "1/2"),
     )
     for policy in ([[1.0, 2.0]], [1], {0: 1}, [[0.0, 1.0]]):
@@ -236,13 +306,11 @@ def test_slopes_of_the_curve_are_the_derivatives(name: str) -> None:
 
 
 def test_slopes_at_a_tie_are_those_of_the_policies_on_both_sides() -> None:
-    p = Parameter(name="p", value=F(1, 2), low=F(0), high=F(1))
-
     def build(at: Mapping[str, Fraction]) -> MDP:
         rows = [(0, 0, [(1, 1, at["p"])]), (0, 1, [(1, 1, 1 - at["p"])]), (1, 0, [(1, 1, 0)])]
         return MDP.from_outcomes(rows)
 
-    family = Family(parameters=(p,), build=build)
+    family = Family(parameters=(HALF,), build=build)
     found, each = curve(family, "p"), gradient(family)["p"]
     assert found.slope("1/2") == (each.left.value, each.right.value) == (-1, 1)
     assert (found.slope(0), found.slope(1)) == ((None, -1), (1, None))
@@ -270,8 +338,7 @@ def test_every_model_of_a_threshold_is_made_once() -> None:
         rows = [(0, 0, [(at["p"], 1, 1), (1 - at["p"], 0, 0)]), (0, 1, [(1, 1, F(3, 4))])]
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], "9/10")
 
-    p = Parameter(name="p", value=F(1, 2), low=F(0), high=F(1))
-    family = Family(parameters=(p,), build=build)
+    family = Family(parameters=(HALF,), build=build)
     for _ in range(2):
         made.clear()
         assert len(thresholds(family, "p", (F(1, 10), F(3, 4))).found) == 1

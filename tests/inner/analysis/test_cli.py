@@ -1,12 +1,15 @@
-"""How the command line prints numbers, and what becomes of errors that are planted in it."""
+"""How numbers are printed, and what becomes of errors that are planted in the command line."""
 
 import errno
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from importlib import import_module
 from math import inf, nan
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 from unittest.mock import Mock
 from xml.etree import ElementTree
@@ -17,105 +20,135 @@ from cli_runner import run, strict
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import corridor
 
-from exact_mdp import MDP, ModelError, Policy, Scenario
+from exact_mdp import ModelError, Policy, Scenario, SolverError, Status, check, plots, solve
+from exact_mdp.analysis import github
+from exact_mdp.analysis.cli.render import markdown
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.optimum import of_every_state
-from exact_mdp.mdp.report import Report, at_most, decimal, digits_of, number, ratio
+from exact_mdp.analysis.pages.audit import audit_page
+from exact_mdp.analysis.plots.style import picture
+from exact_mdp.mdp.report import Report, Table, at_most, decimal, digits_of, number, ratio
 from exact_mdp.mdp.table import beside
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
 from exact_mdp.solvers.parallel import write_piece
 
-
-def told(err: str, status: int = 2) -> None:
-    assert "Traceback" not in err, err
-    assert re.fullmatch(r"[A-Z]\w+: [^\n]+\n  where: [^\n]+\n  fix:   [^\n]+\n", err), (status, err)
-    assert len(err) < 3500
-
-
-FAULTS = {
-    "OverflowError": OverflowError("integer division result too large for a float"),
-    "RecursionError": RecursionError("maximum recursion depth exceeded"),
-    "MemoryError": MemoryError(),
-    "ValueError": ValueError("Exceeds the limit (4300 digits) for integer string conversion"),
-    "OSError": OSError(errno.EMFILE, "Too many open files"),
-    "ImportError": ImportError("no such library"),
-    "KeyError": KeyError("a slip"),
-}
+READ = "exact_mdp.analysis.cli.given.read_model"
+SOLVE = "exact_mdp.analysis.optimum.solve"
+RUN, LOG = "exact_mdp.paper_repro.run.run", "exact_mdp.paper_repro.agents.log.read"
+GIVES_UP = SolverError(Status.NO_BOUND)
 
 
-@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS.keys())
+def wrong(*words: Any, **how: Any) -> Any:
+    found = solve(*words, **how)
+    return replace(found, value=found.value + 1e-6)
+
+
+def program(main: Any, words: str) -> Callable[[], tuple[int, str, str]]:
+    def call() -> tuple[int, str, str]:
+        done = CliRunner().invoke(main, words.split())
+        return done.exit_code, done.stdout, done.stderr
+
+    return call
+
+
+def command(words: str) -> Callable[[], tuple[int, str, str]]:
+    def call() -> tuple[int, str, str]:
+        done = run(*words.split())
+        return done.status, done.out, done.err
+
+    return call
+
+
+CHECK, CERTIFY = command("check yuan2025 optimal"), command("solve yuan2025 --certify --json")
+FAULTS: list[tuple[str, Any, Callable[[], tuple[int, str, str]], int, str]] = [
+    (READ, OverflowError("too large for a float"), CHECK, 3, "OverflowError: "),
+    (READ, RecursionError("maximum recursion depth"), CHECK, 3, ""),
+    (READ, MemoryError(), CHECK, 3, ""),
+    (READ, ValueError("Exceeds the limit (4300 digits)"), CHECK, 3, ""),
+    (READ, OSError(errno.EMFILE, "Too many open files"), CHECK, 3, ""),
+    (READ, ImportError("no such library"), CHECK, 3, ""),
+    (READ, ValueError("a slip"), CHECK, 3, "ValueError: an error in the program, not in your inp"),
+    (READ, KeyboardInterrupt(), CHECK, 130, "stopped by SIGINT\n"),
+    (SOLVE, GIVES_UP, command("solve tea --json"), 3, "SolverError: double precision cannot bound"),
+    (SOLVE, wrong, CERTIFY, 3, "Contradiction: exact values differ"),
+    (RUN, OverflowError("too large"), program(reproduce, "--quick --out x"), 3, "OverflowError: "),
+    (LOG, OverflowError("too large"), program(agents, "run --out x"), 3, "OverflowError: "),
+    (LOG, None, program(agents, "rnu"), 2, ""),
+]
+
+
+@pytest.mark.parametrize(("place", "fault", "call", "status", "said"), FAULTS)
 def test_what_is_neither_bad_input_nor_a_failed_check_ends_with_3(
-    monkeypatch: pytest.MonkeyPatch, fault: Exception
+    place: str,
+    fault: Any,
+    call: Callable[[], tuple[int, str, str]],
+    status: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
-    """A crash is not 1, which says that the policy is bad."""
-    monkeypatch.setattr("exact_mdp.analysis.cli.given.read_model", Mock(side_effect=fault))
-    done = run("check", "yuan2025", "optimal")
-    assert (done.status, done.out) == (3, "")
-    told(done.err)
+    """A crash is not 1, which says that the policy is bad; it is one sentence, in every program."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(place, Mock(side_effect=fault))
+    ended, out, err = call()
+    assert (ended, out) == (status, "")
+    err = re.sub(r'\n\{"status": \d, "error": \{.*\}\}\n$', "\n", err)  # with --json
+    shape = r"[A-Z]\w+: [^\n]+\n  where: [^\n]+\n  fix:   [^\n]+\n"
+    assert re.fullmatch(r"[^\n]+\n" if place == SOLVE or status == 130 else shape, err), err
+    assert err.startswith(said)
+    if "in the program" in said:
+        assert "where: exact-mdp check, in analysis/cli/given.py, line " in err
+        assert "EXACT_MDP_TRACEBACK=1" in err
+        monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")
+        assert "Traceback (most recent call last)" in call()[2]
 
 
-def test_the_other_programs_end_in_the_same_way(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("fault", [OverflowError("too large"), KeyboardInterrupt()])
+def test_a_check_that_does_not_end_leaves_an_error_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: BaseException
 ) -> None:
-    fail = Mock(side_effect=OverflowError("too large"))
-    monkeypatch.setattr("exact_mdp.paper_repro.run.run", fail)
-    done = CliRunner().invoke(reproduce, ["--quick", "--out", str(tmp_path)])
-    assert (done.exit_code, done.stdout) == (3, "")
-    told(done.stderr)
-    monkeypatch.setattr("exact_mdp.paper_repro.agents.log.read", fail)
-    done = CliRunner().invoke(agents, ["run", "--out", str(tmp_path)])
-    assert (done.exit_code, done.stdout) == (3, "")
-    told(done.stderr)
-    done = CliRunner().invoke(agents, ["rnu"])
-    assert (done.exit_code, done.stdout) == (2, "")
-    told(done.stderr)
+    path = tmp_path / "gate.xml"
+
+    def message() -> str:
+        error = ElementTree.parse(path).find(".//error")
+        return "" if error is None else str(error.get("message"))
+
+    def fail(*_: object, **__: object) -> None:
+        assert "did not end" in message()  # what a killed process leaves
+        raise fault
+
+    assert run("check", "tea", "optimal", "--junit", path).status == 0
+    assert message() == ""
+    monkeypatch.setattr(READ, fail)
+    assert run("check", "tea", "optimal", "--junit", path).status in (3, 130)
+    assert "did not end" not in message() != ""
 
 
-def test_an_error_of_the_program_itself_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = Mock(side_effect=ValueError("a mistake"))
-    monkeypatch.setattr("exact_mdp.analysis.cli.given.read_model", broken)
-    done = run("info", "yuan2025")
-    assert (done.status, done.out) == (3, "")
-    assert done.err.startswith("ValueError: an error in the program, not in your input: a mis")
-    assert "where: exact-mdp info, in analysis/cli/given.py, line " in done.err
-    assert "EXACT_MDP_TRACEBACK=1" in done.err
-    monkeypatch.setenv("EXACT_MDP_TRACEBACK", "1")
-    assert "Traceback (most recent call last)" in run("info", "yuan2025").err
+def test_a_piece_whose_numbers_were_changed_is_damaged(tmp_path: Path) -> None:
+    """A changed policy was read from beyond an array; others were taken as they were."""
+    words = ["train", "tea", "--seeds=1", "--learner=epochs=3", "--n-jobs=1", "--out", tmp_path]
+    assert run(*words).status == 0
+    path = tmp_path / "runs-000000.npz"
+    good = path.read_bytes()
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    for name, value in {"policies": 32767, "last": 32767, "snapshots": -1, "q": 3}.items():
+        np.savez(path, **arrays | {name: np.full_like(arrays[name], value)})
+        done = run(*words)
+        assert (done.status, done.out) == (2, "")
+        assert done.err.startswith("ModelError: the file is damaged\n")
+    arrays.pop("sha256")
+    for name in ("policies", "last"):  # with a digest that agrees
+        write_piece(path, arrays | {name: np.full_like(arrays[name], 32767)})
+        assert run(*words).status == 2
+    path.write_bytes(good)
+    assert run(*words).status == 0
 
 
-def test_a_solver_that_gives_up_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
-    from exact_mdp import SolverError, Status
-
-    give_up = Mock(side_effect=SolverError(Status.NO_BOUND))
-    monkeypatch.setattr("exact_mdp.analysis.optimum.solve", give_up)
-    done = run("solve", "yuan2025", "--json")
-    assert (done.status, done.out) == (3, "")
-    assert done.err.startswith("SolverError: double precision cannot bound")
-
-
-def test_a_solver_that_contradicts_the_proof_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
-
-    from exact_mdp import solvers
-
-    solve = solvers.solve
-
-    def wrong(*words: Any, **settings: Any) -> solvers.Solution:
-        found = solve(*words, **settings)
-        return replace(found, value=found.value + 1e-6)
-
-    monkeypatch.setattr("exact_mdp.analysis.optimum.solve", wrong)
-    done = run("solve", "yuan2025", "--certify", "--json")
-    assert (done.status, done.out) == (3, "")
-    assert done.err.startswith("Contradiction: exact values differ")
-
-
-def test_an_interruption_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    stop = Mock(side_effect=KeyboardInterrupt)
-    monkeypatch.setattr("exact_mdp.analysis.cli.given.read_model", stop)
-    done = run("info", "yuan2025")
-    assert (done.status, done.out, done.err.strip()) == (130, "", "stopped by SIGINT")
+# ---- numbers -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("off", [Fraction(1, 10**22), -Fraction(1, 10**22), Fraction(1, 3)])
@@ -136,27 +169,23 @@ def test_long_distributions_and_values_are_left_to_json(monkeypatch: pytest.Monk
     assert len(done.out.splitlines()) == 19  # with what it is not: medical advice
 
 
-@given(st.integers(0, 10**30), st.integers(1, 200), st.booleans())
-def test_rationals_are_printed_exactly(top: int, bottom: int, negative: bool) -> None:
-    value = Fraction(-top if negative else top, bottom)
+@given(st.integers(-(10**30), 10**30), st.integers(1, 200))
+def test_rationals_are_printed_exactly(top: int, bottom: int) -> None:
+    value = Fraction(top, bottom)
     assert Fraction(decimal(value)) == Fraction(ratio(value)) == value
-    assert ("/" in decimal(value)) == (re.sub("^0+", "", str(bottom)) != "" and not finite(value))
-
-
-def finite(value: Fraction) -> bool:
-    """Return whether a decimal expansion ends: 10^k times the number is whole for some k."""
-    return (value * 10 ** value.denominator.bit_length()).denominator == 1
+    ends = (value * 10 ** value.denominator.bit_length()).denominator == 1  # the decimal expansion
+    assert ("/" in decimal(value)) == (not ends)
 
 
 @pytest.mark.parametrize("digits", [1, 602, 603, 4299, 4301, 30_000])
 def test_integers_have_all_their_digits(digits: int) -> None:
-    text = "".join(str((7 * place + place // 13) % 10) for place in range(1, digits + 1))
-    whole = 0
-    for start in range(0, digits, 1000):
-        part = text[start : start + 1000]
-        whole = whole * 10 ** len(part) + int(part)
-    assert digits_of(whole) == text.lstrip("0")
-    assert digits_of(-whole) == f"-{text.lstrip('0')}"
+    whole = 7 ** int(digits / 0.846)
+    text, left = "", whole
+    while left:
+        left, part = divmod(left, 10**1000)
+        text = (f"{part:01000d}" if left else str(part)) + text
+    assert digits_of(whole) == text
+    assert digits_of(-whole) == f"-{text}"
     assert digits_of(10**digits) == "1" + "0" * digits
 
 
@@ -173,49 +202,36 @@ def test_json_takes_arrays_and_rationals() -> None:
     assert json.loads(Report(title="", facts=found).json()) == expected
 
 
-@given(st.floats(0, 1e300))
-def test_printed_bounds_hold(error: float) -> None:
-    assert Fraction(at_most(error)) >= Fraction(error)
-    assert float(at_most(error)) <= 1.1 * error + 1e-320
-
-
-@given(st.floats(-1e9, 1e9), st.floats(1e-15, 1e9))
-def test_printed_numbers_are_as_good_as_their_error(value: float, error: float) -> None:
+@given(st.floats(-1e9, 1e9), st.floats(1e-15, 1e9), st.floats(0, 1e300))
+def test_printed_numbers_are_as_good_as_their_error(
+    value: float, error: float, bound: float
+) -> None:
     assert abs(float(number(value, error)) - value) <= max(error / 2, 1e-9 * abs(value))
     assert re.fullmatch(r"-?[0-9.]+(e[-+][0-9]+)?", number(value, error))
+    assert Fraction(at_most(bound)) >= Fraction(bound)
+    assert float(at_most(bound)) <= 1.1 * bound + 1e-320
 
 
-def test_a_piece_whose_numbers_were_changed_is_damaged(tmp_path) -> None:
-    """A changed policy was read from beyond an array; others were taken as they were."""
-    words = (
-        "train",
-        "tea",
-        "--seeds",
-        "1",
-        "--learner",
-        "epochs=3",
-        "--n-jobs",
-        "1",
-        "--out",
-        tmp_path,
-    )
-    assert run(*words).status == 0
-    path = tmp_path / "runs-000000.npz"
-    good = path.read_bytes()
-    with np.load(path) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    changes = {"policies": 32767, "last": 32767, "snapshots": -1, "q": 3}
-    for name, value in changes.items():
-        np.savez(path, **arrays | {name: np.full_like(arrays[name], value)})
-        done = run(*words)
-        assert (done.status, done.out) == (2, "")
-        assert done.err.startswith("ModelError: the file is damaged\n")
-    arrays.pop("sha256")
-    for name in ("policies", "last"):  # with a digest that agrees
-        write_piece(path, arrays | {name: np.full_like(arrays[name], 32767)})
-        assert run(*words).status == 2
-    path.write_bytes(good)
-    assert run(*words).status == 0
+# ---- reports -------------------------------------------------------------------------------------
+
+
+def test_markdown_shows_facts_and_notes() -> None:
+    table = Table(title="t", rows=[{"a": 1}], columns={"a": "a"}, note="what a is")
+    report = Report(title="*", facts={"x": None, "y_z": 2}, tables={"t": table})
+    assert markdown(report).splitlines() == [
+        r"## \*", "", "|  |  |", "| --- | --- |", "| y z | 2 |", "", "### t", "", "what a is", "",
+        "| a |", "| ---: |", "| 1 |",
+    ]  # fmt: skip
+
+
+def test_unsafe_characters_are_written_as_codes() -> None:
+    """Names cannot hold them, but names of files and messages can."""
+    audit, report = check(corridor(["a", "b"]), [1, 0]), Report(title="", facts={}, notes=["so"])
+    shown = audit_page(audit, report, "m\x1b[31m\u202e", "p", rerun="x\ny", first=9)
+    assert r"m\x1b[31m\u202e" in shown
+    assert "\x1b" not in shown
+    assert "x\ny" in shown
+    assert "Note: so" in shown
 
 
 def test_what_xml_cannot_hold(tmp_path: Path) -> None:
@@ -223,55 +239,50 @@ def test_what_xml_cannot_hold(tmp_path: Path) -> None:
     case, path = Case(nasty, "failure", nasty, nasty), tmp_path / "r.xml"
     write_junit(path, nasty, [case], seconds=1, properties={nasty: nasty})
     root = ElementTree.fromstring(path.read_bytes())
-    failure = root.find(".//failure")
-    assert failure is not None
-    assert failure.text == 'a?b?[0m<&>"?? ]]> é \U0001f600\n'
+    assert root.findtext(".//failure") == 'a?b?[0m<&>"?? ]]> é \U0001f600\n'
     with pytest.raises(ModelError):
         write_junit(tmp_path / "no" / "r.xml", "s", [case], seconds=0, properties={})
 
 
-def stale(tmp_path: Path) -> Path:
-    path = tmp_path / "gate.xml"
-    path.write_text("something else")
-    assert run("check", "tea", "optimal", "--junit", path).status == 0
-    root = ElementTree.parse(path).getroot()
-    assert [root.get(name) for name in ("tests", "failures", "errors")] == ["1", "0", "0"]
-    assert [root.find(f".//{name}") for name in ("failure", "error")] == [None, None]
-    return path
+def test_github_is_told_nothing_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
+    github.annotate("a", "b")
+    github.summarise("c")
+    assert capsys.readouterr() == ("", "")
+    assert github.inert("::error::x ##[y]") == "::error::x ##[y]"
 
 
-@pytest.mark.parametrize("fault", [OverflowError("too large"), KeyboardInterrupt()])
-def test_so_does_whatever_else_ends_the_check(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: BaseException
-) -> None:
-    path = stale(tmp_path)
+def test_names_stay_text_in_figures(tmp_path: Path) -> None:
+    """Dollar signs, angle brackets and quotes are letters of a name: no formula, no element."""
+    import matplotlib.pyplot as plt
 
-    def fail(*_: object, **__: object) -> None:
-        before = ElementTree.parse(path).find(".//error")  # what a killed process leaves
-        assert before is not None
-        assert "did not end" in str(before.get("message"))
-        raise fault
+    @picture
+    def plot(ax: Any = None) -> Any:
+        ax = plt.subplots()[1]
+        ax.set_title("from $x^$ to $y$")
+        ax.set_xlabel("<script>&\"'")
+        ax.set_xticks([0, 1], ["$\\frac$", "</text>"])
+        return ax
 
-    monkeypatch.setattr("exact_mdp.analysis.cli.given.read_model", fail)
-    assert run("check", "tea", "optimal", "--junit", path).status in (3, 130)
-    found = ElementTree.parse(path).find(".//error")
-    assert found is not None
-    assert "did not end" not in str(found.get("message"))
-
-
-def as_read(mdp: MDP, folder: Path, policy: object) -> Policy:
-    """The policy that a file with a part of the JSON says."""
-    (folder / "own.json").write_text(json.dumps(policy), encoding="utf-8")
-    return Policy.of(mdp, folder / "own.json")
+    with plots.style():
+        plots.save(plot().figure, tmp_path, "names")
+    root = ElementTree.parse(tmp_path / "names.svg").getroot()
+    texts = {"".join(text.itertext()) for text in root.iter("{http://www.w3.org/2000/svg}text")}
+    assert {"from $x^$ to $y$", "<script>&\"'", "$\\frac$", "</text>"} <= texts
+    assert not list(root.iter("{http://www.w3.org/2000/svg}script"))
+    for module in iter_modules(plots.__path__):  # and every figure is drawn so
+        for name, function in vars(import_module(f"{plots.__name__}.{module.name}")).items():
+            assert not name.startswith("plot_") or hasattr(function, "__wrapped__"), name
 
 
 def test_a_policy_by_status_is_one_that_reads_nothing_else(tmp_path: Path) -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
+    path = tmp_path / "p.json"
     always = Policy.always(mdp, "directive").choices(mdp)
     late = always.copy()
     late[mdp.space.index(trial=1, status=3)] = 0
     for numbers, by_status in ((always, True), (late, False)):
         found = of_every_state(mdp, [mdp.actions[a] for a in numbers])
         assert (found.keys() == {f"{n:04b}" for n in range(16)}) is by_status
-        again = as_read(mdp, tmp_path, found)
-        assert (again.weights(mdp) == Policy.from_choices(mdp, numbers).weights(mdp)).all()
+        path.write_text(json.dumps(found), encoding="utf-8")
+        wanted = Policy.from_choices(mdp, numbers).weights(mdp)
+        assert (Policy.of(mdp, path).weights(mdp) == wanted).all()

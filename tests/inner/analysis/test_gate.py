@@ -1,4 +1,4 @@
-"""Parts of an audit: ties of floats, exact visits, words of a verdict."""
+"""Parts of an audit: bounds that leave it open, exact visits, words of a verdict."""
 
 from dataclasses import replace
 from fractions import Fraction as F
@@ -31,22 +31,14 @@ def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.Monke
         assert_policy_optimal(mdp, [0, 1, 0])
 
 
-Row = tuple[int, int, list[tuple[Any, int, Any]]]
-
-
-def choice(first: Any, second: Any, *more: Row, discount: Any = 1) -> MDP:
-    """Return a model with a choice between two rewards in state 0, then the end in state 1."""
-    rows: list[Row] = [(0, 0, [(1, 1, first)]), (0, 1, [(1, 1, second)]), (1, 0, [(1, 1, 0)])]
-    return MDP.from_outcomes([*rows, *more], discount)
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("learned", [[1, 0], "random"])
 def test_a_bounded_regret_keeps_the_errors_of_both_values(
     monkeypatch: pytest.MonkeyPatch, learned: Any, sign: int
 ) -> None:
     """Values as far off as their errors allow: the interval holds the exact regret all the same."""
-    mdp = choice(F(5), F(1), discount=F(1, 2))
+    rows: Any = [(0, 0, [(1, 1, F(5))]), (0, 1, [(1, 1, F(1))]), (1, 0, [(1, 1, 0)])]
+    mdp = MDP.from_outcomes(rows, "1/2")
     true = check(mdp, learned).regret.at_start.value
     chain = PolicyChain.of(mdp, policy_of(mdp, learned))
     own, best = evaluate(mdp, chain), regret_module._optimum(mdp)
@@ -65,12 +57,11 @@ def test_what_bounds_leave_open_goes_to_rational_arithmetic(
     """Where the model is too large for it, the verdict is open, fails, and says what to do."""
     size = 210  # a cycle that is bounded unless asked for more
     rows = [(s, 0, [(1, (s + 1) % size, F(1, 3))]) for s in range(size)]
-    rows += [(0, 1, [(F(1, 2), 1, 0), (F(1, 2), 1, F(2, 3))])]
-    mdp = MDP.from_outcomes(rows, "9/10")
     learned = [1, *[0] * (size - 1)]
-    audit = check(mdp, learned)
+    tie = (0, 1, [(F(1, 2), 1, 0), (F(1, 2), 1, F(2, 3))])
+    audit = check(MDP.from_outcomes([*rows, tie], "9/10"), learned)
     assert (audit.passed, audit.claim) == (True, Claim.CERTIFIED)
-    worse = MDP.from_outcomes([*rows[:-1], (0, 1, [(1, 1, F(1, 3) - F(1, 10**30))])], "9/10")
+    worse = MDP.from_outcomes([*rows, (0, 1, [(1, 1, F(1, 3) - F(1, 10**30))])], "9/10")
     audit = check(worse, learned)
     assert (audit.passed, audit.claim) == (False, Claim.CERTIFIED)
     assert [each.state for each in audit.disagreements] == [0]
@@ -80,7 +71,8 @@ def test_what_bounds_leave_open_goes_to_rational_arithmetic(
     assert "exact_values=True" in audit.message()
 
 
-def test_exact_visits_are_those_of_floating_point_where_it_can() -> None:
+@pytest.mark.parametrize("discount", [1, "9/10"])
+def test_exact_visits_are_those_of_floating_point_where_it_can(discount: Any) -> None:
     """Two ways agree, with a cycle, a spread start, and states that are not reached."""
     rows = [
         (0, 0, [("1/3", 1, 0), ("2/3", 2, 0)]),
@@ -90,9 +82,7 @@ def test_exact_visits_are_those_of_floating_point_where_it_can() -> None:
         (3, 0, [(1, 3, 0)]),
         (4, 0, [(1, 0, 0)]),
     ]
-    for discount in (1, "9/10"):
-        model = MDP.from_outcomes(rows, discount, start={0: "1/2", 2: "1/2"})
-        chain = PolicyChain.of(model, "random")
-        near = chain.discounted.visits.value
-        assert exact_visits(chain).value_float.tolist() == pytest.approx(near.tolist(), rel=1e-12)
-        assert exact_visits(chain).value[4] == 0
+    chain = PolicyChain.of(MDP.from_outcomes(rows, discount, start={0: "1/2", 2: "1/2"}), "random")
+    near, exact = chain.discounted.visits.value, exact_visits(chain)
+    assert exact.value_float.tolist() == pytest.approx(near.tolist(), rel=1e-12)
+    assert exact.value[4] == 0

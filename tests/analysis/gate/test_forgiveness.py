@@ -11,18 +11,6 @@ import pytest
 from exact_mdp import MDP, ModelError, check, solve
 
 
-def model(seed: int, rate: str) -> MDP:
-    """Return a model of floats that often ties; at discount 1 the last state is the end."""
-    rng, size = np.random.default_rng(seed), 6
-    rows = rng.dirichlet(np.full(size, 0.3), (3, size))
-    rows[1] = rows[0]
-    reward = rng.choice([0.1, 0.3, 0.7], (size, 3)) * 10.0 ** rng.integers(-3, 4)
-    if rate == "1":
-        rows[:, :-1] = 0.8 * rows[:, :-1] + 0.2 * np.eye(size)[-1]
-        rows[:, -1], reward[-1] = np.eye(size)[-1], 0.0
-    return MDP.from_arrays(rows / rows.sum(axis=2, keepdims=True), reward, discount=rate)
-
-
 def model_of_fractions(rng: Random) -> MDP:
     """Actions that are equal but for their roundings, and action 3, which earns 1e-9 less."""
     states, parts = rng.randint(1, 5), rng.choice([3, 6, 7, 10])
@@ -104,3 +92,54 @@ def test_floats_that_were_added_up_stay_floats() -> None:
     assert (mdp.float_probabilities, mdp.float_rewards) == (True, False)
     moved = np.spacing(third) / 2 / 2
     assert float(check(mdp, [1, 0, 0, 0]).forgiven) == pytest.approx(moved, rel=1e-6)
+
+
+def nearly_tied(kind: str, rng: np.random.Generator) -> MDP:
+    """Return a random model in which some actions differ by little more than rounding."""
+    states, actions = int(rng.integers(2, 7)), int(rng.integers(2, 4))
+    counts = rng.integers(0, 4, (actions, states, states)).astype(float)
+    counts[:, np.arange(states), rng.integers(0, states, states)] += 1
+    rows = counts / counts.sum(axis=2, keepdims=True)
+    rewards = rng.integers(-3, 4, (actions, states)) / rng.choice([1.0, 2.0, 3.0, 10.0])
+    if kind == "rewards some units in the last place apart":
+        rows[1] = rows[0]
+        rewards[1] = rewards[0] * (1 + rng.integers(-4, 5, states) * 2.0**-52)
+    elif kind == "probabilities 1e-12 apart":
+        rows[1], rewards[1] = rows[0], rewards[0]
+        for state in range(states):
+            likely = rng.permutation(np.flatnonzero(rows[0, state]))
+            if len(likely) > 1:
+                rows[1, state, likely[:2]] += 1e-12, -1e-12
+        rewards *= 10.0 ** rng.integers(0, 7)
+    elif kind == "rows that miss 1":
+        rows *= 1 + rng.choice([0.0, 9e-11, 9e-10, -9e-11], (actions, states, 1))
+    discount = rng.choice([0.3, 0.5, 0.9, 0.99, 0.999])
+    return MDP.from_arrays(rows, rewards.T, discount=discount, layout="ass")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "rewards some units in the last place apart",
+        "probabilities 1e-12 apart",
+        "rows that miss 1",
+    ],
+)
+def test_the_solvers_policy_passes(kind: str) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        mdp = nearly_tied(kind, rng)
+        audit = check(mdp, solve(mdp).policy)
+        assert audit.passed, audit
+
+
+@pytest.mark.parametrize("method", ["value-iteration", "policy-iteration", "linear-program"])
+def test_every_method_takes_the_better_of_two_near_actions(method: str) -> None:
+    stay = [[0, 0.3, 0.7], [0, 1, 0], [0, 0, 1]]
+    more = [[0, 0.3 + 1e-12, 0.7 - 1e-12], [0, 1, 0], [0, 0, 1]]
+    for costs, best in ((False, 1), (True, 0)):
+        rewards = [[0, 0], [1e6, 1e6], [0, 0]]
+        mdp = MDP.from_arrays([stay, more], rewards, discount=0.9, sense="min" if costs else "max")
+        solution = solve(mdp, method)
+        assert solution.policy[0] == best
+        assert check(mdp, solution.policy).passed

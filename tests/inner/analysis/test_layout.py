@@ -1,12 +1,9 @@
-"""Where states stand in a figure, and that every kind of result has one."""
+"""Where states stand in a figure, and which signs actions have."""
 
-import importlib
-import pkgutil
 from collections import namedtuple
 from collections.abc import Callable, Collection, Hashable, Iterator
 from pathlib import Path
 
-import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -14,52 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import grid
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from exact_mdp import (
-    MDP,
-    ModelError,
-    Scenario,
-    analysis,
-    check,
-    plots,
-    solve,
-    solvers,
-)
-from exact_mdp.analysis.layout import arrange, cells
-from exact_mdp.analysis.plots.pictures import PICTURES
-from exact_mdp.mdp.result import Pictured
-
-mpl.use("Agg")
-SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+from exact_mdp import MDP, ModelError, Scenario, check, plots, solve
+from exact_mdp.analysis.layout import arrange, cells, symbols
 
 
 @pytest.fixture(autouse=True)
 def closed() -> Iterator[None]:
     yield
     plt.close("all")
-
-
-def test_every_kind_of_result_has_its_picture() -> None:
-    for package in (analysis, solvers):
-        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            if "kernels" not in module.name and "plugin" not in module.name:
-                importlib.import_module(module.name)
-    kinds = [Pictured]
-    for kind in kinds:
-        kinds += kind.__subclasses__()
-    for kind in kinds[1:]:
-        assert any(each.__name__ in PICTURES for each in kind.__mro__), kind
-    assert set(PICTURES) <= {kind.__name__ for kind in kinds}
-
-
-@pytest.fixture
-def ax() -> Iterator[Axes]:
-    with plots.style():
-        yield Figure().subplots()
-
-
-mpl.use("Agg")
 
 
 def texts(ax: Axes) -> dict[tuple[int, int], str]:
@@ -174,11 +134,47 @@ def test_what_makes_no_map_is_listed(states: list[Hashable]) -> None:
         arrange(mdp, shape=(1, len(states)))
 
 
-def test_one_column_needs_no_list() -> None:
+@pytest.mark.parametrize(
+    "words", [{}, {"across": ["trial"]}, {"down": ["status"], "across": ["trial", "subtask"]}]
+)
+def test_every_state_has_a_place_of_its_own(words: dict[str, list[str]]) -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
+    found = arrange(mdp, **words)
+    places = set(zip(found.row[found.shown], found.column[found.shown], strict=True))
+    assert len(places) == len(found.shown) == mdp.space.regular
+    assert len(found.rows) * len(found.columns) == mdp.space.regular
+
+
+def test_a_part_is_shown_by_its_columns() -> None:
+    mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
+    part = arrange(mdp, subtask=1, trial=0)
+    assert (len(part.shown), part.rows, part.columns) == (16, *[("00", "01", "10", "11")] * 2)
+    for state in part.shown:
+        at = mdp.space.as_dict(state)
+        assert at["status"] == part.rows[part.row[state]] + part.columns[part.column[state]]
+        assert str(at["subtask"]) == "1"
+    for bad in ({"subtask": 5}, {"nothing": 0}, {"shape": (3, 4)}):
+        with pytest.raises(ModelError):
+            arrange(mdp, **bad)
     tea = Scenario.load("tea").compile()
     one, two = arrange(tea, down="subtask", trial=0), arrange(tea, down=["subtask"], trial=0)
     assert (one.down, one.across, one.rows) == (two.down, two.across, two.rows)
     assert (one.row == two.row).all()
+
+
+@pytest.mark.parametrize(
+    ("actions", "expected"),
+    [
+        ("UP down Left right", "↑↓←→"),
+        ("north east south west", "↑→↓←"),
+        ("u d l r", "↑↓←→"),
+        ("s m", "sm"),
+        ("stop go", ["stop", "go"]),
+        ("repair a0", ["a0", "a1"]),  # where some names are long, "a1" must not be a name too
+    ],
+)
+def test_signs_of_actions(actions: str, expected: str | list[str]) -> None:
+    assert symbols(actions.split()) == list(expected)
 
 
 def test_an_audit_marks_exactly_what_is_wrong() -> None:

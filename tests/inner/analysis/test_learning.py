@@ -1,0 +1,128 @@
+"""The interval of a share that holds at every moment, what stops by it, and curves of runs."""
+
+from fractions import Fraction as F
+from itertools import count
+from math import log
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import betaln
+from scipy.stats import binomtest
+
+from exact_mdp import QLearning, Scenario, evaluate, learning_curve, train
+from exact_mdp.analysis.learning.anytime import GRID, excluded, fewest, share_intervals
+from exact_mdp.analysis.learning.curves import exact_curves, random_curve
+from exact_mdp.analysis.learning.outcomes import mean_interval
+from exact_mdp.analysis.learning.trainers import _decided
+
+SHARES = st.fractions(F(1, 50), F(49, 50), max_denominator=50)
+LIMIT, ALPHA, LONGEST = F(9, 10), F(1, 20), 250
+
+
+def won(share: F, hits: int, misses: int) -> F:
+    """E_n as a bettor earns it: trial by trial, on the share that Krichevsky and Trofimov guess."""
+    purse, k, n = F(1), 0, 0
+    for trial in [True] * hits + [False] * misses:
+        guess = (k + F(1, 2)) / (n + 1)
+        purse *= guess / share if trial else (1 - guess) / (1 - share)
+        k, n = k + trial, n + 1
+    return purse
+
+
+@given(SHARES, st.integers(0, 30), st.integers(0, 30))
+def test_what_is_won_is_the_mixture_and_a_martingale(share: F, hits: int, misses: int) -> None:
+    purse = won(share, hits, misses)
+    assert purse == share * won(share, hits + 1, misses) + (1 - share) * won(
+        share, hits, misses + 1
+    )
+    if purse > 1:  # `excluded` finds the same number, to a billionth
+        assert excluded(share, hits, misses, 1 / purse)
+        assert not excluded(share, hits, misses, (1 - F(1, 10**9)) / purse)
+    p = float(share)
+    mixture = betaln(hits + 0.5, misses + 0.5) - betaln(0.5, 0.5)
+    assert log(purse) == pytest.approx(mixture - hits * log(p) - misses * log(1 - p), abs=1e-9)
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60), st.sampled_from([F(1, 20), F(1, 100)]))
+def test_intervals_hold_all_shares_not_excluded_so_far(trials: list[bool], alpha: F) -> None:
+    low, high = F(0), F(1)
+    for n, (left, right) in enumerate(share_intervals(trials, alpha), 1):
+        k = sum(trials[:n])
+        assert low <= left <= right <= high  # they only narrow
+        for end, sign in ((left, 1), (right, -1)):
+            if end not in (low, high):
+                assert excluded(end, k, n - k, alpha)
+                assert not excluded(end + F(sign, GRID), k, n - k, alpha)
+        inside = [j for j in range(1, 100) if left < F(j, 100) < right]
+        assert not any(excluded(F(j, 100), k, n - k, alpha) for j in inside)
+        low, high = left, right
+
+
+@given(SHARES, st.fractions(F(1, 1000), F(1, 2), max_denominator=1000))
+def test_the_fewest_runs_that_can_fail(share: F, alpha: F) -> None:
+    assert fewest(share, alpha) == next(n for n in count(1) if excluded(share, 0, n, alpha))
+
+
+@pytest.fixture(scope="module")
+def decisions() -> np.ndarray:
+    """1 where the gate has passed after n runs of which k did (n, k), -1 where failed, 0 open."""
+    table = np.zeros((LONGEST + 1, LONGEST + 1), dtype=int)
+    for n in range(1, LONGEST + 1):
+        for k in range(n + 1):
+            decided = _decided(k, n, LIMIT, ALPHA)
+            table[n, k] = 0 if decided is None else 1 if decided else -1
+    return table
+
+
+def law(decisions: np.ndarray, share: float) -> tuple[float, float, float]:
+    """How likely the gate passes and fails, and after how many runs it stops on average."""
+    alive, passes, fails, runs = np.array([1.0]), 0.0, 0.0, 0.0
+    for n in range(1, LONGEST + 1):
+        runs += alive.sum()
+        alive = np.append(alive, 0) * (1 - share) + np.append(0, alive) * share
+        verdict = decisions[n, : n + 1]
+        passes, fails = passes + alive[verdict > 0].sum(), fails + alive[verdict < 0].sum()
+        alive = np.where(verdict == 0, alive, 0)
+    return passes, fails, runs
+
+
+@pytest.mark.parametrize("share", [0.9, 0.905, 0.95])
+def test_a_good_trainer_hardly_ever_fails(decisions: np.ndarray, share: float) -> None:
+    """Exactly, by recursion; and in streams, each stopped where it suits a false alarm best."""
+    assert law(decisions, share)[1] <= float(ALPHA)
+    assert law(decisions, 0.899)[0] <= float(ALPHA)  # a bad share is passed as rarely
+    hits = np.cumsum(np.random.default_rng(20).random((4000, LONGEST)) < share, axis=1)
+    alarms = int((decisions[np.arange(1, LONGEST + 1), hits] < 0).any(axis=1).sum())
+    assert binomtest(alarms, 4000).proportion_ci(0.999, method="wilson").low <= float(ALPHA)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.7])
+def test_a_bad_trainer_is_found_soon(decisions: np.ndarray, share: float) -> None:
+    """Not before Wald's bound ln(1/α) / KL, and before thrice that: the price of any share."""
+    _, fails, runs = law(decisions, share)
+    apart = share * log(share / 0.9) + (1 - share) * log((1 - share) / 0.1)
+    assert fails > 0.999
+    assert log(20) / apart <= runs <= 3 * log(20) / apart + 1
+
+
+def test_the_bootstrap_is_near_the_normal_interval() -> None:
+    values = np.random.default_rng(0).exponential(size=400)
+    error = values.std(ddof=1) / 20
+    assert mean_interval(values) == pytest.approx(
+        (values.mean() - 1.96 * error, values.mean() + 1.96 * error), abs=0.4 * error
+    )
+    assert mean_interval(values) == mean_interval(values)
+    assert mean_interval(values[:9]) is None
+
+
+def test_exact_curves_of_many_runs_and_of_random_actions() -> None:
+    care = Scenario.load("yuan2025").compile()
+    runs = train(care, QLearning(epochs=150), 8, rng=3)
+    values = exact_curves(care, runs)
+    assert values[1].tolist() == learning_curve(care, runs[1], rng=5).value.tolist()
+    assert values[:, -20:].mean() > values[:, :5].mean()
+    baseline, exact = random_curve(care, 300, rng=1), evaluate(care, "random")
+    assert set(baseline.value) == {exact.mean}
+    assert abs(baseline.sampled.mean() - exact.mean) < 4 * exact.sd / (300 * 40) ** 0.5

@@ -1,0 +1,119 @@
+"""Roots and signs of polynomials, and where exact curves stop."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+import flint
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from exact_mdp import MDP, ModelError, curve, moving
+from exact_mdp.analysis.vary.curves import checker, gap_polynomials
+from exact_mdp.analysis.vary.curves import roots as real_roots
+from exact_mdp.analysis.vary.curves.roots import (
+    nonnegative,
+    odd_part,
+    positive,
+    roots,
+    roots_on,
+    sign,
+    simple,
+    variations,
+)
+from exact_mdp.mdp.exact import rational
+
+F = Fraction
+
+
+def product(numbers: list[Fraction]) -> flint.fmpq_poly:
+    poly = flint.fmpq_poly([1])
+    for number in numbers:
+        poly *= flint.fmpq_poly([rational(-number), 1])
+    return poly
+
+
+@pytest.mark.parametrize(
+    ("limit", "most", "name", "message"),
+    [
+        ("LARGEST", 1, "gain", "2 states with cycles among them(.|\n)*at most 1 state"),
+        ("CYCLIC_DEGREE", 0, "p", "2 states on cycles(.|\n)*degree 1(.|\n)*up to degree 0;"),
+    ],
+)
+def test_the_limit_that_was_hit_is_named(
+    limit: str, most: int, name: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [(s, a, [("1/2", 0, 1), ("1/2", 1, a)]) for s in (0, 1) for a in (0, 1)]
+    family = moving(MDP.from_outcomes(rows, "9/10"), {"p": [(0, 1)]}, {"gain": 1})
+    assert curve(family, name).pieces
+    monkeypatch.setattr(gap_polynomials, limit, most)
+    with pytest.raises(ModelError, match=message):
+        curve(family, name)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "signs"),
+    [
+        ((1, -4, 4), (True, False)),  # (1 - 2 y)²: a double root, which Bernstein does not decide
+        ((1, -4, F(4001, 1000)), (True, True)),
+        ((1, -4, F(3999, 1000)), (False, False)),
+        ((0, 1, -1), (True, False)),
+        ((), (True, False)),
+        ((-1,), (False, False)),
+    ],
+)
+def test_signs_on_the_unit_interval(
+    coefficients: tuple[Fraction | int, ...], signs: tuple[bool, bool]
+) -> None:
+    poly = flint.fmpq_poly([rational(c) for c in coefficients])
+    assert (nonnegative(poly, F(0), F(1)), positive(poly, F(0), F(1))) == signs
+
+
+@settings(max_examples=100)
+@given(
+    st.lists(st.fractions(-2, 2, max_denominator=20), max_size=6),
+    st.sampled_from([-1, 1]),
+    st.booleans(),
+)
+def test_roots_are_all_found_once_and_signs_change_there(
+    numbers: list[Fraction], lead: int, square: bool
+) -> None:
+    poly = product(numbers * (1 + square)) * lead
+    inside = sorted({number for number in numbers if -1 < number < 1})
+    for root, number in zip(roots(simple(poly), F(-1), F(1)), inside, strict=True):
+        near = root.narrowed(F(1, 10**9))
+        assert near.low <= number <= near.high <= near.low + F(1, 10**9)
+    assert variations(simple(poly), F(-1), F(1)) >= len(inside)
+    within = {number for number in numbers if -1 <= number <= 1}
+    assert roots_on(poly, F(-1), F(1)) == len(within)
+    assert sign(poly, F(3)) == lead
+    odd = {number for number in inside if numbers.count(number) * (1 + square) % 2}
+    assert roots_on(odd_part(poly), F(-1), F(1)) >= len(odd)
+    assert all((sign(odd_part(poly), number) == 0) == (number in odd) for number in inside)
+    cuts = [F(-1), *inside, F(1)]
+    least = min(poly(rational((a + b) / 2)) for a, b in pairwise(cuts))
+    assert nonnegative(poly, F(-1), F(1)) == (least >= 0)
+    assert positive(poly, F(-1), F(1)) == (least > 0 and not within)
+
+
+def test_roots_closer_than_a_bracket_are_told_apart() -> None:
+    """A root 1e-20 from an exact one is not mistaken for it."""
+    near, below = F(1, 10**20), F(0)
+    every = [F(1, 2) - near, F(1, 2), 1 - near]
+    for root, true in zip(roots(product(every), F(0), F(1)), every, strict=True):
+        found = root.apart(below, F(1, 10**12))
+        assert below < found.low <= true <= found.high <= 1
+        below = found.high
+
+
+def test_the_checkers_import_no_solver() -> None:
+    own = "exact_mdp.analysis.vary.curves"
+    allowed = {f"{own}.roots"}
+    for module in (checker, real_roots):
+        source = Path(module.__file__).read_text("utf-8")
+        assert "import exact_mdp" not in source
+        lines = (line.split() for line in source.splitlines() if line.startswith("from exact_mdp"))
+        assert all(home.startswith("exact_mdp.mdp.") or home in allowed for _, home, *_ in lines)
