@@ -696,11 +696,3 @@ def test_counts_are_given_back_by_the_observations(order: list[int]) -> None:
         assert again.observations.tolist() == mdp.observations.tolist()
     with pytest.raises(ModelError, match="not counts over the observations"):
         MDP.from_outcomes(rows_of(mdp, order), "9/10", **told | {"observations": [3] * 3})
-
-
-def test_with_validates_again() -> None:
-    mdp = MDP.from_arrays(P, R, 0.9)
-    assert mdp.with_(discount="1/3").discount_exact == THIRD
-    assert (mdp.discount, mdp.discount_exact) == (0.9, Fraction(0.9))
-    assert mdp.with_(start={0: HALF, 2: HALF}).start_distribution.tolist() == [0.5, 0, 0.5]
-    assert mdp.with_(name="x", actions=("l", "r")).actions == ("l", "r")

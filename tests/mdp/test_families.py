@@ -26,7 +26,6 @@ from exact_mdp import (
     moving,
     one_way,
     parametric,
-    sobol,
     thresholds,
     tornado,
     two_way,
@@ -71,15 +70,6 @@ def test_a_wrong_degree_is_refused(analysis) -> None:
     with pytest.raises(ModelError, match="not polynomials of degree 1 in p") as error:
         analysis(waiting(2), *rest)
     assert "degrees=" in error.value.fix
-
-
-def test_a_right_degree_that_is_stated_is_checked() -> None:
-    squared = waiting(2)
-    family = Family(parameters=squared.parameters, build=squared.build, degrees={"p": 2})
-    found = gradient(family)["p"]
-    value = F(1, 2) / (1 - F(1, 8)) ** 2  # p / (1 - p²/2)²
-    assert found.value is not None
-    assert (found.value.value, found.claim) == (value, Claim.CHECKED)
 
 
 @pytest.mark.parametrize(
@@ -191,16 +181,6 @@ def test_checked_thresholds_are_where_optimal_actions_change(drawn) -> None:
 # ---- what was refused, or not told ---------------------------------------------------------------
 
 
-def test_one_name_on_two_entries_of_a_row_has_a_gradient() -> None:
-    mdp = MDP.from_arrays([[["1/4", "1/4", "1/2"], [0, 1, 0], [0, 0, 1]]], [1, 2, 0], "1/2")
-    family = moving(mdp, {"a": [(0, 0), (0, 1)]})
-    each = gradient(family, names=["a"])["a"].value
-    assert each is not None
-    step = F(1, 10**6)
-    above, below = (start_value(family.at({"a": F(1, 4) + s * step})) for s in (1, -1))
-    assert float(each.value) == pytest.approx(float((above - below) / (2 * step)), rel=1e-9)
-
-
 @pytest.mark.parametrize("bounds", [(-1, 1), (-1, 2), (F(-1, 2), F(1, 4))])
 def test_thresholds_where_an_absorbing_reward_spans_both_signs(bounds) -> None:
     """Staying for ever is worth r / (1 - γ), leaving 1/10: they part where r = 1/10."""
@@ -309,12 +289,6 @@ def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on()
     ending = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0], F(9, 10))
     (bar,) = tornado(ending, names=["discount"]).bars
     assert bar.high.at == 1
-
-
-@pytest.mark.parametrize("discount", ["1/2", "99/100", "999999/1000000"])
-def test_samples_of_a_discount_stay_below_1(discount: str) -> None:
-    mdp = CONTINUING.with_(discount=discount)
-    assert sobol(mdp, n=8, rng=0).parameters
 
 
 def test_default_ranges_stay_where_there_is_a_model() -> None:

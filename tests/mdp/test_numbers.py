@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from fractions import Fraction as F
 from typing import Any
 
@@ -17,18 +16,10 @@ from oracle import solve_exact
 from exact_mdp import (
     MDP,
     DistributionError,
-    Intervals,
-    ModelError,
-    ValueIteration,
     certify,
-    check,
-    evaluate,
     fingerprint,
     load,
-    return_distribution,
     save,
-    solve,
-    solve_robust,
 )
 
 Law = tuple[int, int, list[tuple[F, int, F]]]
@@ -209,65 +200,6 @@ def test_it_stays_known_whether_numbers_were_floats(tmp_path: Any) -> None:
         save(mdp, tmp_path / "m.npz")
         for other in (load(tmp_path / "m.npz"), mdp.with_(discount=0.25), mdp.within(2)):
             assert other.floats == mdp.floats
-
-
-@pytest.mark.parametrize("rate", ["1/2", "99/100", 1 - 1e-6, 1 - 1e-12])
-@pytest.mark.parametrize("off", [0.0, 1e-16, 9e-10, -9e-10])
-@pytest.mark.parametrize("seed", range(4))
-def test_exact_values_lie_within_the_bounds_of_floats(seed: int, off: float, rate: Any) -> None:
-    """Of rows that miss 1, too: what they mean is exact, and the floats are next to it."""
-    rng = np.random.default_rng(seed)
-    rows = rng.dirichlet(np.full(5, 0.5), (3, 5)) + 1e-6
-    rows /= rows.sum(axis=2, keepdims=True)
-    rows[..., seed] += off
-    mdp = MDP.from_arrays(rows, rng.normal(size=(5, 3)), rate, layout="ass")
-    mixed = MDP.from_outcomes(
-        [
-            (s, a, [("1/3", 0, 5), (p * 2 / 3, 1, "1/7"), ((1 - p) * 2 / 3 + off, s, 0.1)])
-            for s in range(2)
-            for a, p in enumerate(rng.random(2).tolist())
-        ],
-        rate,
-    )
-    assert mixed.table.weight.dtype != np.float64
-    for model in (mdp, mixed):
-        value = certify(model).value
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            solution = solve(model)
-        kept = evaluate(model, solution.policy)
-        pairs = [model.pair(s, int(action)) for s, action in enumerate(solution.policy)]
-        own = [(s, 0, model.table.row(pair)) for s, pair in enumerate(pairs)]
-        exact = certify(MDP.from_outcomes(own, model.discount_exact)).value
-        bounded = certify(model, bounded=True, solution=solution)
-        assert bounded.violations() == []
-        for s in range(model.n_states):
-            assert F(bounded.lower[s]) <= value[s] <= F(bounded.upper[s])
-            assert abs(F(solution.value[s]) - value[s]) <= F(float(solution.state_error[s]))
-            assert abs(F(kept.value[s]) - exact[s]) <= F(float(kept.error[s]))
-
-
-def test_true_is_no_number_of_iterations() -> None:
-    """Counts are whole numbers; True does not count as 1, nor does 1.0."""
-    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    calls: list[Any] = [
-        lambda count: ValueIteration(max_iterations=count),
-        lambda count: return_distribution(mdp, "optimal", max_sweeps=count),
-        lambda count: solve_robust(mdp, Intervals.relative(mdp, 0.2), max_iterations=count),
-    ]
-    for call in calls:
-        for count in (True, 0, 1.5):
-            with pytest.raises(ModelError, match=f"is {count}"):
-                call(count)
-
-
-def test_a_policy_of_single_outcomes_earns_what_the_outcomes_earn() -> None:
-    """Rewards of outcomes stay those of outcomes where a policy's rows have one outcome each."""
-    near = 1 - 2.0**-31
-    first, second = (0, 0, [(near, 1, 3.0)]), (0, 1, [(0.5, 1, 3.0), (0.5, 0, 1.0)])
-    end = (1, 0, [(1.0, 1, 0)])
-    mdp = MDP.from_outcomes([first, second, end], discount="1/2")
-    assert check(mdp, [0, 0], exact_values=True).regret.learned.value == 3
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])

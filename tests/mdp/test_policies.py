@@ -246,18 +246,6 @@ def test_files_of_names_that_are_numbers_of_others(tmp_path: Path, ending: str) 
         Policy.of(PERMUTED, path)
 
 
-@pytest.mark.parametrize("loaded", [False, True])
-def test_text_of_digits_stays_text(tmp_path: Path, loaded: bool) -> None:
-    mdp = walk(["0", "1"], ["1", "0", "1"], ["0", "1", "2", "3"])
-    if loaded:
-        mdp.save(tmp_path / "m.npz")
-        mdp = MDP.load(tmp_path / "m.npz")
-    asked: list[Any] = []
-    assert check(mdp, lambda s: asked.append(s) or ("0" if s == "1" else "1")).passed
-    assert asked == ["0", "1", "2"]
-    assert not check(mdp, lambda s: "1" if s == "1" else "0").passed
-
-
 def test_what_equals_an_object_is_that_and_what_may_be_a_row_is_refused() -> None:
     truth = walk([True, False], [True, False], [0, 1, 2])
     assert truth.actions == ("False", "True")
@@ -279,25 +267,6 @@ def test_what_equals_an_object_is_that_and_what_may_be_a_row_is_refused() -> Non
         assert half.weights(mdp).tolist() == [0.5, 0.5, 1, 0, 1]
     three = walk([(0, 1), (1, 0), (1, 1)], [(1, 0), (0, 1)], [0, 1, 2])
     assert check(three, lambda s: np.array([1, 0]) if s == 0 else np.array([0, 1])).passed
-
-
-def test_functions_are_given_objects_and_integers_are_names_in_records() -> None:
-    hall = MDP.from_function(
-        (0, "in"), lambda s: ["go", "stay"] if s[0] < 3 else [],
-        lambda s, a: [("1/2", (s[0] + (a == "go"), "in"), -1), ("1/2", s, -1)], "9/10",
-    )  # fmt: skip
-    audit = check(hall, lambda state: "stay" if state == (1, "in") else "go")
-    assert [hall.space.label(each.state) for each in audit.disagreements] == ["state (1, 'in')"]
-    assert check(hall, {(0, "in"): "go", (1, "in"): "go", (2, "in"): {"go": 1}}).passed
-    rows = [(0, 5, "a", 1, 7), (0, 7, "b", 1, 5), (0, 5, "b", 0, 5), (0, 5, "a", 1, 7),
-            (0, 7, "a", 0, 5)]  # fmt: skip
-    columns = ["episode", "state", "action", "reward", "next_state"]
-    mdp = MDP.from_transitions(pd.DataFrame(rows, columns=columns), "1/2")
-    best = {5: "a", 7: "b"}
-    for form in (best, best.__getitem__, defaultdict(lambda: "b", {5: "a"})):
-        assert check(mdp, form).passed
-    with pytest.raises(ModelError, match="not a state"):
-        check(mdp, {0: "a", 1: "b"})
 
 
 def test_ones_of_costs_are_ambiguous() -> None:

@@ -64,7 +64,7 @@ HIDDEN = MDP.from_outcomes(
 )
 SETTINGS: dict[str, Any] = {
     "tol": [0, -1.0, nan, inf],
-    "max_iterations": [0, -3, 1.5],
+    "max_iterations": [0, -3, 1.5, True],
     "solver": ["HIGH"],
 }
 Refused = tuple[str, Callable[[], object]]
@@ -160,6 +160,9 @@ REFUSED: list[Refused] = [
     ("1.5", lambda: return_distribution(coin(0, 1), "random").quantile(1.5)),
     ("after 100 sweeps.*max_sweeps",
      lambda: return_distribution(geometric("999/1000"), "random", max_sweeps=100)),
+    *each("is (True|0|1.5)", lambda n: return_distribution(LINE, "random", max_sweeps=n), True, 0),
+    *each("is (True|0|1.5)",
+          lambda n: solve_robust(LOOP, Intervals.relative(LOOP, 0), max_iterations=n), True, 1.5),
     # ---- limits and risk
     *[
         (words, lambda limits=limits: solve(CARE, subject_to=limits))

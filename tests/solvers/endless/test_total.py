@@ -156,51 +156,6 @@ def test_mazes_of_gymnasium(name: str, value: float) -> None:
 # ---- planted faults ------------------------------------------------------------------------------
 
 
-def mixed() -> MDP:
-    """States of all kinds: a rest left for 5, one of -1 left for a loss, +∞, -∞, and the end."""
-    return MDP.from_outcomes(
-        [
-            (0, 0, [(1, 1, 0)]),
-            (0, 1, [(1, 5, 2)]),
-            (1, 0, [(1, 0, 0)]),
-            (1, 1, [(1, 5, 5)]),
-            (2, 0, [(1, 3, -1)]),
-            (2, 1, [(1, 2, -1)]),
-            (3, 0, [("1/2", 4, 0), ("1/2", 5, -2)]),
-            (4, 0, [(1, 4, 0)]),
-            (5, 0, [(1, 5, 0)]),
-            (6, 0, [(1, 7, -1)]),
-            (6, 1, [(1, 5, -1)]),
-            (7, 0, [(1, 7, 3)]),
-            (7, 1, [(1, 6, -1)]),
-            (8, 0, [("1/2", 8, -1), ("1/2", 9, 1)]),
-            (9, 0, [(1, 8, -2)]),
-            (9, 1, [(1, 9, -1)]),
-        ]
-    )
-
-
-def test_faults_are_caught() -> None:
-    mdp = mixed()
-    found = certify(mdp)
-    assert found.violations() == []
-    assert found.value.tolist() == [5, 5, -2, -1, 0, 0, inf, inf, -inf, -inf]
-    assert found.g is not None
-    for state, by, (name, level) in product(
-        range(10), (1, -1), (("g", found.g), ("h", found.h), ("w", found.w))
-    ):
-        top = list(level.top)
-        top[state] += by
-        wrong = replace(found, **{name: replace(level, top=top)}).violations()
-        assert wrong or name == "w" or found.g.top[state], (name, state, by)
-    for state, action in ((1, 0), (7, 1)):  # to stay, where leaving earns 5; to leave a gain
-        policy = found.policy.copy()
-        policy[state] = action
-        assert replace(found, policy=policy).violations()
-    assert replace(found, start_value=inf).violations()
-    assert replace(found, g=None, w=None).violations()
-
-
 @given(model=any_models(4), data=st.data())
 @settings(max_examples=60)
 def test_altered_claims_are_refused_without_a_crash(model: Pairs, data: st.DataObject) -> None:

@@ -11,7 +11,6 @@ from care_oracle import END, Oracle
 from cases import CASES, Case
 from certificates import CYCLE, MODELS, certified
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from oracle import every_policy_ends, solve_exact
 from strategies import Rows, exact_gains, exact_values, model_of, models
 
@@ -94,23 +93,6 @@ def test_random_models_are_solved_exactly(rows: Rows) -> None:
     check(found, mdp)
     check_bounds(mdp, certify(mdp, bounded=True))
     check_reference(rows, found, mdp)
-
-
-@settings(max_examples=40, deadline=None)
-@given(models(), st.randoms(use_true_random=False))
-def test_actions_with_the_same_outcomes_are_solved_once(rows: Rows, chance: random.Random) -> None:
-    """As in ICU-Sepsis, where many actions of a state stand for the mean of the others."""
-    mdp = rows.model(floats=False)
-    listed = [
-        (int(s), int(a) + copy * mdp.n_actions, row)
-        for pair, (s, a) in enumerate(zip(mdp.pair_state, mdp.pair_action, strict=True))
-        for row in [mdp.table.row(pair)]
-        for copy in range(1 + chance.randrange(3))
-    ]
-    more = MDP.from_outcomes(listed, mdp.discount_exact)
-    found = certify(more)
-    check(found, more)
-    assert list(found.value) == list(certify(mdp).value)
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
@@ -274,27 +256,6 @@ def test_many_states() -> None:
 
 
 # ---- what has no answer --------------------------------------------------------------------------
-
-
-OVERFULL = [
-    (0, 0, [(1.0000000005, 1, 1.0), (1e-10, 2, 0.0)]),
-    (1, 0, [(1.0, 0, 1.0)]),
-    (2, 0, [(1.0, 2, 0.0)]),
-]
-
-
-@pytest.mark.parametrize("discount", [1, 1 - 1e-12, 0.999])
-def test_floats_that_sum_to_more_than_1_are_a_row_all_the_same(discount: float) -> None:
-    mdp = MDP.from_outcomes(OVERFULL, discount)
-    assert sum(p for p, _, _ in mdp.table.row(0)) == 1
-    found = certify(mdp)
-    check(found, mdp)
-    leave = mdp.table.row(0)[1][0]
-    gained = 1 + (1 - leave) * mdp.discount_exact  # in two steps, of which the second comes back
-    assert found.value[1] == 1 + mdp.discount_exact * found.value[0]
-    rate = (1 - leave) * mdp.discount_exact
-    assert found.value[0] == ((1 - leave) + rate) / (1 - rate * mdp.discount_exact)
-    assert gained > 1
 
 
 @pytest.mark.parametrize("stay", [1.0, 1 + 2.0**-52, 1 + 2.0**-40])

@@ -21,11 +21,6 @@ from exact_mdp import (
     Bounded,
     Claim,
     ModelError,
-    Policy,
-    PolicyIteration,
-    Scenario,
-    certify,
-    check,
     evaluate,
     solve,
 )
@@ -152,23 +147,6 @@ def test_a_large_mean_does_not_drown_a_small_spread() -> None:
     assert found.sd == pytest.approx(1e-3, rel=1e-3)
 
 
-HALL = MDP.from_arrays(
-    [
-        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        [["1/2", 0, "1/2"], [0, "1/2", "1/2"], [0, 0, 1]],
-    ],
-    [[-1, -2], [-1, -3], [0, 0]],
-    actions=["wait", "go"],
-    states=["hall", "stairs", "out"],
-)
-
-
-def test_a_policy_that_ends_may_be_evaluated_where_others_never_do() -> None:
-    found = evaluate(HALL, [1, 1, 0])
-    assert found.value.tolist() == [-4.0, -6.0, 0.0]
-    assert found.ends
-
-
 def test_parts_of_what_is_earned_for_ever_are_infinite_or_finite() -> None:
     """Each part is a total of its own: 1 - 1 + 1 - … is worth 1/2."""
     rows = [(0, 0, [(1, 1, 5)]), (1, 0, [(1, 2, -1)]), (2, 0, [(1, 1, 0)])]
@@ -180,16 +158,6 @@ def test_parts_of_what_is_earned_for_ever_are_infinite_or_finite() -> None:
     assert solve(found.mdp).gap_table.tolist() == [[0.0], [0.0], [0.0]]
 
 
-def test_where_no_episode_comes_a_policy_need_not_end() -> None:
-    found = evaluate(HALL, [1, 0, 0])
-    assert found.value[0] == -4.0
-    assert (found.value[1], found.error[1]) == (-inf, 0)
-    assert np.isnan(found.variance).tolist() == [False, True, False]
-    assert found.chain.ends.tolist() == [True, False, True]
-    assert (found.mean, found.sd, found.steps) == (-4.0, pytest.approx(8**0.5), 2.0)
-    assert found.visits.tolist() == [2.0, 0.0, 1.0]
-
-
 def test_quantiles_say_why_they_are_missing() -> None:
     found = evaluate(two_rewards().with_(discount="9/10"), "random")
     assert found.quantiles is None
@@ -197,21 +165,6 @@ def test_quantiles_say_why_they_are_missing() -> None:
     found = evaluate(two_rewards(), "random")
     assert found.quantiles == {0.05: -1.0, 0.25: -1.0, 0.5: -1.0, 0.75: 0.5, 0.95: 0.5}
     assert found.quantiles_missing == ""
-
-
-def test_a_policy_may_come_in_any_form() -> None:
-    mdp = Scenario.load("yuan2025").compile()
-    choices = np.full(mdp.n_states, mdp.action("directive"))
-    choices[-1] = 0
-    wanted = evaluate(mdp, "always:directive").mean
-    for policy in (choices, Policy.from_choices(mdp, choices), Policy.uniform(mdp)):
-        weights = Policy.of(mdp, policy).weights(mdp)
-        assert evaluate(mdp, policy).mean == evaluate(mdp, weights).mean
-    assert evaluate(mdp, choices).mean == wanted
-    solution = solve(mdp, PolicyIteration())
-    assert evaluate(mdp, solution).mean == pytest.approx(solution.start_value, abs=1e-10)
-    chain = evaluate(mdp, "random").chain
-    assert evaluate(mdp, chain).mean == evaluate(mdp, "random").mean
 
 
 def test_large_models_with_cycles_agree_with_the_solvers() -> None:
@@ -224,15 +177,6 @@ def test_large_models_with_cycles_agree_with_the_solvers() -> None:
     again = evaluate(solution.mdp, solution)
     assert (np.abs(again.value - solution.value) <= again.error + solution.state_error).all()
     assert again.occupancy @ solution.mdp.reward == pytest.approx(again.mean, abs=1e-9)
-
-
-def test_the_optimum_is_a_policy_like_any_other() -> None:
-    scenario = Scenario.load("yuan2025")
-    mdp = scenario.compile()
-    best = solve(mdp).start_value
-    for policy in ("optimal", solve(mdp), certify(mdp)):
-        assert evaluate(scenario, policy).mean == pytest.approx(best, abs=1e-9)
-        assert check(mdp, policy).regret.at_start.value == 0
 
 
 def test_the_variance_counts_the_error_of_the_value() -> None:
