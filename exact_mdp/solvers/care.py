@@ -35,7 +35,7 @@ from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 
 if TYPE_CHECKING:
-    from exact_mdp.solvers.kernels.care import Care, Room
+    from exact_mdp.solvers.kernels.care import Care
 
 
 MOST_STATUSES = 6
@@ -122,11 +122,6 @@ class Batch:
             own=rules.own,
         )
 
-    @property
-    def stages(self) -> tuple[int, ...]:
-        """Subtasks, trials, flags and status vectors."""
-        return len(self.care.places), self.care.trials, self.care.flags, len(self.care.bits)
-
     def errors(self) -> Floats:
         """Return (D,) bounds on the errors of start values.
 
@@ -164,13 +159,13 @@ class Batch:
             )
         return np.broadcast_to(error, len(self.draws)).copy()
 
-    def room(self) -> Room:
-        """Return arrays to work in."""
-        care = self.care
-        vectors, rows = len(care.bits), care.step.shape[1]
+    def values(self, shares: Floats) -> tuple[Floats, Floats, NDArray[np.int8]]:
+        """Return what policies (N, G, V, A) are worth, or the optimum, its gaps and its actions."""
         from exact_mdp.solvers.kernels import care as loops
 
-        room: Room = loops.Room(
+        care, count, optimum = self.care, len(self.draws), not len(shares)
+        vectors, rows = len(care.bits), care.step.shape[1]
+        room = loops.Room(
             numbers=np.empty(len(self.base)),
             chance=np.empty(len(care.terms)),
             gain=np.empty(len(care.charges)),
@@ -184,7 +179,13 @@ class Batch:
             ahead=np.zeros((care.flags, vectors)),
             here=np.zeros((care.flags, vectors)),
         )
-        return room
+        value = np.empty((count, 1 if optimum else len(shares)))
+        gaps = np.empty((count * optimum, vectors, len(care.assist)))
+        stages = len(care.places), care.trials, care.flags, vectors
+        actions = np.empty((count * optimum, *stages), dtype=np.int8)
+        drawn = care, self.base, self.positions, self.draws
+        loops.values(*drawn, room, _read_only(shares), value, gaps, actions)
+        return value, gaps, actions
 
 
 def _read_only(array: Numbers) -> Numbers:
@@ -225,14 +226,9 @@ def optimal(model: Scenario, names: Sequence[str], draws: ArrayLike) -> CareValu
     ([146.235871, 143.338709], 2)
     """
     batch = Batch(model, names, draws)
-    error, count, stages = batch.errors(), len(batch.draws), batch.stages
-    start, gaps = np.empty(count), np.empty((count, stages[-1], len(batch.care.assist)))
-    actions = np.empty((count, *stages), dtype=np.int8)
-    from exact_mdp.solvers.kernels import care as loops
-
-    drawn = (batch.care, batch.base, batch.positions, batch.draws, batch.room())
-    loops.optimal_values(*drawn, start, gaps, actions)
-    return CareValues(start=start, error=error, gaps=gaps, actions=actions)
+    error, care = batch.errors(), batch.care
+    value, gaps, actions = batch.values(np.empty((0, 1, len(care.bits), len(care.assist))))
+    return CareValues(start=value[:, 0], error=error, gaps=gaps, actions=actions)
 
 
 def policy_values(
@@ -256,10 +252,4 @@ def policy_values(
     if (shares == shares[:, :1]).all():  # the same at every stage
         shares = shares[:, :1]
     # What the bound of the errors speaks of is the policy whose shares sum to 1.
-    shares = _read_only(shares / shares.sum(axis=-1, keepdims=True))
-    value = np.empty((len(batch.draws), len(shares)))
-    from exact_mdp.solvers.kernels import care as loops
-
-    drawn = (batch.care, batch.base, batch.positions, batch.draws, batch.room())
-    loops.policy_values(*drawn, shares, value)
-    return value, error
+    return batch.values(shares / shares.sum(axis=-1, keepdims=True))[0], error

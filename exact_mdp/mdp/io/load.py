@@ -22,6 +22,7 @@ from exact_mdp.mdp.table import exact
 
 GYMNASIUM = "gymnasium:"
 SOURCES = (".prism", ".nm", ".pm", ".jani")
+WRITERS = {".npz": npz.save, ".umb": umb.save, ".json": model_json.save}
 FILES = (".toml", ".npz", ".umb", ".json", *SOURCES)
 
 
@@ -53,40 +54,38 @@ def read_model(
     MDP(yuan2025: 81 states, 4 actions, 321 pairs, 2273 transitions, discount 9/10)
     """
     text = str(spec)
-    suffix = _suffix(text)
+    file, reward = _parts(text)
+    suffix, scenario = Path(file).suffix.lower(), None
     if constants and suffix not in SOURCES:
         raise ModelError(
             "the model has no constants", where=text, fix=f"give a {' or '.join(SOURCES)} file"
         )
     if text in shipped() or suffix == ".toml":
-        scenario = load_scenario(text, sets=sets, discount=discount)
-        compiled = scenario.compile()
-        mdp = compiled if start is None else compiled.with_(start=start)
-        return Loaded(name=scenario.name, mdp=mdp, scenario=scenario)
-    if sets and (text.startswith(GYMNASIUM) or suffix in FILES):
+        scenario = Scenario.load(text)
+        for assignment in of_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
+            scenario = scenario.set(of_type(assignment, str, "sets", 'give "KEY=VALUE"'))
+        scenario = scenario if discount is None else scenario.with_(discount=discount)
+        mdp = scenario.compile()
+    elif sets and (text.startswith(GYMNASIUM) or suffix in FILES):
         raise ModelError(
             f"{sets[0]!r} cannot be set: the model is not a scenario",
             where=text,
             fix="set values on a shipped scenario or a .toml file"
             + ("; use --discount for the discount" if "discount" in sets[0] else ""),
         )
-    if text.startswith(GYMNASIUM):
+    elif text.startswith(GYMNASIUM):
         mdp = MDP.from_gymnasium(text.removeprefix(GYMNASIUM), 1 if discount is None else discount)
-    elif suffix == ".npz":
-        mdp = npz.load(text)
-        mdp = mdp if discount is None else mdp.with_(discount=discount)
-    elif suffix == ".json":
-        mdp = model_json.load(text)
-        mdp = mdp if discount is None else mdp.with_(discount=discount)
     elif suffix == ".umb":
-        file, reward = _parts(text)
         mdp = umb.load(file, discount=discount, reward=reward, start=start)
     elif suffix in SOURCES:
         mdp = storm.load(text, constants=_assigned(constants), discount=discount, start=start)
+    elif suffix in (".npz", ".json"):
+        mdp = npz.load(text) if suffix == ".npz" else model_json.load(text)
+        mdp = mdp if discount is None else mdp.with_(discount=discount)
     else:
         raise _unknown(text)
     mdp = mdp if start is None else mdp.with_(start=start)
-    return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=None)
+    return Loaded(name=mdp.name or Path(text).stem, mdp=mdp, scenario=scenario)
 
 
 def load(
@@ -130,23 +129,6 @@ def load(
     return read_model(spec, sets=sets, discount=discount, start=start, constants=constants).mdp
 
 
-def load_scenario(
-    spec: str | Path, *, sets: Sequence[str] = (), discount: object | None = None
-) -> Scenario:
-    """Return a shipped scenario or one from a `.toml` file, changed by `sets` in order."""
-    text = str(spec)
-    if text not in shipped() and _suffix(text) != ".toml":
-        if text.startswith(GYMNASIUM) or _suffix(text) in FILES:
-            raise ModelError(
-                "the model is not a scenario", where=text, fix="give a scenario or a .toml file"
-            )
-        raise _unknown(text)
-    scenario = Scenario.load(text)
-    for assignment in of_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
-        scenario = scenario.set(of_type(assignment, str, "sets", 'give "KEY=VALUE"'))
-    return scenario if discount is None else scenario.with_(discount=discount)
-
-
 def save(model: MDP, path: str | Path) -> None:
     """Write a model as `.npz`, as `.umb` for model checkers or as `.json`, by its ending.
 
@@ -175,18 +157,13 @@ def save(model: MDP, path: str | Path) -> None:
         fix = "write save(model, path), or model.save(path); a scenario is compiled first"
         raise ModelError(f"not a model and a path, but {what}", where="save", fix=fix)
     suffix = Path(path).suffix.lower()
-    if suffix == ".npz":
-        npz.save(model, path)
-    elif suffix == ".umb":
-        umb.save(model, path)
-    elif suffix == ".json":
-        model_json.save(model, path)
-    else:
+    if suffix not in WRITERS:
         raise ModelError(
             f"cannot write a model as {suffix or 'a file without ending'}",
             where=str(path),
             fix="name it .npz, .umb or .json",
         )
+    WRITERS[suffix](model, path)
 
 
 def _assigned(constants: str | Mapping[str, object] | None) -> str:
@@ -197,11 +174,6 @@ def _assigned(constants: str | Mapping[str, object] | None) -> str:
     with located("constants"):
         values = [str(v).lower() if isinstance(v, bool) else str(exact(v)) for _, v in given]
     return ",".join(f"{name}={value}" for (name, _), value in zip(given, values, strict=True))
-
-
-def _suffix(text: str) -> str:
-    """Return a file's ending, without the name of a reward model after it."""
-    return Path(_parts(text)[0]).suffix.lower()
 
 
 def _parts(text: str) -> tuple[str, str | None]:

@@ -154,70 +154,25 @@ def continuation(care: Care, room: Room, k: int, t: int, discount: float) -> Non
 
 
 @inlined
-def pass_on(care: Care, room: Room) -> None:
-    """Let what was worked out for this subtask be what follows the one before it."""
-    for f in range(care.flags):
-        for s in range(care.bits.shape[0]):
-            room.ahead[f, s] = room.here[f, s]
-
-
-@compiled
-def optimal_values(
-    care: Care,
-    base: Floats,
-    positions: Numbers,
-    draws: Floats,
-    room: Room,
-    start: Floats,
-    gaps: Floats,
-    actions: Numbers,
-) -> None:
-    """Solve all draws (D, Q).
-
-    `base` (P+2,) holds parameters, 0, discount; `positions` (Q,) says which of them are drawn.
-    `start`, `gaps` and `actions` are those of `solvers.care.CareValues`.
-    """
-    vectors, rows, number = care.bits.shape[0], care.step.shape[1], len(care.assist)
+def best(care: Care, room: Room, done: float) -> None:
+    """Write the values Q of a stage, and the greatest of each vector into M."""
+    vectors, rows = care.bits.shape[0], care.step.shape[1]
     vector, law, q = room.vector, room.law, room.q
-    for d in range(len(draws)):
-        discount = place(care, base, positions, draws[d], room)
-        room.ahead[:] = 0.0
-        for k in range(len(care.places) - 1, -1, -1):
-            beyond(care, room, k, discount)
-            for f in range(care.flags):
-                done = completing(care, room, k, f, discount)
-                for t in range(care.trials - 1, -1, -1):
-                    continuation(care, room, k, t, discount)
-                    for a in range(number):
-                        total = done + room.assist[a]
-                        for s in range(vectors):
-                            q[a * vectors + s] = law[0, a * vectors + s] * total
-                    for s2 in range(1, vectors):
-                        total = vector[U, s2]
-                        for r in range(rows):
-                            q[r] += law[s2, r] * total
-                    for s in range(vectors):
-                        vector[M, s] = q[s]
-                    for a in range(1, number):
-                        for s in range(vectors):
-                            value = q[a * vectors + s]
-                            best = vector[M, s]
-                            vector[M, s] = value if value > best else best
-                    for s in range(vectors):
-                        a = 0
-                        while q[a * vectors + s] != vector[M, s]:
-                            a += 1
-                        actions[d, k, t, f, s] = a
-                    if k == 0 and t == 0 and f == 0:
-                        for s in range(vectors):
-                            for a in range(number):
-                                gaps[d, s, a] = vector[M, s] - q[a * vectors + s]
-                    for s in range(vectors):
-                        vector[M, s] += vector[PRESENT, s]
-                for s in range(vectors):
-                    room.here[f, s] = vector[M, s]
-            pass_on(care, room)
-        start[d] = room.ahead[0, 0]
+    for a in range(len(care.assist)):
+        total = done + room.assist[a]
+        for s in range(vectors):
+            q[a * vectors + s] = law[0, a * vectors + s] * total
+    for s2 in range(1, vectors):
+        total = vector[U, s2]
+        for r in range(rows):
+            q[r] += law[s2, r] * total
+    for s in range(vectors):
+        vector[M, s] = q[s]
+    for a in range(1, len(care.assist)):
+        for s in range(vectors):
+            value = q[a * vectors + s]
+            most = vector[M, s]
+            vector[M, s] = value if value > most else most
 
 
 @inlined
@@ -236,8 +191,20 @@ def follow(care: Care, room: Room, shares: Floats) -> None:
                     own[s2, s] += share * law[s2, r]
 
 
+@inlined
+def followed(care: Care, room: Room, done: float) -> None:
+    """Write what a policy is worth at a stage into M."""
+    vector, own = room.vector, room.own
+    for s in range(care.bits.shape[0]):
+        vector[M, s] = own[0, s] * done + vector[EXTRA, s]
+    for s2 in range(1, care.bits.shape[0]):
+        total = vector[U, s2]
+        for s in range(care.bits.shape[0]):
+            vector[M, s] += own[s2, s] * total
+
+
 @compiled
-def policy_values(
+def values(
     care: Care,
     base: Floats,
     positions: Numbers,
@@ -245,17 +212,22 @@ def policy_values(
     room: Room,
     shares: Floats,
     value: Floats,
+    gaps: Floats,
+    actions: Numbers,
 ) -> None:
-    """Write the start values (D, N) of policies (N, G, V, A) at all draws.
+    """Write the start values (D, N) of policies (N, G, V, A) at all draws (D, Q).
 
-    G is 1 for a policy that is the same at every stage, else K·trials·flags.
+    G is 1 for a policy that is the same at every stage, else K·trials·flags. Without a policy it is
+    the optimum that is written, (D, 1), with `gaps` and `actions` of `solvers.care.CareValues`.
+    `base` (P+2,) holds parameters, 0, discount; `positions` (Q,) says which of them are drawn.
     """
-    vectors = care.bits.shape[0]
-    vector, own = room.vector, room.own
+    vectors, number, given = care.bits.shape[0], len(care.assist), len(shares) > 0
+    vector, q = room.vector, room.q
     for d in range(len(draws)):
         discount = place(care, base, positions, draws[d], room)
-        for n in range(len(shares)):
-            follow(care, room, shares[n, 0])
+        for n in range(value.shape[1]):
+            if given:
+                follow(care, room, shares[n, 0])
             room.ahead[:] = 0.0
             for k in range(len(care.places) - 1, -1, -1):
                 beyond(care, room, k, discount)
@@ -263,17 +235,27 @@ def policy_values(
                     done = completing(care, room, k, f, discount)
                     for t in range(care.trials - 1, -1, -1):
                         continuation(care, room, k, t, discount)
-                        if shares.shape[1] > 1:
-                            follow(care, room, shares[n, (k * care.trials + t) * care.flags + f])
-                        for s in range(vectors):
-                            vector[M, s] = own[0, s] * done + vector[EXTRA, s]
-                        for s2 in range(1, vectors):
-                            total = vector[U, s2]
+                        if given:
+                            if shares.shape[1] > 1:
+                                stage = (k * care.trials + t) * care.flags + f
+                                follow(care, room, shares[n, stage])
+                            followed(care, room, done)
+                        else:
+                            best(care, room, done)
                             for s in range(vectors):
-                                vector[M, s] += own[s2, s] * total
+                                a = 0
+                                while q[a * vectors + s] != vector[M, s]:
+                                    a += 1
+                                actions[d, k, t, f, s] = a
+                            if k == 0 and t == 0 and f == 0:
+                                for s in range(vectors):
+                                    for a in range(number):
+                                        gaps[d, s, a] = vector[M, s] - q[a * vectors + s]
                         for s in range(vectors):
                             vector[M, s] += vector[PRESENT, s]
                     for s in range(vectors):
                         room.here[f, s] = vector[M, s]
-                pass_on(care, room)
+                for f in range(care.flags):
+                    for s in range(vectors):
+                        room.ahead[f, s] = room.here[f, s]
             value[d, n] = room.ahead[0, 0]

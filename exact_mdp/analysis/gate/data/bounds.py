@@ -37,7 +37,7 @@ from exact_mdp.analysis.gate.data.interval import Ends
 from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.exact.find import first_of
@@ -49,13 +49,17 @@ Sides = tuple[Floats, Floats]  # bounds (S,) from below and from above
 
 
 class Step(NamedTuple):
-    """An operator at some values: a bound of what it gives (S,), and its linear piece there."""
+    """An operator at some values: a bound of what it gives, and its linear piece there.
+
+    It gives a number for each state, or for each pair before one is chosen.
+    """
 
     bound: Floats
     piece: Callable[[], tuple[sp.csr_array, Floats]]
 
 
 Operator = Callable[[Floats], Step]
+Choice = Callable[[Floats], sp.csr_array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,32 +168,11 @@ class Operators:
 
     def policy(self, most: int) -> Operator:
         """Return the operator of V^π, from below or above."""
-
-        def step(value: Floats) -> Step:
-            rows = self.sets.worth(value, most=bool(most))
-
-            def piece() -> tuple[sp.csr_array, Floats]:
-                laws, reward = rows.chosen
-                return sp.csr_array(self.mixing @ laws), np.asarray(self.mixing @ reward)
-
-            return Step(self.mixing @ rows.bound, piece)
-
-        return partial(self._known, step, self.ends[most])
+        return partial(self._step, self._rows(most), lambda bound: self.mixing, self.ends[most])
 
     def optimum(self, most: int) -> Operator:
         """Return the operator of V*."""
-
-        def step(value: Floats) -> Step:
-            rows = self.sets.worth(value, most=bool(most))
-            taken = self._best(rows.bound)
-
-            def piece() -> tuple[sp.csr_array, Floats]:
-                laws, reward = rows.chosen
-                return laws[taken], reward[taken]
-
-            return Step(rows.bound[taken], piece)
-
-        return partial(self._known, step, self.ends[most])
+        return partial(self._step, self._rows(most), self._best, self.ends[most])
 
     def gaining(self, most: int, advantage: Floats, best: Floats, own: Floats) -> Operator:
         """Return the operator of D: no action gains more than with a model for each side.
@@ -199,20 +182,50 @@ class Operators:
         side = bool(most)
         apart = self.sets.worth(best, most=side).bound - own[self.sets.mdp.pair_state]
 
-        def step(value: Floats) -> Step:
-            rows = self.sets.worth(value, most=side, rewards=False)
-            joint = advantage + rows.bound
+        def rows(value: Floats) -> Step:
+            nature = self.sets.worth(value, most=side, rewards=False)
+            joint = advantage + nature.bound
             bound = np.minimum(joint, apart) if most else np.maximum(joint, apart)
-            taken = self._best(bound)
 
             def piece() -> tuple[sp.csr_array, Floats]:
-                alone = (joint == bound)[taken].astype(np.float64)
-                constant = np.where(alone, advantage[taken], apart[taken])
-                return sp.csr_array(rows.chosen[0][taken].multiply(alone[:, None])), constant
+                alone = joint == bound
+                laws = nature.chosen[0].multiply(alone.astype(np.float64)[:, None])
+                return sp.csr_array(laws), np.where(alone, advantage, apart)
 
-            return Step(bound[taken], piece)
+            return Step(bound, piece)
 
-        return partial(self._known, step, (self.ends[1] - self.ends[0]) * most)
+        return partial(self._step, rows, self._best, (self.ends[1] - self.ends[0]) * most)
+
+    def _rows(self, most: int) -> Operator:
+        """Return what nature makes of every pair (L,) at some values."""
+
+        def rows(value: Floats) -> Step:
+            nature = self.sets.worth(value, most=bool(most))
+            return Step(nature.bound, lambda: nature.chosen)
+
+        return rows
+
+    def _step(self, rows: Operator, choose: Choice, gain: float, value: Floats) -> Step:
+        """Return what the pairs chosen make of the states, worth `gain` where nobody knows."""
+        unknown, pairs = self.sets.unknown, rows(value)
+        mixing = choose(pairs.bound)
+
+        def piece() -> tuple[sp.csr_array, Floats]:
+            laws, constant = pairs.piece()
+            mixed = sp.csr_array(mixing @ laws)
+            if unknown.any():
+                mixed = sp.csr_array(mixed.multiply((~unknown).astype(np.float64)[:, None]))
+            return mixed, np.where(unknown, gain, mixing @ constant)
+
+        return Step(np.where(unknown, gain, mixing @ pairs.bound), piece)
+
+    def _best(self, gain: Floats) -> sp.csr_array:
+        """Return (S, L) the choice of the best pair of each state."""
+        mdp = self.sets.mdp
+        best = np.maximum.reduceat(gain, mdp.pair_offsets[:-1])
+        taken = first_of(mdp, gain == best[mdp.pair_state])
+        chosen = np.ones(len(taken)), taken, np.arange(len(taken) + 1)
+        return sp.csr_array(chosen, (len(taken), len(gain)))
 
     def advantages(self, low: Floats, high: Floats) -> tuple[Floats, Floats]:
         """Return bounds (L,) of A_P(l) in every model P, with V^π that follows within bounds."""
@@ -260,20 +273,3 @@ class Operators:
                 break
             value = target
         return np.asarray(known)
-
-    def _known(self, operator: Operator, gain: float, value: Floats) -> Step:
-        """Return a step in which states of which nobody knows what follows are worth the most."""
-        unknown, step = self.sets.unknown, operator(value)
-
-        def piece() -> tuple[sp.csr_array, Floats]:
-            laws, constant = step.piece()
-            rows = sp.csr_array(laws.multiply((~unknown).astype(np.float64)[:, None]))
-            return rows, np.where(unknown, gain, constant)
-
-        return Step(np.where(unknown, gain, step.bound), piece if unknown.any() else step.piece)
-
-    def _best(self, gain: Floats) -> Integers:
-        """Return (S,) the best pair of each state."""
-        mdp = self.sets.mdp
-        best = np.maximum.reduceat(gain, mdp.pair_offsets[:-1])
-        return first_of(mdp, gain == best[mdp.pair_state])
