@@ -18,6 +18,7 @@ import pandas as pd
 import pytest
 from cli_runner import run
 
+import exact_mdp
 from exact_mdp import (
     MDP,
     Constant,
@@ -27,32 +28,22 @@ from exact_mdp import (
     Policy,
     QLearning,
     Scenario,
-    accuracy_curves,
     assert_policy_optimal,
-    best_policy,
     check,
-    compare,
     cost_effectiveness,
     curve,
-    fingerprint,
     gradient,
-    learning_curve,
     load,
     moving,
     one_way,
-    outcomes,
     psa,
     rationalize,
     robust,
     robust_curve,
-    save,
     sobol,
-    solve,
     study,
     thresholds,
     tornado,
-    tradeoff,
-    train,
     two_way,
     worst_point,
 )
@@ -73,7 +64,6 @@ CARE = Scenario.load("yuan2025").compile()
 SWING = MDP.from_outcomes(
     [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 0, -1)]), (2, 0, [(1, 2, 0)])]
 )
-MORE: dict[str, Any] = {"layout": "ass"}
 FLOATS = Family(
     parameters={"r": 0.15},
     build=lambda at: MDP.from_arrays([[[exp(-at["r"]), 1 - exp(-at["r"])], [0, 1]]], [1, 0], 0.5),
@@ -84,336 +74,147 @@ def table(rows: list[list[float]], index: list[str], columns: list[str]) -> pd.D
     return pd.DataFrame(rows, index=index, columns=columns)
 
 
-REFUSED: dict[str, tuple[Callable[[], object], str, str, str]] = {
-    "exploration": (lambda: QLearning(exploration=ANY), "not a number", "exploration", "number"),
-    "exploration of 2": (lambda: QLearning(exploration=2), "between 0 and 1", "2", "from 0 to 1"),
-    "a late snapshot": (
-        lambda: QLearning(episodes=5),
-        "snapshot_episode is 10",
-        "QLearning",
-        "an epoch has 5 episodes",
-    ),
-    "a limit that is a number": (
-        lambda: solve(MODEL, subject_to={"steps": 5}),
-        "5 is no limit",
-        "steps",
-        ">= or <=",
-    ),
-    "a list of policies": (
-        lambda: compare(MODEL, ANY and [[0, 0], [1, 0]]),
-        "policies without names",
-        "compare",
-        "{name: policy}",
-    ),
-    "a tolerance by position": (
-        lambda: solve(MODEL, ANY and 1e-6),
-        "1e-06 is not a solver",
-        "solve",
-        "tol=1e-6",
-    ),
-    "no model": (lambda: solve(ANY and 3), "int is not a model", "model", "MDP.from_"),
-    "a number for sets": (
-        lambda: robust(MODEL, ANY and 0.1),
-        "0.1 is no set of laws",
-        "ambiguity",
-        "Intervals.relative(model, 0.1)",
-    ),
-    "a list for ranges": (
-        lambda: tornado(MODEL, ranges=ANY and [0, 1]),
-        "[0, 1] is of type list",
-        "ranges",
-        "{name: (low, high)}",
-    ),
-    "floats for an exact curve": (
-        lambda: thresholds(FLOATS, "r"),
-        "not polynomials of degree 1 in r",
-        "parameter r",
-        "not with floats",
-    ),
-    "no family": (lambda: tornado(ANY and 3), "int is not a model", "model", "a Family"),
-    "a list for a label": (
-        lambda: MODEL.reaching(ANY and ["x"]),
-        "unknown label ['x']",
-        "labels",
-        "the model has none",
-    ),
-    "a number for a component": (
-        lambda: MODEL.component(ANY and 3),
-        "unknown component 3",
-        "components",
-        "choose one of reward",
-    ),
-    "save 3": (lambda: save(ANY and 3, "x.npz"), "int and str", "save", "save(model, path)"),
-    "save turned round": (
-        lambda: save(ANY and "x.npz", ANY and MODEL),
-        "str and MDP",
-        "save",
-        "save(model, path)",
-    ),
-    "MDP.save of the class": (
-        lambda: MDP.save(ANY and "x.npz", ANY and MODEL),
-        "str and MDP",
-        "save",
-        "model.save(path)",
-    ),
-    "gamma": (lambda: MDP.from_arrays(P, REWARDS, gamma=0.9), "gamma=", "MDP", "say discount="),
-    "gamma of pairs": (
-        lambda: MDP.from_pairs([0], [0], [[1]], [0], gamma=0.9),
-        "gamma=",
-        "MDP",
-        "say discount=",
-    ),
-    "gamma of outcomes": (
-        lambda: MDP.from_outcomes([(0, 0, [(1, 0, 0)])], gamma=0.9),
-        "gamma=",
-        "MDP",
-        "say discount=",
-    ),
-    "gamma of a function": (
-        lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], gamma=0.9),
-        "gamma=",
-        "MDP",
-        "say discount=",
-    ),
-    "gamma of records": (
-        lambda: MDP.from_transitions("no.csv", gamma=0.9),
-        "gamma=",
-        "MDP",
-        "say discount=",
-    ),
-    "gamma of a copy": (lambda: MODEL.with_(gamma=0.9), "gamma=", "MDP", "say discount="),
-    "gamma of a table": (
-        lambda: MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, gamma=0.9),
-        "gamma=",
-        "MDP",
-        "say discount=",
-    ),
-    "a misspelt option": (
-        lambda: MDP.from_arrays(P, REWARDS, statess=STATES),
-        "statess=",
-        "MDP",
-        "did you mean states?",
-    ),
-    "states of records": (
-        lambda: MDP.from_transitions("no.csv", states=STATES),
-        "states=",
-        "MDP",
-        "leave it out",
-    ),
-    "a state for a pair": (lambda: MODEL.pair("a"), "'a' is not", "pair", "both"),
-    "a tuple that is a state": (lambda: GRID.pair((0, 1)), "(0, 1) is not", "pair", "both"),
-    "states of one name": (
-        lambda: MDP.from_arrays([SLOW], [1, 0], states=["a", "a"]),
-        "two states have the same name, 'a'",
-        "column state",
-        "own name",
-    ),
-    "actions of one name": (
-        lambda: MDP.from_arrays([SLOW, FAST], REWARDS, layout="ass", actions=["x", "x"]),
-        "two actions have the same name, 'x'",
-        "actions",
-        "own name",
-    ),
-    "tables of other states": (
-        lambda: MDP.from_arrays({"go": table([[1]], ["a"], ["b"])}, [0]),
-        "the labels b, and the states are a",
-        "P",
-        "a row and a column for each state",
-    ),
-    "a state beyond the last": (
-        lambda: MODEL.space.label(2),
-        "there is no state 2: numbers go from 0 to 1",
-        "state space",
-        "choose one of these",
-    ),
-    "an action beyond the last": (
-        lambda: Policy.of(MODEL, [0, 9]),
-        "there is no action 9: numbers go from 0 to 1",
-        "policy",
-        "choose one of these",
-    ),
-    "a Q-table with a gap": (
-        lambda: Policy.of(MODEL, {("a", "slow"): 1}),
-        "an action value is NaN",
-        "state a",
-        "every available action",
-    ),
-    "a Q-table of another state": (
-        lambda: Policy.of(MODEL, {("a", "slow"): 1, ("x", "slow"): 1}),
-        "unknown state 'x'",
-        "policy",
-        "choose one of a, b",
-    ),
-    "a Q-table of another action": (
-        lambda: Policy.of(MODEL, {("a", "slow"): 1, ("a", "fats"): 1}),
-        "unknown action 'fats'",
-        "policy",
-        "did you mean fast?",
-    ),
-    "a Q-table the wrong way round": (
-        lambda: check(THREE, np.array([[1.0, 2, 3]])),
-        "a row for each action",
-        "policy",
-        "transpose, of shape (3, 1)",
-    ),
-    "no such model": (lambda: check("yuan2052", "random"), "'yuan2052'", "model", "yuan2025"),
-    "an audit that is none": (
-        lambda: check(MODEL, [0, 0], like=ANY and 3),
-        "of another model",
-        "like",
-        "check(audit.mdp",
-    ),
-    "a label by noughts and ones": (
-        lambda: MODEL.with_(labels={"goal": [0, 1]}),
-        "type int64",
-        "label goal",
-        "numbers of some states",
-    ),
-    "a label of no state": (
-        lambda: MODEL.with_(labels={"goal": [2]}),
-        "type int64",
-        "label goal",
-        "numbers of some states",
-    ),
-    "a number for a learner": (
-        lambda: train(MODEL, ANY and 3, 1),
-        "3 is no learner",
-        "train",
-        "QLearning()",
-    ),
-    "training without a seed": (
-        lambda: train(MODEL, QLearning(), 1),
-        "needs a seed",
-        "rng",
-        "rng=0",
-    ),
-    "a number for runs": (
-        lambda: outcomes(MODEL, ANY and 3),
-        "3 is no list of runs",
-        "runs",
-        "list",
-    ),
-    "a number for a run": (
-        lambda: learning_curve(MODEL, ANY and 3, rng=0),
-        "no run of training",
-        "learning",
-        "train(model",
-    ),
-    "a number for totals": (lambda: tradeoff(MODEL, ANY and 3), "a front of 3", "tradeoff", "two"),
-    "a number for parameters": (
-        lambda: gradient(MODEL, names=ANY and 3),
-        "3 is no list of names",
-        "names",
-        "a list",
-    ),
-    "a number for columns": (
-        lambda: best_policy(MODEL, ANY and 3),
-        "3 is no list of columns",
-        "columns",
-        "a list",
-    ),
-    "a number for statuses": (
-        lambda: accuracy_curves(CARE, statuses=ANY and 3),
-        "3 is no list of statuses",
-        "statuses",
-        "a list",
-    ),
-    "an accuracy in words": (
-        lambda: accuracy_curves(CARE, levels=ANY and ["high"]),
-        "'high' is not a finite",
-        "levels",
-        "0.1",
-    ),
-    "a policy that never ends": (
-        lambda: gradient(SWING, policy=[0, 0, 0]),
-        "some policy never ends",
-        "discount 1",
-        "--discount",
-    ),
-    "probabilities or values by pair": (
-        lambda: Policy.of(MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}),
-        "probabilities or a Q-table",
-        "state a",
-        'kind="policy"',
-    ),
-}
+REFUSED = """
+QLearning(exploration=MDP) -> not a number; exploration; number
+QLearning(exploration=2) -> between 0 and 1; 2; from 0 to 1
+QLearning(episodes=5) -> snapshot_episode is 10; QLearning; an epoch has 5 episodes
+solve(MODEL, subject_to={"steps": 5}) -> 5 is no limit; steps; >= or <=
+compare(MODEL, [[0, 0], [1, 0]]) -> policies without names; compare; {name: policy}
+solve(MODEL, 1e-06) -> 1e-06 is not a solver; solve; tol=1e-6
+solve(3) -> int is not a model; model; MDP.from_
+robust(MODEL, 0.1) -> 0.1 is no set of laws; ambiguity; Intervals.relative(model, 0.1)
+tornado(MODEL, ranges=[0, 1]) -> [0, 1] is of type list; ranges; {name: (low, high)}
+thresholds(FLOATS, "r") -> not polynomials of degree 1 in r; parameter r; not with floats
+tornado(3) -> int is not a model; model; a Family
+MODEL.reaching(["x"]) -> unknown label ['x']; labels; the model has none
+MODEL.component(3) -> unknown component 3; components; choose one of reward
+save(3, "x.npz") -> int and str; save; save(model, path)
+save("x.npz", MODEL) -> str and MDP; save; save(model, path)
+MDP.save("x.npz", MODEL) -> str and MDP; save; model.save(path)
+MDP.from_arrays(P, REWARDS, gamma=0.9) -> gamma=; MDP; say discount=
+MDP.from_pairs([0], [0], [[1]], [0], gamma=0.9) -> gamma=; MDP; say discount=
+MDP.from_outcomes([(0, 0, [(1, 0, 0)])], gamma=0.9) -> gamma=; MDP; say discount=
+MDP.from_function(0, lambda s: [], lambda s, a: [], gamma=0.9) -> gamma=; MDP; say discount=
+MDP.from_transitions("no.csv", gamma=0.9) -> gamma=; MDP; say discount=
+MODEL.with_(gamma=0.9) -> gamma=; MDP; say discount=
+MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, gamma=0.9) -> gamma=; MDP; say discount=
+MDP.from_arrays(P, REWARDS, statess=STATES) -> statess=; MDP; did you mean states?
+MDP.from_transitions("no.csv", states=STATES) -> states=; MDP; leave it out
+MODEL.pair("a") -> 'a' is not; pair; both
+GRID.pair((0, 1)) -> (0, 1) is not; pair; both
+MDP.from_arrays([SLOW], [1, 0], states=["a", "a"]) ->
+    two states have the same name, 'a'; column state; own name
+MDP.from_arrays([SLOW, FAST], REWARDS, layout="ass", actions=["x", "x"]) ->
+    two actions have the same name, 'x'; actions; own name
+MDP.from_arrays({"go": table([[1]], ["a"], ["b"])}, [0]) ->
+    the labels b, and the states are a; P; a row and a column for each state
+MODEL.space.label(2) ->
+    there is no state 2: numbers go from 0 to 1; state space; choose one of these
+Policy.of(MODEL, [0, 9]) ->
+    there is no action 9: numbers go from 0 to 1; policy; choose one of these
+Policy.of(MODEL, {("a", "slow"): 1}) -> an action value is NaN; state a; every available action
+Policy.of(MODEL, {("a", "slow"): 1, ("x", "slow"): 1}) ->
+    unknown state 'x'; policy; choose one of a, b
+Policy.of(MODEL, {("a", "slow"): 1, ("a", "fats"): 1}) ->
+    unknown action 'fats'; policy; did you mean fast?
+check(THREE, np.array([[1.0, 2, 3]])) -> a row for each action; policy; transpose, of shape (3, 1)
+check("yuan2052", "random") -> 'yuan2052'; model; yuan2025
+check(MODEL, [0, 0], like=3) -> of another model; like; check(audit.mdp
+MODEL.with_(labels={"goal": [0, 1]}) -> type int64; label goal; numbers of some states
+MODEL.with_(labels={"goal": [2]}) -> type int64; label goal; numbers of some states
+train(MODEL, 3, 1) -> 3 is no learner; train; QLearning()
+train(MODEL, QLearning(), 1) -> needs a seed; rng; rng=0
+outcomes(MODEL, 3) -> 3 is no list of runs; runs; list
+learning_curve(MODEL, 3, rng=0) -> no run of training; learning; train(model
+tradeoff(MODEL, 3) -> a front of 3; tradeoff; two
+gradient(MODEL, names=3) -> 3 is no list of names; names; a list
+best_policy(MODEL, 3) -> 3 is no list of columns; columns; a list
+accuracy_curves(CARE, statuses=3) -> 3 is no list of statuses; statuses; a list
+accuracy_curves(CARE, levels=["high"]) -> 'high' is not a finite; levels; 0.1
+gradient(SWING, policy=[0, 0, 0]) -> some policy never ends; discount 1; --discount
+Policy.of(MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}) ->
+    probabilities or a Q-table; state a; kind="policy"
+"""
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused(name: str) -> None:
-    call, what, where, fix = REFUSED[name]
+NAMES = {name: getattr(exact_mdp, name) for name in exact_mdp.__all__}
+
+
+def entries(table: str) -> list[tuple[str, str]]:
+    """Return the calls of a table and what is said of them; indented lines go on."""
+    rows = re.sub(r"\n {4}", " ", table).strip().splitlines()
+    return [(call, said) for call, _, said in (row.rpartition(" -> ") for row in rows)]
+
+
+@pytest.mark.parametrize(("call", "said"), entries(REFUSED))
+def test_refused(call: str, said: str) -> None:
+    what, where, fix = said.split("; ")
     with pytest.raises(ModelError) as caught:
-        call()
+        eval(call, NAMES | globals())
     assert what in caught.value.what
     assert where in caught.value.where
     assert fix in caught.value.fix
 
 
 BUILT: dict[str, Any] = {"parameters": {"p": 1}, "build": lambda at: MODEL}
-WRONG_TYPES: dict[str, tuple[Callable[[], object], str]] = {
-    "states of a copy": (lambda: MODEL.with_(states=3), "states"),
-    "actions of a copy": (lambda: MODEL.with_(actions=3), "actions"),
-    "a text of states": (lambda: MODEL.with_(states="ab"), "states"),
-    "a text of actions": (lambda: MODEL.with_(actions="ab"), "actions"),
-    **{
-        f"{part} of a copy": (lambda part=part: MODEL.with_(**{part: 3}), part)
-        for part in (
-            *("table", "pair_state", "space", "events", "parameters", "observations"),
-            *("component_names", "component_table", "action_objects", "float_rewards"),
-        )
-    },
-    "a number for an exact discount": (
-        lambda: MODEL.with_(discount_exact=0.5),
-        "discount_exact",
-    ),
-    "P": (lambda: MDP.from_arrays(3, [1]), "P"),
-    "layout": (lambda: MDP.from_arrays([[[1]]], [1], layout=ANY and []), "layout"),
-    "states": (lambda: MDP.from_arrays([[[1]]], [1], states=3), "states"),
-    "actions": (lambda: MDP.from_arrays([[[1]]], [1], actions=3), "actions"),
-    "states of dictionaries": (lambda: MDP.from_arrays({0: {0: {0: 1}}}, [1], states=3), "states"),
-    "labels of a function": (
-        lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], labels=ANY and 3),
-        "labels",
-    ),
-    "constants of a program": (lambda: MDP.load("no.prism", constants=ANY and 3), "constants"),
-    "gamma of a file": (lambda: MDP.load("no.npz", gamma=0.9), "MDP"),
-    "sets of a file": (lambda: load("yuan2025", sets=ANY and 3), "sets"),
-    "a set of a file": (lambda: load("yuan2025", sets=[ANY and 3]), "sets"),
-    "columns of records": (lambda: MDP.from_transitions("no.csv", columns=ANY and 3), "columns"),
-    "states of an environment": (
-        lambda: MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, states=3),
-        "states",
-    ),
-    "numbers of pairs": (lambda: MODEL.by_action([1]), "by_action"),
-    "columns of a policy": (lambda: Policy.by(MODEL, ANY and 3, [0, 0]), "columns"),
-    "a text of columns": (lambda: Policy.by(MODEL, "state", [0, 0]), "columns"),
-    "the kind of a policy": (lambda: Policy.of(MODEL, [0, 0], kind=ANY and []), "kind"),
-    "the path of a policy": (lambda: Policy.of(MODEL, [0, 0]).write(ANY and 3), "path"),
-    "a policy of no model": (lambda: Policy.of(ANY and 3, [0, 0]), "model"),
-    "columns of no model": (lambda: Policy.by(ANY and 3, ["state"], [0, 0]), "model"),
-    "an action of no model": (lambda: Policy.always(ANY and 3, "slow"), "model"),
-    "any action of no model": (lambda: Policy.uniform(ANY and 3), "model"),
-    "numbers of no model": (lambda: Policy.from_choices(ANY and 3, [0, 0]), "model"),
-    "weights in no model": (lambda: Policy.of(MODEL, [0, 0]).weights(ANY and 3), "model"),
-    "the hash of no model": (lambda: fingerprint(ANY and 3), "model"),
-    "entries": (lambda: moving(MODEL, ANY and 3), "entries"),
-    "entries of no model": (lambda: moving(ANY and 3, {}), "model"),
-    "places": (lambda: moving(MODEL, {"p": ANY and 3}), "parameter p"),
-    "rewards": (lambda: moving(MODEL, {}, ANY and 3), "rewards"),
-    "build": (lambda: Family(parameters=ANY and {"p": 1}, build=ANY and 3), "build"),
-    **{
-        f"{part} of a family": (lambda part=part: Family(**BUILT, **{part: 3}), part)
-        for part in ("degrees", "breaks", "rows", "room", "settings")
-    },
-    "values of a family": (lambda: Family(**BUILT).at(ANY and 3), "values"),
-}
+WRONG_TYPES = """
+MODEL.with_(states=3) -> states
+MODEL.with_(actions=3) -> actions
+MODEL.with_(states="ab") -> states
+MODEL.with_(actions="ab") -> actions
+MODEL.with_(table=3) -> table
+MODEL.with_(pair_state=3) -> pair_state
+MODEL.with_(space=3) -> space
+MODEL.with_(events=3) -> events
+MODEL.with_(parameters=3) -> parameters
+MODEL.with_(observations=3) -> observations
+MODEL.with_(component_names=3) -> component_names
+MODEL.with_(component_table=3) -> component_table
+MODEL.with_(action_objects=3) -> action_objects
+MODEL.with_(float_rewards=3) -> float_rewards
+MODEL.with_(discount_exact=0.5) -> discount_exact
+MDP.from_arrays(3, [1]) -> P
+MDP.from_arrays([[[1]]], [1], layout=[]) -> layout
+MDP.from_arrays([[[1]]], [1], states=3) -> states
+MDP.from_arrays([[[1]]], [1], actions=3) -> actions
+MDP.from_arrays({0: {0: {0: 1}}}, [1], states=3) -> states
+MDP.from_function(0, lambda s: [], lambda s, a: [], labels=3) -> labels
+MDP.load("no.prism", constants=3) -> constants
+MDP.load("no.npz", gamma=0.9) -> MDP
+load("yuan2025", sets=3) -> sets
+load("yuan2025", sets=[3]) -> sets
+MDP.from_transitions("no.csv", columns=3) -> columns
+MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, states=3) -> states
+MODEL.by_action([1]) -> by_action
+Policy.by(MODEL, 3, [0, 0]) -> columns
+Policy.by(MODEL, "state", [0, 0]) -> columns
+Policy.of(MODEL, [0, 0], kind=[]) -> kind
+Policy.of(MODEL, [0, 0]).write(3) -> path
+Policy.of(3, [0, 0]) -> model
+Policy.by(3, ["state"], [0, 0]) -> model
+Policy.always(3, "slow") -> model
+Policy.uniform(3) -> model
+Policy.from_choices(3, [0, 0]) -> model
+Policy.of(MODEL, [0, 0]).weights(3) -> model
+fingerprint(3) -> model
+moving(MODEL, 3) -> entries
+moving(3, {}) -> model
+moving(MODEL, {"p": 3}) -> parameter p
+moving(MODEL, {}, 3) -> rewards
+Family(parameters={"p": 1}, build=3) -> build
+Family(**BUILT, degrees=3) -> degrees
+Family(**BUILT, breaks=3) -> breaks
+Family(**BUILT, rows=3) -> rows
+Family(**BUILT, room=3) -> room
+Family(**BUILT, settings=3) -> settings
+Family(**BUILT).at(3) -> values
+"""
 
 
-@pytest.mark.parametrize("name", WRONG_TYPES)
-def test_wrong_types_are_refused_by_their_place(name: str) -> None:
-    call, where = WRONG_TYPES[name]
+@pytest.mark.parametrize(("call", "where"), entries(WRONG_TYPES))
+def test_wrong_types_are_refused_by_their_place(call: str, where: str) -> None:
     with pytest.raises(ModelError) as caught:
-        call()
+        eval(call, NAMES | globals())
     assert caught.value.where == where
     assert caught.value.fix
 
@@ -476,93 +277,45 @@ def rows(mdp: MDP) -> list[Any]:
     return [mdp.table.row(pair) for pair in range(mdp.n_pairs)]
 
 
-TAKEN: dict[str, tuple[Callable[[], object], object]] = {
-    "a number for a schedule": (lambda: QLearning(exploration=0.2).exploration, Constant(0.2)),
-    "a ratio for a schedule": (lambda: QLearning(rate="1/4").rate, Constant(0.25)),
-    "NumPy's whole numbers": (lambda: QLearning(epochs=np.int64(7)).epochs, 7),
-    "degrees of NumPy": (
-        lambda: Family(**FAMILY, degrees={"p": np.int64(1)}).degree("p"),
-        1,
-    ),
-    "breaks in an array": (
-        lambda: Family(**FAMILY, breaks={"p": np.array([0.25, 0.5])}).breakpoints("p"),
-        (Fraction(1, 4), Fraction(1, 2)),
-    ),
-    "states of a label": (
-        lambda: THREE.with_(labels={"goal": [2, 0]}).labels["goal"].tolist(),
-        [True, False, True],
-    ),
-    "a model by name": (
-        lambda: check("yuan2025", "optimal").value,
-        check(Scenario.load("yuan2025"), "optimal").value,
-    ),
-    "a tuple for a pair": (lambda: MODEL.pair(("a", "fast")), 1),
-    "states of a copy": (lambda: MODEL.with_(states=["x", "y"]).space.label(1), "state y"),
-    "tables by name": (lambda: rows(MDP.from_arrays(BY_NAME, REWARDS)), rows(MODEL)),
-    "tables by position": (
-        lambda: rows(
-            MDP.from_arrays({"slow": pd.DataFrame([[0.5, 0.5], [0, 1]])}, [1, 0], "9/10")
-        ),
-        [rows(MDP.from_arrays([SLOW], [1, 0]))[k] for k in range(2)],
-    ),
-    "states that order tables": (
-        lambda: MDP.from_arrays(BY_NAME, REWARDS, states=["b", "a"]).P("fast").toarray().tolist(),
-        [[1, 0], [1, 0]],
-    ),
-    "rewards by state": (
-        lambda: MDP.from_arrays(BY_NAME, {"b": 5, "a": 2}).reward.tolist(),
-        [2, 2, 5, 5],
-    ),
-    "rewards by state and action": (
-        lambda: MDP.from_arrays(
-            BY_NAME, {"b": {"slow": 5, "fast": 6}, "a": {"fast": 2, "slow": 1}}
-        ).reward.tolist(),
-        [1, 2, 5, 6],
-    ),
-    "a table of rewards": (
-        lambda: MDP.from_arrays(
-            BY_NAME, table([[6, 5], [2, 1]], ["b", "a"], ["fast", "slow"])
-        ).reward.tolist(),
-        [1, 2, 5, 6],
-    ),
-    "a start of short floats": (
-        lambda: THREE.with_(start=SHARES).start,
-        tuple(
-            (state, Fraction(float(share)) / sum(map(Fraction, SHARES.tolist())))
-            for state, share in enumerate(SHARES)
-        ),
-    ),
-    "a Q-table by names": (lambda: Policy.of(MODEL, VALUES).tolist(), [1, 1]),
-    "a Q-table by numbers": (
-        lambda: Policy.of(MODEL, {(0, 0): 3, (0, 1): 2, (1, 0): 0, (1, 1): 0}).tolist(),
-        [0, 0],
-    ),
-    "a Q-table with a default": (
-        lambda: Policy.of(MODEL, defaultdict(float, {(0, 1): 3.0})).tolist(),
+def test_taken() -> None:
+    assert QLearning(exploration=0.2).exploration == Constant(0.2)
+    assert QLearning(rate="1/4").rate == Constant(0.25)
+    assert QLearning(epochs=np.int64(7)).epochs == 7
+    assert Family(**FAMILY, degrees={"p": np.int64(1)}).degree("p") == 1
+    assert Family(**FAMILY, breaks={"p": np.array([0.25, 0.5])}).breakpoints("p") == (
+        Fraction(1, 4),
+        Fraction(1, 2),
+    )
+    assert THREE.with_(labels={"goal": [2, 0]}).labels["goal"].tolist() == [True, False, True]
+    assert check("yuan2025", "optimal").value == check(Scenario.load("yuan2025"), "optimal").value
+    assert MODEL.pair(("a", "fast")) == 1
+    assert MODEL.with_(states=["x", "y"]).space.label(1) == "state y"
+    assert rows(MDP.from_arrays(BY_NAME, REWARDS)) == rows(MODEL)
+    assert rows(MDP.from_arrays({"slow": pd.DataFrame([[0.5, 0.5], [0, 1]])}, [1, 0], "9/10")) == [
+        rows(MDP.from_arrays([SLOW], [1, 0]))[k] for k in range(2)
+    ]
+    assert MDP.from_arrays(BY_NAME, REWARDS, states=["b", "a"]).P("fast").toarray().tolist() == [
         [1, 0],
-    ),
-    "a Q-table of steps": (
-        lambda: Policy.of(MODEL.within(3), VALUES).tolist(),
-        Policy.of(MODEL.within(3), [[1, 2], [0, 1]]).tolist(),
-    ),
-    "probabilities by pair": (
-        lambda: Policy.of(
-            MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}, kind="policy"
-        ).weights(MODEL)[:2].tolist(),
-        [0.5, 0.5],
-    ),
-    "states that are pairs": (
-        lambda: Policy.of(GRID, {(0, 0): "down", (0, 1): "down", (1, 0): "right", (1, 1): "down"})
-        .weights(GRID).sum(),
-        float(GRID.n_states),
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", TAKEN)
-def test_taken(name: str) -> None:
-    call, wanted = TAKEN[name]
-    assert call() == wanted
+        [1, 0],
+    ]
+    assert MDP.from_arrays(BY_NAME, {"b": 5, "a": 2}).reward.tolist() == [2, 2, 5, 5]
+    assert MDP.from_arrays(
+        BY_NAME, {"b": {"slow": 5, "fast": 6}, "a": {"fast": 2, "slow": 1}}
+    ).reward.tolist() == [1, 2, 5, 6]
+    turned = table([[6, 5], [2, 1]], ["b", "a"], ["fast", "slow"])
+    assert MDP.from_arrays(BY_NAME, turned).reward.tolist() == [1, 2, 5, 6]
+    shares = [Fraction(share) for share in SHARES.tolist()]
+    assert THREE.with_(start=SHARES).start == tuple(enumerate(s / sum(shares) for s in shares))
+    assert Policy.of(MODEL, VALUES).tolist() == [1, 1]
+    assert Policy.of(MODEL, {(0, 0): 3, (0, 1): 2, (1, 0): 0, (1, 1): 0}).tolist() == [0, 0]
+    assert Policy.of(MODEL, defaultdict(float, {(0, 1): 3.0})).tolist() == [1, 0]
+    late = MODEL.within(3)
+    assert Policy.of(late, VALUES).tolist() == Policy.of(late, [[1, 2], [0, 1]]).tolist()
+    even = Policy.of(MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}, kind="policy")
+    assert even.weights(MODEL)[:2].tolist() == [0.5, 0.5]
+    assert Policy.of(
+        GRID, {(0, 0): "down", (0, 1): "down", (1, 0): "right", (1, 1): "down"}
+    ).weights(GRID).sum() == float(GRID.n_states)
 
 
 def test_a_table_by_state_and_action_is_never_one_by_row_and_column() -> None:
