@@ -30,19 +30,3 @@ def test_an_average_is_solved_proven_and_verified(model: Path, tmp_path: Path) -
     proof.write_text(proof.read_text().replace('"0x51"', '"0x52"', 1))
     assert run("verify", proof, model).status == 1
     assert run("check", model, tmp_path / "policy.csv", *AVERAGE).status == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("solve", "--criterion", "mean"), "unknown criterion 'mean'"),
-        (("solve", *AVERAGE, "--horizon", "5"), "no horizon"),
-        (("solve", *AVERAGE, "--certificate", "proof.json"), "no bounded certificates"),
-        (("solve", *AVERAGE, "--method", "gauss-seidel"), "does not apply to an average"),
-        (("check", "random", *AVERAGE, "--horizon", "5"), "no horizon"),
-    ],
-)
-def test_what_does_not_apply_is_refused(model: Path, words: tuple[str, ...], said: str) -> None:
-    done = run(words[0], model, *words[1:])
-    assert (done.status, done.out) == (2, "")
-    assert said in done.err

@@ -110,24 +110,6 @@ def test_other_commands(land: str) -> None:
     assert "home 1, over 2" in run("info", land).out
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--reach", "hom"], "did you mean home"),
-        (["--reach", "home", "--allowed", "beach"], "is not among the allowed states"),
-        (["--reach", "home", "--until", "home"], "two questions"),
-        (["--until", "home", "--reward", "time"], "no reward component 'time'"),
-        (["--reward", "time"], "--until LABEL"),
-        (["--allowed", "dry"], "--reach LABEL"),
-        (["--start", "nowhere"], "unknown state 'nowhere'"),
-    ],
-)
-def test_bad_questions(land: str, words: list[str], said: str) -> None:
-    done = run("solve", land, *words, "--json")
-    assert (done.status, done.out) == (2, "")
-    assert said in done.err
-
-
 # ---- sensitivity ---------------------------------------------------------------------------------
 
 

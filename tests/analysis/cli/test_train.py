@@ -132,29 +132,6 @@ def test_any_model_can_be_learned() -> None:
     assert done.result["regret"]["mean"] < 10
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--epsilon", "falling"), "not a finite rational"),
-        (("--epsilon", "1.5"), "between 0 and 1"),
-        (("--seeds", "0"), "--seeds"),
-        (("--seed", "-1"), "--seed"),
-        (("--learner=epochs=many",), "--learner epochs"),
-        (("--learner=method=q",), "method"),
-        (("--learner=columns=state",), "unknown state column"),
-        (("--learner=discount=2",), "outside [0, 1]"),
-        (("--n-jobs", "0"), "--n-jobs"),
-        (("--learner=rate=2",), "between 0 and 1"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
-)
-def test_bad_options_are_refused(words: tuple[str, ...], message: str) -> None:
-    done = run(*QUICK, *words)
-    assert (done.status, done.out) == (2, "")
-    assert message in done.err
-    assert "fix:" in done.err
-
-
 def test_a_model_that_cannot_be_judged_is_refused_before_the_work(tmp_path: Path) -> None:
     """One state of the start gains for ever, the other loses: no mean to compare with."""
     rows, start = [(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, -1)])], {0: "1/2", 1: "1/2"}

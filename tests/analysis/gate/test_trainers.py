@@ -151,26 +151,6 @@ def test_check_takes_the_policies_of_many_seeds(policies: list[str], tmp_path: P
     assert "| policy" in table.out
 
 
-@pytest.mark.parametrize(
-    ("several", "words", "what"),
-    [
-        (False, ["--share", "1/2"], "--share does not apply to a single policy"),
-        (False, ["--prove"], "--prove does not apply to a single policy"),
-        (True, ["--html", "page.html"], "--html does not apply to several policies"),
-        (True, ["--no-explain"], "--no-explain does not apply"),
-        (True, ["--share", "2"], "share is 2"),
-        (True, ["--share", "1/2"], "give 10 runs or more"),
-    ],
-)
-def test_options_that_do_not_fit(
-    policies: list[str], tmp_path: Path, several: bool, words: list[str], what: str
-) -> None:
-    named = policies[: 3 if several else 1]
-    done = run("check", str(tmp_path / "two.npz"), *named, *words)
-    assert (done.status, done.out) == (2, "")
-    assert what in done.err
-
-
 @pytest.mark.parametrize("end", [lambda: sys.exit(0), lambda: os._exit(0)])
 def test_a_trainer_that_ends_the_program_has_no_verdict(end: Callable[[], None]) -> None:
     """Neither while it trains, nor in the policy that it returns, nor in a list made on the way."""

@@ -151,20 +151,3 @@ def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
     assert "taken as true" in text
     assert re.search(r"^counted +95% in \S+ to \S+ \(estimated\)$", text, re.MULTILINE)
     assert low < found["counted"]["mean"] < high < found["perfect"]["value"]
-
-
-@pytest.mark.parametrize(
-    ("words", "what"),
-    [
-        ((), "no perception, or two"),
-        (("--accuracy", "0.9", "--perception", "x.csv"), "no perception, or two"),
-        (("--accuracy", "2"), "accuracy is 2"),
-        (("--accuracy", "1.5"), "where: --accuracy"),
-        (("--accuracy", "0.9", "--prior", "1"), "takes no prior"),
-        (("--accuracy", "0.9", "--draws", "x"), "not a whole number"),
-    ],
-)
-def test_the_command_refuses(words: tuple[str, ...], what: str) -> None:
-    done = run("perception", "yuan2025", *words)
-    assert (done.status, done.out) == (2, "")
-    assert what in done.err

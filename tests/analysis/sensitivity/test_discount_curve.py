@@ -46,13 +46,6 @@ def test_the_command(tmp_path: object) -> None:
     assert "pieces of the optimal value" in run(*words, "--parameter", "discount").out
 
 
-@pytest.mark.parametrize("more", [(), ("--parameter", "discount", "--parameter", "base.anxiety")])
-def test_one_parameter_is_named(more: tuple[str, ...]) -> None:
-    done = run("curve", "tea", *more)
-    assert (done.status, done.out) == (2, "")
-    assert "--parameter NAME" in done.err
-
-
 @settings(max_examples=10, deadline=None)
 @given(rows=models(discounts=(F(1, 2),)))
 def test_the_last_piece_has_the_best_gain_and_of_these_the_best_bias(rows: Rows) -> None:

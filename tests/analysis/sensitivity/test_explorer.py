@@ -133,28 +133,6 @@ def test_names_are_text(tmp_path: Path) -> None:
     assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", page)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--html", "p.html"), "--parameter"),
-        (("--parameter", "base.anxeity", "--html", "p.html"), "base.anxiety"),
-        (("--parameter", "base.anxiety", "--html", "p.txt"), ".html"),
-        ((*("--parameter", "base.anxiety") * 2, "--html", "p.html"), "name one or two"),
-        (("--parameter", "reward.assist.wait", "--html", "p.html"), "state a range"),
-        (("--parameter", "base.anxiety", "--points", "1", "--html", "p.html"), "--points"),
-        (("always:sing", "--parameter", "base.anxiety", "--html", "p.html"), "sing"),
-    ],
-)
-def test_bad_requests(
-    words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = run("explore", "tea", *words)
-    assert (done.status, done.out) == (2, "")
-    assert said in done.err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_ranges_that_no_model_has() -> None:
     with pytest.raises(ModelError, match="outside"):
         explore(TEA, "base.anxiety", ranges={"base.anxiety": (0, 2)})

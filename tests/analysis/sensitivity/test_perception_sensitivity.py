@@ -127,10 +127,3 @@ def test_the_worst_case_in_a_box(mdp: MDP, seen: Path) -> None:
     assert found["worst_case"]["point"] == {"base.anger": 0.06}
     assert found["worst_case"]["value"] == pytest.approx(worst, rel=1e-9)
     assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
-
-
-def test_a_model_without_statuses_is_refused(seen: Path) -> None:
-    words = ("--discount", "0.9", "--perception", seen)
-    done = run("psa", "gymnasium:FrozenLake-v1", *words)
-    assert done.status == 2
-    assert "no statuses" in done.err

@@ -81,15 +81,6 @@ def test_limits_that_no_policy_keeps() -> None:
         assert found.result[key] is None
 
 
-@pytest.mark.parametrize(
-    "names", [("anger",), ("anger", "angre"), ("anger", "trial", "steps", "skip")]
-)
-def test_what_is_refused(names: tuple[str, ...]) -> None:
-    done = run("tradeoff", "yuan2025", *names)
-    assert (done.status, done.out) == (2, "")
-    assert "fix:" in done.err
-
-
 def test_the_picture_shows_vertices_and_policies() -> None:
     scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     front = tradeoff(scenario, ["anger", "subtask-complete"])

@@ -1,0 +1,190 @@
+"""What the commands refuse: nothing on standard output, status 2, and a sentence with its fix."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from cli_runner import run
+from made_models import forest
+
+from exact_mdp import MDP, save
+
+SMALL = "yuan2025 --set tasks=[1] --set max_trial=2"
+LAND = MDP.from_outcomes(
+    [(0, 0, [("1/2", 1, 1), ("1/2", 2, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])],
+    states=["here", "home", "sea"],
+    labels={"home": [False, True, False], "dry": [True, True, False], "sea": [False, False, True]},
+)
+TABLE = """
+gradients small -> gradients
+gradient small --parameter base.angre -> unknown parameter
+tornado small --range base.anger=0.1 -> not a range
+tornado small --range base.anger=0.3:0.1 -> empty
+tornado small --range base.anger=0:1.5 -> outside
+tornado small --range base.angre=0:1 -> unknown parameter
+tornado small --relative 0 -> share
+threshold small --parameter base.angre -> unknown parameter
+threshold small --range base.anger=0.5:0.25 -> empty
+threshold small --range base.anger=0.25:0.25 -> empty
+threshold small --range base.anger=0:2 -> outside
+threshold small --range nowhere.toml -> nowhere.toml
+sobol small --samples 0 -> '0' is not a whole number from 2
+sobol small --samples 1 -> '1' is not a whole number from 2
+sobol small --samples 1000 -> not a power of 2
+sobol small --samples many -> 'many' is not a whole number
+sobol small --seed -1 -> --seed
+sobol small --n-jobs 0 -> --n-jobs
+sobol small --parameter base.angre -> did you mean base.anger?
+sobol small --parameter assistance.supportive.anger.onset -> gives no range
+sobol small --range base.anger=0.2:1.2 -> outside [0, 1]
+sobol small --range base.anger -> is not NAME=LOW:HIGH
+sobol small --policy always:nothing -> nothing
+sobol small --out ' ' -> --out is empty
+sobol small --range base.anger=0.2:0.1 -> empty
+sobol small --range base.anger=0.2:0.2 -> empty
+psa small --samples 0 -> --samples
+psa small --samples -3 -> --samples
+psa small --effective-sample-size 0 -> effective sample size 0
+psa small --effective-sample-size -1 -> effective sample size -1
+psa small --effective-sample-size many -> not a finite rational
+psa small --uncertain none.toml -> none.toml
+psa small --uncertain uncertain.toml -> did you mean base.anger
+psa small --uncertain uncertain.toml -> uncertain.toml
+psa small --parameter base.angre -> did you mean base.anger
+psa small --seed x -> --seed
+psa small --policy always:nothing -> nothing
+robust small --radius abc -> where: --radius
+robust small --radius -1 -> where: --radius
+robust small --set-kind box --radius abc -> where: --radius
+robust small --set-kind box --radius -1 -> where: --radius
+robust small --set-kind box --radius 0 -> above 0
+robust small --set-kind l1 --radius 2.1 -> no two distributions are more than 2 apart
+robust small --set-kind l1 --radius 2.1 -> where: --radius
+robust small --set-kind ball -> --set-kind
+robust small --set-kind box --parameter base.angr -> base.angr
+robust small --set-kind kl --range base.anger=0:1 -> for a box
+robust small --set-kind box --range base.anger=1:0 -> empty
+gradient tea --range a=0:1 -> No such option '--range'
+gradient tea --range a=0:1 -> exact-mdp gradient --help
+threshold tea --policy random -> No such option '--policy'
+psa tea --whole -> No such option '--whole'
+curve tea --samples 4 -> No such option '--samples'
+curve tea -> --parameter NAME
+curve tea --parameter discount --parameter base.anxiety -> --parameter NAME
+one-way tea -> parameters, and
+two-way tea --parameter base.anger -> parameters, and
+explore tea --html p.html -> --parameter
+explore tea --parameter base.anxeity --html p.html -> base.anxiety
+explore tea --parameter base.anxiety --html p.txt -> .html
+explore tea --parameter base.anxiety --parameter base.anxiety --html p.html -> name one or two
+explore tea --parameter reward.assist.wait --html p.html -> state a range
+explore tea --parameter base.anxiety --points 1 --html p.html -> --points
+explore tea always:sing --parameter base.anxiety --html p.html -> sing
+check tea random --gamma 0.9 -> Did you mean '--discount'?
+check tea random --plot p.png -> Did you mean '--html'?
+check FrozenLake-v1 random -> did you mean gymnasium:FrozenLake-v1?
+solve land.npz --reach hom -> did you mean home
+solve land.npz --reach home --allowed sea -> is not among the allowed states
+solve land.npz --reach home --until home -> two questions
+solve land.npz --until home --reward time -> no reward component 'time'
+solve land.npz --reward time -> --until LABEL
+solve land.npz --allowed dry -> --reach LABEL
+solve land.npz --start nowhere -> unknown state 'nowhere'
+solve forest.npz --criterion mean -> unknown criterion 'mean'
+solve forest.npz --criterion average --horizon 5 -> no horizon
+solve forest.npz --criterion average --certificate proof.json -> no bounded certificates
+solve forest.npz --criterion average --method gauss-seidel -> does not apply to an average
+check forest.npz random --criterion average --horizon 5 -> no horizon
+solve yuan2025 --subject-to anger -> is no limit
+solve yuan2025 --subject-to 'angre >= 1' -> angre
+solve yuan2025 --subject-to 'anger > 1' -> is no limit
+check yuan2025 optimal --subject-to anger -> is no limit
+check yuan2025 optimal --subject-to 'angre >= 1' -> angre
+check yuan2025 optimal --subject-to 'anger > 1' -> is no limit
+tradeoff yuan2025 anger -> front of 1 totals
+tradeoff yuan2025 anger angre -> angre
+tradeoff yuan2025 anger trial steps skip -> front of 4 totals
+perception yuan2025 -> no perception, or two
+perception yuan2025 --accuracy 0.9 --perception x.csv -> no perception, or two
+perception yuan2025 --accuracy 2 -> accuracy is 2
+perception yuan2025 --accuracy 1.5 -> where: --accuracy
+perception yuan2025 --accuracy 0.9 --prior 1 -> takes no prior
+perception yuan2025 --accuracy 0.9 --draws x -> not a whole number
+psa gymnasium:FrozenLake-v1 --discount 0.9 --perception seen.csv -> no statuses
+train yuan2025 --epsilon falling -> not a finite rational
+train yuan2025 --epsilon 1.5 -> between 0 and 1
+train yuan2025 --seeds 0 -> --seeds
+train yuan2025 --seed -1 -> --seed
+train yuan2025 --learner=epochs=many -> --learner epochs
+train yuan2025 --learner=method=q -> method
+train yuan2025 --learner=columns=state -> unknown state column
+train yuan2025 --learner=discount=2 -> outside [0, 1]
+train yuan2025 --n-jobs 0 -> --n-jobs
+train yuan2025 --learner=rate=2 -> between 0 and 1
+check two.npz optimal --share 1/2 -> --share does not apply to a single policy
+check two.npz optimal --prove -> --prove does not apply to a single policy
+check two.npz optimal random random --html page.html -> --html does not apply to several policies
+check two.npz optimal random random --no-explain -> --no-explain does not apply
+check two.npz optimal random random --share 2 -> share is 2
+check two.npz optimal random random --share 1/2 -> give 10 runs or more
+check ill.npz always:a --by robust -> applies to an interval
+check ill.npz always:a --evidence prior=2 -> applies to an interval
+check ill.npz always:a --confidence 1 -> a confidence of 1
+check ill.npz always:a --confidence 0.9 --by bayes -> unknown kind
+check ill.npz always:a --confidence 0.9 --evidence prior=2 -> does not apply to robust
+check ill.npz always:a --confidence 0.9 --evidence rewards=5 -> no range
+check ill.npz always:a --confidence 0.9 --evidence rewards=0,x -> no range
+check ill.npz always:a --confidence 0.9 --by off-policy -> no trajectories
+check ill.npz always:a --confidence 0.9 --by posterior --evidence n=x -> not a whole number
+check ill.npz always:a --confidence 0.9 -> nothing says where rewards lie
+check ill.npz always:a --confidence 0.9 --max-relative-regret 1 -> total regret alone
+check ill.npz always:a by --evidence=records=none.csv -> none.csv
+check ill.npz always:a by records --evidence=behaviour=always:a -> the behaviour never does what was
+check ill.npz always:a by records --evidence=behaviour=always:b -> never does what the policy does
+check ill.npz always:a by records --evidence=behaviour=always:b -> state ill
+data semicolons.csv --discount=0.9 --out=other.npz -> separate columns by commas
+data ward.csv --discount=0.9 --out=other.npz -> --column state=
+"""
+SHORT = {
+    " small": f" {SMALL}",
+    " by ": " --confidence=.9 --by=off-policy --evidence=rewards=0,1 ",
+    " records ": " --evidence=records=records.csv ",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("refusals")
+    rows = [(n, "ill", ("a", "b")[n % 2], n // 2 % 2, None) for n in range(80)]
+    names = ["episode", "state", "action", "reward", "next_state"]
+    pd.DataFrame(rows, columns=names).to_csv(place / "records.csv", index=False)
+    text = (place / "records.csv").read_text("utf-8")
+    (place / "semicolons.csv").write_text(text.replace(",", ";"), "utf-8")
+    (place / "ward.csv").write_text(text.replace("state", "ward", 1), "utf-8")
+    (place / "uncertain.toml").write_text('["base.angre"]\neffective_sample_size = 10\n')
+    labels = [f"{s:04b}" for s in range(16)]
+    lines = [f"{s}," + ",".join("1" if s == t else "0" for t in labels) for s in labels]
+    (place / "seen.csv").write_text("\n".join(["status," + ",".join(labels), *lines]) + "\n")
+    two = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]], layout="ass")
+    models = {"land": LAND, "forest": forest("9/10"), "two": two}
+    models["ill"] = MDP.from_transitions(place / "records.csv", "1/2")
+    for name, mdp in models.items():
+        save(mdp, place / f"{name}.npz")
+    return place
+
+
+@pytest.mark.parametrize(("line", "said"), [row.split(" -> ") for row in TABLE.strip().split("\n")])
+def test_refused(line: str, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = sorted(folder.iterdir())
+    monkeypatch.chdir(folder)
+    for short, whole in SHORT.items():
+        line = line.replace(short, whole, 1)
+    done = run(*shlex.split(line))
+    assert (done.status, done.out) == (2, "")
+    assert said in done.err
+    assert re.search(r"\n  where: .+\n  fix:   .+\n$", done.err)
+    assert sorted(folder.iterdir()) == before
