@@ -14,7 +14,7 @@ from itertools import product
 from math import lcm, prod
 from typing import Any
 
-Status = tuple[int, int, int, int]
+Status = tuple[int, ...]
 State = tuple[int, int, int, Status] | str
 Policy = Callable[[State], Mapping[str, Fraction]]
 Outcome = tuple[Fraction, State, dict[str, Fraction], bool]
@@ -85,10 +85,18 @@ class Oracle:
         max_trial: int = 5,
         discount: Fraction = Fraction(1),
         parameters: Mapping[str, Fraction] | None = None,
+        own: Any = None,
     ) -> None:
+        # The names of statuses, actions and weights, also those of one's `own` scenario.
+        self.statuses = own.statuses if own else STATUSES
+        self.assistance = own.actions if own else ACTIONS
+        weights = own.weights if own else dict(zip(STATUSES, STATUS_WEIGHTS, strict=True))
+        self.weights = [weights[status] for status in self.statuses]
+        self.others = dict(own.others) if own else dict([STATUSES[:2], STATUSES[1::-1]])
+        self.clear: Status = (0,) * len(self.statuses)
         self.readings = {name: options[0] for name, options in READINGS.items()}
         self.readings.update(readings or {})
-        self.parameters = default_parameters()
+        self.parameters = dict(parameters or {}) if own else default_parameters()
         known = set(self.parameters)
         self.parameters.update({k: Fraction(v) for k, v in (parameters or {}).items()})
         if set(self.readings) != set(READINGS) or set(self.parameters) != known:
@@ -98,7 +106,7 @@ class Oracle:
         self.tasks = list(tasks)
         self.trials = max_trial + (self.readings["max_trial_rule"] == "after")  # M
         self.discount = Fraction(discount)
-        self.start: State = (0, 0, 1, CLEAR)
+        self.start: State = (0, 0, 1, self.clear)
         # for every subtask, whether it is the last of its task
         self.last = [i == size - 1 for size in self.tasks for i in range(size)]
         self._outcomes: dict[tuple[State, str], list[Outcome]] = {}
@@ -111,15 +119,15 @@ class Oracle:
     def influence(self, j: int, i: int) -> Fraction:
         """What status j, when present now, adds to the chance of status i next."""
         if self.readings["influence_orientation"] == "row-to-column":
-            return self.parameters[f"influence.{STATUSES[j]}.{STATUSES[i]}"]
-        return self.parameters[f"influence.{STATUSES[i]}.{STATUSES[j]}"]
+            return self.parameters[f"influence.{self.statuses[j]}.{self.statuses[i]}"]
+        return self.parameters[f"influence.{self.statuses[i]}.{self.statuses[j]}"]
 
     def unassisted(self, s: Status, i: int, present: int) -> Fraction:
         """The chance of status i next without assistance, it being `present` now, others as s."""
-        pushes = sum((self.influence(j, i) for j in range(4) if j != i and s[j]), Fraction(0))
+        pushes = sum((self.influence(j, i) for j in range(len(s)) if j != i and s[j]), Fraction(0))
         if present == 0:
-            return min(Fraction(1), self.parameters[f"base.{STATUSES[i]}"] + pushes)
-        persistence = self.parameters[f"persistence.{STATUSES[i]}"]
+            return min(Fraction(1), self.parameters[f"base.{self.statuses[i]}"] + pushes)
+        persistence = self.parameters[f"persistence.{self.statuses[i]}"]
         if self.readings["influence_on_present"] == "additive":
             return min(Fraction(1), persistence + pushes)
         return persistence
@@ -127,7 +135,7 @@ class Oracle:
     def chances(self, s: Status, action: str) -> list[Fraction]:
         """The chance of each status being 1 next, under one of the four assistive actions."""
         result = []
-        for i, status in enumerate(STATUSES):
+        for i, status in enumerate(self.statuses):
             kind = "persistence" if s[i] else "onset"
             assisted = self.parameters.get(f"assistance.{action}.{status}.{kind}")
             result.append(self.unassisted(s, i, s[i]) if assisted is None else assisted)
@@ -136,14 +144,15 @@ class Oracle:
     def skip_chances(self, s: Status) -> list[Fraction]:
         """The chance of each status being 1 after a skip in status s."""
         if self.readings["skip_onset"] == "reset":
-            return [Fraction(0)] * 4
+            return [Fraction(0)] * len(s)
         result = []
-        for i, status in enumerate(STATUSES):
+        for i, status in enumerate(self.statuses):
             if s[i] == 0:
                 base = self.readings["skip_onset"] == "base"
                 result.append(self.unassisted(s, i, 0) if base else Fraction(0))
-            elif i < 2:
-                other = "with-other" if s[1 - i] else "alone"
+            elif status in self.others:
+                present = s[self.statuses.index(self.others[status])]
+                other = "with-other" if present else "alone"
                 result.append(self.parameters[f"skip.{status}.{other}"])
             else:
                 result.append(self.parameters[f"skip.{status}.persistence"])
@@ -155,7 +164,7 @@ class Oracle:
         """The actions that may be taken in a state; none at the end."""
         if isinstance(state, str):
             return ()
-        return ("skip",) if state[1] == self.trials else ACTIONS
+        return ("skip",) if state[1] == self.trials else self.assistance
 
     def outcomes(self, state: State, action: str) -> list[Outcome]:
         """What one timestep can lead to: (probability, next state, rewards, skipped)."""
@@ -183,13 +192,13 @@ class Oracle:
             return
         for p, s2 in independent(self.chances(s, action)):
             earned = {"timestep", *self._status_names(s, s2)}
-            if s2 == CLEAR:
+            if s2 == self.clear:
                 earned |= {"subtask-complete", f"assist.{action}"}
                 if self.readings["trial_cost"] == "every-trial":
                     earned.add("trial")
                 if self.last[k] and c:
                     earned.add("task-complete")
-                yield p, self._move_on(k, c, CLEAR, skipped=False), frozenset(earned), False
+                yield p, self._move_on(k, c, self.clear, skipped=False), frozenset(earned), False
                 continue
             earned.add("trial")
             if t + 1 < self.trials or self.readings["skip_timestep"] == "own":
@@ -201,7 +210,7 @@ class Oracle:
 
     def _status_names(self, now: Status, nxt: Status) -> set[str]:
         paid = nxt if self.readings["status_cost"] == "next" else now
-        return {name for name, bit in zip(STATUS_WEIGHTS, paid, strict=True) if bit}
+        return {name for name, bit in zip(self.weights, paid, strict=True) if bit}
 
     def _skip_names(self, k: int) -> set[str]:
         paid = self.last[k] and self.readings["task_bonus"] == "always"
@@ -337,7 +346,10 @@ def oracle_of(scenario: Any, changes: Mapping[str, Fraction] = {}) -> Oracle:
     """Return the independent model of a scenario's settings, some of its numbers changed."""
     values = {**scenario.values(), "discount": scenario.discount, **changes}
     discount = values.pop("discount")
-    return Oracle(dict(scenario.readings), scenario.tasks, scenario.max_trial, discount, values)
+    own = scenario if scenario.statuses != STATUSES else None
+    return Oracle(
+        dict(scenario.readings), scenario.tasks, scenario.max_trial, discount, values, own
+    )
 
 
 def acting(actions: Mapping[str, str]) -> Callable[[State], dict[str, Fraction]]:

@@ -8,10 +8,12 @@ from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from care_oracle import independent
+import pytest
+from care_oracle import Oracle, State, oracle_of
+from policy_cases import state_of
 
 import exact_mdp
-from exact_mdp import Scenario
+from exact_mdp import MDP, Scenario
 
 PACKAGE = Path(exact_mdp.__file__).parent
 SHIPPED = {path.stem: path.read_text("utf-8") for path in PACKAGE.glob("*/scenarios/*.toml")}
@@ -25,67 +27,45 @@ def scenario_of(text: str) -> Scenario:
         return Scenario.load(path)
 
 
-def independent_law(scenario: Scenario, status: tuple[int, ...], action: str) -> list[Fraction]:
-    """The chance of each status being 1 next, by the rules of Section 2.1, default readings."""
-    values, names = scenario.values(), scenario.statuses
-    result = []
-    for i, name in enumerate(names):
-        given = f"assistance.{action}.{name}.{'persistence' if status[i] else 'onset'}"
-        push = sum(values[f"influence.{names[j]}.{name}"] for j in range(len(names)) if j != i
-                   and status[j])  # fmt: skip
-        raised = min(Fraction(1), values[f"base.{name}"] + push)
-        free = values[f"persistence.{name}"] if status[i] else raised
-        result.append(values.get(given, free))
-    return result
+Law = dict[tuple[State, Fraction, bool], Fraction]
 
 
-def skip_law(scenario: Scenario, status: tuple[int, ...]) -> list[Fraction]:
-    values, names = scenario.values(), scenario.statuses
-    result = []
-    for i, name in enumerate(names):
-        rule = "persistence"
-        if name in scenario.others:
-            rule = "with-other" if status[names.index(scenario.others[name])] else "alone"
-        result.append(values[f"skip.{name}.{rule}"] if status[i] else Fraction(0))
-    return result
+def law_of(mdp: MDP, pair: int) -> Law:
+    """What the compiled model says of one pair."""
+    law: Law = defaultdict(Fraction)
+    table = mdp.table
+    assert table.event is not None
+    first = int(table.offsets[pair])
+    for i, (probability, following, reward) in enumerate(table.row(pair)):
+        skipped = bool(table.event[first + i])
+        law[state_of(mdp, following), reward, skipped] += probability
+    return law
+
+
+def wanted_of(oracle: Oracle, state: State, action: str) -> tuple[Law, dict[str, Fraction]]:
+    """What the reference says of it, with the expected reward components."""
+    law: Law = defaultdict(Fraction)
+    parts: dict[str, Fraction] = defaultdict(Fraction)
+    for probability, following, rewards, skipped in oracle.outcomes(state, action):
+        law[following, sum(rewards.values(), Fraction(0)), skipped] += probability
+        for name, reward in rewards.items():
+            parts[name] += probability * reward
+    return law, parts
+
+
+def check_pairs(mdp: MDP, oracle: Oracle, pairs: Iterable[int]) -> None:
+    for pair in pairs:
+        state = state_of(mdp, int(mdp.pair_state[pair]))
+        action = mdp.actions[mdp.pair_action[pair]]
+        law, parts = wanted_of(oracle, state, action)
+        assert law_of(mdp, pair) == law, mdp.where(pair)
+        found = dict(zip(mdp.component_names, mdp.components[pair], strict=True))
+        for name, value in found.items():
+            assert value == pytest.approx(float(parts.get(name, 0)), rel=1e-14, abs=1e-14)
 
 
 def check_own(scenario: Scenario, pairs: Iterable[int]) -> None:
-    """Compare a one-task model, read by default, with laws worked out here."""
-    mdp, count = scenario.compile(), len(scenario.statuses)
-    (subtasks,) = scenario.tasks
-    reward = {name: scenario[f"reward.{name}"] for name in scenario.components}
-    for pair in pairs:
-        labels = mdp.space.as_dict(int(mdp.pair_state[pair]))
-        subtask, trial = int(labels["subtask"]), int(labels["trial"])
-        status = tuple(int(bit) for bit in labels["status"])
-        action = mdp.actions[mdp.pair_action[pair]]
-
-        def number(subtask: int, trial: int, bits: tuple[int, ...]) -> int:
-            if subtask == subtasks:
-                return mdp.n_states - 1
-            code = int("".join(map(str, bits)), 2)
-            return mdp.space.index(subtask=subtask, trial=trial, status=code)
-
-        wanted: dict[tuple[int, Fraction], Fraction] = defaultdict(Fraction)
-        for p, after in independent(independent_law(scenario, status, action)):
-            gain = reward["timestep"] + reward["trial"]
-            gain += sum(reward[scenario.weights[n]] for n, bit in
-                        zip(scenario.statuses, after, strict=True) if bit)  # fmt: skip
-            bonus = reward["task-complete"] * (subtask + 1 == subtasks)
-            if not any(after):
-                gain += reward["subtask-complete"] + reward[f"assist.{action}"] + bonus
-                wanted[number(subtask + 1, 0, (0,) * count), gain] += p
-            elif trial + 1 < scenario.max_trial:
-                wanted[number(subtask, trial + 1, after), gain] += p
-            else:
-                gain += reward["subtask-skip"] + bonus
-                for q, kept in independent(skip_law(scenario, after)):
-                    wanted[number(subtask + 1, 0, kept), gain] += p * q
-        found: dict[tuple[int, Fraction], Fraction] = defaultdict(Fraction)
-        for p, following, gain in mdp.table.row(pair):
-            found[following, gain] += p
-        assert found == wanted, mdp.where(pair)
+    check_pairs(scenario.compile(), oracle_of(scenario), pairs)
 
 
 def own_text(statuses: int, actions: int) -> str:

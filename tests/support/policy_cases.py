@@ -269,8 +269,9 @@ def state_of(mdp: MDP, number: int) -> State:
     if number == mdp.n_states - 1:
         return END
     value = {name: int(mdp.space.values(name, np.array([number]))[0]) for name in mdp.space.names}
-    f, c, a, d = (value["status"] >> shift & 1 for shift in (3, 2, 1, 0))
-    return (value["subtask"], value["trial"], 1 - value.get("skipped", 0), (f, c, a, d))
+    bits = mdp.space.column("status").bits
+    status = tuple(value["status"] >> shift & 1 for shift in reversed(range(bits)))
+    return (value["subtask"], value["trial"], 1 - value.get("skipped", 0), status)
 
 
 def policy_of(mdp: MDP, policy: OraclePolicy) -> Policy:

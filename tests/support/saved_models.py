@@ -13,6 +13,8 @@ from exact_mdp import MDP, Column, Parameter, Scenario, StateSpace
 
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 2], max_trial=2)
 WIDE = Fraction(1, 3**60)
+LONG = "n" * 500
+OutcomeTable = type(CARE.compile().table)
 TAXI = max(name for name in gymnasium.registry if name.startswith("Taxi-v"))
 
 MODELS = {
@@ -62,6 +64,25 @@ MODELS = {
         ), "9/10",
     ),
     "gymnasium": MDP.from_gymnasium(TAXI, "9/10"),
+    "denormal rewards": MDP.from_arrays(
+        [[[0.3, 0.7], [0, 1.0]]], [[[1e-320, 2e-322], [0, -0.0]]], 0.5
+    ),
+    "0 and -0": MDP(
+        OutcomeTable(
+            offsets=np.array([0, 2, 3]), next=np.array([0, 0, 1]), weight=np.array([0.5, 0.5, 1.0]),
+            denominator=np.array([1, 1]), gain=np.array([-0.0, 0.0, 0.0]),
+            gain_denominator=np.array([1, 1]), event=np.array([1, 0, 0], dtype=np.uint8),
+        ),
+        np.array([0, 1]), np.zeros(2, np.int64), space=StateSpace.plain(2), actions=("go",),
+        events=("fall",), discount_exact=Fraction(1, 2),
+    ),
+    "long names": MDP.from_outcomes(
+        [(0, 0, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])], "1/2", actions=[LONG], states=[LONG, "b"],
+        component_names=(LONG, LONG + "2"), components=np.array([[1.0, 2], [0, 0]]), name=LONG,
+    ),
+    "columns of one name": MDP.from_outcomes(
+        [(0, 0, [(1, 0, 1)])], "1/2", space=StateSpace(columns=(Column(name="x", size=1),) * 2)
+    ),
 }  # fmt: skip
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable
 from fractions import Fraction
 from itertools import product
 from random import Random
@@ -11,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from care_oracle import STATUSES, Oracle, State
+from care_oracle import STATUSES, Oracle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_scenarios import check_pairs
 from policy_cases import state_of
 
 from exact_mdp import MDP, READINGS, Scenario
@@ -22,41 +21,6 @@ BASE = Scenario.load("yuan2025")
 ALL_READINGS = [
     dict(zip(READINGS, options, strict=True)) for options in product(*READINGS.values())
 ]
-Law = dict[tuple[State, Fraction, bool], Fraction]
-
-
-def law_of(mdp: MDP, pair: int) -> Law:
-    """What the compiled model says of one pair."""
-    law: Law = defaultdict(Fraction)
-    table = mdp.table
-    assert table.event is not None
-    first = int(table.offsets[pair])
-    for i, (probability, following, reward) in enumerate(table.row(pair)):
-        skipped = bool(table.event[first + i])
-        law[state_of(mdp, following), reward, skipped] += probability
-    return law
-
-
-def wanted_of(oracle: Oracle, state: State, action: str) -> tuple[Law, dict[str, Fraction]]:
-    """What the reference says of it, with the expected reward components."""
-    law: Law = defaultdict(Fraction)
-    parts: dict[str, Fraction] = defaultdict(Fraction)
-    for probability, following, rewards, skipped in oracle.outcomes(state, action):
-        law[following, sum(rewards.values(), Fraction(0)), skipped] += probability
-        for name, reward in rewards.items():
-            parts[name] += probability * reward
-    return law, parts
-
-
-def check_pairs(mdp: MDP, oracle: Oracle, pairs: Iterable[int]) -> None:
-    for pair in pairs:
-        state = state_of(mdp, int(mdp.pair_state[pair]))
-        action = mdp.actions[mdp.pair_action[pair]]
-        law, parts = wanted_of(oracle, state, action)
-        assert law_of(mdp, pair) == law, mdp.where(pair)
-        found = dict(zip(mdp.component_names, mdp.components[pair], strict=True))
-        for name, value in found.items():
-            assert value == pytest.approx(float(parts.get(name, 0)), rel=1e-14, abs=1e-14)
 
 
 def check_shape(mdp: MDP, oracle: Oracle) -> None:

@@ -31,7 +31,7 @@ def test_six_statuses() -> None:
 def test_the_tea_scenario() -> None:
     tea = Scenario.load("tea")
     assert tea["assistance.demonstrate.anxiety.persistence"] == Fraction(2, 3)
-    check_own(tea.with_(tasks=[2], readings={"skip_timestep": "same"}), range(0, 2 * 3 * 8 * 3, 5))
+    check_own(tea.with_(tasks=[2]), range(0, 2 * 3 * 8 * 3, 5))
     assert tea.compile().space.size == 5 * 4 * 8 + 1
 
 

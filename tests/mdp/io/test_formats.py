@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from model_contents import assert_same
 from saved_models import MODELS, models
 
-from exact_mdp import MDP, Column, ModelError, StateSpace, load, save
+from exact_mdp import MDP, ModelError, load, save
 
 FORMATS = ("npz", "umb")
 DERIVED = ("table", "transition", "reward", "pair_offsets")
@@ -86,55 +86,6 @@ def test_any_model_comes_back(
     path = tmp_path_factory.mktemp("formats") / f"m.{ending}"
     save(mdp, path)
     assert_whole(mdp, load(path))
-
-
-def test_denormal_rewards_are_no_contradiction(tmp_path: Path) -> None:
-    """UMB took the rounding of a mean of denormal numbers for a change by another program."""
-    mdp = MDP.from_arrays([[[0.3, 0.7], [0, 1.0]]], [[[1e-320, 2e-322], [0, -0.0]]], 0.5)
-    save(mdp, tmp_path / "m.umb")
-    assert_whole(mdp, load(tmp_path / "m.umb"))
-
-
-def test_minus_zero_beside_zero(tmp_path: Path) -> None:
-    """Two outcomes of one state whose rewards are 0 and -0 stay two outcomes."""
-    table = type(MODELS["tea"].table)(
-        offsets=np.array([0, 2, 3]),
-        next=np.array([0, 0, 1]),
-        weight=np.array([0.5, 0.5, 1.0]),
-        denominator=np.array([1, 1]),
-        gain=np.array([-0.0, 0.0, 0.0]),
-        gain_denominator=np.array([1, 1]),
-        event=np.array([1, 0, 0], dtype=np.uint8),
-    )
-    states = np.array([0, 1])
-    mdp = MDP(
-        table, states, np.zeros(2, np.int64), space=StateSpace.plain(2), actions=("go",),
-        events=("fall",), discount_exact=Fraction(1, 2),
-    )  # fmt: skip
-    for ending in FORMATS:
-        save(mdp, tmp_path / f"m.{ending}")
-        assert_whole(mdp, load(tmp_path / f"m.{ending}"))
-
-
-def test_names_of_500_characters(tmp_path: Path) -> None:
-    """Long names are no file names inside an archive, and so may be long."""
-    long = "n" * 500
-    parts = np.array([[1.0, 2.0], [0.0, 0.0]])
-    mdp = MDP.from_outcomes(
-        [(0, 0, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])], "1/2", actions=[long], states=[long, "b"],
-        component_names=(long, long + "2"), components=parts, name=long,
-    )  # fmt: skip
-    for ending in FORMATS:
-        save(mdp, tmp_path / f"m.{ending}")
-        assert_whole(mdp, load(tmp_path / f"m.{ending}"))
-
-
-def test_columns_of_one_name(tmp_path: Path) -> None:
-    """The variables of UMB have different names; a model whose columns have not is kept too."""
-    columns = (Column(name="x", size=1), Column(name="x", size=1))
-    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "1/2", space=StateSpace(columns=columns))
-    save(mdp, tmp_path / "m.umb")
-    assert_whole(mdp, load(tmp_path / "m.umb"))
 
 
 def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:

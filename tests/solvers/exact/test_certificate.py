@@ -98,18 +98,27 @@ def test_random_models_are_solved_exactly(rows: Rows) -> None:
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_published_models(case: Case) -> None:
     mdp = model_of(case.n_states, case.pairs, case.discount, start=case.start)
-    if case.discount == 1 and not every_policy_ends(case.n_states, case.pairs):
+    found = certify(mdp)
+    assert found.violations() == []
+    assert case.values
+    for state, value in case.values.items():
+        exact = found.value[state]
+        near = 0 if isinstance(value, F) else case.tolerance
+        assert exact == value or abs(exact - value) <= near, state
+    assert case.proper == (case.discount < 1 or every_policy_ends(case.n_states, case.pairs))
+    if not case.proper:
         with pytest.raises(ModelError, match="need every policy to end"):
             certify(mdp, bounded=True)
-        proof = certify(mdp)
-        assert proof.violations() == []
-        for state, value in case.values.items():
-            assert proof.value[state] == pytest.approx(value, abs=case.tolerance)
         return
-    rows = Rows(n_states=case.n_states, pairs=tuple(case.pairs), discount=case.discount)
-    found = certify(mdp)
+    for state, actions in case.optimal.items():
+        best = [a for a in mdp.pairs_of(state) if found.optimal_pairs[a]]
+        assert {int(mdp.pair_action[a]) for a in best} == set(actions)
+    for state, action in case.policy.items():
+        assert found.optimal_pairs[mdp.pair(state, action)]
     check(found, mdp)
-    check_reference(rows, found, mdp)
+    check_reference(
+        Rows(n_states=case.n_states, pairs=case.pairs, discount=case.discount), found, mdp
+    )
     try:
         check_bounds(mdp, certify(mdp, bounded=True))
     except SolverError:
