@@ -10,9 +10,8 @@ from typing import Any
 
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import check_outputs, number_of
-from exact_mdp.analysis.perception.accuracy import confusion_at
 from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.perception.values import value_under_counts
+from exact_mdp.analysis.perception.values import confusion_at, value_under_counts
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar

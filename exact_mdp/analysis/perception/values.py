@@ -1,6 +1,8 @@
 """Values of one policy under many confusions of the status at once.
 
-Where only counts of a confusion are known, its rows are drawn from their posterior.
+With accuracy x a status is read rightly with probability x where it is present and where it is
+absent, the statuses independently. Where only counts of a confusion are known, its rows are drawn
+from their posterior.
 
 A confusion C makes a mixed policy π_C of the true status. Every number is a sum of products: with D
 steps at most, n roundings in each of them and R the greatest reward of an outcome, a value is off
@@ -9,18 +11,26 @@ by at most γ(D n) D R (Higham, Accuracy and Stability of Numerical Algorithms, 
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.mdp.care.perception import LEVEL, Counted, by_place, status_size
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.care.perception import (
+    LEVEL,
+    Counted,
+    by_place,
+    independent,
+    status_names,
+    status_size,
+)
+from exact_mdp.mdp.errors import ModelError, listed, located, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.result import Pictured, Result
+from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
@@ -31,6 +41,7 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+ALL = "all"
 BATCH = 256  # matrices evaluated at once
 
 
@@ -94,6 +105,86 @@ class Passes:
         return self.at_start(self.layers.mean(self.weights(table, confusions))[0])
 
 
+def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
+    """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all."""
+    if not 0 <= accuracy <= 1:
+        raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
+    names = status_names(model)
+    if status not in (*names, ALL):
+        raise ModelError(
+            f"unknown status {status!r}", where="accuracy", fix=suggest(status, [*names, ALL])
+        )
+    rates = [accuracy if status in (name, ALL) else 1.0 for name in names]
+    return independent(rates, rates)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AccuracyCurves(Pictured):
+    """Values of a policy on perceptions along accuracies, status by status and for all.
+
+    Attributes
+    ----------
+    levels : (M,)
+    values : {status, or "all": (M,)}
+        The value where this status is perceived with the accuracy and the others perfectly.
+    error : float
+        No value is off by more than this.
+    """
+
+    levels: Floats
+    values: dict[str, Floats]
+    error: float
+
+    def frame(self) -> DataFrame:
+        """Return one row for each accuracy, one column for each status and for all."""
+        import pandas
+
+        return pandas.DataFrame({"accuracy": self.levels} | self.values)
+
+
+def accuracy_curves(
+    model: MDP,
+    policy: PolicyLike = "optimal",
+    *,
+    levels: Iterable[float] | None = None,
+    statuses: Sequence[str] | None = None,
+) -> AccuracyCurves:
+    """Return the value of a policy that takes what it perceives for true, along accuracies.
+
+    Parameters
+    ----------
+    model : MDP
+        With a column `status`.
+    policy : PolicyLike
+    levels : iterable of float, optional
+        Accuracies; 51 from 0.5 to 1 unless given.
+    statuses : sequence of str, optional
+        The curves; one for each status and "all" unless given.
+
+    Returns
+    -------
+    AccuracyCurves
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> found = accuracy_curves(Scenario.load("yuan2025").compile(), levels=[0.9, 1])
+    >>> found.values["all"].round(4).tolist()
+    [140.7766, 146.2359]
+    """
+    grid = np.linspace(0.5, 1.0, 51)
+    if levels is not None:
+        with located("levels"):
+            grid = np.array([float(exact(level)) for level in listed(levels, "levels")])
+    passes = Passes(model)
+    table, curves = passes.table(policy), {}
+    names = (*status_names(model), ALL)
+    for name in names if statuses is None else listed(statuses, "statuses"):
+        matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])
+        curves[name] = passes.worth(table, matrices)
+    return AccuracyCurves(levels=grid, values=curves, error=passes.rounding)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class UncertainValue(Result):
     """A policy's value where the confusion is known from counts only.
@@ -141,15 +232,6 @@ def value_under_counts(
     """Return the value of a policy under a confusion of which only counts are known.
 
     Of n matrices that are drawn from the posterior of the counts, which have a prior.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> mdp = Scenario.load("yuan2025").compile()
-    >>> seen = Counted(counts=50 * np.eye(16, dtype=int), prior=1 / 16)
-    >>> found = value_under_counts(mdp, "optimal", seen, rng=0, n=200)
-    >>> found.interval[0] < found.at_mean.value < found.interval[1]
-    True
     """
     if n < 1 or not 0 < level < 1:
         raise ModelError(

@@ -24,8 +24,8 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.table import Floats
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.perception.accuracy import AccuracyCurves
     from exact_mdp.analysis.perception.errors import ErrorCosts
+    from exact_mdp.analysis.perception.values import AccuracyCurves
 
 DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), (0, (3, 1, 1, 1, 1, 1)))
 RADIUS = 0.36  # of a status, where the statuses lie on a circle of radius 1

@@ -183,15 +183,7 @@ def check_explicit(scenario: Tables) -> tuple[Rules, ExactChances]:
 
 
 def size(rules: Rules, exact: ExactChances) -> tuple[int, int]:
-    """Return the most outcomes, and the greatest denominator of one before anything cancels.
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> scenario = Scenario.load("yuan2025")
-    >>> size(Rules(scenario), ExactChances(scenario))[0], len(scenario.compile().table.next)
-    (16481, 11005)
-    """
+    """Return the most outcomes, and the greatest denominator of one before anything cancels."""
     found, vectors = exact.found, rules.vectors
     rows = found.step.reshape(-1, found.step.shape[2])
     steps, skips = int(exact.reach(rows).sum()), exact.reach(found.skip).tolist()

@@ -186,12 +186,6 @@ class Counted:
     counts : (Z, Z) int64
     prior : float
         Pseudo-count of every cell.
-
-    Examples
-    --------
-    >>> found = counted([("0", "0"), ("0", "1"), ("1", "1")], size=2, prior=0.5)
-    >>> found.counts.tolist(), found.mean.tolist()
-    ([[1, 1], [0, 1]], [[0.5, 0.5], [0.25, 0.75]])
     """
 
     counts: Integers

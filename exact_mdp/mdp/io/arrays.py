@@ -67,15 +67,6 @@ def read_arrays(
 
     `names` takes the names of all arrays, `check` the name, type and shape of each; they raise
     ModelError for what should not be. A compressed archive may claim `ratio` times its own size.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     np.savez(f"{folder}/a.npz", a=np.arange(3))
-    ...     read_arrays(f"{folder}/a.npz", names=print, check=lambda *about: None)
-    dict_keys(['a'])
-    {'a': array([0, 1, 2])}
     """
     where = "" if isinstance(source, bytes) else str(source)
     with (

@@ -118,17 +118,7 @@ class FromGymnasium(FromArrays):
 
 
 def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str, Any]]:
-    """Return the constructor of `MDP` that builds an environment's model, and what it takes.
-
-    Examples
-    --------
-    >>> class Coin:
-    ...     P = {0: {0: [(0.5, 0, 1, False), (0.5, 1, 1, True)]}, 1: {0: [(1, 0, 7, False)]}}
-    ...     initial_state_distrib = (1, 0)
-    >>> make, given, names = described(Coin())
-    >>> make, *given
-    ('from_outcomes', [(0, 0, [(0.5, 0, 1), (0.5, 1, 1)]), (1, 0, [(1, 1, 0)])])
-    """
+    """Return the constructor of `MDP` that builds an environment's model, and what it takes."""
     if isinstance(env, str):
         check_options({*names} & {"gamma"})
         made = _make(env, **{name: names.pop(name) for name in {*names} - KNOWN})

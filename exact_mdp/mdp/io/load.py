@@ -47,11 +47,6 @@ def read_model(
 
     Of a `.umb` file of another program the discount is 1 unless it is given, with a warning. A
     discount that is given wins over `sets`.
-
-    Examples
-    --------
-    >>> read_model("yuan2025", sets=["tasks=[1]"], discount="9/10").mdp
-    MDP(yuan2025: 81 states, 4 actions, 321 pairs, 2273 transitions, discount 9/10)
     """
     text = str(spec)
     file, reward = _parts(text)

@@ -148,17 +148,7 @@ def _ratio(top: int, below: int) -> Any:
 
 
 def save(mdp: MDP, path: str | Path) -> None:
-    """Write a model, whole or not at all.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, "1/7"), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])])
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     save(mdp, f"{folder}/model.json")
-    ...     load(f"{folder}/model.json").table.row(0)
-    [(Fraction(1, 3), 0, Fraction(1, 7)), (Fraction(2, 3), 1, Fraction(0, 1))]
-    """
+    """Write a model, whole or not at all."""
     head = content(mdp)
     pairs = ",\n  ".join(json.dumps(pair) for pair in head.pop("pairs"))
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]

@@ -141,17 +141,7 @@ WIDTH = 8
 
 
 def save(model: MDP, path: str | Path) -> None:
-    """Write a model to `path`, whole or not at all.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, "1/7"), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])])
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     save(mdp, f"{folder}/small.npz")
-    ...     load(f"{folder}/small.npz").table.row(0)
-    [(Fraction(1, 3), 0, Fraction(1, 7)), (Fraction(2, 3), 1, Fraction(0, 1))]
-    """
+    """Write a model to `path`, whole or not at all."""
     write_atomically(path, packed(model))
 
 

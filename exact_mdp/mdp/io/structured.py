@@ -36,13 +36,7 @@ def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> d
 
 
 def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
-    """Return the content of a JSON text; `hooks` are those of `json.loads`.
-
-    Examples
-    --------
-    >>> json_of('{"0000": "none"}', "policy.json")
-    {'0000': 'none'}
-    """
+    """Return the content of a JSON text; `hooks` are those of `json.loads`."""
     return _parsed(lambda text: json.loads(text, **hooks), text, "JSON", where)
 
 

@@ -86,17 +86,7 @@ def _umbi() -> Any:
 
 
 def save(model: MDP, path: str | Path) -> None:
-    """Write a model as a UMB file, from which `load` returns all of it.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, "1/7"), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])])
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     save(mdp, f"{folder}/small.umb")
-    ...     load(f"{folder}/small.umb").table.row(0)
-    [(Fraction(1, 3), 0, Fraction(1, 7)), (Fraction(2, 3), 1, Fraction(0, 1))]
-    """
+    """Write a model as a UMB file, from which `load` returns all of it."""
     write_atomically(path, _archive_of(model))
 
 
