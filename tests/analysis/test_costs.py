@@ -193,6 +193,7 @@ def drawn(sign: int) -> Told:
     same += [each.regression.value for each in found.evppi().values()]
     same += [each.lower.value for each in found.evppi().values()]
     same += [each.value for each in found.acceptability([0, 0.1])]
+    same += [each.name for each in found.candidates]
     return signed, [*same, *found.lost.ravel(), *found.counts.ravel()]
 
 

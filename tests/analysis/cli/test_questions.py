@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import run
+from made_models import forest
 
-from exact_mdp import MDP, MDPEnv, QLearning, gradient, moving, thresholds, tornado
+from exact_mdp import MDP, MDPEnv
 
 # From `here`, walk gets home with chance 1/2 and else stays, at cost 1; fly is home at once, at
 # cost 3; swim costs 5 and drowns with chance 1/4. Home and the sea end it.
@@ -31,6 +32,7 @@ LAND = MDP.from_outcomes(
         "beach": [False, False, False, True],
     },
 )
+AVERAGE = ("--criterion", "average")
 HOME, OVER = ("--until", "home", "--minimize"), ("--until", "over", "--minimize")
 
 
@@ -127,21 +129,6 @@ def test_sensitivity_of_what_is_asked() -> None:
     assert least["start_value"] <= most.result["start_value"]
 
 
-def test_costs_vary_like_rewards_times_minus_one() -> None:
-    """Cost c of fly: 2 is optimal by walk up to c = 2, whose value is c below and 2 above."""
-    costs = LAND.with_(sense="min").until("over")
-    family = moving(costs, {}, {"fare": 3, "step": 1})
-    today = gradient(family, names=["fare", "step"])
-    assert (today.start.value, today["step"].value.value) == (2, 2)
-    assert today["fare"].value.value == 0
-    (switch,) = thresholds(family, "fare", (1, 4)).found
-    assert switch.value == pytest.approx(2)
-    assert [s.label for s in switch.switches] == ["state here"]
-    (bar,) = tornado(family, names=["fare"], ranges={"fare": (1, 4)}).bars
-    assert [end.optimal.value for end in (bar.low, bar.high)] == pytest.approx([1, 2])
-    assert [end.regret.value for end in (bar.low, bar.high)] == pytest.approx([1, 0])
-
-
 @pytest.mark.parametrize("kind", ["psa", pytest.param("sobol", marks=pytest.mark.slow)])
 def test_draws_of_costs(kind: str) -> None:
     """The least probability of anger, drawn: a policy held has no less."""
@@ -159,12 +146,8 @@ def test_robust_values_of_costs() -> None:
     assert least["price_of_robustness"]["value"] <= 0  # held: a policy that is not the best
 
 
-def test_learners_learn_costs_as_rewards() -> None:
-    costs = LAND.with_(sense="min")
-    runs = [QLearning(epochs=20).train(each, 0) for each in (costs, costs.negated())]
-    assert (runs[0].q == -runs[1].q).all()
-    assert (runs[0].final == runs[1].final).all()
-    paid = [MDPEnv(each) for each in (LAND, costs)]
+def test_an_environment_pays_costs_as_rewards() -> None:
+    paid = [MDPEnv(each) for each in (LAND, LAND.with_(sense="min"))]
     for env in paid:
         env.reset(seed=3)
     assert paid[0].step(np.int64(0))[1] == -paid[1].step(np.int64(0))[1]
@@ -235,3 +218,20 @@ def test_a_model_in_the_place_of_a_certificate_is_told(tmp_path: Path) -> None:
     turned = run("verify", "yuan2025", path)
     assert (turned.status, turned.out) == (2, "")
     assert "verify CERTIFICATE MODEL" in turned.err
+
+
+def test_an_average_is_solved_proven_and_verified(tmp_path: Path) -> None:
+    forest("9/10").save(model := tmp_path / "forest.npz")
+    proof, arrays = tmp_path / "proof.json", tmp_path / "arrays.npz"
+    files = ("--certificate", proof, "--out", arrays, "--policy-out", tmp_path / "policy.csv")
+    found = run("solve", model, *AVERAGE, "--certify", *files, "--json").result
+    assert found["criterion"] == "average"
+    assert (found["exact_start_value"], found["claim"]) == ("81/25", "certified")
+    assert found["bias"] == {"0": "-162/25", "1": "-72/25", "2": "28/25"}
+    assert found["policy_by_state"] == {"0": "0", "1": "0", "2": "0"}
+    assert np.load(arrays)["bias"].tolist() == [-6.48, -2.88, 1.12]
+    verified = run("verify", proof, model, "--json").result
+    assert (verified["holds"], verified["exact_start_value"]) == (True, "81/25")
+    proof.write_text(proof.read_text().replace('"0x51"', '"0x52"', 1))
+    assert run("verify", proof, model).status == 1
+    assert run("check", model, tmp_path / "policy.csv", *AVERAGE).status == 0

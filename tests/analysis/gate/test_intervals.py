@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import nullcontext
 from fractions import Fraction as F
+from functools import cache
 from math import lgamma, log
 from pathlib import Path
 from typing import Any
@@ -34,20 +35,23 @@ from exact_mdp import MDP, ModelError, OffPolicy, PolicyLike, Posterior, Robust,
 Kind = Robust | Posterior | OffPolicy
 
 
-def truth() -> tuple[float, float]:
-    """Return the optimum's value and the regret of POLICY, by equations of this file's own."""
-
-    def value(policy: tuple[int, ...]) -> float:
-        chain = np.array([ROWS[s, a, :3] for s, a in enumerate(policy)])
-        earned = np.array([CHANCES[s, a] for s, a in enumerate(policy)])
-        return float(np.linalg.solve(np.eye(3) - RATE * chain, earned)[0])
-
-    best = max(value((a, b, c)) for a in (0, 1) for b in (0, 1) for c in (0, 1))
-    return best, best - value((0, 1, 0))
+TREAT = [*NAMES, "truncated"]
 
 
-def interval_of(by: Kind, mdp: MDP, policy: PolicyLike = POLICY, level: F = LEVEL) -> Any:
-    found = check(mdp, policy, confidence=level, by=by, exact_values=False).interval
+@cache
+def truth(horizon: int | None = None) -> float:
+    """Return the regret of POLICY, or of STAGES within a horizon, by this file's own equations."""
+    rows = np.concatenate([ROWS, np.eye(4)[[3]][:, None].repeat(2, axis=1)])
+    reward = np.concatenate([CHANCES, np.zeros((1, 2))])
+    stages = STAGES if horizon else np.tile(POLICY, (1000, 1))
+    best, own = by_stage(rows, reward, RATE, stages)[:, 0]
+    return float(best - own)
+
+
+def interval_of(
+    by: Kind, mdp: MDP, policy: PolicyLike = POLICY, level: F = LEVEL, **how: Any
+) -> Any:
+    found = check(mdp, policy, confidence=level, by=by, exact_values=False, **how).interval
     assert found is not None
     return found
 
@@ -66,21 +70,35 @@ KINDS: dict[str, Callable[[pd.DataFrame, int], Kind]] = {
 }
 
 
-def held(kind: str, episodes: int, sets: int) -> int:
+def held(kind: str, episodes: int, sets: int, case: str = "") -> int:
     """Return how many of `sets` data sets give an interval that holds the true regret."""
-    _, lost = truth()
-    found = 0
+    count = 0
     for seed in range(sets):
         frame = recorded(np.random.default_rng([episodes, seed]), episodes)
-        interval = interval_of(KINDS[kind](frame, seed), estimated(frame))
-        found += interval.low <= lost <= interval.high
-    return found
+        if case == "start":  # rows and rewards are certain; that half are severe is not
+            frame = patients(seed, 3000)
+            mdp = MDP.from_transitions(frame, discount="1/2")
+            ends, lost = interval_of(KINDS[kind](frame, seed), mdp, "always:0"), 0.5
+            assert ends.high < 0.7 or kind == "off-policy"
+        elif case == "horizon":
+            mdp, by = MDP.from_transitions(frame, "9/10"), KINDS[kind](frame, seed)
+            ends, lost = interval_of(by, mdp, staged_policy(mdp), horizon=3), truth(3)
+        else:
+            ends, lost = interval_of(KINDS[kind](frame, seed), estimated(frame)), truth()
+        count += ends.low <= lost <= ends.high
+    return count
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_intervals_hold_the_truth(kind: str) -> None:
+@pytest.mark.parametrize("case", ["", "start", "horizon"])
+def test_intervals_hold_the_truth(kind: str, case: str) -> None:
     """The stated share is not above the Wilson interval of the share that hold it."""
-    assert wilson(held(kind, 300, 25), 25)[1] >= float(LEVEL)
+    assert wilson(held(kind, 300, 25, case), 25)[1] >= float(LEVEL)
+
+
+@pytest.mark.parametrize("episodes", [12, 40])
+def test_the_posterior_holds_with_few_records(episodes: int) -> None:
+    assert wilson(held("posterior", episodes, 60), 60)[1] >= float(LEVEL)
 
 
 @pytest.mark.slow
@@ -110,38 +128,15 @@ def test_where_actions_tie_every_kind_holds_0() -> None:
     assert "kept with probability 0 by the posterior" in audit.message()
 
 
-@pytest.mark.parametrize("episodes", [12, 40])
-def test_the_posterior_holds_with_few_records(episodes: int) -> None:
-    found, sets, (_, lost) = 0, 60, truth()
-    for seed in range(sets):
-        frame = recorded(np.random.default_rng([7, episodes, seed]), episodes)
-        interval = interval_of(KINDS["posterior"](frame, seed), estimated(frame))
-        found += interval.high >= lost
-    assert wilson(found, sets)[1] >= float(LEVEL)
-
-
-# ---- where episodes begin ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["robust", "posterior"])
 def test_a_start_that_is_from_the_records_is_not_known(kind: str) -> None:
-    """Rows and rewards are certain here; that half of the patients are severe is not."""
-    found, narrow = 0, 0
-    for seed in range(25):
-        frame = patients(seed, 3000)
-        mdp = MDP.from_transitions(frame, discount="1/2")
-        policy, by = "always:0", KINDS[kind](frame, seed)
-        interval = interval_of(by, mdp, policy)
-        found += interval.low <= 0.5 <= interval.high
-        narrow += interval.high < 0.7
-        if kind != "off-policy" and not seed:
-            given = interval_of(by, mdp.with_(start={0: "1/2", 1: "1/2"}), policy)
-            wide, narrow_too = interval.high - 0.5, given.high - 0.5
-            assert narrow_too < wide / 2
-            assert "episodes begin as the model says" in given.assumptions
-            assert "episodes begin as the model says" not in interval.assumptions
-    assert wilson(found, 25)[1] >= float(LEVEL)
-    assert narrow == 25 or kind == "off-policy"
+    frame = patients(0, 3000)
+    mdp, by = MDP.from_transitions(frame, discount="1/2"), KINDS[kind](frame, 0)
+    free, given = (interval_of(by, model, "always:0") for model in (
+        mdp, mdp.with_(start={0: "1/2", 1: "1/2"})))  # fmt: skip
+    assert given.high - 0.5 < (free.high - 0.5) / 2
+    assert "episodes begin as the model says" in given.assumptions
+    assert "episodes begin as the model says" not in free.assumptions
 
 
 # ---- states that no record leaves ---------------------------------------------------------------
@@ -168,12 +163,8 @@ def test_states_that_were_only_entered_are_named() -> None:
 
 def test_where_episodes_were_cut_off_anything_may_follow() -> None:
     """The regret of every process that goes on there as it likes lies inside, by brute force."""
-    names, rows = [*NAMES, "truncated"], []
-    for n in range(200):
-        rows.append(
-            (n, "s", ("risky", "safe")[n % 2], n % 2 / 2, ("trap", None)[n % 2], n % 2 == 0)
-        )
-    frame = pd.DataFrame(rows, columns=names)
+    each = [("risky", 0, "trap", True), ("safe", 0.5, None, False)]
+    frame = pd.DataFrame([(n, "s", *each[n % 2]) for n in range(200)], columns=TREAT)
     mdp = MDP.from_transitions(frame, discount="1/2")
     assert mdp.labels["cut off"].tolist() == [mdp.space.label(s) == "state trap" for s in range(3)]
     for action in ("risky", "safe"):
@@ -196,7 +187,7 @@ def test_where_episodes_were_cut_off_anything_may_follow() -> None:
 
 def test_what_follows_a_cut_does_not_matter_after_one_step_from_a_known_start() -> None:
     rows = [(n, "s", "ab"[n % 2], n % 2, "u", True) for n in range(100)]
-    frame = pd.DataFrame(rows, columns=[*NAMES, "truncated"])
+    frame = pd.DataFrame(rows, columns=TREAT)
     known = MDP.from_transitions(frame, start="s")
     how: dict[str, Any] = {"confidence": 0.95, "by": Posterior(n=80)}
     assert check(known, "always:a", horizon=1, **how).regret_interval == (0, 1)
@@ -242,7 +233,7 @@ def test_what_is_cut_off_without_a_next_state_counts(limit: int) -> None:
             rows.append((n, "ill", action, float(cured), then, not cured and not goes_on))
             if not goes_on:
                 break
-    frame = pd.DataFrame(rows, columns=[*NAMES, "truncated"])
+    frame = pd.DataFrame(rows, columns=TREAT)
     mdp = MDP.from_transitions(frame, discount="9/10")
     policy = "always:wait"
     waits, treated = (p / (1 - 0.9 * (1 - p)) for p in (0.1, 0.8))
@@ -340,7 +331,7 @@ def test_a_range_of_totals_has_room_for_what_was_seen(
 ) -> None:
     """1 is all that is earned where the episode is over, not where it was cut off."""
     rows = [(n, "s", "ab"[n % 2], (4, 1)[n % 2], last if n % 2 else None) for n in range(40)]
-    table = pd.DataFrame([(*row, row[-1] == "u") for row in rows], columns=[*NAMES, "truncated"])
+    table = pd.DataFrame([(*row, row[-1] == "u") for row in rows], columns=TREAT)
     mdp, by = MDP.from_transitions(table), Robust(rewards=(1, 4), returns=returns)
     told = pytest.raises(ModelError, match=f"a reward of {refused} was seen, after which no total")
     with told if refused else nullcontext():
@@ -348,30 +339,6 @@ def test_a_range_of_totals_has_room_for_what_was_seen(
 
 
 # ---- episodes that stop --------------------------------------------------------------------------
-
-
-def within_truth() -> float:
-    rows = np.concatenate([ROWS, np.eye(4)[[3]][:, None].repeat(2, axis=1)])
-    reward = np.concatenate([CHANCES, np.zeros((1, 2))])
-    best, own = by_stage(rows, reward, RATE, STAGES)[:, 0]
-    return float(best - own)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_intervals_of_episodes_that_stop_hold_the_truth(kind: str) -> None:
-    found, lost = 0, within_truth()
-    for seed in range(25):
-        frame = recorded(np.random.default_rng([8, seed]), 300)
-        mdp = MDP.from_transitions(frame, discount="9/10")
-        policy = staged_policy(mdp)
-        by = KINDS[kind](frame, seed)
-        audit = check(mdp, policy, horizon=3, confidence=0.95, by=by, exact_values=False)
-        assert audit.interval is not None
-        found += audit.interval.low <= lost <= audit.interval.high
-        if not seed:
-            point = float(audit.value.value)
-            assert audit.interval.low <= point <= audit.interval.high
-    assert wilson(found, 25)[1] >= float(LEVEL)
 
 
 def test_trajectories_count_up_to_the_horizon() -> None:
@@ -536,25 +503,35 @@ def test_what_cannot_be_is_refused(asked: dict[str, Any], what: str) -> None:
         check(mdp, POLICY, **asked)
 
 
-def test_records_that_do_not_fit_are_refused() -> None:
-    frame = recorded(np.random.default_rng(4), 100)
-    mdp = estimated(frame)
+FRAME = recorded(np.random.default_rng(4), 100)
 
-    def refused(what: str, records: pd.DataFrame = frame, **how: Any) -> None:
+
+@pytest.mark.parametrize(
+    ("changed", "how", "what"),
+    [
+        ({}, {"behaviour": "always:1"}, "never does what the policy does"),
+        ({"state": 9, "next_state": None, "episode": range(len(FRAME))}, {}, "no state '9'"),
+        ({"action": "left"}, {}, "no action 'left'"),
+        ({}, {"rewards": None}, "nothing says where rewards lie"),
+        ({}, {"returns": (0, "1/2")}, "a reward of 1 was seen"),
+        ({}, {"returns": (0, 1)}, "returns from"),
+    ],
+)
+def test_records_that_do_not_fit_are_refused(
+    changed: dict[str, Any], how: dict[str, Any], what: str
+) -> None:
+    by = OffPolicy(**{"records": FRAME.assign(**changed), "rewards": (0, 1)} | how)
+    with pytest.raises(ModelError, match=what):
+        interval_of(by, estimated(FRAME))
+
+
+def test_records_of_another_model_are_refused() -> None:
+    for records, mdp, what in (
+        (FRAME, MDP.from_transitions(FRAME, "9/10", start=1), "begins where the model never does"),
+        (FRAME.drop(columns="reward"), estimated(FRAME), "no column"),
+    ):
         with pytest.raises(ModelError, match=what):
-            interval_of(OffPolicy(records=records, rewards=(0, 1), **how), mdp)
-
-    refused("never does what the policy does", behaviour="always:1")
-    refused("no state '9'", frame.assign(state=9, next_state=None, episode=range(len(frame))))
-    refused("no action 'left'", frame.assign(action="left"))
-    with pytest.raises(ModelError, match="nothing says where rewards lie"):
-        interval_of(OffPolicy(records=frame), mdp)
-    elsewhere = MDP.from_transitions(frame, discount="9/10", start=1)
-    with pytest.raises(ModelError, match="begins where the model never does"):
-        interval_of(OffPolicy(records=frame, rewards=(0, 1)), elsewhere)
-    refused("no column", frame.drop(columns="reward"))
-    refused("a reward of 1 was seen", returns=(0, "1/2"))
-    refused("returns from", returns=(0, 1))
+            interval_of(OffPolicy(records=records, rewards=(0, 1)), mdp)
     with pytest.raises(ModelError, match="no counts"):
         check(MDP.from_arrays([[[1]]], [1], "1/2"), [0], confidence=0.95)
 

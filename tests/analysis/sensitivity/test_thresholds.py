@@ -145,12 +145,3 @@ def test_a_switch_at_a_breakpoint() -> None:
     assert one.low == half
     assert one.high - half <= WIDTH
     assert (one.switches[0].before, one.switches[0].after) == (("0", "1"), ("1",))
-
-
-def test_frames_and_radius() -> None:
-    own = Scenario.load("yuan2025").with_(**SMALL)
-    names = ["reward.anger", "base.anger"]
-    found = {name: thresholds(own, name) for name in names}
-    for each in found.values():
-        assert {"threshold", "before", "after", "reached"} <= set(each.frame().columns)
-    assert all(each.radius >= 0 for each in found.values())
