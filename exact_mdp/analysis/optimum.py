@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, suggest
-from exact_mdp.mdp.graph import is_acyclic, reachable, ways_out
+from exact_mdp.mdp.graph import reachable, ways_out
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, ratio
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.average.solve import AverageSolution
-from exact_mdp.solvers.dynamic.iterate import Solver
+from exact_mdp.solvers.dynamic.iterate import check_tolerance
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.solution import (
     Bounded,
@@ -38,7 +38,7 @@ from exact_mdp.solvers.solution import (
     SolverError,
     warn_of_precision,
 )
-from exact_mdp.solvers.solver import SOLVERS, Criterion, is_average, solve
+from exact_mdp.solvers.solver import SOLVERS, Criterion, solve
 
 if TYPE_CHECKING:
     from exact_mdp.solvers.exact.certificate import Certificate
@@ -62,7 +62,6 @@ class Optimum:
     Attributes
     ----------
     mdp : MDP
-    method : str
     solution : Solution or None
         None where the solver could not bound its error.
     certificate : Certificate or None
@@ -70,7 +69,6 @@ class Optimum:
     """
 
     mdp: MDP
-    method: str
     solution: Solution | None
     certificate: Certificate | None
 
@@ -157,7 +155,7 @@ class Optimum:
                 stationary, stationary and "an optimal policy reads the status alone"
             ),
             "regret_bound": Shown(solution.regret_bound if solution and not proof else 0.0),
-            "method": self.method,
+            "method": solution.method if solution else "exact",
             "iterations": solution.iterations if solution else None,
             "seconds": Shown(solution.seconds, f"{solution.seconds:.2g}") if solution else None,
             "status": Shown(str(solution.status) if solution else None),
@@ -296,9 +294,8 @@ def optimum(
 ) -> Optimum:
     """Solve a model in floating point and, where asked for, exactly.
 
-    Raises ModelError for a model that the method refuses, an unknown method, and a tolerance that
-    is not positive; SolverError where the solver gives up, unless the exact answer was asked for;
-    Contradiction. A tolerance that is not met is warned of.
+    Raises ModelError and SolverError as `solve` does, unless the exact answer was asked for where a
+    solver gives up; Contradiction. A tolerance that is not met is warned of.
 
     Examples
     --------
@@ -307,24 +304,22 @@ def optimum(
     >>> round(best.start.value, 9), best.start.claim.value, best.optimal.tolist()
     (1.5, 'bounded', [True, True])
     """
-    solver = _solver(model, method, tol, average=is_average(criterion))
+    if method not in (known := [*SOLVERS, "auto"]):
+        raise ModelError(f"unknown method {method!r}", where="method", fix=suggest(method, known))
+    check_tolerance("tol", tol)
     solution = None
     try:
-        solution = solve(model, solver, criterion=criterion)
-        if tol is not None and solution.error_bound > tol:
-            warn_of_precision(
-                f"the error bound is {solution.error_bound:.2g}, above the tolerance {tol:g}"
-            )
-        if not certify:
-            return Optimum(mdp=model, method=solution.method, solution=solution, certificate=None)
+        solution = solve(model, method, tol=tol, criterion=criterion)
     except SolverError as error:
         if not certify:
             raise
         warn_of_precision(f"{error} (the exact values stand)")
+    if not certify:
+        return Optimum(mdp=model, solution=solution, certificate=None)
     certificate = certified(model, criterion=criterion)
     if faults := certificate.violations():
         raise Contradiction(f"the certificate does not hold: {faults[0]}")
-    best = Optimum(mdp=model, method=solver.name, solution=solution, certificate=certificate)
+    best = Optimum(mdp=model, solution=solution, certificate=certificate)
     if solution is not None:
         same = solution.value == best.value  # infinite ones
         apart = np.abs(np.where(same, 0.0, solution.value) - np.where(same, 0.0, best.value))
@@ -334,20 +329,3 @@ def optimum(
                 f"which states an error of at most {solution.error_bound:.3g}"
             )
     return best
-
-
-def _solver(mdp: MDP, method: str, tol: float | None, *, average: bool) -> Solver:
-    """Return a named solver, with the tolerance where it has one to set."""
-    if method == "auto" and average:
-        method = "policy-iteration"
-    elif method == "auto":
-        method = "backward-induction" if is_acyclic(mdp) else "modified-policy-iteration"
-    if method not in SOLVERS:
-        known = [*SOLVERS, "auto"]
-        raise ModelError(f"unknown method {method!r}", where="method", fix=suggest(method, known))
-    if tol is not None and not 0 < tol < np.inf:
-        raise ModelError(
-            f"the tolerance is {tol}, and not above 0", where="tol", fix="choose a positive number"
-        )
-    kind = SOLVERS[method]
-    return kind(**{"tol": tol} if tol is not None and hasattr(kind, "tol") else {})

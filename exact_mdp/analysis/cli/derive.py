@@ -12,7 +12,8 @@ becomes:
     anything else                  an option with a text
 
 What is not typed is not passed: the function's own default holds. The words in capitals or quotes
-before "optional" in the docstring's type stand in the help for the value.
+before "optional" in the docstring's type stand in the help for the value. Below "Keys" it says what
+the keys of the JSON mean, "key: meaning; …", after the classes whose attributes others are.
 """
 
 from __future__ import annotations
@@ -110,8 +111,9 @@ def function(target: str) -> tuple[str, list[Parameter]]:
 def _documented(function: ast.FunctionDef) -> tuple[str, dict[str, tuple[str, str]]]:
     """Return a docstring's text, and type and text of each parameter."""
     text = cleandoc(ast.get_docstring(function) or "")
-    head, _, rest = text.partition("\n\nParameters\n----------\n")
-    return head, dict(_sections(rest.partition("\n\n")[0]))
+    head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", text)
+    rest = next((each for each in sections if each.startswith("Parameters")), "\n\n")
+    return head, dict(_sections(rest.split("\n", 2)[2]))
 
 
 @cache

@@ -85,6 +85,18 @@ def solve(
     out : FILE, optional
         Write values, policy and action values: .npz. Beside each file that is written stands a
         record of its making, FILE.run.json.
+
+    Keys
+    ----
+    Of Solution, ConstrainedSolution, UnderLimits.
+    exact_start_value: the optimal value at the start, "p/q", null unless certified; unique: whether
+    no other policy is optimal on the states reached, null unless certified; stationary: whether the
+    optimum depends on the status alone; policy_by_state: action of each state, if there are no
+    statuses; gain: average reward per step, state by state; bias: advantage of a start in the state
+    beyond its gain; feasible: whether some policy keeps the limits; method: the algorithm;
+    iterations: sweeps or improvements; status: how the solver ended; limits: the limits, as they
+    were given; totals: what the policy attains of each limited total, "p/q"; regret_bound: greatest
+    loss of the policy.
     """
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     mdp, average = given.mdp, given.average
@@ -119,7 +131,7 @@ def solve(
     if out:
         best.save(out)
     written = [path for path in (policy_out, out, certificate) if path]
-    solver = best.solution.solver if best.solution else best.method
+    solver = best.solution.solver if best.solution else "exact"
     for path in written:
         write_atomically(Path(path).with_suffix(".run.json"), given.record(solver))
     report = best.report()
@@ -139,6 +151,11 @@ def verify(certificate: str, given: Given) -> Report:
     Parameters
     ----------
     certificate : CERTIFICATE
+
+    Keys
+    ----
+    certificate: the certificate's file; holds: whether the certificate holds; violations: rules
+    that are broken, empty if all hold; objectives: the totals that a front or limits are about.
     """
     proof = replace(codec.load(KINDS, certificate), mdp=given.mdp)
     violations = proof.violations(given.mdp)
@@ -209,6 +226,13 @@ def evaluate(given: Given, policy: Policy) -> Report:
     Example:
 
     exact-mdp evaluate yuan2025 always:directive
+
+    Keys
+    ----
+    Of Evaluation.
+    components: expected total of each component of the reward, which sum to the mean; mean:
+    expected return; by_state: gain, bias and share of time of each state, or null if there are
+    many; recurrent_classes: number of classes of states in which the policy stays.
     """
     criterion: Criterion = "average" if given.average else "total"
     return given.report(value_of(given.mdp, policy, criterion=criterion).report())
@@ -225,6 +249,12 @@ def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
     ----------
     exact : bool
         Give the probabilities as rationals, too.
+
+    Keys
+    ----
+    Of ReturnDistribution.
+    distribution: {return: probability}; exact_distribution: the distribution with probabilities
+    "p/q", or null; mean: expected return; sd: standard deviation of the return.
     """
     law = return_distribution(given.mdp, policy, exact=exact)
     moments = value_of(given.mdp, policy).report().facts
@@ -246,6 +276,14 @@ def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> R
         Number of episodes.
     seed : S
         Seed of the random numbers.
+
+    Keys
+    ----
+    Of Simulation.
+    mean: mean of the returns; episodes: number of episodes; interval: 95 % interval of the mean;
+    steps: mean number of steps; event_probability: probability that each event happens in an
+    episode; truncated: truncated episodes; truncation_error: greatest effect of the truncated
+    episodes on the mean.
     """
     runs = sample(given.asked, policy, episodes, seed, horizon=given.horizon)
     return given.report(runs.report(), seed=seed)

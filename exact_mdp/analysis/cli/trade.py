@@ -50,6 +50,13 @@ def tradeoff(
         A policy to place beside the front, with its distance.
     certificate : FILE, optional
         Write the proof for `verify`: .json.
+
+    Keys
+    ----
+    Of Front.
+    names: the totals, in the order in which they were named; vertices: {values, policy} of each
+    vertex of the front; edges: {from, to, rate}, what one total costs in terms of the other;
+    policies: each policy with its values and its distance.
     """
     check_outputs((certificate, (".json",)))
     front = front_of(given.mdp, names)
@@ -69,6 +76,11 @@ def rationalize(given: Given, policy: Policy) -> Report:
     Example:
 
     exact-mdp rationalize tea random --set tasks=[1]
+
+    Keys
+    ----
+    Of Rationalization.
+    change: the least such relative change, "p/q".
     """
     return given.report(weights_for(given.mdp, policy).report())
 
@@ -94,6 +106,14 @@ def risk(
         A policy to place beside the best ones.
     policy_out : FILE, optional
         Write the policy: .csv or .json; by state and reward so far.
+
+    Keys
+    ----
+    Of MeanCVaR.
+    measure: `cvar`; value: the value of the best policy; mean: expected return of the best policy;
+    threshold: the return below which an episode is among the worst; distribution: {return:
+    probability}; points: policies from the mean to the worst share; policies: each policy given,
+    with its values.
     """
     check_outputs((policy_out, (".csv", ".json")))
     beside = {form: given.policy(form) for form in policies}
@@ -153,6 +173,12 @@ def perception(
         Seed of the draws.
     policy : POLICY
         The policy that takes what is perceived for true.
+
+    Keys
+    ----
+    perfect: the value if the status is known; taken_as_true: the value if what is perceived is
+    taken for true; errors: cost of each kind of error; confusions: cost of taking one status for
+    another; counted: counts, if the file holds examples.
     """
     mdp = given.mdp
     matrix, counts = _confusion(mdp, perception, accuracy, prior)

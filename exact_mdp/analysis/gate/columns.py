@@ -452,13 +452,12 @@ class Representation:
 
     def __str__(self) -> str:
         best = self.best
-        beyond = "above" if self.mdp.sense == "max" else "below"
-        proof = "proven" if best.proven else f"no other has one {beyond} {best.upper_bound:.10g}"
+        unseen = ", ".join(each for each in self.mdp.space.names if each not in best.columns)
+        proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
         return (
-            f"the best policy that reads {', '.join(best.columns) or 'nothing'} alone has the value"
-            f" {best.value.value:.10g} ({proof}); of the regret, {float(self.loss.value):.6g} is"
-            f" due to what the policy reads and {float(self.learning_error.value):.6g} to what was"
-            " learned"
+            f"the best policy that reads {', '.join(best.columns) or 'nothing'} alone has "
+            f"{cell(best.value)} ({proof}): {cell(self.loss)} is lost because it cannot see "
+            f"{unseen}, {cell(self.learning_error)} because of what was learned"
         )
 
     @staticmethod
@@ -479,14 +478,7 @@ class Representation:
             "uncertainty": why.uncertainty,
             "policy": best.actions,
         }
-        unseen = ", ".join(each for each in why.mdp.space.names if each not in best.columns)
-        proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
-        text = (
-            f"the best policy that reads {', '.join(best.columns) or 'nothing'} has "
-            f"{cell(best.value)} ({proof}): {cell(why.loss)} is lost because it cannot see "
-            f"{unseen}, {cell(why.learning_error)} because of what was learned"
-        )
-        return {"representation": Shown(details, text), "rows": Shown(why.rows)}
+        return {"representation": Shown(details, str(why)), "rows": Shown(why.rows)}
 
     @cached_property
     def rows(self) -> tuple[RowChange, ...]:
