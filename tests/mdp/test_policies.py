@@ -520,9 +520,9 @@ BAD_FILES: list[tuple[str, str, str]] = [  # name, text, words
     ("p.json", changed(JSON, "0110", "110"), "unknown status '110'"),
     ("p.json", changed(JSON, "none", "nome"), "unknown action 'nome'"),
     ("p.json", '{"0000": "none"}', "15 of 16 rows are missing: status 0001"),
-    ("p.json", changed(JSON, '"none"', "2"), "unknown action '2'"),
-    ("p.json", changed(JSON, '"none"', "null"), "unknown action"),
-    ("p.json", changed(JSON, '"none"', "[1]"), "unknown action"),
+    ("p.json", changed(JSON, '"none"', "7"), "there is no action 7"),
+    ("p.json", changed(JSON, '"none"', "null"), "None is not an action"),
+    ("p.json", changed(JSON, '"none"', "[1]"), "(1,) is not an action"),
     ("p.json", changed(JSON, '"none"', '{"none": 0.5}'), "not a distribution"),
     ("p.json", changed(JSON, '"none"', '{"none": 1.5, "directive": -0.5}'), "not a distribution"),
     ("p.json", changed(JSON, '"none"', '{"none": 1e9999}'), ""),
@@ -562,6 +562,13 @@ def test_files_that_are_no_policy(tmp_path: Path, name: str, text: str, words: s
         Policy.of(CARE, tmp_path / name)
     assert words in str(caught.value)
     assert caught.value.fix
+
+
+def test_a_number_in_a_file_by_status_counts_as_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "p.json").write_text(changed(JSON, '"none"', "0"), encoding="utf-8")
+    (tmp_path / "names.json").write_text(JSON, encoding="utf-8")
+    numbers, names = (Policy.of(CARE, tmp_path / name) for name in ("p.json", "names.json"))
+    assert numbers.tolist() == names.tolist()
 
 
 def test_arrays_and_names_that_are_no_policy(tmp_path: Path) -> None:

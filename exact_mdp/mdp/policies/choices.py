@@ -42,28 +42,16 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
     if _are_pairs(model, entries):
         return _of_pairs(model, entries, kind, default)
     if "status" in model.space.names and not any("status " in str(key) for key in entries):
-        return _of_statuses(model, entries)
-    timed = any(PRINTED_TIME.match(str(key)) for key in entries)
-    space = model.space if timed else model.space.untimed or model.space
-    choices = _once(zip(space.numbers(entries), entries.values(), strict=True), space.label)
+        space = StateSpace(columns=(model.space.column("status"),))
+        keys = [space.columns[0].parse(str(label)) for label in entries]
+    else:
+        timed = any(PRINTED_TIME.match(str(key)) for key in entries)
+        space = model.space if timed else model.space.untimed or model.space
+        keys = space.numbers(entries)
+    choices = _once(zip(keys, entries.values(), strict=True), space.label)
     if default is not None:
         choices = {key: choices[key] if key in choices else default() for key in range(space.size)}
     return of_choices(model, space, choices, kind)
-
-
-def _of_statuses(model: MDP, entries: Mapping[Any, Any]) -> Parts:
-    """Return what is said of statuses: {status: action's name} or {status: {name: probability}}."""
-    space = StateSpace(columns=(model.space.column("status"),))
-    numbers = [space.columns[0].parse(str(label)) for label in entries]
-    chances = _once(zip(numbers, entries.values(), strict=True), space.label)
-    for key, choice in chances.items():
-        mixed = choice if isinstance(choice, Mapping) else {str(choice): 1}
-        with located(space.label(key)):
-            chances[key] = {
-                _named_action(model, str(name)): _probability(chance)
-                for name, chance in mixed.items()
-            }
-    return _of_chances(model, space, chances)
 
 
 def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
@@ -306,7 +294,7 @@ def _of_csv(model: MDP, text: str) -> Parts:
             else:
                 continue
             word = entry["action"] if entry["action"] in model.actions else entry["action"].strip()
-            action = _named_action(model, word) if "status" in columns else model.action(word)
+            action = model.action_names.number(word)
             row = chances.setdefault(key, {})
             if action in row or (row and "probability" not in header):
                 raise ModelError(
@@ -315,12 +303,6 @@ def _of_csv(model: MDP, text: str) -> Parts:
                 )
             row[action] = _probability(entry.get("probability", "1").strip())
     return _of_chances(model, space, chances)
-
-
-def _named_action(model: MDP, name: str) -> int:
-    if name not in model.actions:
-        raise ModelError(f"unknown action {name!r}", fix=suggest(name, model.actions))
-    return model.actions.index(name)
 
 
 def write(
