@@ -13,7 +13,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import chisquare
 
-from exact_mdp import MDP, MDPEnv, ModelError, Policy, Scenario, check, evaluate, solve
+from exact_mdp import MDP, MDPEnv, ModelError, Policy, Scenario, evaluate, solve
 
 YUAN = "exact_mdp/Yuan2025-v0"  # registered with MDPEnv
 
@@ -158,21 +158,3 @@ def test_a_learner_from_elsewhere_learns_in_it() -> None:
     mdp = env.unwrapped.mdp
     learned = evaluate(mdp, Policy.of(mdp, q, kind="q")).mean
     assert evaluate(mdp, "random").mean + 10 < learned <= solve(mdp).start_value + 1e-9
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # those of the library are not ours to correct
-def test_ppo_learns_to_assist() -> None:
-    """An agent of a well-known library: Raffin et al., JMLR 22, 2021, which no lock file holds."""
-    library = pytest.importorskip("stable_baselines3")
-    env = gymnasium.make(YUAN)
-    agent = library.PPO(
-        "MlpPolicy", env, gamma=0.95, n_steps=512, learning_rate=2e-3, seed=0, device="cpu"
-    )
-    agent.learn(20_000)
-    mdp = env.unwrapped.mdp
-    chosen = [int(agent.predict(np.array(seen), deterministic=True)[0]) for seen in range(16)]
-    learned = Policy.by(mdp, ("status",), chosen)
-    audit = check(mdp, learned, max_regret=20)
-    assert audit.passed
-    assert evaluate(mdp, learned).mean > evaluate(mdp, "random").mean + 30

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -408,12 +407,6 @@ def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
     assert "Blackjack" not in caught.value.fix
     if "does not expose" in what:
         assert "MDP.from_function(start, actions, outcomes)" in caught.value.fix
-
-
-def test_without_gymnasium_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "gymnasium", None)
-    with pytest.raises(ModelError, match=r"exact-mdp\[models\]"):
-        MDP.from_gymnasium("FrozenLake-v1")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ That nothing is lost is tested for all formats together, in `test_formats`.
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -281,18 +280,6 @@ def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
         load(tmp_path / "text.umb")
     with pytest.raises(ModelError, match="cannot write"):
         save(FLOATS, tmp_path / "nowhere" / "model.umb")
-
-
-def test_without_umbi_the_error_names_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    save(FLOATS, tmp_path / "model.umb")
-    for name in [name for name in sys.modules if name.partition(".")[0] == "umbi"]:
-        monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ModelError, match=r"exact-mdp\[models\]"):
-        save(FLOATS, tmp_path / "model.umb")
-    with pytest.raises(ModelError, match=r"exact-mdp\[models\]"):
-        load(tmp_path / "model.umb")
 
 
 def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
