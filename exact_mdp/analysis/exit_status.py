@@ -44,6 +44,8 @@ TRACEBACK = "EXACT_MDP_TRACEBACK"
 ONE_REQUEST = 1.0  # seconds: `timeout` and others signal the process, then its group with it in it
 AT_ONCE = os._exit
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+TOO_LARGE = "a number is too large to compute with: {}"
+NO_PACKAGE = "install the package again, with the extra that this needs"
 ALSO_CALLED = {"--gamma": "--discount", "--plot": "--html"}
 ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
 
@@ -90,19 +92,13 @@ def _exit_by(end: Callable[[int], object]) -> Callable[[int], NoReturn]:
     return before
 
 
-LIMITS: dict[type[BaseException], tuple[str, str]] = {
-    NoAnswer: ("{}", "let the environment, trainer or policy return instead"),
-    MemoryError: ("{}", "use a smaller model"),
-    RecursionError: ("something is nested too deeply", "use flatter input"),
-    OverflowError: (
-        "a number is too large to compute with: {}",
-        "scale the model, or round its numbers",
-    ),
-    ImportError: (
-        "a package cannot be loaded: {}",
-        "install the package again, with the extra that this needs",
-    ),
-}
+LIMITS = (  # kinds of errors, what is said of them, and the fix
+    (NoAnswer, "{}", "let the environment, trainer or policy return instead"),
+    (MemoryError, "{}", "use a smaller model"),
+    (RecursionError, "something is nested too deeply", "use flatter input"),
+    (OverflowError, TOO_LARGE, "scale the model, or round its numbers"),
+    (ImportError, "a package cannot be loaded: {}", NO_PACKAGE),
+)
 
 
 class Stopped(KeyboardInterrupt):
@@ -139,30 +135,37 @@ def run(
 ) -> int:
     """Run a command and return its exit status; what goes wrong is reported on standard error.
 
-    What the command returns is the status, None is 0; what it prints is written when it has come to
-    its end. `program` is its name in messages, `words` are those after the name. If the command
-    fails, `told` is called with status and message. With --json the last line of standard error is
-    an object with the parts of the message.
+    What the command returns is the status; None is 0. `program` is its name in messages, `words`
+    are those after the name. If the command fails, `told` is called with status and message. With
+    --json the last line of standard error is an object with the parts of the message.
     """
-    output = io.StringIO()
+    output = None
     try:
         if not _streams():
             what = "standard output is closed, so the result could not be printed"
             raise Unwritten(what, fix="send it to /dev/null to see the exit status alone")
-        with _signals(), redirect_stdout(output), warnings.catch_warnings():
+        output = _Output(sys.stdout)
+        with redirect_stdout(output), _signals(), warnings.catch_warnings():
             warnings.showwarning = warner()
-            try:
-                with (
-                    answering(),
-                    command.make_context(program, list(words), obj=list(words)) as context,
-                ):
-                    status = command.invoke(context)
-            except click.exceptions.Exit as end:  # --help and --version
-                status = end.exit_code
-        return int(status or DONE) if _printed(output.getvalue()) else PIPE_CLOSED
-    except BaseException as error:
+            with (
+                answering(),
+                command.make_context(program, list(words), obj=list(words)) as context,
+            ):
+                status = command.invoke(context)
+            output.flush()
+        return int(status or DONE)
+    except click.exceptions.Exit as end:  # --help and --version
+        return end.exit_code
+    except BaseException as raised:
+        error = raised
         if os.environ.get(TRACEBACK, "") not in ("", "0"):
             traceback.print_exc()
+        if output is not None and output.error is not None:
+            _silence(sys.stdout)
+            if isinstance(output.error, BrokenPipeError):
+                return PIPE_CLOSED
+            what = f"cannot write to standard output: {output.error.strerror}"
+            error = Unwritten(what, fix="make room there, or send it elsewhere")
         status, *parts = _outcome(error, command, program, words)
     kind, what, where, fix = parts = [*map(shown_text, parts)] if parts[2] else parts
     message = f"{kind}: {what}\n  where: {where}\n  fix:   {fix}" if where else what
@@ -173,20 +176,6 @@ def run(
     if told is not None:
         told(status, message)
     return int(status)
-
-
-def _printed(text: str) -> bool:
-    """Print the result; return False where nobody reads any more."""
-    try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    except OSError as error:
-        _silence(sys.stdout)
-        if not isinstance(error, BrokenPipeError):
-            what = f"cannot write to standard output: {error.strerror}"
-            raise Unwritten(what, fix="make room there, or send it elsewhere") from error
-        return False
-    return True
 
 
 def leave(status: int) -> NoReturn:
@@ -262,7 +251,7 @@ def _outcome(
         return BROKEN, "OSError", f"the system refuses: {error.strerror}", place, fix
     if "integer string conversion" in said:
         error = OverflowError(said)
-    for kinds, (what, fix) in LIMITS.items():
+    for kinds, what, fix in LIMITS:
         if isinstance(error, kinds):
             return BROKEN, kind, what.format(said or "not enough memory"), usage, fix
     return (
@@ -350,6 +339,30 @@ def _streams() -> bool:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may lack a letter of a state's name
         sys.stdout.reconfigure(errors="backslashreplace")
     return open_before
+
+
+class _Output:
+    """Standard output that remembers why it took nothing more."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.error: OSError | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str, /) -> int:
+        return int(self._noted(self._stream.write, text))
+
+    def flush(self) -> None:
+        self._noted(self._stream.flush)
+
+    def _noted(self, act: Callable[..., Any], *words: str) -> Any:
+        try:
+            return act(*words)
+        except OSError as error:
+            self.error = error
+            raise
 
 
 def _silence(stream: TextIO) -> None:

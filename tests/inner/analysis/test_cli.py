@@ -1,6 +1,7 @@
 """How numbers are printed, and what becomes of errors that are planted in the command line."""
 
 import errno
+import io
 import json
 import re
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from typing import Any
 from unittest.mock import Mock
 from xml.etree import ElementTree
 
+import click
 import numpy as np
 import pytest
 from cli_runner import run, strict
@@ -23,7 +25,7 @@ from hypothesis import strategies as st
 from made_models import corridor
 
 from exact_mdp import ModelError, Policy, Scenario, SolverError, Status, check, plots, solve
-from exact_mdp.analysis import github
+from exact_mdp.analysis import exit_status, github
 from exact_mdp.analysis.cli.render import markdown
 from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.optimum import of_every_state
@@ -286,3 +288,15 @@ def test_a_policy_by_status_is_one_that_reads_nothing_else(tmp_path: Path) -> No
         path.write_text(json.dumps(found), encoding="utf-8")
         wanted = Policy.from_choices(mdp, numbers).weights(mdp)
         assert (Policy.of(mdp, path).weights(mdp) == wanted).all()
+
+
+def test_what_a_program_prints_is_seen_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen, seen = io.StringIO(), []
+    monkeypatch.setattr("sys.stdout", screen)
+
+    @click.command()
+    def talk() -> None:
+        click.echo("first")
+        seen.append(screen.getvalue())
+
+    assert (exit_status.run(talk, "talk", []), seen) == (0, ["first\n"])
