@@ -274,14 +274,6 @@ def test_numbers_that_make_no_model(
     refused(tarred(members | {"index.json": json.dumps(index).encode()}), message, tmp_path)
 
 
-def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "text.umb").write_text("mdp module", encoding="utf-8")
-    with pytest.raises(ModelError, match="damaged"):
-        load(tmp_path / "text.umb")
-    with pytest.raises(ModelError, match="cannot write"):
-        save(FLOATS, tmp_path / "nowhere" / "model.umb")
-
-
 def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
     """Each list has the length that the index gives it."""
     members = members_of_care(tmp_path)
