@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-ROOMS = ("", ".mdp", ".solvers", ".analysis", ".analysis.perception", ".analysis.plots",
-         ".analysis.vary")  # fmt: skip
+ROOMS = ("", ".mdp", ".solvers", ".analysis", ".analysis.perception", ".analysis.plots")
 
 
 def public() -> Iterator[tuple[str, Any]]:

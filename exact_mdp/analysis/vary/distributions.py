@@ -77,6 +77,8 @@ MOST_ROWS = 2000
 
 
 def _lognormal(mean: float, sd: float) -> Numbers:
+    if mean <= 0:
+        return math.nan, math.nan
     square = math.log1p((sd / mean) ** 2)
     return math.log(mean) - square / 2, math.sqrt(square)
 
@@ -93,12 +95,13 @@ def _triangular_moments(low: float, mode: float, high: float) -> Numbers:
 
 @dataclass(frozen=True)
 class Kind:
-    """A distribution: names of its own numbers, when they make one, both ways to mean and sd."""
+    """A distribution: its own numbers, when they make one, both ways to mean and sd, its needs."""
 
     own: tuple[str, ...]
     sound: Callable[..., bool]
     moments: Callable[..., Numbers]
     of_moments: Callable[[float, float], Numbers]
+    needs: str
 
 
 KINDS = {
@@ -107,30 +110,42 @@ KINDS = {
         lambda a, b: a > 0 and b > 0,
         lambda a, b: (a / (a + b), math.sqrt(a * b / (a + b + 1)) / (a + b)),
         lambda mean, sd: _beta(mean, mean * (1 - mean) / sd**2 - 1),
+        "a mean between 0 and 1 and an sd that is small enough; or alpha and beta above 0",
     ),
     "gamma": Kind(
         ("shape", "scale"),
         lambda shape, scale: shape > 0 and scale != 0,
         lambda shape, scale: (shape * scale, math.sqrt(shape) * abs(scale)),
-        lambda mean, sd: ((mean / sd) ** 2, sd**2 / mean),
+        lambda mean, sd: ((mean / sd) ** 2, sd**2 / mean if mean else 0.0),
+        "a mean that is not 0; or a shape above 0 and a scale that is not 0",
     ),
     "lognormal": Kind(
-        ("meanlog", "sdlog"), lambda mean, sd: sd > 0, _lognormal_moments, _lognormal
+        ("meanlog", "sdlog"),
+        lambda mean, sd: sd > 0,
+        _lognormal_moments,
+        _lognormal,
+        "a mean above 0; or an sdlog above 0",
     ),
     "normal": Kind(
-        ("mean", "sd"), lambda mean, sd: sd > 0, lambda *numbers: numbers, lambda *numbers: numbers
+        ("mean", "sd"),
+        lambda mean, sd: sd > 0,
+        lambda *numbers: numbers,
+        lambda *numbers: numbers,
+        "a mean and an sd",
     ),
     "uniform": Kind(
         ("low", "high"),
         lambda low, high: low < high,
         lambda low, high: ((low + high) / 2, (high - low) / math.sqrt(12)),
         lambda mean, sd: (mean - sd * math.sqrt(3), mean + sd * math.sqrt(3)),
+        "low below high",
     ),
     "triangular": Kind(
         ("low", "mode", "high"),
         lambda low, mode, high: low <= mode <= high and low < high,
         _triangular_moments,
         lambda mean, sd: (mean - sd * math.sqrt(6), mean, mean + sd * math.sqrt(6)),
+        "low below high, and the mode from low to high",
     ),
 }
 EVERY = (*KINDS, "dirichlet")
@@ -190,14 +205,12 @@ class Uncertain:
         where = f"distribution of {name}"
         if kind not in KINDS:
             raise ModelError(f"distribution {kind!r}", where=where, fix=suggest(kind, [*KINDS]))
-        own = KINDS[kind].own
-        if kind == "normal" or set(said) != set(own):
-            numbers = _of_moments(kind, said, where)
-        else:
-            numbers = tuple(said[each] for each in own)
-            if not (all(map(math.isfinite, numbers)) and KINDS[kind].sound(*numbers)):
-                listed = ", ".join(f"{each} = {said[each]:g}" for each in own)
-                raise ModelError(f"a {kind} with {listed}", where=where, fix="see what it takes")
+        own, by_own = KINDS[kind].own, kind != "normal" and set(said) == {*KINDS[kind].own}
+        numbers = tuple(said[n] for n in own) if by_own else _of_moments(kind, said, where)
+        if not (all(map(math.isfinite, numbers)) and KINDS[kind].sound(*numbers)):
+            stated = ", ".join(f"{each} = {number:g}" for each, number in said.items())
+            fix = f"give {KINDS[kind].needs}"
+            raise ModelError(f"a {kind} with {stated}", where=where, fix=fix)
         mean, sd = KINDS[kind].moments(*numbers)
         mean = said.get("mean", mean)  # as they were said, not as they come back
         sd = said.get("sd", abs(mean) * said[SPREAD] if SPREAD in said else sd)
@@ -261,7 +274,7 @@ class Uncertain:
 
 
 def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
-    """Return the own numbers of a distribution by its mean and spread, if there is one."""
+    """Return the own numbers of a distribution by its mean and spread."""
     spreads = [name for name in ("sd", SPREAD, SIZE) if name in said]
     if "mean" not in said or len(spreads) != 1 or len(said) != 2:
         own = "" if kind == "normal" else f"; or {', '.join(KINDS[kind].own)} alone"
@@ -269,27 +282,19 @@ def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
         fix = f"state a mean and one of sd, relative_sd{size}{own}"
         raise ModelError(f"a {kind} with {', '.join(said) or 'no spread'}", where=where, fix=fix)
     mean, (spread,) = said["mean"], spreads
-    if not math.isfinite(mean):
-        raise ModelError(f"a spread around {mean:g}", where=where, fix="state a finite mean")
-    if spread == SPREAD and not mean:
-        raise ModelError("a relative spread around 0", where=where, fix="state an sd")
+    if not math.isfinite(mean) or (spread == SPREAD and not mean):
+        what = f"a {'relative ' * (spread == SPREAD)}spread around {mean:g}"
+        raise ModelError(what, where=where, fix="state a finite mean, and around 0 an sd")
     scale = abs(mean or 1.0)
     amount = said[spread] / scale if spread == "sd" else said[spread]
     _check_within(amount, SIZE if spread == SIZE else SPREAD, where)
-    if spread == SIZE and kind != "beta":
+    if spread != SIZE:
+        return KINDS[kind].of_moments(mean, amount * scale)
+    if kind != "beta":
         fix = "state an sd or a relative_sd; a sample size is of a probability"
         what = f"an effective sample size of a {kind} distribution"
         raise ModelError(what, where=where, fix=fix)
-    if (kind == "gamma" and not mean) or (kind == "lognormal" and mean <= 0):
-        fix = "state a mean above 0, or another one"
-        raise ModelError(f"a {kind} of mean {mean:g}", where=where, fix=fix)
-    numbers = (
-        _beta(mean, amount) if spread == SIZE else KINDS[kind].of_moments(mean, amount * scale)
-    )
-    if kind == "beta" and min(numbers) <= 0:
-        what = f"a beta of mean {mean:g}" + (" and so large a spread" if 0 < mean < 1 else "")
-        raise ModelError(what, where=where, fix="choose a mean between 0 and 1, or a smaller sd")
-    return numbers
+    return _beta(mean, amount)
 
 
 def _check_within(value: float, what: str, where: str) -> float:

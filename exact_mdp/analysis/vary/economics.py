@@ -166,7 +166,8 @@ class CostEffectiveness(Pictured):
         table["best on average"] = [name for name, _ in self.frontier(at)]
         evpi = self.evpi(at)
         table["EVPI"] = [each.value for each in evpi]
-        table["EVPI ±"] = [each.standard_error for each in evpi]
+        errors = np.array([each.standard_error for each in evpi])
+        table["EVPI ±"] = np.where(np.isfinite(errors), errors, np.nan)  # of one draw, unknown
         table["claim"] = str(self.claim)
         return table
 

@@ -82,19 +82,9 @@ def evpi(values: Floats) -> MeanLoss:
 
 
 def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInformation:
-    """Return the EVPPI of the parameters in the columns of `draws`.
+    """Return the EVPPI of q parameters: values (D, N) of the candidates in draws (D, q).
 
-    Parameters
-    ----------
-    values : (D, N)
-        Value of each candidate in each draw.
-    draws : (D, q)
-        The parameters that would be known.
-
-    Raises
-    ------
-    ModelError
-        For fewer than 20 draws.
+    Raises ModelError for fewer than 20 draws.
 
     Examples
     --------

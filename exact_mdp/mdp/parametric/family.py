@@ -103,7 +103,7 @@ class Family:
     ... )
     >>> family.at({"p": "1/3"}).table.row(0)[0]
     (Fraction(1, 3), 0, Fraction(1, 1))
-    >>> from exact_mdp.analysis.vary import gradient  # V = 1 / (1 - p)
+    >>> from exact_mdp import gradient  # V = 1 / (1 - p)
     >>> print(gradient(family)["p"].value)
     4 (checked: the degree holds at 6 points, and is not proven)
     """

@@ -217,11 +217,11 @@ REFUSED: dict[str, Callable[[], object]] = {
     "outside of what the parameter may be": lambda: uncertainty(
         MODEL, {"p": {"distribution": "uniform", "low": 0, "high": 2}}
     ),
-    "beta of mean 1.2": lambda: Uncertain.of("a", "beta", mean=1.2, sd=0.1),
-    "so large a spread": lambda: Uncertain.of("a", "beta", mean=0.5, sd=0.6),
+    "beta with mean = 1.2": lambda: Uncertain.of("a", "beta", mean=1.2, sd=0.1),
+    "beta with mean = 0.5, sd = 0.6": lambda: Uncertain.of("a", "beta", mean=0.5, sd=0.6),
     "alpha = 0": lambda: Uncertain.of("a", "beta", alpha=0, beta=2),
-    "gamma of mean 0": lambda: Uncertain.of("a", "gamma", mean=0, sd=1),
-    "lognormal of mean -1": lambda: Uncertain.of("a", "lognormal", mean=-1, sd=1),
+    "gamma with mean = 0": lambda: Uncertain.of("a", "gamma", mean=0, sd=1),
+    "lognormal with mean = -1": lambda: Uncertain.of("a", "lognormal", mean=-1, sd=1),
     "low = 2": lambda: Uncertain.of("a", "uniform", low=2, high=1),
     "mode = 3": lambda: Uncertain.of("a", "triangular", low=0, mode=3, high=1),
     "normal with mean": lambda: Uncertain.of("a", "normal", mean=1),

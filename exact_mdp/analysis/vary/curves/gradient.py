@@ -173,40 +173,42 @@ class Gradient(Pictured):
     def report(self) -> Report:
         """Return derivatives and elasticities by every parameter."""
         each = self.derivatives
-        sides = ("value", "left", "right")
-        floats = {side: {n: _number(getattr(d, side)) for n, d in each.items()} for side in sides}
-        exact = {
-            n: d.value.value if isinstance(d.value, Certified) else None for n, d in each.items()
-        }
-        errors = {
-            name: max(
-                (getattr(side, "error", 0.0) for side in (d.left, d.right) if side), default=0.0
-            )
-            for name, d in each.items()
-        }
-        steps = {
-            name: {"one_less": _number(less), "one_more": _number(more)}
-            for name, (less, more) in self.steps.items()
+        by_side = {
+            side: {name: _float(getattr(d, side)) for name, d in each.items()}
+            for side in ("value", "left", "right")
         }
         facts = {
             **claimed("start_value", self.start),
             "policy": "re-optimised" if self.reoptimised else "fixed",
-            "derivatives": floats["value"],
-            "left": Shown(floats["left"]),
-            "right": Shown(floats["right"]),
+            "derivatives": by_side["value"],
+            "left": Shown(by_side["left"]),
+            "right": Shown(by_side["right"]),
             "elasticities": Shown({name: d.elasticity for name, d in each.items()}),
-            "exact_derivatives": Shown(exact),
-            "error_bounds": Shown(errors),
-            "steps": steps,
+            "exact_derivatives": Shown(
+                {
+                    n: d.value.value if isinstance(d.value, Certified) else None
+                    for n, d in each.items()
+                }
+            ),
+            "error_bounds": Shown(
+                {
+                    n: max(getattr(s, "error", 0.0) for s in (d.left, d.right))
+                    for n, d in each.items()
+                }
+            ),
+            "steps": {
+                name: {"one_less": _float(less), "one_more": _float(more)}
+                for name, (less, more) in self.steps.items()
+            },
         }
         del facts["error_bound"]
         rows = [
             {
                 "name": name,
                 "today": float(d.parameter.value),
-                "slope": " | ".join(cell(floats[side][name], ".6g") for side in sides[1:])
+                "slope": " | ".join(cell(by_side[side][name], ".6g") for side in ("left", "right"))
                 if d.value is None
-                else floats["value"][name],
+                else by_side["value"][name],
                 "elasticity": d.elasticity,
             }
             for name, d in sorted(each.items(), key=lambda one: -abs(one[1].elasticity or 0.0))
@@ -243,10 +245,6 @@ class Gradient(Pictured):
         ]
         rows.sort(key=lambda row: -np.nan_to_num(abs(row["elasticity (% per %)"])))
         return pandas.DataFrame(rows)
-
-
-def _number(slope: Slope | None) -> float | None:
-    return None if slope is None else float(slope.value)
 
 
 def _float(number: Slope | None) -> float:
