@@ -1,12 +1,15 @@
-"""What knowing a parameter is worth, and intervals of means, shares and quantiles."""
+"""What knowing a parameter is worth, intervals of means and shares, and what pairs lose."""
 
 from collections.abc import Callable
-from math import sqrt
+from fractions import Fraction
+from math import isfinite, sqrt
+from random import Random
 
 import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
+from exact_mdp import MDP, ModelError, certify, solve
 from exact_mdp.analysis.vary.information import evpi, evppi
 from exact_mdp.analysis.vary.intervals import (
     mean_loss,
@@ -15,6 +18,7 @@ from exact_mdp.analysis.vary.intervals import (
     upper_quantile,
     wilson,
 )
+from exact_mdp.analysis.vary.study import lost_by
 
 STEP = 0.02  # what the second action costs below the step
 
@@ -139,3 +143,27 @@ def test_intervals_of_quantiles_end_at_order_statistics_that_cover() -> None:
 def test_the_upper_end_is_the_lowest_order_statistic_that_covers(level: float, count: int) -> None:
     rank = int(upper_quantile(np.arange(1.0, count + 1), level))
     assert binom(count, level).cdf(rank - 1) >= 0.975 > binom(count, level).cdf(rank - 2)
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_optimal_actions_beside_infinite_states(seed: int) -> None:
+    """The pairs that lose nothing are those that the exact certificate calls optimal."""
+    rng, sign = Random(seed), 1 - 2 * (seed % 2)
+    size = rng.randint(3, 5)
+    rows = [(0, 0, [(1, size, 2 * sign)]), (size, 0, [(1, size, 0)])]
+    for state in range(size):
+        for action in range(not state, rng.randint(1, 2) + (not state)):
+            to = rng.sample(range(size), rng.randint(1, 2))
+            gains = [sign * rng.choice([-2, -1, -1, 0, 1]) for _ in to]
+            row = [(Fraction(1, len(to)), t, gain) for t, gain in zip(to, gains, strict=True)]
+            rows.append((state, action, row))
+    mdp = MDP.from_outcomes(rows, sense="max" if sign > 0 else "min")
+    try:
+        exact, found = certify(mdp), solve(mdp)
+    except ModelError:  # no optimum
+        return
+    if isfinite(exact.start_value):
+        gap, noise = lost_by(mdp, found)
+        doubt = found.state_error
+        near = gap <= doubt[mdp.pair_state] + mdp.transition @ doubt + noise
+        assert near.tolist() == exact.optimal_pairs.tolist()
