@@ -6,8 +6,8 @@ The values of a policy, its second moments, its expected steps and (with P trans
 all have this form. The chain must leak: at discount 1 the rows of terminal states, where x is 0,
 have to be empty (`policy_chain` does that).
 
-Solving: small chains, and those whose factors are seen to be small, by sparse elimination; others
-by sweeps, where a few lead there, else by BiCGSTAB, and where that does not converge by elimination
+Solving: small chains, and those whose factors are seen to be small, by elimination; others by
+sweeps, where a few lead there, else by BiCGSTAB, and where that does not converge by elimination
 after all, if there is room. Rows or columns dominated by their diagonal need no exchanges, so that
 factors stay within the band of the matrix: that of an order along which the chain only falls, of
 the states as numbered, or of Reverse Cuthill and McKee. Iterative refinement follows.
@@ -284,8 +284,16 @@ class LinearSystem(ByFields):
     @cached_property
     def _direct(self) -> Solve | None:
         """Elimination, where it costs little."""
-        few = self.transition.shape[0] <= FEW or self.transition.nnz <= SPARSE
-        if self.order is not None or (few and not self.work):
+        chain = self.transition
+        if chain.shape[0] <= FEW:
+            lower, upper = _reach(chain)
+            narrow = 6 * (lower + 1) * (lower + upper + 1) < chain.shape[0] ** 2  # S³ / 3 for all
+            return (
+                _banded(self.discount, lower, upper, chain)
+                if narrow
+                else _dense(self.discount, chain)
+            )
+        if self.order is not None or (chain.nnz <= SPARSE and not self.work):
             order = None if self.order is None else np.argsort(self.order, kind="stable")
             return self._ordered(self._sparse, order)
         return self._within_band if self.work else None
@@ -332,6 +340,16 @@ class LinearSystem(ByFields):
         return lambda constant: inner(constant[order])[place]
 
 
+def _dense(discount: float, chain: sp.csr_array) -> Solve:
+    """Return LAPACK's elimination of all entries, by columns and so of the transpose."""
+    matrix = -discount * chain.toarray()
+    matrix.flat[:: len(matrix) + 1] += 1.0
+    factors, exchanged, failed = lapack.dgetrf(matrix.T, overwrite_a=True)
+    if failed:
+        raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")
+    return lambda constant: np.asarray(lapack.dgetrs(factors, exchanged, constant, trans=1)[0])
+
+
 def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
     """Return LAPACK's elimination within a band."""
     row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
@@ -370,7 +388,9 @@ def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
 
 def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
     """Return the (S, S) transitions, terminal rows emptied, and (S,) rewards of `pairs` (S,)."""
-    chain = mdp.transition[pairs]
-    if mdp.terminal.any():
-        chain = rows_of(chain, ~mdp.terminal)
-    return chain, np.where(mdp.terminal, 0.0, mdp.reward[pairs])
+    matrix, live = mdp.transition, ~mdp.terminal
+    first, offsets = matrix.indptr[pairs], np.zeros(len(pairs) + 1, dtype=matrix.indptr.dtype)
+    np.cumsum((matrix.indptr[pairs + 1] - first) * live, out=offsets[1:])
+    places = np.arange(offsets[-1]) + np.repeat(first - offsets[:-1], np.diff(offsets))
+    parts = matrix.data[places], matrix.indices[places], offsets
+    return sp.csr_array(parts, shape=(mdp.n_states,) * 2), np.where(live, mdp.reward[pairs], 0.0)

@@ -50,7 +50,7 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.bounds.bounds import Bounds, levels, margin_weights, verify
-from exact_mdp.solvers.bounds.gains import UNIT, gains, greedy, largest_error, rounding_facts
+from exact_mdp.solvers.bounds.gains import UNIT, largest_error, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.solution import Solution, SolverError, Status, least, warn_of_precision
 
@@ -58,6 +58,7 @@ RELATIVE_TOLERANCE = 1e-9
 LOOPS = 10_000  # transitions: from here on compiled loops are worth the third of a second to load
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PRICE = 2000  # sweeps in whose time the equations of a policy are solved, where no band tells it
+PASSES = 3  # in NumPy, as long as solving them there: 2 to 4 do best on 50 to 400 states
 BAND = 8  # multiplications within a band that take the time of a transition
 PATIENCE, LONG = 20, 200  # passes without progress: near rounding errors, and anywhere
 FEW, MANY = 100, 10_000  # passes that bring too little, whatever is done between them
@@ -115,44 +116,34 @@ class Values:
         self.passes, self.level, self.relaxed = 0, 0.0, False
         self.large = mdp.n_transitions >= LOOPS
         self.slow = not self.large  # whether sweeps are too slow, or equations cost less
-        self.price, self.spent = PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states, 0.0
+        self.spent, self.price = 0.0, 2.0 * PASSES * mdp.n_transitions
+        if self.large:
+            self.price = PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states
         self._error, self._rise, self._before = 0.0, 0.0, np.zeros(mdp.n_states)
         self._solved: tuple[Integers, LinearSystem] | None = None
 
     # ---- passes over all pairs -----------------------------------------------------------------
 
-    def improve(self, *, keep: bool = False) -> Pass:
-        """Return a pass over all pairs.
-
-        To `keep` a pair of the policy before is to leave it only for what is better by more than
-        rounding; compiled loops leave it for what is better as computed.
-        """
-        mdp, step = self.mdp, np.empty(self.mdp.n_states)
-        before = self.pairs
+    def improve(self) -> Pass:
+        """Return a pass over all pairs; a pair is left only for what is better as computed."""
+        mdp, before = self.mdp, self.pairs
         if self.weights.uniform and self.live.any():
             self._centre()
+        bottom, top = float(self.value.min()), float(self.value.max())
+        self._error = largest_error(mdp, bottom, top)
         if self.large:
             from exact_mdp.solvers.kernels import bellman
 
-            self.pairs = before.copy()
+            self.pairs, step = before.copy(), np.empty(mdp.n_states)
             climb = mdp.discount * float((self.value - self._before).max())
             self._rise += climb + 4 * UNIT * (abs(climb) + abs(self._rise))
             self._before = self.value.copy()
-            bottom, top = float(self.value.min()), float(self.value.max())
-            self._error = largest_error(mdp, bottom, top)
             size = 2 * (top - bottom) + max(-bottom, top) + self.facts.size
             slack = self._error + 16 * UNIT * (abs(self._rise) + size)
             known = self.pairs, self._ceilings, self._rise, slack
             low, high = self._blocks(bellman.improve, self.value, *known, step)
         else:
-            gain = gains(mdp, self.value)
-            self._error = float(gain.error.max())
-            self.pairs = greedy(mdp, gain, keep=before if keep and self.passes else None)
-            step[:] = np.maximum.reduceat(gain.value, mdp.pair_offsets[:-1])
-            step[mdp.terminal] = 0.0
-            ratio = gain.value / self.weights.margin
-            low = float(ratio[self.pairs[self.live]].min(initial=np.inf))
-            high = float(ratio.max(where=self.live[mdp.pair_state], initial=-np.inf))
+            step, low, high = self._improve_all()
         if not self.live.any():
             low = high = 0.0
         if not np.isfinite(high - low):
@@ -162,6 +153,25 @@ class Values:
         half = (high - low) / 2
         self.best, self.idle = (half, 0) if half < 0.9 * self.best else (self.best, self.idle + 1)
         return Pass(step=step, low=low, high=high)
+
+    def _improve_all(self) -> tuple[Floats, float, float]:
+        """Return T h - h (S,), and the least and greatest ratio; what `bellman.improve` does."""
+        mdp, value, state = self.mdp, self.value, self.mdp.pair_state
+        matrix, row = mdp.transition, self._entry_pair
+        own = value[state]
+        ahead = np.bincount(row, matrix.data * (value[matrix.indices] - own[row]), mdp.n_pairs)
+        gain = mdp.reward + (mdp.discount * ahead - self.facts.leak * own)
+        first = mdp.pair_offsets[:-1]
+        step = np.maximum.reduceat(gain, first)
+        before = np.where(self.pairs < 0, first, self.pairs)
+        better = np.flatnonzero(step > gain[before])
+        if len(better):
+            places = np.flatnonzero(gain == step[state])
+            before[better] = places[np.searchsorted(places, first[better])]
+        self.pairs = before
+        ratio = gain / self.weights.margin
+        low = float(ratio[before[self.live]].min(initial=np.inf))
+        return step, low, float(ratio[self._open].max(initial=-np.inf))
 
     def _centre(self) -> None:
         """Leave out what all values have in common, which would cost digits."""
@@ -219,7 +229,7 @@ class Values:
                 return
             self.price, self.slow = self.system.work / BAND or self.price, True
         due = self.spent >= self.price or (self.stable and self.idle) or goal == 0
-        if due or not self.large:
+        if due:
             self.correct(swept)
         else:
             self.take(swept)
@@ -233,7 +243,9 @@ class Values:
             self._add(*system.relatively(left, self.live * self.weights.margin))
         else:
             self._add(system.roughly(left))
-        self.price, self.spent = system.work / BAND or self.price, 0.0
+        self.spent = 0.0
+        if self.large:
+            self.price = system.work / BAND or self.price
 
     def _left(self, swept: Pass) -> Floats:
         """Return what a step of the policy adds to values, beyond the level between the bounds."""
@@ -273,6 +285,16 @@ class Values:
         count = bellman.take_rows(self._model, self.pairs, rows)
         parts = rows.data[:count], rows.indices[:count], rows.indptr  # until the next policy
         return sp.csr_array(parts, shape=(states, states))
+
+    @cached_property
+    def _entry_pair(self) -> Integers:
+        """The pair of each transition."""
+        return np.repeat(np.arange(self.mdp.n_pairs), np.diff(self.mdp.transition.indptr))
+
+    @cached_property
+    def _open(self) -> Any:
+        """The pairs of states that are not terminal."""
+        return self.live[self.mdp.pair_state] if self.mdp.terminal.any() else slice(None)
 
     # ---- what compiled loops take --------------------------------------------------------------
 
@@ -341,7 +363,7 @@ def iterate(
     polished = evaluates and not exact and tol is None
     ready = not polished
     for iteration in range(1, solver.max_iterations + 1):
-        swept = values.improve(keep=exact or values.idle >= 5)
+        swept = values.improve()
         half, floor, idle = swept.half * weight, values.floor(swept) * weight, values.idle
         limit = values.relative(swept) if tol is None else tol
         stalled = idle >= PATIENCE and half <= 4 * floor

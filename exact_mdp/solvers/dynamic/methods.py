@@ -129,7 +129,7 @@ class ModifiedPolicyIteration(Improving):
 class PolicyIteration:
     """Howard's policy iteration; the error bound is what rounding leaves.
 
-    A pair is kept unless another beats it by more than rounding, and a policy that comes back ends
+    A pair is kept unless another is better as computed, and a policy that comes back ends
     it. The number of iterations does not depend on how fast the chain mixes.
 
     Parameters
