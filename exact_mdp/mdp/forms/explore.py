@@ -88,70 +88,59 @@ class FromFunction(FromArrays):
         (MDP(unnamed: 5 states, 2 actions, 6 pairs, 10 transitions, discount 1), ('1', '2'))
         """
         check_options(names)
-        rows, parts = explored(start, actions, outcomes, max_states, labels)
-        return cls.from_outcomes(rows, discount, **(parts | names))
-
-
-def explored(
-    start: Any,
-    actions: Callable[[Any], Iterable[Hashable]],
-    outcomes: Callable[[Any, Any], Iterable[tuple[Any, Hashable, Any]]],
-    max_states: int = MOST_STATES,
-    labels: Mapping[str, Any] | None = None,
-) -> tuple[list[Any], dict[str, Any]]:
-    """Return what `MDP.from_outcomes` takes to build the model: rows, and names.
-
-    `labels` says of which states a name is, by a function of a state, or as the model takes them.
-    """
-    for name, function in (("actions", actions), ("outcomes", outcomes)):
-        if not callable(function):
-            raise ModelError(
-                f"{name} is {function!r}, not a function", where=name, fix=f"give {HOW[name]}"
-            )
-    max_states = counted(max_states, "max_states")
-    of_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
-    states, rows = Numbering(), list[Row]()
-    if isinstance(start, ByNumber):
-        raise ModelError(
-            "the start of a model goes by numbers, and a function knows states as objects",
-            where="start",
-            fix="give a state, or {state: probability}",
-        )
-    begins = start if isinstance(start, Mapping) else _alone(start)
-    for state in begins:
-        states.add(state, "a state", "start")
-    if not begins:
-        raise ModelError("no state to start in", where="start", fix="give a state")
-    waiting = deque(states.number)
-    while waiting:
-        state = waiting.popleft()
-        for action in _answer(actions, state, where=f"state {state}", fix="give a list of actions"):
-            where = f"state {state}, action {action}"
-            answer = _answer(outcomes, state, action, where=where, fix=OUTCOMES)
-            with located(where):
-                row = [each for each in map(_outcome, answer) if exact(each[0])]
-            rows.append((state, action, row))
-            for _, following, _ in row:
-                known = len(states.number)
-                if states.add(following, "a next state", where) == known:
-                    waiting.append(following)
-            if len(states.number) > max_states:
+        for name, function in (("actions", actions), ("outcomes", outcomes)):
+            if not callable(function):
                 raise ModelError(
-                    f"more than {max_states:,} states can be reached",
-                    where=where,
-                    fix="raise max_states, or describe states by less",
+                    f"{name} is {function!r}, not a function", where=name, fix=f"give {HOW[name]}"
                 )
-    going = {state for state, _, _ in rows}
-    listed, names = numbered(rows, states, [each for each in states.number if each not in going])
-    by_number = sorted(states.number, key=states.number.__getitem__)
-    flags = {
-        name: np.array([_holds(name, holds, state) for state in by_number])
-        if callable(holds)
-        else holds
-        for name, holds in (labels or {}).items()
-    }
-    places = ByNumber((states.number[state], chance) for state, chance in begins.items())
-    return listed, names | {"start": places, "labels": flags}
+        max_states = counted(max_states, "max_states")
+        of_type(labels or {}, Mapping, "labels", "give {name: function of a state}")
+        states, rows = Numbering(), list[Row]()
+        if isinstance(start, ByNumber):
+            raise ModelError(
+                "the start of a model goes by numbers, and a function knows states as objects",
+                where="start",
+                fix="give a state, or {state: probability}",
+            )
+        begins = start if isinstance(start, Mapping) else _alone(start)
+        for state in begins:
+            states.add(state, "a state", "start")
+        if not begins:
+            raise ModelError("no state to start in", where="start", fix="give a state")
+        waiting = deque(states.number)
+        while waiting:
+            state = waiting.popleft()
+            for action in _answer(
+                actions, state, where=f"state {state}", fix="give a list of actions"
+            ):
+                where = f"state {state}, action {action}"
+                answer = _answer(outcomes, state, action, where=where, fix=OUTCOMES)
+                with located(where):
+                    row = [each for each in map(_outcome, answer) if exact(each[0])]
+                rows.append((state, action, row))
+                for _, following, _ in row:
+                    known = len(states.number)
+                    if states.add(following, "a next state", where) == known:
+                        waiting.append(following)
+                if len(states.number) > max_states:
+                    raise ModelError(
+                        f"more than {max_states:,} states can be reached",
+                        where=where,
+                        fix="raise max_states, or describe states by less",
+                    )
+        going = {state for state, _, _ in rows}
+        ends = [state for state in states.number if state not in going]
+        listed, parts = numbered(rows, states, ends)
+        by_number = sorted(states.number, key=states.number.__getitem__)
+        flags = {
+            name: np.array([_holds(name, holds, state) for state in by_number])
+            if callable(holds)
+            else holds
+            for name, holds in (labels or {}).items()
+        }
+        places = ByNumber((states.number[state], chance) for state, chance in begins.items())
+        parts |= {"start": places, "labels": flags} | names
+        return cls.from_outcomes(listed, discount, **parts)
 
 
 def _alone(start: Any) -> dict[Any, int]:

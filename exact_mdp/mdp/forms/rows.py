@@ -141,28 +141,6 @@ def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
     return top, bottom
 
 
-def in_floats(top: Numbers, bottom: Numbers, offsets: Integers) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the floats (N,) next to exact numbers, and which rows (L,) these floats mean."""
-    lengths = np.diff(offsets)
-    pairs = zip(top.tolist(), np.repeat(bottom, lengths).tolist(), strict=True)
-    floats = np.array([a / b for a, b in pairs])
-    written, read = _read(floats, offsets, WHOLE)
-    same = read & np.asarray(bottom <= WHOLE, dtype=bool)
-    each = np.repeat(same, lengths)
-    equal = np.ones(len(top), dtype=bool)
-    equal[each] = (
-        top[each] * WHOLE == written[each].astype(np.int64) * np.repeat(bottom, lengths)[each]
-    )
-    same &= np.logical_and.reduceat(equal, offsets[:-1])
-    # A row of rule 2 has a power of two below, times the number of the largest at most.
-    odd = bottom // (bottom & -bottom)
-    for row in np.flatnonzero(~read & np.asarray(odd <= lengths, dtype=bool)).tolist():
-        here = slice(offsets[row], offsets[row + 1])
-        exact = [Fraction(a, int(bottom[row])) for a in top[here].tolist()]
-        same[row] = meant(floats[here].tolist()) == exact
-    return floats, same
-
-
 def counted(weight: Floats, offsets: Integers, seen: Integers) -> Numbers | None:
     """Return (N,) the counts that rows of floats are over the numbers `seen` (L,), or None."""
     top, read = _read(weight, offsets, seen)
