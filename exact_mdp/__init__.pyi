@@ -68,7 +68,6 @@ from exact_mdp.mdp.policies.policy import Policy as Policy
 from exact_mdp.mdp.policies.policy import PolicyLike as PolicyLike
 from exact_mdp.mdp.space import Column as Column
 from exact_mdp.mdp.space import StateSpace as StateSpace
-from exact_mdp.solvers.average.solve import AverageSolution as AverageSolution
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction as BackwardInduction
 from exact_mdp.solvers.dynamic.iterate import Solver as Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram as LinearProgram
@@ -76,6 +75,7 @@ from exact_mdp.solvers.dynamic.methods import GaussSeidel as GaussSeidel
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration as ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.methods import PolicyIteration as PolicyIteration
 from exact_mdp.solvers.dynamic.methods import ValueIteration as ValueIteration
+from exact_mdp.solvers.endless.average import AverageSolution as AverageSolution
 from exact_mdp.solvers.exact.certificate import BoundedCertificate as BoundedCertificate
 from exact_mdp.solvers.exact.certificate import Certificate as Certificate
 from exact_mdp.solvers.exact.certify import certify as certify

@@ -28,8 +28,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, ratio
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.average.solve import AverageSolution
 from exact_mdp.solvers.dynamic.iterate import check_tolerance
+from exact_mdp.solvers.endless.average import AverageSolution
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.solution import (
     Bounded,

@@ -371,6 +371,14 @@ def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
     return replace(ended, next=np.where(np.repeat(ends, lengths), moved, ended.next))
 
 
+def ended(model: Any, states: Flags) -> Any:
+    """Return the model with some states (S,) made terminal."""
+    ends, parts = states[model.pair_state], model.component_table
+    if parts is not None:
+        parts = replace(parts, amount=np.where(ends[:, None], 0, parts.amount))
+    return replace(model, table=_ended(model.table, ends, model.pair_state), component_table=parts)
+
+
 def _certain(name: str, values: Numbers, count: int) -> Numbers:
     """Return the numbers of a name for outcomes that are certain, and earn 0."""
     one = name in ("weight", "denominator", "gain_denominator")

@@ -16,7 +16,6 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options, suggest
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.average.solve import solve_average
 from exact_mdp.solvers.bounds.bounds import is_acyclic
 from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
 from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance, opposite
@@ -27,6 +26,7 @@ from exact_mdp.solvers.dynamic.methods import (
     PolicyIteration,
     ValueIteration,
 )
+from exact_mdp.solvers.endless.average import solve_average
 from exact_mdp.solvers.endless.total import solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
 from exact_mdp.solvers.solution import Solution, Status, least, warn_of_precision

@@ -35,7 +35,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, Loss, findings, listed
-from exact_mdp.analysis.gate.exact_policy import flow_of, mixed_rows
+from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.analysis.gate.forgiveness import per_use
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
 from exact_mdp.analysis.gate.verdicts import Verdict, number
@@ -43,18 +43,16 @@ from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
-from exact_mdp.solvers.average.chain import ExactAverages
-from exact_mdp.solvers.average.evaluate import AverageEvaluation
 from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.endless.chain import AverageEvaluation, ExactAverages
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError, regret
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.unending import average
+from exact_mdp.solvers.values.policy_chain import PolicyChain, average
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,7 +145,7 @@ def _both(visits: Floats, disagreements: tuple[Disagreement, ...]) -> Findings:
 def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:
     best = proven(mdp, "average")
     rows = bellman_rows(step)
-    alone = mixed_rows(rows, chain)
+    alone = chain.rows(Fraction(1))
     own = ExactAverages(alone)
     gain, bias, second = own.expansion(own.reward)
     levels = [Level.of(each.tolist()) for each in (gain, bias, second)]

@@ -15,10 +15,10 @@ from functools import cached_property
 
 import numpy as np
 
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.table import Floats, divide, in_proportion, integers
+from exact_mdp.mdp.table import Floats, divide
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import evaluated, visited
 from exact_mdp.solvers.exact.levels import Level, fraction, surplus
@@ -56,7 +56,7 @@ def exact_policy(chain: PolicyChain) -> ExactPolicy:
     States from which the policy need not end at discount 1 have no value, and 0 stands for it.
     """
     mdp = chain.mdp
-    rows = mixed_rows(bellman_rows(mdp), chain)
+    rows = chain.rows()
     if mdp.discount_exact == 1:
         rows = replace(rows, terminal=rows.terminal | ~chain.ends)
     (level,) = evaluated(rows, np.arange(mdp.n_states))
@@ -67,7 +67,7 @@ def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
     """Return the expected visits of pairs under any policy, of which totals are made."""
     chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
     states = chain.reached & ~of.ending.terminal
-    (level,) = visited(mixed_rows(of.rows, chain), states, of.mdp.start)
+    (level,) = visited(chain.rows(), states, of.mdp.start)
     pairs, visits = list[int](), list[Fraction]()
     for s in np.flatnonzero(states).tolist():
         if number := fraction(level.top[s], level.below[level.group[s]]):
@@ -84,41 +84,9 @@ def exact_visits(chain: PolicyChain) -> ExactPolicy:
     arrivals.
     """
     mdp = chain.mdp
-    rows = mixed_rows(bellman_rows(mdp), chain)
+    rows = chain.rows()
     (visits,) = visited(rows, chain.reached & ~mdp.terminal, mdp.start)
     return ExactPolicy(mdp=mdp, h=visits)
-
-
-def mixed_rows(rows: BellmanRows, chain: PolicyChain) -> BellmanRows:
-    """Return the Bellman rows of the model in which each state has the policy's mixed pair."""
-    if len(chain.pairs) == len(rows.scale):  # one pair a state: its row as it is
-        return rows.of_pairs(chain.pairs)
-    offsets, following, weight = rows.offsets.tolist(), rows.next.tolist(), rows.weight.tolist()
-    constant, scale = rows.constant.tolist(), rows.scale.tolist()
-    scales, constants, lengths = list[int](), list[int](), list[int]()
-    targets, weights = list[int](), list[int]()
-    for state in range(len(scale)):
-        chances = chain.exact_weights(state)
-        taken, shares = list(chances), in_proportion(list(chances.values()))
-        row: dict[int, int] = {}
-        for share, l in zip(shares, taken, strict=True):
-            for i in range(offsets[l], offsets[l + 1]):
-                row[following[i]] = row.get(following[i], 0) + share * weight[i]
-        scales.append(scale[state] * sum(shares))
-        constants.append(sum(share * constant[l] for share, l in zip(shares, taken, strict=True)))
-        lengths.append(len(row))
-        for target in sorted(row):
-            targets.append(target)
-            weights.append(row[target])
-    return BellmanRows(
-        pair_offsets=np.arange(len(scales) + 1),
-        terminal=rows.terminal,
-        scale=integers(scales),
-        constant=integers(constants),
-        offsets=np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)]),
-        next=np.array(targets, dtype=rows.next.dtype),
-        weight=integers(weights),
-    )
 
 
 def exact_gaps(mdp: MDP, best: Certificate, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:

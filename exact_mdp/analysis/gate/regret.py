@@ -46,7 +46,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, a
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.unending import ended, model_of, recurrent
 
 
 def proven(mdp: MDP, criterion: str = "total") -> Certificate:
@@ -203,7 +202,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     unending = endless(mdp)
     own: ExactPolicy | Certificate = best
     if unending:
-        own = proven(model_of(chain))
+        own = proven(chain.model)
     elif not best.optimal_pairs[chain.pairs].all():
         own = exact_policy(chain)
     value, mine = best.value_float, own.value_float
@@ -211,8 +210,11 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
     movable: Callable[[], Fraction] = Fraction
     if isinstance(lost, Fraction):
-        both = (_settled(each) if unending else each for each in (chain, ideal))
-        movable = partial(forgiven, mdp, *zip(both, (_rounded(own), _rounded(best)), strict=True))
+        chains = [
+            each.ended(each.classes.recurrent) if unending and not each.ends_from_start else each
+            for each in (chain, ideal)
+        ]
+        movable = partial(forgiven, mdp, *zip(chains, (_rounded(own), _rounded(best)), strict=True))
     by_state = _differences(best.h, own.h)
     if unending:
         with np.errstate(invalid="ignore"):
@@ -274,14 +276,6 @@ def _unending_gaps(
     optimal = np.array(best.optimal_pairs)
     optimal[to_blame(chain, best, by_state)] = False
     return optimal, np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0))
-
-
-def _settled(chain: PolicyChain) -> PolicyChain:
-    """Return the chain with an end wherever it stays for ever, or itself where it ends."""
-    if chain.ends_from_start:
-        return chain
-    stays = ended(chain.mdp, recurrent(chain))
-    return PolicyChain(mdp=stays, chosen=chain.chosen, policy=chain.policy)
 
 
 def _differences(best: Level, own: Level) -> Floats:

@@ -31,7 +31,6 @@ from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import surplus
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-from exact_mdp.solvers.values.unending import ended
 
 
 def kept(chain: PolicyChain) -> Integers:
@@ -85,7 +84,7 @@ def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
 
 def arrivals(chain: PolicyChain, label: Integers) -> Floats:
     """Return (S,) expected visits of the states that are left again, arrivals in the classes."""
-    stays = PolicyChain(mdp=ended(chain.mdp, label >= 0), chosen=chain.chosen, policy=chain.policy)
+    stays = chain.ended(label >= 0)
     return np.where(chain.reached, stays.discounted.visits.value, 0.0)
 
 

@@ -1,30 +1,52 @@
-"""The total reward at discount 1 in floats, with bounds, and a policy that attains it.
+"""The total reward at discount 1 where some policy never ends: where it is infinite, and the rest.
 
-The merged model of finite values, without pairs that clearly lose (`solvers.endless.merged`), is
-solved as any other model in which every policy ends. That the pairs left out are none the better is
-verified:
+End components decide, each by the sign of its best mean reward g:
 
-    V(s) - e(s) ≥ r + P (V + e)     for values V with errors e, roundings counted
+    g > 0   worth +∞ wherever it can be reached without a risk of -∞
+    g < 0   never worth staying in: -∞ where nothing else can be reached for sure
+    g = 0   where no reward of the component is positive, the pairs that earn nothing can be used
+            for ever, and staying is worth 0
 
-Where rewards cancel for ever, or +∞ and -∞ come together, rational arithmetic tells what is best.
+In any other model the value depends on more than these signs: where rewards of both signs have a
+mean of 0, or where +∞ and -∞ can only be had together. Exact levels say what it is there
+(`solvers.exact.find`).
+
+A model with a goal follows other rules: outside the goal nothing can be stayed in. A run that never
+arrives is worth `unreached`, +∞ or -∞, in the numbers that are maximised. Where that is -∞, and a
+component of positive mean can be left for the goal for sure, going round often enough beforehand
+earns more than any number: the least upper bound is +∞, and no policy attains it. Other states may
+have it; a model that begins in one is refused by name.
+
+What is left are finite values. Parts that can be stayed in for nothing are merged, and pairs that
+lose clearly in circles are left out (`quotient`), so that every policy ends. That pairs left out
+are none the better is verified, for values V with errors e, roundings counted:
+
+    V(s) - e(s) ≥ r + P (V + e)
+
+A policy attains the values if it takes best pairs of that model, and moves inside a merged part to
+where it leaves: never a pair just because it keeps the value of a state, which staying for ever
+would not earn (de Alfaro, Formal Verification of Probabilistic Systems, 1997, chapters 3 and 5;
+Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from math import inf
 from time import perf_counter
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import SLACK, gains
-from exact_mdp.solvers.endless.derived import Derived
-from exact_mdp.solvers.endless.merged import lifted, without_losing
-from exact_mdp.solvers.endless.structure import finite, structure
-from exact_mdp.solvers.exact.find import expansion, reaching
+from exact_mdp.solvers.dynamic.methods import PolicyIteration
+from exact_mdp.solvers.endless.average import solve_average
+from exact_mdp.solvers.endless.graph import Graph, Mask
+from exact_mdp.solvers.endless.quotient import Derived, derived, first_of, toward
+from exact_mdp.solvers.exact.find import best_average, expansion, falling_costs, one_sign, reaching
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 
@@ -40,9 +62,9 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     parts = structure(mdp)
     if parts is None:
         return _rounded(mdp, started)
-    _check_start(mdp, parts.sign)
-    whole = finite(parts)
-    part = without_losing(whole)
+    one_sign(mdp, parts.sign)
+    whole = parts.finite()
+    part = whole.without_losing()
     try:
         solution = solved(part.mdp)
     except SolverError as failed:
@@ -50,13 +72,12 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
         raise
     _verify(whole, part, solution)
     value, error = solution.value[whole.label], solution.state_error[whole.label]
-    value[parts.sign > 0], value[parts.sign < 0] = np.inf, -np.inf
-    chosen = part.source[solution.pairs]
+    value[parts.sign > 0], value[parts.sign < 0] = inf, -inf
     return replace(
         solution,
         mdp=mdp,
         value=value,
-        pairs=lifted(parts, whole, chosen),
+        pairs=parts.lifted(whole.label, part.source[solution.pairs]),
         state_error=np.where(parts.sign == 0, error, 0.0),
         seconds=perf_counter() - started,
         gaps=None,
@@ -65,38 +86,26 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
 
 
 def _verify(whole: Derived, part: Derived, solution: Solution) -> None:
-    mdp = whole.mdp
-    left = np.setdiff1d(whole.source, part.source)
-    pairs = np.flatnonzero(np.isin(whole.source, left))
-    if not len(pairs):
-        return
-    gain, error = gains(mdp, np.array(solution.value)), solution.state_error
-    doubt = (mdp.transition @ error + error[mdp.pair_state]) * SLACK + gain.error
-    if not (gain.value + doubt <= 0)[pairs].all():
-        raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
-
-
-def _check_start(mdp: MDP, sign: Integers) -> None:
-    """Raise ModelError where states of the start are worth +∞ (sign 1) and others -∞ (-1)."""
-    if len({int(sign[state]) for state, weight in mdp.start if weight} - {0}) > 1:
-        raise ModelError(
-            "the value is +∞ from one state of the start and -∞ from another",
-            where="start",
-            fix="start in one state: --start, or mdp.with_(start=…)",
-        )
+    """Raise SolverError unless no pair that was left out is better, roundings counted."""
+    left_out = ~np.isin(whole.source, part.source)
+    if left_out.any():
+        gain, error = gains(whole.mdp, np.array(solution.value)), solution.state_error
+        doubt = (whole.mdp.transition @ error + error[whole.mdp.pair_state]) * SLACK + gain.error
+        if not (gain.value + doubt <= 0)[left_out].all():
+            raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
 
 
 def _rounded(mdp: MDP, started: float) -> Solution:
     """Return exact values, rounded once."""
     proof = expansion(mdp, "total") if mdp.goal is None else reaching(mdp)
-    value, pairs = proof.value_float, proof.pairs
-    _check_start(mdp, proof.infinite_sign)
+    value = proof.value_float
+    one_sign(mdp, proof.infinite_sign)
     with np.errstate(invalid="ignore"):
         error = np.where(np.isfinite(value), np.spacing(np.abs(value)), 0.0)
     return Solution(
         mdp=mdp,
         value=value,
-        pairs=pairs,
+        pairs=proof.pairs,
         state_error=error,
         regret_bound=float(2 * error.max()),
         status=Status.DIRECT,
@@ -105,3 +114,179 @@ def _rounded(mdp: MDP, started: float) -> Solution:
         iterations=1,
         seconds=perf_counter() - started,
     )
+
+
+# ---- where values are infinite -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Structure:
+    """What is known of a model's states before any finite value is.
+
+    Attributes
+    ----------
+    mdp : MDP
+    graph : Graph
+    label : (S,) int64
+        The end component of each state, ends left out; -1 where there is none.
+    within : (L,) bool
+        The pairs of the end components.
+    sign : (S,) int64
+        1 where the value is +∞, -1 where it is -∞, else 0.
+    rest : (S,) int64
+        The number of each state's rest, a part of an end component between whose states one moves
+        at will and for nothing; -1 where there is none. With a goal it is not allowed to stay.
+    inside : (L,) bool
+        The pairs with which one moves inside a rest.
+    core : (C,) int64
+        The components where +∞ is earned, or where a goal is missed if that is worth +∞.
+    """
+
+    mdp: MDP
+    graph: Graph
+    label: Integers
+    within: Mask
+    sign: Integers
+    rest: Integers
+    inside: Mask
+    core: Integers
+
+    def finite(self) -> Derived:
+        """Return the model of the finite values, in which the value of a state is its label's.
+
+        Rests are merged, each a state with a pair to the end where staying is allowed.
+        """
+        mdp, rest, finite, free = self.mdp, self.rest, self.sign == 0, self.mdp.goal is None
+        pairs = (finite & ~over(mdp))[mdp.pair_state] & self.graph.every(finite) & ~self.inside
+        count = int(rest.max(initial=-1)) + 1
+        merged = np.bincount(rest[rest >= 0], minlength=count) > 0
+        if free:  # those that cannot be left are at an end
+            leaving = self.graph.having(pairs) & (rest >= 0)
+            merged &= np.bincount(rest[leaving], minlength=count) > 0
+        label = np.append(np.where(merged, np.cumsum(merged) - 1, -1), -1)[rest]
+        rests = [(k, Fraction(0)) for k in range(int(merged.sum()))] if free else []
+        single = finite & ~over(mdp) & (rest < 0)
+        label[single] = int(merged.sum()) + np.arange(int(single.sum()))
+        return derived(mdp, np.flatnonzero(pairs), label, rests=rests)
+
+    def lifted(self, label: Integers, chosen: Integers) -> Integers:
+        """Return the pairs (S,) of the model for the sources `chosen` (S',) in the finite one."""
+        graph, mdp, rest = self.graph, self.mdp, self.rest
+        pairs, target = mdp.pair_offsets[:-1].copy(), over(mdp) & (self.sign == 0)
+        taken = chosen[label]  # of each state's merged one
+        leaves = (taken >= 0) & (taken < mdp.n_pairs)
+        single = (self.sign == 0) & leaves & (rest < 0)
+        pairs[single] = taken[single]
+        staying = self.inside & ((rest >= 0) & ~leaves)[mdp.pair_state]
+        first_of(graph, staying, pairs)
+        target |= graph.having(staying)
+        ways = taken[(rest >= 0) & leaves]
+        pairs[mdp.pair_state[ways]] = ways
+        target[mdp.pair_state[ways]] = True
+        toward(graph, graph.distance(target, self.inside), self.inside, pairs)
+        if len(self.core):
+            above = np.isin(self.label, self.core)
+            if _missing_pays(mdp):
+                first_of(graph, graph.every(above) & above[mdp.pair_state], pairs)
+            else:
+                own = _among(self, self.core)
+                best = _nearly(own)
+                sure = best is not None and bool((best.value > best.error)[:-1].all())
+                earning = best.pairs if best is not None and sure else best_average(own.mdp)[0]
+                pairs[above] = own.source[earning[:-1]]
+            safe = graph.every(self.sign >= 0) & (self.sign > 0)[mdp.pair_state]
+            toward(graph, graph.distance(above, safe), safe, pairs)
+        return pairs
+
+
+def over(mdp: MDP) -> Mask:
+    """Return (S,) True where all is over: terminal states, or the goal."""
+    return mdp.terminal if mdp.goal is None else mdp.goal
+
+
+def _missing_pays(mdp: MDP) -> bool:
+    """Return whether a run that misses a goal is worth +∞."""
+    return mdp.goal is not None and mdp.unreached == inf
+
+
+def structure(mdp: MDP) -> Structure | None:
+    """Return the structure of a model at discount 1; None where signs do not say all."""
+    graph, ends, goal = Graph.of(mdp), over(mdp), mdp.goal
+    every, none = np.ones(mdp.n_pairs, dtype=bool), np.zeros(mdp.n_pairs, dtype=bool)
+    label, inside = graph.end_components(~ends[mdp.pair_state])
+    count = int(label.max(initial=-1)) + 1
+    nowhere = np.full(mdp.n_states, -1)
+    parts = Structure(
+        mdp=mdp,
+        graph=graph,
+        label=label,
+        within=inside,
+        sign=np.where(graph.distance(label >= 0, every) >= 0, 1, 0),
+        rest=nowhere,
+        inside=none,
+        core=np.arange(count),
+    )
+    if _missing_pays(mdp):
+        return parts
+    rewards, owner = np.sign(mdp.table.expected_gain_exact()[0]), label[mdp.pair_state]
+    quiet, still = label, inside
+    if rewards[inside].any():
+        quiet, still = graph.end_components(inside & (rewards == 0))
+
+    def any_of(where: Mask, of: Integers) -> Mask:
+        return np.bincount(of[where], minlength=count) > 0
+
+    gain, loss = any_of(inside & (rewards > 0), owner), any_of(inside & (rewards < 0), owner)
+    best = np.where(gain, 1, np.where(any_of(quiet >= 0, label), 0, -1))
+    both = np.flatnonzero(gain & loss)
+    best[both] = _signs(parts, both)
+    value_sign = np.append(best, -1)[label]  # the sign of each state's component
+    safe = graph.rounds(ends | (value_sign >= 0) if goal is None else ends, every) == 0
+    win = safe & (graph.distance((value_sign > 0) & safe, graph.every(safe)) >= 0)
+    sign = np.where(win, 1, np.where(safe, 0, -1))
+    if goal is not None:
+        if (bad := win & (mdp.start_distribution > 0)).any():
+            raise falling_costs(mdp, bad)
+    elif ((graph.distance(value_sign > 0, every) >= 0) & ~win).any():
+        return None  # +∞ and -∞ together
+    if (np.isin(label, both[best[both] == 0]) & (sign == 0)).any():
+        return None  # rewards cancel
+    return replace(
+        parts,
+        sign=sign,
+        rest=np.where(sign == 0, quiet, -1),
+        inside=still & (sign == 0)[mdp.pair_state] & graph.every(sign == 0),
+        core=np.unique(label[win & (value_sign > 0)]),
+    )
+
+
+# ---- the best mean reward of end components ------------------------------------------------------
+
+
+def _among(parts: Structure, numbers: Sequence[int] | Integers) -> Derived:
+    """Return some end components as a model, whose end is far."""
+    chosen = np.isin(parts.label, numbers)
+    names = np.where(chosen, np.cumsum(chosen) - 1, -1)
+    pairs = np.flatnonzero(parts.within & chosen[parts.mdp.pair_state])
+    return derived(parts.mdp, pairs, names)
+
+
+def _signs(parts: Structure, numbers: Integers) -> Integers:
+    """Return the signs of the best mean rewards of some components (C,)."""
+    signs = np.zeros(len(numbers), dtype=np.int64)
+    if len(numbers) and (best := _nearly(_among(parts, numbers))) is not None:
+        own = parts.label[np.isin(parts.label, numbers)]  # all of a component earn alike
+        above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
+        signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
+    for i in np.flatnonzero(signs == 0).tolist():
+        _, (gain, _, _) = best_average(_among(parts, numbers[[i]]).mdp)
+        signs[i] = (gain.top[0] > 0) - (gain.top[0] < 0)
+    return signs
+
+
+def _nearly(own: Derived) -> Solution | None:
+    """Return the best average reward in floats; None where these do not bound it."""
+    try:
+        return solve_average(own.mdp, PolicyIteration())
+    except SolverError:
+        return None

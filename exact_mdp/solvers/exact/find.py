@@ -32,12 +32,12 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
-from exact_mdp.solvers.average.chain import ExactAverages
-from exact_mdp.solvers.average.iteration import improved
+from exact_mdp.solvers.endless.average import improved
+from exact_mdp.solvers.endless.chain import ExactAverages
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.exact.certificate import Certificate, Flags, exact_rows
 from exact_mdp.solvers.exact.levels import Column, Level, fraction, signs, surplus
-from exact_mdp.solvers.exact.linear import Matrix, solve_all
+from exact_mdp.solvers.exact.linear import equations, solve_all
 from exact_mdp.solvers.solution import SolverError
 
 LIMIT = 200  # policies that floats try
@@ -73,14 +73,24 @@ def _at_start(draft: Certificate, start: Sequence[tuple[int, Fraction]]) -> Frac
     if draft.kind == "average":
         assert draft.g is not None
         return draft.g.mean(start)
-    infinite = {int(draft.infinite_sign[state]) for state, _ in start} - {0}
-    if len(infinite) > 1:
+    infinite = one_sign(draft.mdp, draft.infinite_sign)
+    return inf * infinite if infinite else draft.h.mean(start)
+
+
+def one_sign(mdp: MDP | None, sign: Numbers) -> int:
+    """Return the sign, of those (S,) where values are infinite, that states of the start have.
+
+    Raises ModelError where some of them have the one and some the other.
+    """
+    assert mdp is not None
+    signs = {int(sign[state]) for state, weight in mdp.start if weight} - {0}
+    if len(signs) > 1:
         raise ModelError(
             "the value is +∞ from one state of the start and -∞ from another",
             where="start",
             fix="start in one state: --start, or mdp.with_(start=…)",
         )
-    return inf * infinite.pop() if infinite else draft.h.mean(start)
+    return signs.pop() if signs else 0
 
 
 def one_optimum(mdp: MDP, optimal: Flags) -> bool:
@@ -267,21 +277,6 @@ def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
 
 
 # ---- values of policies that end -----------------------------------------------------------------
-
-
-def equations(rows: BellmanRows, states: Flags | None = None) -> Matrix:
-    """Return the matrix of V = r + γ P V for rows of one pair in each state.
-
-    Of some states (S,), those that are not terminal by default; the others have V = r.
-    """
-    states = ~rows.terminal if states is None else states
-    inside, every = states[rows.pair], np.arange(len(rows.scale))
-    return Matrix.of(
-        len(every),
-        np.concatenate([every, rows.pair[inside]]),
-        np.concatenate([every, rows.next[inside]]),
-        np.concatenate([rows.scale, -rows.weight[inside]]),
-    )
 
 
 def evaluated(rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()) -> list[Level]:

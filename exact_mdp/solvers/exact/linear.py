@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from operator import mul
@@ -25,11 +26,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import flint
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import row_sums
+from exact_mdp.mdp.exact import BellmanRows, row_sums
 from exact_mdp.mdp.graph import components_in_order
-from exact_mdp.mdp.table import Integers, Numbers, integers, spans
+from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.lifting import Lifting
 
@@ -175,6 +177,29 @@ def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
     solution = _Solution(matrix, sides)
     group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))
     return [Level(top=list(map(int, top)), below=below, group=group) for top in solution.tops]
+
+
+def equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Matrix:
+    """Return the matrix of V = r + γ P V for rows of one pair in each state.
+
+    Of some states (S,), those that are not terminal by default; the others have V = r.
+    """
+    states = ~rows.terminal if states is None else states
+    inside, every = states[rows.pair], np.arange(len(rows.scale))
+    return Matrix.of(
+        len(every),
+        np.concatenate([every, rows.pair[inside]]),
+        np.concatenate([every, rows.next[inside]]),
+        np.concatenate([rows.scale, -rows.weight[inside]]),
+    )
+
+
+def solved(matrix: Matrix, rows: BellmanRows, constant: Sequence[Fraction]) -> Level:
+    """Return V = constant + γ P V, constant (S,), for the `equations` of some rows."""
+    side, unit = common(constant)
+    scaled = zip(side, rows.scale.tolist(), strict=True)
+    (level,) = solve_all(matrix, [[number * scale for number, scale in scaled]])
+    return replace(level, below=[unit * below for below in level.below])
 
 
 class _Solution:

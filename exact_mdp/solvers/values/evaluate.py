@@ -40,11 +40,11 @@ from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.report import Report, Shown, Table, claimed
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import COMPILED, Floats
-from exact_mdp.solvers.average.evaluate import AverageEvaluation
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
 from exact_mdp.solvers.dynamic.iterate import NEARLY_ONE
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
+from exact_mdp.solvers.endless.chain import AverageEvaluation, Mask
 from exact_mdp.solvers.solution import (
     Bounded,
     Claim,
@@ -56,9 +56,15 @@ from exact_mdp.solvers.solution import (
     in_float,
 )
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
-from exact_mdp.solvers.values.policy_chain import Equations, Mask, PolicyChain
+from exact_mdp.solvers.values.policy_chain import (
+    Equations,
+    Parted,
+    PolicyChain,
+    arrives,
+    average,
+    parted,
+)
 from exact_mdp.solvers.values.returns import return_distribution, times
-from exact_mdp.solvers.values.unending import Parted, arrives, average, model_of, parted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -235,7 +241,7 @@ class Evaluation(Valued, Pictured):
         alone = mdp.with_(table=table, component_table=None, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=self.chain.chosen, policy=self.chain.policy)
         with suppress(SolverError, ModelError):
-            best: Solution = solve(model_of(chain))
+            best: Solution = solve(chain.model)
             return best.start
         return UNKNOWN
 
@@ -453,7 +459,7 @@ def _ever(chain: PolicyChain, happens: Mask) -> FixedPoint:
     matrix = sp.csr_array(entries, (states, states))
     roundings = chain.roundings + int(chain.outcomes.max())
     system = LinearSystem(matrix, 1.0, order=chain.order, roundings=roundings)
-    equations = Equations(chain=chain, rate=Fraction(1), live=possible, system=system, left_out=~on)
+    equations = Equations(chain=chain, rate=Fraction(1), live=possible, system=system, used=on)
     point = equations.solve(chance, gamma(chain.outcomes + chain.roundings) * chance)
     return FixedPoint(value=np.clip(point.value, 0.0, 1.0), error=point.error)
 
@@ -541,7 +547,7 @@ def evaluate(
         with suppress(ModelError):  # the return has no limit, but the mean return has one
             parts = parted(chain)
         if parts is None or parts.lost:
-            alone = solve(model_of(chain))
+            alone = solve(chain.model)
             return Evaluation(
                 chain=chain, given=chain, value=alone.value, error=alone.state_error, settled=False
             )
@@ -555,7 +561,7 @@ def evaluate(
     value, bound = np.where(known, point.value, np.nan), np.where(known, point.error, np.inf)
     if not known.all():
         with suppress(ModelError, SolverError):
-            alone = solve(model_of(given))
+            alone = solve(given.model)
             value = np.where(known, value, alone.value)
             bound = np.where(known, bound, alone.state_error)
     value.setflags(write=False)
@@ -573,6 +579,6 @@ def _closest(chain: PolicyChain, reward: Floats, error: Floats) -> FixedPoint:
     if near and (chain.pure or mdp.n_transitions < COMPILED):
         with suppress(ModelError, SolverError), warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)
-            alone = ModifiedPolicyIteration().solve(model_of(chain))
+            alone = ModifiedPolicyIteration().solve(chain.model)
             return FixedPoint(value=np.array(alone.value), error=np.array(alone.state_error))
     return chain.discounted.solve(reward, error)

@@ -8,32 +8,37 @@ are the exact numbers given (a float is the number that it is), divided by their
 a policy ends is a question about its own chain; other policies of the model need not end.
 
 A state *ends* where a terminal state is reached with probability 1, which is where no state is
-reached from which the terminal ones cannot be (Puterman, Markov Decision Processes, 1994, A.2).
+reached from which the terminal ones cannot be (Puterman, Markov Decision Processes, 1994, A.2). A
+policy has come to rest in classes of states that it never leaves and in which nothing is earned,
+nor any event happens. These count as ends for its return, of which nothing else is changed; only
+its steps have no end. Where it goes round for ever and earns something else than 0 a step on
+average, its return is +∞ or -∞; so it is where a run misses its goal. What any policy is worth,
+finite or not, is the optimum of the model in which there is nothing else to do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from math import lcm
+from math import inf, lcm
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.graph import closure, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.questions import ended
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
     Floats,
     Integers,
     Numbers,
     OutcomeTable,
-    common,
     divide,
     exact,
     integers,
@@ -41,12 +46,15 @@ from exact_mdp.mdp.table import (
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, rows_of, transposed
-from exact_mdp.solvers.exact.linear import MANY, Matrix, exact_solve
+from exact_mdp.solvers.endless.chain import AverageEvaluation, Classes, ExactAverages, Mask
+from exact_mdp.solvers.endless.chain import evaluated as bounded_average
+from exact_mdp.solvers.exact.find import one_sign, visited
+from exact_mdp.solvers.exact.linear import MANY, equations, solved
 from exact_mdp.solvers.solution import SolverError, Status
 from exact_mdp.solvers.solver import Criterion, solve
 
-Mask = NDArray[np.bool_]
 SHOWN = 4
+ZERO = Fraction(0)
 
 
 def policy_of(
@@ -252,6 +260,22 @@ class PolicyChain:
             return ~self.stuck
         return ~closure(self.graph.T.tocsr(), self.stuck)
 
+    @cached_property
+    def classes(self) -> Classes:
+        """The recurrent classes, terminal states among them."""
+        return Classes.of(self.graph)
+
+    @property
+    def resting(self) -> Mask:
+        """(S,) True in recurrent classes without any reward or event."""
+        busy = self.gain != 0
+        if self.table.event is not None:
+            busy = busy | (self.table.event != 0)
+        acts = np.bincount(self.source[busy], minlength=self.mdp.n_states) > 0
+        inside, own = self.classes.recurrent, self.classes.own
+        active = np.bincount(own, acts & inside & ~self.mdp.terminal) > 0
+        return np.asarray(inside & ~active[own])
+
     @property
     def ends_from_start(self) -> bool:
         """True where every episode ends with probability 1."""
@@ -297,6 +321,8 @@ class PolicyChain:
         rate = self.mdp.discount_exact
         return self.undiscounted if rate == 1 else self.equations(rate)
 
+    # ---- exact numbers -----------------------------------------------------------------------
+
     @cached_property
     def odds(self) -> list[Fraction]:
         """The exact probability of each of the N outcomes in its state."""
@@ -306,6 +332,77 @@ class PolicyChain:
             share |= self.exact_weights(state)
         each = [share[l] / int(d) for l, d in zip(self.pairs.tolist(), below, strict=True)]
         return [each[l] * int(w) for l, w in zip(self.table.pair.tolist(), weight, strict=True)]
+
+    def mixed(self, used: Mask | None = None) -> list[tuple[Fraction, dict[int, Fraction]]]:
+        """Return each state's mean reward and {next state: probability}, of some outcomes (N,)."""
+        earned, below = self.mdp.table.expected_gain_exact()
+        means = []
+        for state in range(self.mdp.n_states):
+            taken = self.exact_weights(state).items()
+            means.append(sum((w * Fraction(int(earned[l]), int(below[l])) for l, w in taken), ZERO))
+        rows = [(mean, dict[int, Fraction]()) for mean in means]
+        source, following = self.source.tolist(), self.table.next.tolist()
+        for n in np.arange(len(source))[slice(None) if used is None else used].tolist():
+            row = rows[source[n]][1]
+            row[following[n]] = row.get(following[n], ZERO) + self.odds[n]
+        return rows
+
+    def rows(self, rate: Fraction | None = None, used: Mask | None = None) -> BellmanRows:
+        """Return the equations of the chain in integers, at another discount, of some outcomes."""
+        rate = self.mdp.discount_exact if rate is None else rate
+        if self.pure and used is None:
+            same = rate == self.mdp.discount_exact
+            return bellman_rows(self.mdp if same else self.mdp.with_(discount=rate)).of_pairs(
+                self.pairs
+            )
+        parts = [
+            (mean, [(t, rate * row[t]) for t in sorted(row) if rate])
+            for mean, row in self.mixed(used)
+        ]
+        scale = [lcm(mean.denominator, *(p.denominator for _, p in row)) for mean, row in parts]
+        each = zip(scale, parts, strict=True)
+        return BellmanRows(
+            pair_offsets=np.arange(len(parts) + 1),
+            terminal=self.mdp.terminal,
+            scale=integers(scale),
+            constant=integers(int(m * k) for k, (m, _) in zip(scale, parts, strict=True)),
+            offsets=np.cumsum([0, *(len(row) for _, row in parts)]),
+            next=np.array([t for _, row in parts for t, _ in row], dtype=np.int64),
+            weight=integers(int(p * k) for k, (_, row) in each for _, p in row),
+        )
+
+    @cached_property
+    def model(self) -> MDP:
+        """The model in which the policy's choices are the only ones."""
+        mdp, pairs = self.mdp, self.pairs
+        if self.pure:
+            return mdp.with_(
+                table=mdp.table.of_pairs(pairs),
+                pair_state=mdp.pair_state[pairs],
+                pair_action=mdp.pair_action[pairs],
+            )
+        rows = [
+            (s, 0, [(p, t, r) for t, p in to.items()]) for s, (r, to) in enumerate(self.mixed())
+        ]
+        return replace(
+            MDP.from_outcomes(rows, mdp.discount_exact, start=dict(mdp.start), actions=["mixed"]),
+            space=mdp.space,
+            sense=mdp.sense,
+            goal=mdp.goal,
+            unreached=mdp.unreached,
+            float_probabilities=mdp.float_probabilities,
+            float_rewards=mdp.float_rewards,
+        )
+
+    @property
+    def exact_gain(self) -> Numbers:
+        """(S,) the average reward per step as Fractions."""
+        averages = ExactAverages(self.rows(Fraction(1)))
+        return averages.spread(averages.mean(averages.reward))
+
+    def ended(self, states: Mask) -> PolicyChain:
+        """Return the chain with some states (S,) made terminal."""
+        return replace(self, mdp=ended(self.mdp, states))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -318,8 +415,8 @@ class Equations:
     ----------
     live : (S,)
         The states.
-    left_out : (N,), optional
-        Outcomes that P does not count.
+    used : (N,), optional
+        The outcomes that P counts.
     turned : bool
         Whether the equation is x = c + rate · Pᵀ x.
     """
@@ -328,19 +425,15 @@ class Equations:
     rate: Fraction
     live: Mask
     system: LinearSystem
-    left_out: Mask | None = None
+    used: Mask | None = None
     turned: bool = False
-
-    @cached_property
-    def transposed(self) -> Equations:
-        """The equations of visits."""
-        return replace(self, system=transposed(self.system), turned=not self.turned)
 
     @cached_property
     def visits(self) -> FixedPoint:
         """(S,) expected visits from the start, times rate^t at time t; arrivals at an end count."""
         start = self.chain.mdp.start_distribution
-        point = self.transposed.solve(start, UNIT * start)
+        turned = replace(self, system=transposed(self.system), turned=True)
+        point = turned.solve(start, UNIT * start)
         # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
@@ -357,43 +450,15 @@ class Equations:
             require_few(self.chain.mdp, error_of_floats)
             if not np.isfinite([constant, doubt]).all():
                 raise
-            value, off = (
-                rounded(self.exactly([*map(Fraction, side.tolist())])) for side in (constant, doubt)
-            )
-        return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
-
-    def exactly(self, constant: Sequence[Fraction]) -> list[Fraction]:
-        """Return x for an exact constant."""
-        matrix, scale = self._matrix
-        side, unit = common(constant)
-        if not self.turned:
-            side = [number * times for number, times in zip(side, scale, strict=True)]
-        top, below = exact_solve(matrix.transposed if self.turned else matrix, side)
-        values = [Fraction(int(number), int(below) * unit) for number in top]
+        rows = self.chain.rows(self.rate, self.used)
+        sides = [[*map(Fraction, side.tolist())] for side in (constant, doubt)]
         if self.turned:
-            values = [number * times for number, times in zip(values, scale, strict=True)]
-        return values
-
-    @cached_property
-    def _matrix(self) -> tuple[Matrix, list[int]]:
-        """I - rate · P in integers, and what each row is multiplied by."""
-        used = self.live[self.chain.source]
-        if self.left_out is not None:
-            used &= ~self.left_out
-        place, states = np.flatnonzero(used), np.arange(len(self.live))
-        source, odds = self.chain.source[place], self.chain.odds
-        flow = [self.rate * odds[number] for number in place.tolist()]
-        scale = [1] * len(states)
-        for state, share in zip(source.tolist(), flow, strict=True):
-            scale[state] = lcm(scale[state], share.denominator)
-        each = zip(source.tolist(), flow, strict=True)
-        matrix = Matrix.of(
-            len(states),
-            np.concatenate([states, source]),
-            np.concatenate([states, self.chain.table.next[place]]),
-            integers([*scale, *(int(-share * scale[state]) for state, share in each)]),
-        )
-        return matrix, scale
+            found = visited(rows, self.live, *([*enumerate(side)] for side in sides))
+        else:
+            matrix = equations(rows, self.live)
+            found = [solved(matrix, rows, side) for side in sides]
+        value, off = (rounded(level.fractions()) for level in found)
+        return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
 
 
 def require_few(mdp: MDP, error: SolverError) -> None:
@@ -439,3 +504,125 @@ def _checked(mdp: MDP, weights: Floats) -> Floats:
             fix="make them at least 0, with sum 1",
         )
     return weights
+
+
+# ---- policies that never end ---------------------------------------------------------------------
+
+
+def arrives(chain: PolicyChain) -> bool:
+    """Return whether every episode ends, and not beside a goal."""
+    mdp = chain.mdp
+    beside = mdp.goal is not None and bool((chain.reached & mdp.terminal & ~mdp.goal).any())
+    return chain.ends_from_start and not beside
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Parted:
+    """A chain whose every run ends, comes to rest, or gains or loses for ever.
+
+    Attributes
+    ----------
+    chain : PolicyChain
+        With ends wherever one of these is certain.
+    lost : {inf: (S,) bool, -inf: (S,) bool}
+        The ends that stand for an infinite return, where there are some.
+    worth : float
+        The mean return where some are infinite: inf or -inf. Where returns of +∞ and -∞ come
+        together, the mean reward of the whole decides.
+    """
+
+    chain: PolicyChain
+    lost: dict[float, Mask]
+    worth: float = 0.0
+
+    @property
+    def ends(self) -> Mask:
+        """(S,) True at ends of finite returns."""
+        ends = self.chain.mdp.terminal
+        for each in self.lost.values():
+            ends = ends & ~each
+        return ends
+
+
+def parted(chain: PolicyChain) -> Parted:
+    """Return where a policy's runs end, rest, or gain or lose for ever.
+
+    Raises ModelError where rewards cancel for ever, so that a return has no limit, and where
+    gains and losses for ever have a mean of 0, so that the mean return has none.
+    """
+    mdp = chain.mdp
+    if mdp.discount_exact != 1 or arrives(chain):
+        return Parted(chain=chain, lost={})
+    if mdp.goal is not None:
+        rest = (chain.stuck | mdp.terminal) & ~mdp.goal
+        lost = {mdp.unreached: rest}
+    else:
+        rest = chain.resting
+        busy = chain.reached & chain.classes.recurrent & ~rest & ~mdp.terminal
+        gain = _signs(chain, busy) if busy.any() else np.zeros(mdp.n_states)
+        if (flat := busy & (gain == 0)).any():
+            raise ModelError(
+                "rewards cancel for ever, and the return has no limit",
+                where=f"policy, {mdp.space.place(int(np.flatnonzero(flat)[0]))}",
+                fix=ways_out(mdp, 'take evaluate(), with criterion="average"'),
+            )
+        lost = {inf: busy & (gain > 0), -inf: busy & (gain < 0)}
+    ending = chain.ended(np.logical_or.reduce([rest, *lost.values()]))
+    lost = {sign: each for sign, each in lost.items() if each.any()}
+    worth = sum(lost)
+    if len(lost) == 2:
+        if not (sign := one_sign(mdp, np.sign(chain.exact_gain))):
+            raise ModelError(
+                "gains and losses for ever have a mean of 0, and the mean return has no value",
+                where="policy",
+                fix=ways_out(mdp, "take evaluate(), which gives the limit of the discounted means"),
+            )
+        worth = inf * sign
+    return Parted(chain=ending, lost=lost, worth=worth)
+
+
+def _signs(chain: PolicyChain, busy: Mask) -> Numbers:
+    """Return (S,) the gains or their signs, sure in some states (S,)."""
+    own = average(chain)
+    open_ = busy & (np.abs(own.value) <= own.error)
+    return np.sign(chain.exact_gain) if open_.any() else own.value
+
+
+def average(chain: PolicyChain) -> AverageEvaluation:
+    """Return what a policy earns per step: in rationals where floats cannot bound it.
+
+    Raises SolverError where that would take too long.
+    """
+    mdp = chain.mdp.undiscounted
+    try:
+        evaluation = bounded_average(mdp, chain.weights, chain.roundings, chain.policy)
+        if np.isfinite(evaluation.share.error).all():
+            return evaluation
+    except SolverError as error:
+        require_few(mdp, error)
+    rows = chain.rows(Fraction(1))
+    exact = ExactAverages(rows)
+    (gain, bias, _), classes = exact.expansion(exact.reward), exact.classes
+    onward = [
+        (int(rows.next[i]), Fraction(int(rows.weight[i]), int(rows.scale[base])))
+        for base in classes.base.tolist()
+        for i in range(rows.offsets[base], rows.offsets[base + 1])
+    ]
+    # What is met between two visits of a base, over the time between them.
+    parts = visited(rows, ~classes.at_base, mdp.start, onward)
+    arrivals, met = (level.fractions() for level in parts)
+    share = arrivals[classes.base[classes.own]] * met / exact.period[classes.own]
+    share[~classes.recurrent] = ZERO
+    value, own_bias = rounded(gain), rounded(bias)
+    return AverageEvaluation(
+        mdp=mdp,
+        weights=chain.weights,
+        roundings=chain.roundings,
+        policy=chain.policy,
+        classes=classes,
+        value=value.value,
+        error=value.error,
+        bias=own_bias.value,
+        bias_error=own_bias.error,
+        exact=(rounded(share), rounded(arrivals)),
+    )

@@ -26,7 +26,8 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Backward, strong_components
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import TINY
-from exact_mdp.solvers.values.policy_chain import Mask, PolicyChain
+from exact_mdp.solvers.endless.chain import Mask
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 REMAINING = 1e-12
 # Of what may be left in a cycle anyway: without it, a slow one would drag long tails along.

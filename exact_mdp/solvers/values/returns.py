@@ -37,9 +37,8 @@ from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.dynamic.iterate import check_counts
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 from exact_mdp.solvers.values.return_mass import Flow, carry_exact, carry_floats
-from exact_mdp.solvers.values.unending import parted
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -29,9 +29,8 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY
 from exact_mdp.solvers.dynamic.iterate import check_counts
 from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 from exact_mdp.solvers.values.returns import times
-from exact_mdp.solvers.values.unending import parted
 
 if TYPE_CHECKING:
     from pandas import DataFrame

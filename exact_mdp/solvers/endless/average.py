@@ -1,13 +1,17 @@
 """The best average reward per step in floats, with bounds that hold: three methods, one bound.
 
-    policy iteration           gain first, then bias (`iteration`); for every model
+    policy iteration           evaluate g, h, w of the policy (`chain`), then take in every state a
+                               pair that is greatest in d(g); among those, in r - g + d(h); among
+                               those, in d(w) - h, with d(x) = Σ P(l, s') x(s') - x(s) (Puterman,
+                               Markov Decision Processes, 1994, section 9.2.1; the third level
+                               makes the bias the greatest, section 10.3)
     relative value iteration   h ← h + (T h - h) / 2, with (T h)(s) = max over pairs of r + P h;
                                where the gain is the same everywhere. Half a step at a time, so that
-                               periodic chains do no harm (Puterman 1994, sections 8.5.4 and 8.5.5)
+                               periodic chains do no harm (sections 8.5.4 and 8.5.5)
     linear program             minimise Σ g   subject to   g ≥ P g,   g + h ≥ r + P h   for each
                                pair (section 9.3); the policy is improved as in policy iteration
 
-Whatever found it, the policy's own gain bounds the optimum from below (`evaluate`). From above: the
+Whatever found it, the policy's own gain bounds the optimum from below (`chain`). From above: the
 pairs that are used for ever are those of an end component. In one of them no policy earns more per
 step than the greatest r + P h - h of its pairs, for any h. What can be earned from elsewhere is the
 greatest expectation of that bound over the component that a policy ends in: a model in which every
@@ -16,27 +20,41 @@ policy ends, whose values `bounds` proves.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.average.evaluate import evaluated
-from exact_mdp.solvers.average.iteration import Improved, improved
+from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import SLACK, gains, greedy
+from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import AGREEMENT, LinearProgram, optimised
-from exact_mdp.solvers.dynamic.methods import PolicyIteration, ValueIteration
-from exact_mdp.solvers.endless.derived import derived
+from exact_mdp.solvers.dynamic.methods import (
+    ModifiedPolicyIteration,
+    PolicyIteration,
+    ValueIteration,
+)
+from exact_mdp.solvers.endless.chain import FloatAverages, evaluated
 from exact_mdp.solvers.endless.graph import Graph
-from exact_mdp.solvers.solution import Solution, SolverError, Status, warn_of_precision
+from exact_mdp.solvers.endless.quotient import derived
+from exact_mdp.solvers.solution import (
+    PrecisionWarning,
+    Solution,
+    SolverError,
+    Status,
+    warn_of_precision,
+)
+
+MOST = 1000  # policies
+NEARNESS = Fraction(1, 2**12)  # 1 - γ of the policy to begin with
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -46,7 +64,7 @@ class AverageSolution(Solution):
     Attributes
     ----------
     bias, bias_error : (S,)
-        Bias of the policy given here, and how far it may be off; see `solvers.average.chain`.
+        Bias of the policy given here, and how far it may be off; see `solvers.endless.chain`.
 
     Examples
     --------
@@ -95,9 +113,7 @@ def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> Average
         )
     step = mdp.undiscounted
     reached = METHODS[solver.name](step, solver)
-    taken = np.zeros(step.n_pairs)
-    taken[reached.pairs] = 1.0
-    own = evaluated(step, taken)
+    own = evaluated(step, _taking(step, reached.pairs))
     above = _upper(step, reached.bias) - own.value
     error = np.maximum(own.error, above * SLACK)
     met = tol is None or float(error.max()) <= tol
@@ -135,13 +151,94 @@ def _upper(step: MDP, bias: Floats) -> Floats:
     label[passed] = count + np.arange(int(passed.sum()))
     pairs = np.flatnonzero(~inside)
     rests = [(number, Fraction(value)) for number, value in enumerate(top.tolist())]
-    model = derived(step, pairs, label, earned=[Fraction(0)] * len(pairs), rests=rests)
+    model = derived(step, pairs, label, free=True, rests=rests)
     solution = PolicyIteration().solve(model.mdp)
     most = np.nextafter(solution.value + solution.state_error * SLACK, np.inf)
     return np.asarray(most[model.label])
 
 
-# ---- three methods -------------------------------------------------------------------------------
+# ---- methods ------------------------------------------------------------------------------------
+
+
+class Improved(NamedTuple):
+    """The pairs (S,) of a policy, relative values (S,), iterations, and how it ended."""
+
+    pairs: Integers
+    bias: Floats
+    iterations: int
+    status: Status = Status.DIRECT
+
+
+def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Improved:
+    """Return a policy that is optimal up to rounding, from `pairs` (S,) or from a patient policy.
+
+    `step` is a model at discount 1 with rows that sum to 1.
+    """
+    if pairs is None:
+        pairs = _patient(step)
+    seen: set[bytes] = set()
+    before: tuple[Floats, Floats] | None = None
+    for iteration in range(1, most + 1):
+        seen.add(pairs.tobytes())
+        averages = FloatAverages(step, _taking(step, pairs))
+        _, bias, second = averages.expansion(step.reward[pairs])
+        added = gains(step, bias)
+        own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
+        gain = averages.bounded_gain(own)
+        if before is not None:
+            least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
+            risen = (gain.value - before[0] > gain.error).any() or (bias - before[1] > least).any()
+            if not risen:
+                return Improved(pairs, bias, iteration)
+        before = gain.value, bias
+        pairs = _greatest(step, gain, bias, second, pairs)
+        if pairs.tobytes() in seen:
+            return Improved(pairs, bias, iteration)
+    raise SolverError(Status.ITERATION_LIMIT, f"{most} policies were evaluated")
+
+
+def _taking(step: MDP, pairs: Integers) -> Floats:
+    """Return (L,) the weight 1 of some pairs (S,)."""
+    taken = np.zeros(step.n_pairs)
+    taken[pairs] = 1.0
+    return taken
+
+
+def _patient(step: MDP) -> Integers:
+    """Return the pairs (S,) that are best with a discount near 1: few are left to improve.
+
+    From any other policy, news of a better class may travel one step in each iteration.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)
+        try:
+            return ModifiedPolicyIteration().solve(step.with_(discount=1 - NEARNESS)).pairs
+        except SolverError:  # any policy does to begin with
+            return step.pair_offsets[:-1]
+
+
+def _greatest(
+    step: MDP, gain: FixedPoint, bias: Floats, second: Floats, keep: Integers
+) -> Integers:
+    """Return (S,) pairs that no other beats by more than rounding, those of `keep` first.
+
+    Gains that are equal come out of different equations: their whole error counts, not only that
+    of their differences.
+    """
+    first, state = step.pair_offsets[:-1], step.pair_state
+    unsure = step.transition @ gain.error + gain.error[state]
+    left = np.ones(step.n_pairs, dtype=bool)
+    for earned, value, doubt in (
+        (np.zeros(step.n_pairs), gain.value, unsure),
+        (step.reward - gain.value[state], bias, 0.0),
+        (-bias[state], second, 0.0),
+    ):
+        level = gains(step, value, reward=earned)
+        noise = level.noise + doubt
+        least = np.where(left, level.value - noise, -np.inf)
+        left &= level.value + noise >= np.maximum.reduceat(least, first)[state]
+    chosen = np.minimum.reduceat(np.where(left, np.arange(step.n_pairs), step.n_pairs), first)
+    return np.where(left[keep], keep, chosen)
 
 
 def _by_policies(step: MDP, solver: Any) -> Improved:

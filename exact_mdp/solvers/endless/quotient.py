@@ -1,0 +1,156 @@
+"""Models made of parts of another: some of its pairs, with states merged, and an end.
+
+    derived(mdp, pairs, label)     pair l leads from label(s) to label(s'), label -1 is the end
+
+Merged states are those of an end component that is not worth telling apart: what a policy can do in
+one of them it can do in all (the quotient of de Alfaro, Formal Verification of Probabilistic
+Systems, 1997, section 3.3). Rests are further pairs, which earn something and lead to the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from exact_mdp.mdp.graph import termination
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.space import StateSpace
+from exact_mdp.mdp.table import Integers, OutcomeTable, integers, ones
+from exact_mdp.solvers.bounds.gains import gains, greedy
+from exact_mdp.solvers.dynamic.iterate import evaluated
+from exact_mdp.solvers.endless.graph import Graph, Mask
+from exact_mdp.solvers.solution import SolverError, Status
+
+LIMIT = 1000  # policies
+CLEAR = 16  # times what rounding may make of nothing
+COARSER = 16  # between one limit of a clear loss and the next
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Derived:
+    """A model of S' states and L' pairs, the last state its end, and where its pairs are from.
+
+    Attributes
+    ----------
+    mdp : MDP
+    label : (S,) int64
+        The state that each one of the other model became.
+    source : (L',) int64
+        The pair that each one is made of; -1 - i for rest number i; the pair of the end has L.
+    """
+
+    mdp: MDP
+    label: Integers
+    source: Integers
+
+    def without_losing(self) -> Derived:
+        """Return a model in which every policy ends: without pairs that lose clearly in circles.
+
+        Policy iteration in floats, from a policy that ends, tells which these are.
+        """
+        mdp = self.mdp
+        if termination(mdp).proven:
+            return self
+        graph, pairs = Graph.of(mdp), mdp.pair_offsets[:-1].copy()
+        every = np.ones(mdp.n_pairs, dtype=bool)
+        toward(graph, graph.distance(mdp.terminal, every), every, pairs)
+        for _ in range(LIMIT):
+            gain = gains(mdp, evaluated(mdp, pairs))
+            before, pairs = pairs, greedy(mdp, gain, keep=pairs)
+            if (pairs == before).all():
+                break
+        _, inside = graph.end_components(~mdp.terminal[mdp.pair_state])
+        losing = inside & (gain.value < -CLEAR * gain.noise)
+        losing[pairs] = False
+        # In every component some pair loses as much as staying does on average: the fewer are left
+        # out, and the more they lose, the better the values may bear it out.
+        least = float(gain.value.min())
+        while losing.any():
+            part = self._only(~(losing & (gain.value <= least / COARSER)))
+            if termination(part.mdp).proven:
+                return part
+            least /= COARSER
+            if not (losing & (gain.value > least)).any():
+                break
+        raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
+
+    def _only(self, some: Mask) -> Derived:
+        """Return the model with some of the pairs (L',), a pair of each state among them."""
+        pairs, mdp = np.flatnonzero(some), self.mdp
+        part = mdp.with_(
+            table=mdp.table.of_pairs(pairs),
+            pair_state=mdp.pair_state[pairs],
+            pair_action=mdp.pair_action[pairs],
+        )
+        return Derived(mdp=part, label=self.label, source=self.source[pairs])
+
+
+def derived(
+    mdp: MDP,
+    pairs: Integers,
+    label: Integers,
+    *,
+    free: bool = False,
+    rests: Sequence[tuple[int, Fraction]] = (),
+) -> Derived:
+    """Return the model of some pairs (K,) between the states that `label` (S,) gives.
+
+    Where these are `free`, they earn nothing; `rests` lists new states and what resting there is
+    worth, which is 0 unless the pairs are free.
+    """
+    size, table = int(label.max(initial=-1)) + 1, mdp.table.of_pairs(pairs)
+    label = np.where(label < 0, size, label)
+    if free:
+        gain, below = np.zeros(len(pairs), np.int64), ones(len(pairs))
+    elif table.joint:
+        gain, below = table.expected_gain_exact()
+    else:
+        gain, below = table.gain, table.gain_denominator
+    extra = np.array([*(state for state, _ in rests), size])
+    worths = [*(value for _, value in rests), Fraction(0)]
+    more = integers(value.numerator for value in worths)
+    under = integers(value.denominator for value in worths)
+    following = label[table.next]
+    order = np.lexsort((following, table.pair))
+    one = np.ones(len(extra), dtype=table.weight.dtype)
+    outcomes = OutcomeTable(
+        offsets=np.append(table.offsets, table.offsets[-1] + 1 + np.arange(len(extra))),
+        next=np.append(following[order], np.full(len(extra), size)),
+        weight=np.append(table.weight[order], one),
+        denominator=np.append(table.denominator, ones(len(extra))),
+        gain=np.append(gain, more.astype(gain.dtype) if gain.dtype == np.float64 else more),
+        gain_denominator=np.append(below, under),
+    )
+    owner = np.append(label[mdp.pair_state[pairs]], extra)
+    by_state = np.argsort(owner, kind="stable")
+    owner = owner[by_state]
+    action = np.arange(len(owner)) - np.searchsorted(owner, owner)
+    source = np.concatenate([pairs, -1 - np.arange(len(rests)), [mdp.n_pairs]])[by_state]
+    model = MDP(
+        outcomes.of_pairs(by_state),
+        owner,
+        action,
+        space=StateSpace.plain(size + 1),
+        actions=tuple(map(str, range(int(action.max()) + 1))),
+        discount_exact=Fraction(1),
+        start=((size, Fraction(1)),),
+        name=mdp.name,
+    )
+    return Derived(mdp=model, label=label, source=source)
+
+
+def toward(graph: Graph, distance: Integers, pairs: Mask, chosen: Integers) -> None:
+    """Write into `chosen` (S,) one of some pairs (L,) that may fall, where the distance is > 0."""
+    far = np.where(distance < 0, graph.states, distance)
+    falls = np.minimum.reduceat(far[graph.next], graph.offsets[:-1]) < far[graph.pair_state]
+    first_of(graph, falls & pairs & (distance > 0)[graph.pair_state], chosen)
+
+
+def first_of(graph: Graph, pairs: Mask, chosen: Integers) -> None:
+    """Write into `chosen` (S,) the first of some pairs (L,) of each state that has one."""
+    some = np.flatnonzero(pairs)
+    states, first = np.unique(graph.pair_state[some], return_index=True)
+    chosen[states] = some[first]
