@@ -9,19 +9,33 @@ skip after the last failed trial is one matrix product:
 
 All subtasks share a few blocks (inside a task, last of its task, last of all), laid down one after
 the other. States are numbered so that every transition leads to a higher number; the end comes
-last. How large the model would be is known before any of it is built.
+last. A model with one block of each kind is built and checked row by row; where blocks repeat, the
+whole model is laid out from the rows of that one.
+
+How large the model would be is known before any of it is built. A row of a trial has as many
+outcomes as there are next status vectors s' of positive chance. Where a failed trial ends in a skip
+there are at most
+
+    1 + Σ over gains g of  min(2^n, Σ over s' ≠ 0 of gain g of the number of z that s' leads to).
+
+An outcome takes 41 bytes at the peak of compilation (the published scenario with 10,000 subtasks),
+and 231 where probabilities have no 64-bit denominators (8 statuses with distinct weights, 2
+subtasks): Python's integers, and rows to merge.
 Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
 """
 
 from __future__ import annotations
 
+from dataclasses import fields
 from math import lcm
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.laws import ExactChances, Laws
-from exact_mdp.mdp.care.rules import Rules
+from exact_mdp.mdp.care.rules import FINAL, Rules
 from exact_mdp.mdp.care.tables import SKIP, Tables
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
@@ -41,97 +55,137 @@ from exact_mdp.mdp.table import (
 
 ENTRIES = 2**20  # of a product held at once
 
-Rows = dict[str, Numbers]
+Rows = dict[str, NDArray[Any]]
 """Rows of a block: lengths, next, weight, denominator, gain, event; components amount / below."""
 
 
-def _block(rules: Rules, laws: Laws, place: int) -> Rows:
-    """Return all rows of a subtask at a place, by trial, flag, status and action."""
-    (skip, ends, earned), below = _skip(rules, laws, place), integers([laws.skip_denominator])
-    step, bottom = laws.step, laws.step_denominator
-    failed, numbers = rules.gain("fail") + rules.following, np.arange(rules.vectors)
-    success = step[:, :, 0]
-    shares = {"complete": success, "fail": bottom - success}
-    # Failing leads to the next trial with s', or to a skip: sums over s' with one gain.
-    groups = []
-    for gain in [] if rules.own else sorted(set(failed[1:].tolist())):
-        chosen = 1 + np.flatnonzero(failed[1:] == gain)
-        reached = np.flatnonzero((skip[chosen] != 0).any(axis=0))
-        groups.append((chosen, skip[chosen][:, reached], ends[reached], gain + earned[reached]))
-    first, last = list[Rows](), list[Rows]()
-    for flag in range(rules.flags):
-        home = rules.after(flag, place)[:1]
-        done = rules.gain("complete", place, flag) + rules.assist[:, None]
-        own = _components(rules, step, bottom, shares, flag, place)
-        following = np.append(home, (rules.flags + flag) * rules.vectors + numbers[1:])
-        gain = _beside(done, failed[1:]) + rules.present[:, None, None]
-        first.append(_rows(following, step, bottom, gain, 0 * numbers, own))
+class Block:
+    """Works out the rows of a subtask at its place."""
+
+    def __init__(self, rules: Rules, laws: Laws) -> None:
+        self.rules, self.laws = rules, laws
+        shape = rules.vectors, 1
+        self.skip_bottom = np.broadcast_to(integers([laws.skip_denominator]), shape)
+
+    def rows(self, place: int) -> Rows:
+        """Return all rows of a subtask, by trial, flag, status and action."""
+        rules, parts = self.rules, []
+        layer = rules.flags * rules.vectors
+        trying = [self._trial(flag, place) for flag in range(rules.flags)]
+        for trial in range(rules.trials - (not rules.own)):
+            for rows in trying:  # the same rows, further on
+                shift = np.where(rows["next"] < rules.size, trial * layer, 0)
+                parts.append(rows | {"next": rows["next"] + shift})
         if rules.own:
-            continue
-        following = np.concatenate([home, *(to for _, _, to, _ in groups)])
-        gains = _beside(done, np.concatenate([gain for *_, gain in groups]))
-        own = _components(rules, step, bottom, shares | {"skip": shares["fail"]}, flag, place)
-        wide, event = multiply(bottom, below), np.minimum(np.arange(len(following)), 1)
-        # A row may have as many outcomes as status vectors times costs: a few rows at a time.
-        each = max(1, ENTRIES // (rules.assistive * len(following)))
+            parts += [self._skip(place)] * rules.flags
+        else:
+            parts += [rows for flag in range(rules.flags) for rows in self._last(flag, place)]
+        return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+
+    def _done(self, flag: int, place: int) -> tuple[Integers, Numbers]:
+        """Return where completing leads, (1,), and what it earns under each action, (A, 1)."""
+        rules = self.rules
+        gain = rules.gain("complete", place, flag) + rules.assist[:, None]
+        return rules.after(flag, place)[:1], gain
+
+    def _trial(self, flag: int, place: int) -> Rows:
+        """Return the rows of the first trial, which another one follows, or a skip of its own."""
+        rules, laws = self.rules, self.laws
+        home, done = self._done(flag, place)
+        failed = rules.gain("fail") + rules.following[None, 1:]
+        gain = np.concatenate([done, np.repeat(failed, len(done), axis=0)], axis=1)
+        success = laws.step[:, :, 0]
+        shares = {"complete": success, "fail": laws.step_denominator - success}
+        return _rows(
+            np.append(home, (rules.flags + flag) * rules.vectors + np.arange(1, rules.vectors)),
+            laws.step,
+            laws.step_denominator,
+            gain + rules.present[:, None, None],
+            np.zeros(rules.vectors, dtype=np.uint8),
+            self._components(laws.step, laws.step_denominator, shares, flag, place),
+        )
+
+    def _last(self, flag: int, place: int) -> list[Rows]:
+        """Return the rows of a trial that ends in a skip where it fails.
+
+        A row may have as many outcomes as status vectors times costs: a few present vectors at a
+        time, and of each product only the columns in which it can be positive.
+        """
+        rules, laws = self.rules, self.laws
+        home, done = self._done(flag, place)
+        nexts, skip = rules.after(1, place), laws.skip
+        if place == FINAL:  # it does not matter what a skip makes of the vector
+            nexts, skip = nexts[:1], np.asarray(self.skip_bottom)
+        failed = rules.gain("fail") + rules.gain("skip", place, 1) + rules.following
+        groups = []
+        for gain in sorted(set(failed[1:].tolist())):
+            chosen = 1 + np.flatnonzero(failed[1:] == gain)
+            ends = np.flatnonzero((skip[chosen] != 0).any(axis=0))
+            groups.append((gain, chosen, ends, skip[chosen][:, ends]))
+        columns = np.concatenate([home, *(nexts[ends] for _, _, ends, _ in groups)])
+        gains = rules.gains([gain for gain, _, ends, _ in groups for _ in ends])
+        gains = np.concatenate([done, np.repeat(gains[None], len(done), axis=0)], axis=1)
+        event = np.ones(len(columns), dtype=np.uint8)
+        event[0] = 0
+        bottom = multiply(laws.step_denominator, integers([laws.skip_denominator]))
+        success = laws.step[:, :, 0]
+        failure = laws.step_denominator - success
+        shares = {"complete": success, "fail": failure, "skip": failure}
+        components = self._components(laws.step, laws.step_denominator, shares, flag, place)
+        each = max(1, ENTRIES // (rules.assistive * len(columns)))
+        parts = []
         for begin in range(0, rules.vectors, each):
             some = slice(begin, begin + each)
-            weight = [multiply(step[some, :, :1], below)]
-            weight += [_matmul(step[some][:, :, chosen], law) for chosen, law, _, _ in groups]
+            step = laws.step[some]
+            weight = [multiply(step[:, :, :1], integers([laws.skip_denominator]))]
+            weight += [_matmul(step[:, :, chosen], law) for _, chosen, _, law in groups]
             # As wide as the row's denominator, below which sums stay.
-            law = np.concatenate([part.astype(wide.dtype) for part in weight], axis=2)
+            law = np.concatenate([part.astype(bottom.dtype) for part in weight], axis=2)
             gain = gains + rules.present[some, None, None]
-            last.append(_rows(following, law, wide[some], gain, event, tuple(o[some] for o in own)))
-    if rules.own:  # *skip* is the only action, in a timestep of its own
-        under = np.broadcast_to(below, (rules.vectors, 1))
-        own = _components(rules, laws.skip[:, None], under, {"skip": under}, 1, place)
-        gain = earned + rules.present[:, None, None]
-        rows = _rows(ends, skip[:, None], under, gain, np.ones(len(ends), dtype=int), own)
-        last = [rows] * rules.flags
-    layer = rules.flags * rules.vectors
-    parts = [
-        rows | {"next": np.where(rows["next"] < rules.size, trial * layer, 0) + rows["next"]}
-        for trial in range(rules.trials - (not rules.own))
-        for rows in first
-    ]
-    parts += last
-    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+            own = components[0][some], components[1][some]
+            parts.append(_rows(columns, law, bottom[some], gain, event, own))
+        return parts
 
+    def _skip(self, place: int) -> Rows:
+        """Return the rows in which *skip* is the only action and takes its own timestep."""
+        rules, law = self.rules, self.laws.skip[:, None, :]
+        nexts, gain = rules.after(1, place), rules.gain("skip", place, 1) + rules.following
+        shares = {"skip": self.skip_bottom}
+        components = self._components(law, self.skip_bottom, shares, 1, place)
+        if place == FINAL:
+            gain, which = np.unique(gain, return_inverse=True)
+            same = [law[:, :, which == number].sum(axis=2) for number in range(len(gain))]
+            law, nexts = np.stack(same, axis=2), nexts[: len(gain)]
+        gain = gain + rules.present[:, None, None]
+        event = np.ones(len(nexts), dtype=np.uint8)
+        return _rows(nexts, law, np.asarray(self.skip_bottom), gain, event, components)
 
-def _skip(rules: Rules, laws: Laws, place: int) -> tuple[Numbers, Integers, Numbers]:
-    """Return the law of a skip (2^n, E) over E ends, the states and gains that it may come to."""
-    gain = rules.gain("skip", place, 1) + rules.own * rules.following
-    kinds, which = np.unique(gain, return_inverse=True)
-    pairs = rules.after(1, place) * len(kinds) + which
-    ends, which = np.unique(pairs, return_inverse=True)
-    law = [laws.skip[:, which == end].sum(axis=1) for end in range(len(ends))]
-    return np.stack(law, axis=1), ends // len(kinds), kinds[ends % len(kinds)]
+    def _components(
+        self,
+        law: Numbers,
+        bottom: Numbers,
+        shares: dict[str, Numbers],
+        flag: int,
+        place: int,
+    ) -> tuple[Numbers, Numbers]:
+        """Return expected reward components (2^n, A, C) over (2^n, A).
 
-
-def _beside(done: Numbers, failed: Numbers) -> Numbers:
-    """Return the gains (A, 1 + n) of completing (A, 1), and of what failing leads to (n,)."""
-    return np.concatenate([done, np.broadcast_to(failed, (len(done), len(failed)))], axis=1)
-
-
-def _components(
-    rules: Rules, law: Numbers, bottom: Numbers, shares: dict[str, Numbers], flag: int, place: int
-) -> tuple[Numbers, Numbers]:
-    """Return expected reward components (2^n, A, C) over (2^n, A), all of them integers.
-
-    They come from the law of the next vector and the `shares` (2^n, A) of events.
-    """
-    counts = np.zeros((*bottom.shape, len(rules.names)), dtype=bottom.dtype)
-    for event, share in shares.items():
-        for name in rules.charged(event, place, 1 if event == "skip" else flag):
-            counts[:, :, rules.names.index(name)] += share
-    for i, on in enumerate(rules.bits.T):
-        counts[:, :, i] = rules.now * on[:, None] * bottom
-        counts[:, :, i] += rules.next * law[:, :, on == 1].sum(axis=2)
-    if "complete" in shares:
-        own = np.eye(rules.assistive, dtype=np.int64)
-        counts[:, :, -rules.assistive :] = shares["complete"][:, :, None] * own
-    amounts = multiply(counts, integers([rules.worth[name] for name in rules.names]))
-    return amounts, multiply(np.asarray(bottom), integers([rules.scale]))
+        They come from the `shares` (2^n, A) of events, and are integers.
+        """
+        rules = self.rules
+        counts = np.zeros((*bottom.shape, len(rules.names)), dtype=bottom.dtype)
+        for event, share in shares.items():
+            for name in rules.charged(event, place, 1 if event == "skip" else flag):
+                counts[:, :, rules.names.index(name)] += share
+        for i, on in enumerate(rules.bits.T):
+            counts[:, :, i] = rules.now * on[:, None] * bottom
+            counts[:, :, i] += rules.next * law[:, :, on == 1].sum(axis=2)
+        if "complete" in shares:
+            own = np.eye(rules.assistive, dtype=np.int64)
+            counts[:, :, -rules.assistive :] = shares["complete"][:, :, None] * own
+        amounts = multiply(counts, integers([rules.worth[name] for name in rules.names]))
+        full = multiply(np.asarray(bottom), integers([rules.scale]))
+        return amounts, np.broadcast_to(full, amounts.shape[:2])
 
 
 def _rows(
@@ -139,8 +193,8 @@ def _rows(
     weight: Numbers,
     denominator: Numbers,
     gain: Numbers,
-    event: Integers,
-    components: tuple[Numbers, ...],
+    event: NDArray[np.uint8],
+    components: tuple[Numbers, Numbers],
 ) -> Rows:
     """Flatten (2^n, A, outcomes) arrays to rows, outcomes sorted by next state, zeros left out."""
     order = np.argsort(following, kind="stable")
@@ -152,7 +206,7 @@ def _rows(
         "weight": weight[positive],
         "denominator": denominator.reshape(-1),
         "gain": np.broadcast_to(gain, shape)[positive],
-        "event": np.broadcast_to(event[order].astype(np.uint8), shape)[positive],
+        "event": np.broadcast_to(event[order], shape)[positive],
         "amount": components[0].reshape(-1, components[0].shape[2]),
         "below": components[1].reshape(-1),
     }
@@ -183,7 +237,15 @@ def check_explicit(scenario: Tables) -> tuple[Rules, ExactChances]:
 
 
 def size(rules: Rules, exact: ExactChances) -> tuple[int, int]:
-    """Return the most outcomes, and the greatest denominator of one before anything cancels."""
+    """Return the most outcomes, and the greatest denominator of one before anything cancels.
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> scenario = Scenario.load("yuan2025")
+    >>> size(Rules(scenario), ExactChances(scenario))[0], len(scenario.compile().table.next)
+    (16481, 11005)
+    """
     found, vectors = exact.found, rules.vectors
     rows = found.step.reshape(-1, found.step.shape[2])
     steps, skips = int(exact.reach(rows).sum()), exact.reach(found.skip).tolist()
@@ -204,48 +266,131 @@ def size(rules: Rules, exact: ExactChances) -> tuple[int, int]:
 def compile_scenario(scenario: Tables) -> MDP:
     """Return the explicit model of a scenario, without a warning; see `Scenario.compile`."""
     rules, exact = check_explicit(scenario)
-    laws, places = exact.laws(), rules.places.tolist()
-    blocks = {place: _block(rules, laws, place) for place in {*places}}
-    end = len(places) * rules.size
-    kind = np.int32 if end < 2**31 - 1 else np.int64
+    used, order = np.unique(rules.places, return_inverse=True)
+    small = _model(scenario, rules, exact.laws(), used)  # one block of each kind is itself a model
+    return small if np.array_equal(rules.places, used) else _repeated(rules, small, order)
 
-    def joined(key: str, *tail: Any, **options: Any) -> Numbers:
-        """Return the rows of all blocks, and those of the end."""
-        parts = (blocks[place][key] for place in places)
-        return np.concatenate([*parts, np.array(tail, dtype=np.int64)], **options)
 
-    following = joined("next", end, dtype=kind)
-    at = 0
-    for number, place in enumerate(places):
-        size = len(blocks[place]["next"])
-        following[at : at + size] += number * rules.size
-        at += size
-    state, action = rules.pairs()
+def _model(scenario: Tables, rules: Rules, laws: Laws, places: Integers) -> MDP:
+    """Return the checked model of a block at each of `places` (K,), one after the other."""
+    block = Block(rules, laws)
+    blocks = [block.rows(place) for place in places.tolist()]
+    end = len(blocks) * rules.size
+
+    def joined(key: str, *tail: int) -> Numbers:
+        return np.concatenate([*(rows[key] for rows in blocks), np.array(tail, dtype=np.int64)])
+
     lengths = joined("lengths", 1)
+    starts = np.arange(len(blocks)) * rules.size
+    following = [rows["next"] + start for rows, start in zip(blocks, starts, strict=True)]
+    state, action = rules.pairs()
     table = OutcomeTable(
         offsets=np.concatenate([[0], np.cumsum(lengths)]),
-        next=following,
+        next=np.concatenate([*following, [end]]).astype(_states(end)),
         weight=joined("weight", 1),
         denominator=joined("denominator", 1),
         gain=joined("gain", 0),
-        gain_denominator=np.broadcast_to(integers([rules.scale]), (len(lengths),)),
-        event=joined("event", 0, dtype=np.uint8, casting="unsafe"),
+        gain_denominator=_same(rules.scale, len(lengths)),
+        event=joined("event", 0).astype(np.uint8),
     )
-    space = rules.space(len(places))
-    starts = np.arange(len(places))[:, None] * rules.size
+    nothing = np.zeros((1, len(rules.names)), dtype=np.int64)
+    components = ComponentTable(
+        amount=np.concatenate([*(rows["amount"] for rows in blocks), nothing]),
+        denominator=joined("below", 1),
+    )
     return MDP(
         table,
-        np.append((starts + state).reshape(-1), end),
-        np.append(np.tile(action, len(places)), 0),
-        space=space,
+        np.append((starts[:, None] + state).reshape(-1), end),
+        np.append(np.tile(action, len(blocks)), 0),
+        space=rules.space(len(blocks)),
         actions=rules.actions,
         discount_exact=scenario.discount,
         component_names=rules.names,
-        component_table=ComponentTable(
-            amount=joined("amount", [0] * len(rules.names)), denominator=joined("below", 1)
-        ),
+        component_table=components,
         events=(SKIP,),
         name=scenario.name,
         parameters=scenario.parameters,
-        labels=rules.labels(space),
+        labels=rules.labels(rules.space(len(blocks))),
     )
+
+
+def _repeated(rules: Rules, small: MDP, order: Integers) -> MDP:
+    """Return the model of the blocks of `small` in the given order (K,), each a number there.
+
+    Its rows are those of `small`, which were checked there, at other places.
+    """
+    count, size, table, matrix = len(order), rules.size, small.table, small.transition
+    known = small.component_table
+    end = count * size
+    starts = np.append(np.arange(order.max() + 1) * size, small.n_states - 1)
+    rows = small.pair_offsets[starts]
+    shifts = (np.arange(count) - order) * size
+    # Runs of blocks of one kind, laid down at once.
+    first = np.flatnonzero(np.diff(order, prepend=-1))
+    runs = list(zip(first.tolist(), [*first[1:].tolist(), count], strict=True))
+
+    def lay(values: Numbers, cuts: Numbers, *, moved: bool = False) -> Numbers:
+        """Repeat blocks of `values`, which `cuts` (kinds + 1,) delimit; shift states."""
+        total = int(np.diff(cuts)[order].sum()) + len(values) - int(cuts[-1])
+        kind = np.promote_types(values.dtype, _states(end)) if moved else values.dtype
+        laid, at = np.empty((total, *values.shape[1:]), dtype=kind), 0
+        for begin, stop in runs:
+            number, times = order[begin], stop - begin
+            block = values[cuts[number] : cuts[number + 1]]
+            place = laid[at : at + times * len(block)].reshape(times, *block.shape)
+            if moved:
+                np.add(block, shifts[begin:stop, None].astype(kind), out=place)
+            else:
+                place[:] = block
+            at += times * len(block)
+        laid[at:] = end if moved else values[cuts[-1] :]
+        return laid
+
+    def ends(lengths: Numbers, cuts: Numbers) -> Integers:
+        return np.concatenate([[0], np.cumsum(lay(lengths, cuts), dtype=np.int64)])
+
+    outcomes, entries = table.offsets[rows], matrix.indptr[rows]
+    following = lay(table.next, outcomes, moved=True)
+    indptr = ends(np.diff(matrix.indptr), rows)
+    merged = len(matrix.indices) < len(table.next)
+    indices = lay(matrix.indices, entries, moved=True) if merged else following
+    parts: dict[str, Any] = {field.name: getattr(small, field.name) for field in fields(MDP)}
+    parts |= {
+        "table": OutcomeTable(
+            offsets=ends(np.diff(table.offsets), rows) if merged else indptr,
+            next=following,
+            weight=lay(table.weight, outcomes),
+            denominator=lay(table.denominator, rows),
+            gain=lay(table.gain, outcomes),
+            gain_denominator=_same(rules.scale, len(indptr) - 1),
+            event=None if table.event is None else lay(table.event, outcomes),
+        ),
+        "space": rules.space(count),
+        "labels": rules.labels(rules.space(count)),
+        "pair_state": lay(small.pair_state, rows, moved=True),
+        "pair_action": lay(small.pair_action, rows),
+        "pair_offsets": ends(np.diff(small.pair_offsets), starts),
+        "component_table": known
+        and ComponentTable(
+            amount=lay(known.amount, rows), denominator=lay(known.denominator, rows)
+        ),
+        "reward": lay(small.reward, rows),
+    }
+    if indptr[-1] < 2**31 - 1:
+        indptr = indptr.astype(indices.dtype)
+    shape = (len(indptr) - 1, end + 1)
+    parts["transition"] = sp.csr_array((lay(matrix.data, entries), indices, indptr), shape)
+    parts["transition"].has_canonical_format = True
+    mdp = object.__new__(MDP)
+    mdp.__setstate__(parts)
+    return mdp
+
+
+def _states(end: int) -> type[np.signedinteger[Any]]:
+    """Return the type of state numbers up to `end`."""
+    return np.int32 if end < 2**31 - 1 else np.int64
+
+
+def _same(value: int, count: int) -> Numbers:
+    """Return (count,) times one integer, in the memory of one."""
+    return np.asarray(np.broadcast_to(integers([value]), (count,)))

@@ -110,9 +110,9 @@ def test_a_bad_trainer_is_found_soon(decisions: np.ndarray, share: float) -> Non
 def test_the_bootstrap_is_near_the_normal_interval() -> None:
     values = np.random.default_rng(0).exponential(size=400)
     error = values.std(ddof=1) / 20
-    assert mean_interval(values) == pytest.approx(
-        (values.mean() - 1.96 * error, values.mean() + 1.96 * error), abs=0.4 * error
-    )
+    low, high = mean_interval(values) or (0, 0)
+    assert low == pytest.approx(values.mean() - 1.96 * error, abs=0.3 * error)
+    assert high == pytest.approx(values.mean() + 1.96 * error, abs=0.4 * error)
     assert mean_interval(values) == mean_interval(values)
     assert mean_interval(values[:9]) is None
 
