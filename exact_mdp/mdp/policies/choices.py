@@ -131,7 +131,10 @@ def _is_row(model: MDP, choice: Any, kind: str) -> bool:
     named = model.action_names.knows(tuple(plain))
     action = named and isinstance(choice, tuple)
     # (0.0, 1.0) equals (0, 1), the action that "(0, 1)" is the text of.
-    equal = (tuple(of(x) if whole_of(x) == x else x for x in plain) for of in (int, float))
+    equal = (
+        tuple(of(x) if is_number(x) and whole_of(x) == x else x for x in plain)
+        for of in (int, float)
+    )
     if kind == "auto" and not action and (named or any(map(model.action_names.knows, equal))):
         raise ModelError(
             f"{choice} may be the action of that name, or a row of numbers for all actions, "
