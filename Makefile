@@ -41,7 +41,7 @@ test-slow: ## the tests that take long, and every property on examples never see
 test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versions, in .venv-lowest
 	$(call TESTS,$(LOWEST)) -k "not compiled_draws" $(addprefix tests/,mdp solvers/exact solvers/values inner/mdp \
 	    solvers/test_solvers.py analysis/cli/test_commands.py analysis/cli/test_train.py project/test_house.py \
-	    analysis/gate/test_check_command.py analysis/sensitivity/test_sobol.py inner/analysis/test_draws.py solvers/test_laws.py \
+	    analysis/gate/test_check_command.py analysis/sensitivity/test_sobol.py analysis/sensitivity/test_psa.py solvers/test_laws.py \
 	    $(patsubst %,inner/solvers/test_%.py,equations parallel robust))
 lint: ## ruff's checks, its formatting among them
 	$(PY) -m ruff check . && $(PY) -m ruff format --check .

@@ -171,9 +171,14 @@ class LinearSystem(ByFields):
 
     # ---- solving -----------------------------------------------------------------------------
 
-    def roughly(self, constant: Floats) -> Floats:
-        """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller."""
-        return self._direct(constant) if self._direct else self._iterated(constant, 1e-2)
+    def roughly(self, constant: Floats, *, closely: bool = False) -> Floats:
+        """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller.
+
+        Where it is asked for `closely`, with what elimination would leave.
+        """
+        if self._direct:
+            return self._direct(constant)
+        return self.approximate(constant) if closely else self._iterated(constant, 1e-2)
 
     def relatively(self, constant: Floats, leak: Floats) -> tuple[Floats, float]:
         """Return h (S,) and k with h + k = c + γ P (h + k), h being 0 in a state often visited.

@@ -236,13 +236,17 @@ class Values:
         if self.large and not (due and (self.stable or self.idle < 5)):
             self.relax()
 
-    def correct(self, swept: Pass) -> None:
-        """Solve the equations of the policy: a step of iterative refinement."""
+    def correct(self, swept: Pass, *, closely: bool = False) -> None:
+        """Solve the equations of the policy: a step of iterative refinement.
+
+        What is left of a residual weighs 1 / (1 - γ) times as much in values: where policies are
+        improved by these alone, they have to be solved `closely`, or may go round for ever.
+        """
         left, system = self._left(swept), self.system
         if self.weights.uniform and NEARLY_ONE < self.mdp.discount < 1:
             self._add(*system.relatively(left, self.live * self.weights.margin))
         else:
-            self._add(system.roughly(left))
+            self._add(system.roughly(left, closely=closely))
         self.spent = 0.0
         if self.large:
             self.price = system.work / BAND or self.price

@@ -161,6 +161,6 @@ class PolicyIteration:
         """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
 
         def step(values: Values, swept: Pass, goal: float) -> None:
-            values.correct(swept)
+            values.correct(swept, closely=True)
 
         return iterate(model, self, step, evaluates=True, exact=True)
