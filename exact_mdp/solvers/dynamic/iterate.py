@@ -243,7 +243,7 @@ class Values:
         improved by these alone, they have to be solved `closely`, or may go round for ever.
         """
         left, system = self._left(swept), self.system
-        if self.weights.uniform and NEARLY_ONE < self.mdp.discount < 1:
+        if self.weights.uniform and self.live.any() and NEARLY_ONE < self.mdp.discount < 1:
             self._add(*system.relatively(left, self.live * self.weights.margin))
         else:
             self._add(system.roughly(left, closely=closely))
