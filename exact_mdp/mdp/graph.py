@@ -333,6 +333,7 @@ def _least_successor(mdp: MDP) -> Numbers:
     return np.where(mdp.terminal, mdp.n_states, lowest)
 
 
+@once
 def runs_in_order(mdp: MDP) -> Integers:
     """Return where runs of states begin that do not lead to each other; the last entry is S.
 

@@ -35,7 +35,7 @@ from exact_mdp.mdp.graph import (
     topological_levels,
 )
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.table import Floats, Integers, spans
+from exact_mdp.mdp.table import COMPILED, Floats, Integers, spans
 from exact_mdp.solvers.bounds.gains import (
     SLACK,
     TINY,
@@ -52,7 +52,6 @@ from exact_mdp.solvers.solution import SolverError, Status
 
 WEIGHT_ITERATIONS = 1000
 LONGEST_WALK = 1000
-MANY = 500_000  # transitions: NumPy takes as long for them as loading a compiled loop
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,15 +160,15 @@ def is_acyclic(mdp: MDP) -> bool:
 def backward(mdp: MDP, reward: Floats) -> Floats:
     """Return (S,) the optimal values of an acyclic model, for rewards (L,), from the end on."""
     value, level = np.zeros(mdp.n_states), None if numbered_in_order(mdp) else levels(mdp)
+    matrix, first, ends, ended = mdp.transition, mdp.pair_offsets, mdp.pair_offsets, mdp.terminal
     order = np.arange(mdp.n_states) if level is None else np.argsort(-level, kind="stable")
-    if mdp.n_transitions >= MANY:
+    if mdp.n_transitions >= COMPILED:
         from exact_mdp.solvers.kernels import bellman
 
         leak = float(1 - mdp.discount_exact)
         model = bellman.model_of(mdp, reward, np.ones(1), leak)
         bellman.relax(order[::-1], model, value, 0.0)
         return value
-    matrix, first, ends = mdp.transition, mdp.pair_offsets, mdp.pair_offsets
     if level is None:
         cuts = runs_in_order(mdp)
     else:
@@ -179,7 +178,7 @@ def backward(mdp: MDP, reward: Floats) -> Floats:
         ends = np.concatenate([[0], np.cumsum(np.diff(first)[order])])
     for s, t in reversed([*pairwise(cuts.tolist())]):
         here, (l, m) = order[s:t], (ends[s], ends[t])
-        if mdp.terminal[here[0]]:
+        if ended[here[0]]:
             continue
         i, j = matrix.indptr[l], matrix.indptr[m]
         flow = matrix.data[i:j] * value[matrix.indices[i:j]]
