@@ -14,12 +14,12 @@ _njit: Any = numba.njit
 OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], **options: Any) -> Any:
     """Compile when first called; keep the machine code where there is a place to keep it."""
     try:
-        return _njit(cache=True, **OPTIONS)(function)
+        return _njit(cache=True, **OPTIONS, **options)(function)
     except RuntimeError:  # numba found no folder that it may write to
-        return _njit(**OPTIONS)(function)
+        return _njit(**OPTIONS, **options)(function)
 
 
 def inlined(function: Callable[..., Any]) -> Any:

@@ -9,6 +9,7 @@ of which anything is wrong, are left to `mdp.build`.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,7 @@ def settle(first: int, last: int, offsets: Integers, weight: Floats, fine: float
                     weight[i] = given
 
 
-@compiled
+@partial(compiled, fastmath={"reassoc"})  # in any order: the sum is only held against `NEAR`
 def taken(
     first: int,
     last: int,
