@@ -261,9 +261,9 @@ def test_values_of_a_model_without_cycles_do_not_depend_on_its_numbers(states: i
         reward = np.append(pairs % 7, 0.0)[order]
         state, action = np.append(rows, place[-1])[order], np.append(pairs % 2, 0)[order]
         mdp = MDP.from_pairs(state, action, chance.tocsr()[order], reward, discount=1)
-        found = solve(mdp, BackwardInduction())
-        values.append(found.value[place])
-        errors.append(found.state_error[place])
+        solution = solve(mdp, BackwardInduction())
+        values.append(solution.value[place])
+        errors.append(solution.state_error[place])
     assert (np.abs(values[0] - values[1]) <= sum(errors)).all()
 
 
