@@ -204,7 +204,7 @@ def no_option(name: str, known: Iterable[str], where: str) -> ModelError:
     options = list(known)
     fix = suggest(name, options)
     if name in ("gamma", "γ", "discount"):
-        fix = "the discount belongs to the model: say mdp.with_(discount=0.95)"
+        fix = "it is the model's: mdp.with_(discount=0.9), MDP.from_gymnasium(env, discount=0.9)"
         fix = "say discount=" if "discount" in options else fix
     return ModelError(f"there is no option {name}=", where=where, fix=fix)
 
@@ -219,7 +219,7 @@ def named_options(function: F) -> F:
     Traceback (most recent call last):
     exact_mdp.mdp.errors.ModelError: there is no option gamma=
       where: solve
-      fix:   the discount belongs to the model: say mdp.with_(discount=0.95)
+      fix:   it is the model's: mdp.with_(discount=0.9), MDP.from_gymnasium(env, discount=0.9)
     """
 
     @wraps(function)

@@ -441,7 +441,7 @@ class Solution(Valued, Pictured):
     def __repr__(self) -> str:
         return (
             f"{type(self).__name__}({self.method}: start value {self.start}, "
-            f"regret at most {self.regret_bound:.1g}, {self.iterations} iterations, "
+            f"regret at most {self.regret_bound:.1g}, iterations: {self.iterations}, "
             f"{self.seconds:.3g} s; {self.status})"
         )
 

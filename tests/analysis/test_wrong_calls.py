@@ -118,6 +118,10 @@ Policy.of(MODEL, {("a", "slow"): 1, ("x", "slow"): 1}) ->
 Policy.of(MODEL, {("a", "slow"): 1, ("a", "fats"): 1}) ->
     unknown action 'fats'; policy; did you mean fast?
 check(THREE, np.array([[1.0, 2, 3]])) -> a row for each action; policy; transpose, of shape (3, 1)
+check(ENDING, np.zeros((2, 3))) -> a row for each action; policy; transpose, of shape (3, 2)
+check(ENDING, np.zeros((5, 2))) ->
+    no policy of this model; policy; give (4, 2) over all states or (3, 2) over all but end
+check(ENDING, np.zeros((3, 2)), gamma=0.9) -> gamma=; check; from_gymnasium(env, discount=
 check("yuan2052", "random") -> 'yuan2052'; model; yuan2025
 check(MODEL, [0, 0], like=3) -> of another model; like; check(audit.mdp
 MODEL.with_(labels={"goal": [0, 1]}) -> type int64; label goal; numbers of some states
@@ -268,6 +272,7 @@ BY_NAME = {
     "fast": table([[1, 0], [1, 0]], ["b", "a"], ["b", "a"]),
 }
 SHARES = np.array([0.1, 0.2, 0.7], dtype=np.float32)
+ENDING = MDP.from_gymnasium({s: {a: [(1, s, a, a < 1)] for a in (0, 1)} for s in range(3)})
 THREE = MDP.from_arrays([np.eye(3)], [1, 2, 3], "1/2")
 FAMILY: dict[str, Any] = {
     "parameters": {"p": "1/2"},

@@ -189,6 +189,9 @@ def _layout(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str, 
     actions = model.actions
     space = space_of(model, shape[0]) if shape[1:] == (model.n_actions,) else None
     expected = [f"({model.n_states}, {model.n_actions}) over all states"]
+    if model.space.extra and space_of(model, regular := model.space.regular):
+        ends = ", ".join(model.space.extra)
+        expected.append(f"({regular}, {model.n_actions}) over all but {ends}")
     if model.space.untimed is not None:
         also = f"({model.space.untimed.size}, {model.n_actions}) over the states without their time"
         expected.append(also)
@@ -199,18 +202,16 @@ def _layout(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str, 
         space = StateSpace(columns=(column,)) if shape == (column.size, len(actions)) else None
         expected.append(f"({column.size}, {len(actions)}) over the statuses")
     if space is None:
-        turned = shape[::-1] == (model.n_states, model.n_actions)
+        if shape[:1] == (model.n_actions,) and len(shape) == 2 and space_of(model, shape[1]):
+            raise ModelError(
+                f"an array of shape {shape} has a row for each action: it is the wrong way round",
+                where="policy",
+                fix=f"give its transpose, of shape {shape[::-1]}: a row for each state",
+            )
         raise ModelError(
-            f"an array of shape {shape} "
-            + (
-                "has a row for each action: it is the wrong way round"
-                if turned
-                else "is no policy of this model"
-            ),
+            f"an array of shape {shape} is no policy of this model",
             where="policy",
-            fix=f"give its transpose, of shape {shape[::-1]}: a row for each state"
-            if turned
-            else f"give {' or '.join(expected)}",
+            fix=f"give {' or '.join(expected)}",
         )
     offered = np.full((space.size, len(actions)), actions is not model.actions)
     if actions is model.actions:

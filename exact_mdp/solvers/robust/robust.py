@@ -125,7 +125,7 @@ class RobustSolution(Valued, Result):
     def __repr__(self) -> str:
         return (
             f"RobustSolution({self.mdp.sense}, nature {self.nature}: start value {self.start}, "
-            f"{self.iterations} iterations, {self.seconds:.3g} s; {self.status})"
+            f"iterations: {self.iterations}, {self.seconds:.3g} s; {self.status})"
         )
 
 
