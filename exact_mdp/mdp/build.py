@@ -153,7 +153,7 @@ class FromArrays(Parts):
         count = states * actions if offered is None else np.count_nonzero(offered)
 
         def amounts(values: Any, where: str) -> Any:
-            if not isinstance(values, Mapping) and not _holds_sparse(values):
+            if not (isinstance(values, Mapping) or is_table(values) or _holds_sparse(values)):
                 array = array_of(values, where)
                 if array.shape in ((count,), (states * actions,)):
                     return array  # one for each pair

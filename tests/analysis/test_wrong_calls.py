@@ -131,6 +131,8 @@ train(MODEL, QLearning(), 1) -> needs a seed; rng; rng=0
 outcomes(MODEL, 3) -> 3 is no list of runs; runs; list
 learning_curve(MODEL, 3, rng=0) -> no run of training; learning; train(model
 tradeoff(MODEL, 3) -> a front of 3; tradeoff; two
+psa(FLOATS, 9, uncertain={"r": ("beta", 8, 92)}, rng=0) ->
+    is stated; parameter r; "distribution": "beta", "mean"
 gradient(MODEL, names=3) -> 3 is no list of names; names; a list
 best_policy(MODEL, 3) -> 3 is no list of columns; columns; a list
 accuracy_curves(CARE, statuses=3) -> 3 is no list of statuses; statuses; a list
@@ -310,7 +312,8 @@ def test_taken() -> None:
         BY_NAME, {"b": {"slow": 5, "fast": 6}, "a": {"fast": 2, "slow": 1}}
     ).reward.tolist() == [1, 2, 5, 6]
     turned = table([[6, 5], [2, 1]], ["b", "a"], ["fast", "slow"])
-    assert MDP.from_arrays(BY_NAME, turned).reward.tolist() == [1, 2, 5, 6]
+    priced = MDP.from_arrays(BY_NAME, turned, components={"cost": turned})
+    assert priced.reward.tolist() == priced.components[:, 0].tolist() == [1, 2, 5, 6]
     shares = [Fraction(share) for share in SHARES.tolist()]
     assert THREE.with_(start=SHARES).start == tuple(enumerate(s / sum(shares) for s in shares))
     assert Policy.of(MODEL, VALUES).tolist() == [1, 1]

@@ -108,7 +108,9 @@ class Front(TotalsProof, Pictured):
     kinds: ClassVar[tuple[str, ...]] = ("front",)
 
     def __repr__(self) -> str:
-        return f"Front({' and '.join(self.names)}: {len(self.attained)} vertices, certified)"
+        size = len(self.attained)
+        vertices = "one vertex" if size == 1 else f"{size} vertices"
+        return f"Front({' and '.join(self.names)}: {vertices}, certified)"
 
     @property
     def names(self) -> tuple[str, ...]:

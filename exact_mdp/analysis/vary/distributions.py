@@ -545,7 +545,7 @@ def _checked(name: str, settings: object) -> Settings:
     """Return settings that are known."""
     where = f"parameter {name}"
     if not isinstance(settings, Mapping):
-        fix = f"state settings of a distribution: {{{SIZE} = 50}}"
+        fix = 'state a distribution: {"distribution": "beta", "mean": 0.1, "sd": 0.02}'
         raise ModelError(f"{settings!r:.60} is stated", where=where, fix=fix)
     for key in settings:
         if key not in SETTINGS:
