@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from exact_mdp.mdp.errors import ModelError, check_names, located
+from exact_mdp.mdp.errors import ModelError, check_names
 from exact_mdp.mdp.table import beside, exact, shown
 
 
@@ -62,8 +62,8 @@ class Parameter:
         for part in ("value", "low", "high"):
             number = getattr(self, part)
             if part == "value" or number is not None:
-                with located(f"parameter {self.name}, {part}"):
-                    object.__setattr__(self, part, exact(number))
+                number = exact(number, f"parameter {self.name}, {part}")
+                object.__setattr__(self, part, number)
         self.check(self.value)
 
     def check(self, value: Fraction) -> None:

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.rows import FLOAT_ROW_TOLERANCE as FLOAT_ROW_TOLERANCE
@@ -254,8 +254,10 @@ def reduced(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:
     return np.asarray(top // shared), np.asarray(bottom // shared)
 
 
-def exact(number: object) -> Fraction:
+def exact(number: object, where: str = "") -> Fraction:
     """Return the exact rational that a number, "p/q" or decimal string stands for.
+
+    Raises ModelError, at the place `where`, for anything else.
 
     Examples
     --------
@@ -269,26 +271,27 @@ def exact(number: object) -> Fraction:
     if isinstance(number, np.generic):
         number = number.item()
     if isinstance(number, bool) or not isinstance(number, Rational | float | str | Decimal):
-        raise ModelError(f"{number!r} is not a number", fix='write a number, or "p/q"')
+        raise ModelError(f"{number!r} is not a number", where=where, fix='write a number, or "p/q"')
     try:
         if isinstance(number, str | Decimal):
-            _check_length(str(number))
+            _check_length(str(number), where)
         return Fraction(number)
     except ModelError:
         raise
     except (ValueError, OverflowError, ZeroDivisionError) as error:
-        raise ModelError(
-            f"{number!r} is not a finite rational number", fix='write 0.1 or "1/10"'
-        ) from error
+        what = f"{number!r} is not a finite rational number"
+        raise ModelError(what, where=where, fix='write 0.1 or "1/10"') from error
 
 
-def _check_length(text: str) -> None:
+def _check_length(text: str, where: str) -> None:
     """Raise ModelError for a number whose digits, written out, are too many to work with."""
     if len(text) > MOST_DIGITS:
-        raise ModelError(f"a number of over {MOST_DIGITS:,} characters", fix="round it")
+        what = f"a number of over {MOST_DIGITS:,} characters"
+        raise ModelError(what, where=where, fix="round it")
     _, e, exponent = text.lower().partition("e")
     if e and abs(int(exponent)) > MOST_DIGITS:
-        raise ModelError(f"{text!r} has an exponent beyond {MOST_DIGITS:,}", fix="scale the model")
+        what = f"{text!r} has an exponent beyond {MOST_DIGITS:,}"
+        raise ModelError(what, where=where, fix="scale the model")
 
 
 def shown(number: Fraction, digits: int = 6) -> str:
@@ -317,16 +320,21 @@ def beside(number: Fraction, *limits: Fraction) -> str:
     return text
 
 
-def as_float(number: Fraction | float) -> float:
+def float_of(number: object, where: str) -> float:
+    """Return the float that is nearest to what `exact` takes; raises ModelError as it does."""
+    return as_float(exact(number, where), where)
+
+
+def as_float(number: Fraction | float, where: str = "") -> float:
     """Return a number as a float; raises ModelError where it is too large for one."""
     try:
         return float(number)
     except OverflowError as error:
-        raise _too_large() from error
+        raise _too_large(where) from error
 
 
-def _too_large() -> ModelError:
-    return ModelError("a rational too large for a float", fix="scale the rewards down")
+def _too_large(where: str = "") -> ModelError:
+    return ModelError("a number too large for a float", where=where, fix="choose smaller units")
 
 
 def common(numbers: Sequence[Fraction]) -> tuple[list[int], int]:
@@ -401,14 +409,6 @@ def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Flo
     except OverflowError as error:
         raise _too_large() from error
     return np.array(quotients, dtype=np.float64).reshape(top.shape)
-
-
-def float_array(values: ArrayLike) -> Floats:
-    """Return a float array, or raise ModelError where the values are not numbers."""
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ModelError("an array holds something that is not a number") from error
 
 
 def spans(first: Numbers, last: Numbers) -> Integers:

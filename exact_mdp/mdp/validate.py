@@ -268,8 +268,7 @@ def as_discount(discount: object) -> Fraction:
         )
     if type(discount) is float and 0 <= discount <= 1:
         return Fraction(discount)
-    with located("discount", instead=True):
-        value = exact(discount)
+    value = exact(discount, "discount")
     _check_discount(value)
     return value
 

@@ -289,7 +289,7 @@ class CVaROptimum(Result):
 
     def action(self, state: int, so_far: object = 0) -> str:
         """Return what the policy does in a state after a reward of so much."""
-        wanted = (self.threshold - exact(so_far)) / self._unit
+        wanted = (self.threshold - exact(so_far, "reward so far")) / self._unit
         if wanted.denominator != 1:
             raise ModelError(
                 f"no reward so far can be {shown(exact(so_far))}",
@@ -403,7 +403,8 @@ def best_cvar(
     >>> str(best.value), str(best.mean), best.action(0)
     ('4', '4', '1')
     """
-    mdp, share, part = mdp_of(model), share_of(level), exact(weight)
+    mdp, share = mdp_of(model), share_of(level)
+    part = exact(weight, "weight of the mean")
     if not 0 <= part < 1:
         raise ModelError(
             f"the weight of the mean is {shown(part)}",
@@ -431,7 +432,7 @@ def best_cvar(
 
 def share_of(level: object) -> Fraction:
     """Return the share of the worst episodes that counts."""
-    share = exact(level)
+    share = exact(level, "conditional value at risk")
     if not 0 < share <= 1:
         raise ModelError(
             f"the level is {shown(share)}",

@@ -133,6 +133,18 @@ learning_curve(MODEL, 3, rng=0) -> no run of training; learning; train(model
 tradeoff(MODEL, 3) -> a front of 3; tradeoff; two
 psa(FLOATS, 9, uncertain={"r": ("beta", 8, 92)}, rng=0) ->
     is stated; parameter r; "distribution": "beta", "mean"
+robust_curve(MODEL, "l1", ["much"]) -> 'much' is not; radius; 0.1
+robust_curve(MODEL, "kl", [True]) -> True is not a number; radius; write
+robust_curve(MODEL, "entropy", [10**400]) -> radius of 1e400; radius; larger than a float
+Intervals(lower="much", upper=1) -> 'much' is not; lower; 0.1
+solve_robust(MODEL, Intervals.relative(MODEL, 0.1), tol="much") ->
+    tol is 'much'; robust; positive number
+curve(Family(**FAMILY), "p").at("much") -> 'much' is not; parameter p; 0.1
+best_cvar(MODEL.within(2), "much") -> 'much' is not; conditional value at risk; 0.1
+study(FLOATS, {"r": ["much"]}) -> 'much' is not; points; 0.1
+study(FLOATS, {"r": [10**400]}) -> too large for a float; points; units
+tornado(FLOATS, relative="much") -> 'much' is not; relative range; 0.1
+return_distribution(CARE, "random").cdf("much") -> 'much' is not; return; 0.1
 gradient(MODEL, names=3) -> 3 is no list of names; names; a list
 best_policy(MODEL, 3) -> 3 is no list of columns; columns; a list
 accuracy_curves(CARE, statuses=3) -> 3 is no list of statuses; statuses; a list

@@ -371,7 +371,7 @@ def test_an_option_that_there_is_not_is_refused(name: str) -> None:
     with pytest.raises(ModelError, match="no option gamma=") as caught:
         function(*given, gamma=0.9)
     assert caught.value.where
-    assert "say mdp.with_(discount=" in caught.value.fix
+    assert "mdp.with_(discount=" in caught.value.fix
     with pytest.raises(ModelError, match="no option discuont=") as caught:
         MDP.load("m.npz", discuont=0.9)  # type: ignore[call-arg]
     assert caught.value.fix == "did you mean discount?"

@@ -12,7 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import check_outputs, pairs_of, typed
+from exact_mdp.analysis.cli.words import check_outputs, number_of, pairs_of, typed
 from exact_mdp.analysis.pages.explorer import explore as explorer_of
 from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.corners import worst_point
@@ -605,8 +605,7 @@ def _uncertain(
     if path is not None:
         stated, default = load_uncertainty(Path(path))
     if size is not None:
-        with located("--effective-sample-size", instead=True):
-            default = float(exact(size))
+        default = number_of(size, "--effective-sample-size")
     default = EFFECTIVE_SAMPLE_SIZE if default is None else default
     try:
         return uncertainty(model, stated, default=default, names=list(names) or None), default

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.errors import ModelError, suggest
 
 if TYPE_CHECKING:
     Converter = click.ParamType[int]
@@ -73,13 +73,9 @@ def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
 
 def number_of(text: str, option: str, *, positive: bool = False) -> float:
     """Return the number that an option states, as a float."""
-    from exact_mdp.mdp.table import exact  # loads NumPy, and help needs this module
+    from exact_mdp.mdp.table import float_of  # loads NumPy, and help needs this module
 
-    try:
-        with located(option, instead=True):
-            number = float(exact(text))
-    except OverflowError as error:
-        raise ModelError("too large for a float", where=option, fix="choose less") from error
+    number = float_of(text, option)
     if positive and not number > 0:
         raise ModelError(f"{text} is not positive", where=option, fix="give more than 0")
     return number

@@ -27,7 +27,7 @@ import numpy as np
 from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
 from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, ties
 from exact_mdp.analysis.gate.waiting import taking, to_blame
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import Brief
@@ -172,8 +172,7 @@ def policy_regret(
 
 def limit_of(name: str, limit: object) -> Fraction:
     """Return a limit of the regret, checked."""
-    with located(name, instead=True):
-        value = exact_number(limit)
+    value = exact_number(limit, name)
     if not 0 <= value <= LARGEST:
         what, fix = (
             (", beyond the floats", "choose less") if value > 0 else ("", "choose 0 or more")

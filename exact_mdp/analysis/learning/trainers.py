@@ -30,7 +30,7 @@ from exact_mdp.analysis.gate.check import check
 from exact_mdp.analysis.gate.verdicts import Verdict
 from exact_mdp.analysis.learning.anytime import excluded, fewest, share_intervals
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
@@ -351,8 +351,7 @@ def _is_one(given: object) -> bool:
 
 def _between(name: str, number: object) -> Fraction:
     """Return a number above 0 and at most 1."""
-    with located(name, instead=True):
-        value = exact(number)
+    value = exact(number, name)
     if not 0 < value <= 1:
         raise ModelError(f"{name} is {shown(value)}", where=name, fix="choose from 0 to 1, not 0")
     return value

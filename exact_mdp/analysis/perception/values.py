@@ -26,11 +26,11 @@ from exact_mdp.mdp.care.perception import (
     status_names,
     status_size,
 )
-from exact_mdp.mdp.errors import ModelError, listed, located, suggest
+from exact_mdp.mdp.errors import ModelError, listed, suggest
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured, Result
-from exact_mdp.mdp.table import Floats, exact
+from exact_mdp.mdp.table import Floats, float_of
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
@@ -174,8 +174,7 @@ def accuracy_curves(
     """
     grid = np.linspace(0.5, 1.0, 51)
     if levels is not None:
-        with located("levels"):
-            grid = np.array([float(exact(level)) for level in listed(levels, "levels")])
+        grid = np.array([float_of(level, "levels") for level in listed(levels, "levels")])
     passes = Passes(model)
     table, curves = passes.table(policy), {}
     names = (*status_names(model), ALL)

@@ -58,7 +58,7 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of, parametric
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.result import Brief
-from exact_mdp.mdp.table import Floats, exact
+from exact_mdp.mdp.table import Floats, float_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -566,15 +566,9 @@ def _checked(name: str, settings: object) -> Settings:
 def _float(value: object, key: str, name: str) -> float:
     """Return a number that is stated, "p/q" as well; raises ModelError where it is none."""
     where = f"parameter {name}"
-    try:
-        if isinstance(value, float) and not math.isfinite(value):
-            return value
-        return float(exact(value))
-    except OverflowError as error:
-        what = f"{key} has more than 300 digits"
-        raise ModelError(what, where=where, fix="give a smaller one") from error
-    except ModelError as error:
-        raise ModelError(f"{key} is {value!r:.60}", where=where, fix="give a number") from error
+    if isinstance(value, float) and not math.isfinite(value):
+        return value
+    return float_of(value, f"{where}, {key}")
 
 
 def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], float | None]:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers.solution import Estimated
 
@@ -86,8 +86,7 @@ def confidence_of(given: object) -> Fraction:
     >>> confidence_of(0.95), confidence_of("0.9")
     (Fraction(19, 20), Fraction(9, 10))
     """
-    with located("confidence", instead=True):
-        confidence = exact(str(given) if isinstance(given, float) else given)
+    confidence = exact(str(given) if isinstance(given, float) else given, "confidence")
     if not 0 < confidence < 1 or float(confidence) in (0.0, 1.0):
         raise ModelError(
             f"a confidence of {given}",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, listed, located, of_type
+from exact_mdp.mdp.errors import ModelError, listed, of_type
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
@@ -68,9 +68,8 @@ class Range:
         def __init__(self, *, low: object, high: object) -> None: ...
 
     def __post_init__(self) -> None:
-        with located("range"):
-            object.__setattr__(self, "low", exact(self.low))
-            object.__setattr__(self, "high", exact(self.high))
+        for end in ("low", "high"):
+            object.__setattr__(self, end, exact(getattr(self, end), "range"))
         if self.low > self.high:
             raise ModelError(
                 f"the range from {beside(self.low, self.high)} to {shown(self.high)} is empty",
@@ -85,7 +84,7 @@ class Ranges(dict[str, Range]):
 
 def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
     """Return a parameter's value ± a share of it, within what it may be."""
-    share = exact(relative)
+    share = exact(relative, "relative range")
     if share <= 0:
         raise ModelError(
             f"a share of {shown(share)}", where="relative range", fix="choose one above 0"

@@ -26,6 +26,7 @@ from exact_mdp.analysis.vary.base_case import BaseCase, digest, finite_optimum, 
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.exact import fingerprint
+from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -229,8 +230,8 @@ def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers
     if not len(points):
         raise ModelError("no points", where="points", fix="give at least one")
     if not floats:
-        points = np.array([[exact(number) for number in row] for row in points.tolist()])
-    draws = points.astype(float)
+        points = np.array([[exact(number, "points") for number in row] for row in points.tolist()])
+    draws = float_array(points, "points")
     for column, name in enumerate(names):
         parameter = parameter_of(model, name)
         low = -np.inf if parameter.low is None else float(parameter.low)

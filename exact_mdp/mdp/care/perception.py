@@ -31,12 +31,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.care.tables import known
 from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.space import Column
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, beside, exact, float_array
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, beside, exact
 
 LEVEL = 0.95
 PAIRS = ["true", "perceived"]
@@ -108,7 +109,7 @@ def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> F
 
 def checked(confusion: ArrayLike, *, size: int, where: str, places: Sequence[str] = ()) -> Floats:
     """Return a (size, size) matrix whose rows, at `places`, are distributions; else ModelError."""
-    matrix, label = float_array(confusion), statuses_of(size).label
+    matrix, label = float_array(confusion, where), statuses_of(size).label
     if matrix.shape != (size, size):
         raise ModelError(
             f"a confusion matrix of shape {matrix.shape}",
@@ -458,8 +459,7 @@ def _rates(text: str, names: Sequence[str], where: str) -> list[list[float]]:
 
 
 def _probability(value: object, where: str) -> float:
-    with located(where, instead=True):
-        number = exact(value)
+    number = exact(value, where)
     if not 0 <= number <= 1:
         raise ModelError(
             f"{beside(number, Fraction(0), Fraction(1))} is outside [0, 1]",

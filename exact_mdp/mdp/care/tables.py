@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, check_names, check_text, located, suggest
+from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import as_html
 from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
@@ -211,8 +211,7 @@ class Tables:
                 chosen[reading] = check_reading(reading, value)
             else:
                 position = self._position(name)
-                with located(f"parameter {name}", instead=True):
-                    number = exact(value)
+                number = exact(value, f"parameter {name}")
                 numbers[position] = replace(numbers[position], value=number)
         return replace(self, readings=chosen, parameters=tuple(numbers), **parts)
 

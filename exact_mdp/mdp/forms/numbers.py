@@ -24,6 +24,7 @@ from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.table import (
     EXACT_IN_INT64,
+    Floats,
     Integers,
     Numbers,
     as_float,
@@ -44,6 +45,16 @@ def array_of(values: object, where: str, *, columns: bool = True) -> Any:
     with located(where):
         refuse_labels(values)
         return _sparse(values, columns=columns) if sp.issparse(values) else _array(values)
+
+
+def float_array(values: object, where: str) -> Floats:
+    """Return an array of floats, each the nearest to the number that is given."""
+    array = array_of(values, where)
+    with located(where):
+        if array.dtype == object:
+            numbers = [as_float(number) for number in array.flat]
+            return np.array(numbers, dtype=np.float64).reshape(array.shape)
+        return np.array(array.toarray() if sp.issparse(array) else array, dtype=np.float64)
 
 
 def check_places(matrix: Any, where: str) -> None:

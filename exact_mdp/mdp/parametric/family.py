@@ -512,7 +512,7 @@ def placed(model: Parametric, values: Mapping[str, object]) -> dict[str, Fractio
     """Return every parameter's value, some of them changed, each checked against its range."""
     everything = {parameter.name: parameter.value for parameter in model.parameters}
     for name, value in values.items():
-        everything[name] = exact(value)
+        everything[name] = exact(value, f"parameter {name}")
         parameter_of(model, name).check(everything[name])
     return everything
 

@@ -19,7 +19,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
 from exact_mdp.mdp.errors import ModelError, check_names, located, no_such, of_type, words_of
-from exact_mdp.mdp.forms.numbers import is_table
+from exact_mdp.mdp.forms.numbers import float_array, is_table
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies import choices as reading
@@ -44,7 +44,6 @@ from exact_mdp.mdp.table import (
     Numbers,
     divide,
     exact,
-    float_array,
     in_proportion,
     magnitude,
 )
@@ -128,7 +127,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
 
     def _distributions(self, given: Numbers) -> tuple[Numbers, Numbers | None]:
         """Return the rule of a table, action numbers where they say it all, and its shares."""
-        table = float_array(given).copy()
+        table = float_array(given, "policy")
         silent = np.asarray(np.isnan(table).all(axis=1))
         wrong = ~silent & ~are_distributions(given, ~silent)
         if wrong.any():

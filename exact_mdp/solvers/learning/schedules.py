@@ -15,7 +15,7 @@ from typing import Protocol, cast
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Floats, as_float, exact
+from exact_mdp.mdp.table import Floats, float_of
 
 
 class Schedule(Protocol):
@@ -112,7 +112,7 @@ def as_schedule(given: object) -> Schedule:
     """Return a schedule as it is, and a number as the constant one."""
     if callable(getattr(given, "values", None)) and not isinstance(given, Mapping):
         return cast(Schedule, given)
-    return Constant(as_float(exact(given)))
+    return Constant(float_of(given, "schedule"))
 
 
 def checked(name: str, schedule: Schedule, epochs: int) -> Floats:

@@ -42,7 +42,7 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts
+from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
 from exact_mdp.solvers.robust.sets import Ambiguity, Block, Inner, blocks_of, entries, inner
 from exact_mdp.solvers.solution import (
     Claim,
@@ -176,13 +176,10 @@ def solve_robust(
     if nature not in ("worst", "best"):
         raise ModelError(f"unknown nature {nature!r}", where="robust", fix="say worst or best")
     if not callable(getattr(ambiguity, "check", None)):
-        fix = (
-            "give Intervals.relative(model, 0.1), for ± 10 %, or L1Ball(radius=0.1), or other sets"
-        )
+        fix = "give sets, such as Intervals.relative(model, 0.1), for ± 10 %"
         raise ModelError(f"{ambiguity!r:.60} is no set of laws", where="ambiguity", fix=fix)
     ambiguity.check(model)
-    if tol is not None and not 0 < tol < np.inf:
-        raise ModelError(f"tol is {tol}", where="robust", fix="choose a positive number, or None")
+    check_tolerance("robust", tol)
     check_counts("robust", max_iterations=max_iterations)
     game = Game(
         mdp=model,

@@ -34,8 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, float_array
+from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, shown
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 
 ROOM = 2**22  # outcomes in one block
@@ -90,7 +91,7 @@ class Intervals:
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
-            array = float_array(getattr(self, name)).copy()
+            array = float_array(getattr(self, name), name)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
@@ -195,19 +196,13 @@ class Ball:
     radius: Any
 
     def __post_init__(self) -> None:
-        given = self.radius
-        if not isinstance(given, np.ndarray | list | tuple):
-            object.__setattr__(self, "radius", radius_of(given, self.NAME))
-            return
-        numbers = float_array(given).copy()
-        if numbers.ndim != 1 or not np.all((numbers >= 0) & (numbers < np.inf)):
-            raise ModelError(
-                f"{self.NAME} is negative or not a number",
-                where="radius",
-                fix="give finite radii from 0 up, one for each pair",
-            )
-        numbers.setflags(write=False)
-        object.__setattr__(self, "radius", numbers)
+        radius: Any = self.radius
+        if isinstance(radius, np.ndarray | list | tuple):
+            radius = np.array([radius_of(each, self.NAME) for each in radius])
+            radius.setflags(write=False)
+        else:
+            radius = radius_of(radius, self.NAME)
+        object.__setattr__(self, "radius", radius)
 
     def check(self, model: MDP) -> None:
         """Raise ModelError unless there is one radius, or one for each pair."""
@@ -261,10 +256,11 @@ class L1Ball(Ball):
 
 def radius_of(given: object, what: str) -> float:
     """Return a radius as a float; raises ModelError unless it is finite and at least 0."""
-    number = float(given) if isinstance(given, float | int | np.number) else float(exact(given))
-    if not 0 <= number < np.inf:
-        raise ModelError(f"{what} of {number:g}", where="radius", fix="choose one from 0 up")
-    return number
+    number = exact(given, "radius")
+    if not 0 <= number <= np.finfo(float).max:
+        fix = "choose one from 0 up, no larger than a float can be"
+        raise ModelError(f"{what} of {shown(number)}", where="radius", fix=fix)
+    return float(number)
 
 
 # ---- rows side by side ---------------------------------------------------------------------------

@@ -146,7 +146,7 @@ class ReturnDistribution(Pictured):
 
     def cdf(self, value: object) -> float:
         """Return the probability of a return of at most `value` (a number or "p/q")."""
-        bound = exact(value) / self.unit
+        bound = exact(value, "return") / self.unit
         count = np.searchsorted(self.multiples, bound.numerator // bound.denominator, side="right")
         return float(self._cumulative[count - 1]) if count else self._infinite(-inf)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from math import exp, log, sqrt
+from math import exp, inf, log, nan, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -196,11 +196,15 @@ def test_a_radius_for_each_pair() -> None:
 
 
 @pytest.mark.parametrize("kind", [L1Ball, Likelihood, RelativeEntropy])
-@pytest.mark.parametrize("radius", [-0.1, float("nan"), float("inf"), "much", [0.1], [0.1, -1.0]])
+@pytest.mark.parametrize(
+    "radius",
+    [-0.1, nan, inf, "much", True, [0.1], [0.1, -1.0], [0.1, nan], [0.1, True], 10**400],
+)
 def test_what_is_no_set_of_laws_is_refused(kind: Any, radius: Any) -> None:
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    with pytest.raises(ModelError):
+    with pytest.raises(ModelError) as caught:
         solve_robust(mdp, kind(radius=radius))
+    assert (caught.value.where, bool(caught.value.fix)) == ("radius", True)
 
 
 # ---- whole models --------------------------------------------------------------------------------

@@ -34,11 +34,11 @@ from exact_mdp.analysis.gate.data.interval import (
 )
 from exact_mdp.analysis.vary.base_case import digest
 from exact_mdp.analysis.vary.intervals import quantiles, require_draws, upper_quantile, wilson
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
-from exact_mdp.mdp.table import Floats, exact, shown
+from exact_mdp.mdp.table import Floats, exact, float_of, shown
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
@@ -90,7 +90,7 @@ class PosteriorInterval(RegretInterval):
 
     def within(self, limit: Fraction) -> Probability:
         """Return the probability that the regret is at most `limit`, as the draws show it."""
-        hits, n = int((self.draws <= float(exact(limit))).sum()), len(self.draws)
+        hits, n = int((self.draws <= float_of(limit, "limit")).sum()), len(self.draws)
         low, high = wilson(hits, n)
         error = (hits * (n - hits) / n**3) ** 0.5
         return Probability(value=hits / n, standard_error=error, low=float(low), high=float(high))
@@ -144,8 +144,7 @@ class Posterior:
                 where="posterior",
                 fix="ask for a robust interval, or group the states",
             )
-        with located("prior", instead=True):
-            given = exact(self.prior)
+        given = exact(self.prior, "prior")
         if not 1e-6 <= given <= 1e9:
             what = f"the prior is {shown(given)} observations"
             raise ModelError(what, where="prior", fix="give 1e-6 to 1e9, such as 1")

@@ -103,9 +103,12 @@ class ValueFunction(Pictured):
         """Certified, or checked where the degree of the rows is checked and not proven."""
         return Claim.CERTIFIED if self.checked is None else Claim.CHECKED
 
+    def _number(self, value: object) -> Fraction:
+        return exact(value, f"parameter {self.parameter.name}")
+
     def around(self, value: object) -> list[CurvePiece]:
         """Return the piece that a value of the parameter is in, or both that it is between."""
-        at = exact(value)
+        at = self._number(value)
         pieces = [piece for piece in self.pieces if piece.low[0] <= at <= piece.high[1]]
         if not pieces:
             raise ModelError(
@@ -120,13 +123,13 @@ class ValueFunction(Pictured):
 
         Raises ModelError outside the range.
         """
-        where = exact(value)
+        where = self._number(value)
         best = max if self.mdp.sense == "max" else min
         return best(piece.value.at(where) for piece in self.around(where))
 
     def fixed_at(self, value: object) -> Fraction | None:
         """Return the value of the policy held fixed there, None without one; as `at` does."""
-        where = exact(value)
+        where = self._number(value)
         fixed = self.around(where)[0].fixed
         return None if fixed is None else fixed.at(where)
 
@@ -135,7 +138,7 @@ class ValueFunction(Pictured):
 
         None beyond the range. They differ at a threshold, and at a breakpoint of the rows.
         """
-        at = exact(value)
+        at = self._number(value)
         pieces = self.around(at)
         best = self.at(at)
         left, *_, right = [p.value.slope(at) for p in pieces if p.value.at(at) == best] * 2
