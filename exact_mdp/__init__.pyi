@@ -9,10 +9,10 @@ from exact_mdp.analysis.gate.audit import Audit as Audit
 from exact_mdp.analysis.gate.check import assert_policy_optimal as assert_policy_optimal
 from exact_mdp.analysis.gate.check import check as check
 from exact_mdp.analysis.gate.columns import best_policy as best_policy
-from exact_mdp.analysis.gate.comparison import compare as compare
 from exact_mdp.analysis.gate.data.off_policy import OffPolicy as OffPolicy
 from exact_mdp.analysis.gate.data.posterior import Posterior as Posterior
 from exact_mdp.analysis.gate.data.robust import Robust as Robust
+from exact_mdp.analysis.gate.regret import compare as compare
 from exact_mdp.analysis.graph import dot as dot
 from exact_mdp.analysis.learning.curves import learning_curve as learning_curve
 from exact_mdp.analysis.learning.outcomes import outcomes as outcomes

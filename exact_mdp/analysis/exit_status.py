@@ -1,17 +1,12 @@
 """How the programs end: one exit status, one sentence, no traceback.
 
-0 done, 1 a check did not hold, 2 bad input or usage, 3 anything else that went wrong: a full disk,
-a closed standard output, too little memory, numbers beyond the arithmetic, a method that gave up,
-an error in the program itself. A signal that asks to stop ends with 128 + its number, as in shells:
-130 Ctrl-C, 143 SIGTERM, 129 a terminal that was closed; and 141, without a word, where the reader
-of a pipe went away (`| head`).
+0 done, 1 a check did not hold, 2 bad input or usage, 3 anything else that went wrong. A signal that
+asks to stop ends with 128 + its number, as in shells; and 141, without a word, where the reader of
+a pipe went away (`| head`). Failures are reported on standard error.
 
 Only a command that comes to its end answers with 0 or 1. Code of the user's that is called on the
 way, an environment's module or a trainer, may ask for another end (`sys.exit`, `os._exit`); then
 there is no answer, which is 3.
-
-Failures are reported on standard error. The variable EXACT_MDP_TRACEBACK=1 shows the traceback, for
-reports of a fault.
 """
 
 from __future__ import annotations
@@ -24,36 +19,47 @@ import os
 import signal
 import sys
 import threading
-import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any, NoReturn, TextIO
 
 import click
 
-from exact_mdp.analysis.github import inert
+from exact_mdp.analysis.ci import inert
 from exact_mdp.mdp.errors import ModelError, short, shown_text
 
 DONE, FAILED, REFUSED, BROKEN, PIPE_CLOSED = 0, 1, 2, 3, 141
 SIGNALS = 128  # what shells add to the number of the signal that ended a program
 TRACEBACK = "EXACT_MDP_TRACEBACK"
-ONE_REQUEST = 1.0  # seconds: `timeout` and others signal the process, then its group with it in it
 AT_ONCE = os._exit
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-TOO_LARGE = "a number is too large to compute with: {}"
-NO_PACKAGE = "install the package again, with the extra that this needs"
 ALSO_CALLED = {"--gamma": "--discount", "--plot": "--html"}
-ROOMS = ("mdp", "solvers", "analysis", "paper_repro")
 
 Told = Callable[[int, str], None]
 
 
 class NoAnswer(RuntimeError):
     """Code that was called asked the process to end before there was an answer."""
+
+
+LIMITS = (  # kinds of errors, what is said of them, and the fix
+    (NoAnswer, "{}", "let the environment, trainer or policy return instead"),
+    (MemoryError, "{}", "use a smaller model"),
+    (RecursionError, "something is nested too deeply", "use flatter input"),
+    (
+        OverflowError,
+        "a number is too large to compute with: {}",
+        "scale the model, or round its numbers",
+    ),
+    (
+        ImportError,
+        "a package cannot be loaded: {}",
+        "install the package again, with the extra that this needs",
+    ),
+)
 
 
 @contextmanager
@@ -92,21 +98,8 @@ def _exit_by(end: Callable[[int], object]) -> Callable[[int], NoReturn]:
     return before
 
 
-LIMITS = (  # kinds of errors, what is said of them, and the fix
-    (NoAnswer, "{}", "let the environment, trainer or policy return instead"),
-    (MemoryError, "{}", "use a smaller model"),
-    (RecursionError, "something is nested too deeply", "use flatter input"),
-    (OverflowError, TOO_LARGE, "scale the model, or round its numbers"),
-    (ImportError, "a package cannot be loaded: {}", NO_PACKAGE),
-)
-
-
 class Stopped(KeyboardInterrupt):
     """The process was asked to end by a signal; everything ends as it does after Ctrl-C."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__()
-        self.number = number
 
 
 class Unwritten(ModelError):
@@ -141,16 +134,13 @@ def run(
     """
     output = None
     try:
-        if not _streams():
+        if not _opened():
             what = "standard output is closed, so the result could not be printed"
             raise Unwritten(what, fix="send it to /dev/null to see the exit status alone")
         output = _Output(sys.stdout)
         with redirect_stdout(output), _signals(), warnings.catch_warnings():
-            warnings.showwarning = warner()
-            with (
-                answering(),
-                command.make_context(program, list(words), obj=list(words)) as context,
-            ):
+            warnings.showwarning = _warner()
+            with answering(), command.make_context(program, [*words], obj=[*words]) as context:
                 status = command.invoke(context)
             output.flush()
         return int(status or DONE)
@@ -158,15 +148,15 @@ def run(
         return end.exit_code
     except BaseException as raised:
         error = raised
-        if os.environ.get(TRACEBACK, "") not in ("", "0"):
-            traceback.print_exc()
-        if output is not None and output.error is not None:
-            _silence(sys.stdout)
-            if isinstance(output.error, BrokenPipeError):
-                return PIPE_CLOSED
-            what = f"cannot write to standard output: {output.error.strerror}"
-            error = Unwritten(what, fix="make room there, or send it elsewhere")
-        status, *parts = _outcome(error, command, program, words)
+    if os.environ.get(TRACEBACK, "") not in ("", "0"):
+        traceback.print_exception(error)
+    if output is not None and output.error is not None:
+        _silence(sys.stdout)
+        if isinstance(output.error, BrokenPipeError):
+            return PIPE_CLOSED
+        what = f"cannot write to standard output: {output.error.strerror}"
+        error = Unwritten(what, fix="make room there, or send it elsewhere")
+    status, *parts = _outcome(error, command, program, words)
     kind, what, where, fix = parts = [*map(shown_text, parts)] if parts[2] else parts
     message = f"{kind}: {what}\n  where: {where}\n  fix:   {fix}" if where else what
     say(message)
@@ -187,12 +177,12 @@ def leave(status: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, OSError, ValueError):
             stream.flush()
-    if status <= SIGNALS or status == PIPE_CLOSED:
-        # Whatever a module does or prints at exit, it changes neither the status nor the result.
-        _exit_by(lambda _: AT_ONCE(status))
-        atexit.register(_aside_at_exit)  # the last one that is registered comes first
-        sys.exit(status)
-    AT_ONCE(status)
+    if status > SIGNALS and status != PIPE_CLOSED:
+        AT_ONCE(status)
+    # Whatever a module does or prints at exit, it changes neither the status nor the result.
+    _exit_by(lambda _: AT_ONCE(status))
+    atexit.register(_aside_at_exit)  # the last one that is registered comes first
+    sys.exit(status)
 
 
 def _aside_at_exit() -> None:
@@ -209,25 +199,24 @@ def say(text: str) -> None:
         _silence(sys.stderr)
 
 
-Failure = tuple[int, str, str, str, str]
-"""Exit status; kind, what, where and fix. What is said without a place has neither kind nor fix."""
-
-
 def _outcome(
     error: BaseException, command: click.Command, program: str, words: Sequence[str]
-) -> Failure:
-    """Return what to say of whatever ended a command."""
-    chosen = _chosen(command, words)
-    usage = program if chosen is command else f"{program} {chosen.name}"
-    kind = type(error).__name__
+) -> tuple[int, str, str, str, str]:
+    """Return status, kind, what, where and fix; what is said without a place has only the text."""
+    chosen, usage, kind = command, program, type(error).__name__
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        name = next((word for word in words if word in command.list_commands(context)), "")
+        if own := command.get_command(context, name):
+            chosen, usage = own, f"{program} {own.name}"
+    options = {name: each.name for each in chosen.params for name in each.opts}
     if isinstance(error, KeyboardInterrupt):
-        number = error.number if isinstance(error, Stopped) else signal.SIGINT
+        number = error.args[0] if isinstance(error, Stopped) else signal.SIGINT
         asked = f"stopped by {signal.Signals(number).name}"
         return SIGNALS + number, "", "; ".join([asked, *getattr(error, "__notes__", ())]), "", ""
     if isinstance(error, click.NoSuchOption):
-        known = {name for each in chosen.params for name in each.opts}
         near = ALSO_CALLED.get(error.option_name)
-        if near in known:
+        if near in options:
             error = click.UsageError(f"{error.message} Did you mean {near!r}?", error.ctx)
     if isinstance(error, click.ClickException):
         path = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else ""
@@ -236,8 +225,9 @@ def _outcome(
     if isinstance(error, Unwritten):
         return BROKEN, "OSError", error.what, usage, error.fix
     if isinstance(error, ModelError):
-        where = _option(chosen, error.where, words) or usage
-        return REFUSED, kind, error.what, where, error.fix or f"see {usage} --help"
+        typed = {word.partition("=")[0] for word in words}  # an argument's name, or its option
+        where = next((o for o in options if options[o] == error.where and o in typed), error.where)
+        return REFUSED, kind, error.what, where or usage, error.fix or f"see {usage} --help"
     if isinstance(error, UserWarning):  # an error where Python is told so: -W error, PYTHONWARNINGS
         fix = "correct it, or do not turn warnings into errors"
         return REFUSED, kind, str(error), usage, fix
@@ -254,13 +244,9 @@ def _outcome(
     for kinds, what, fix in LIMITS:
         if isinstance(error, kinds):
             return BROKEN, kind, what.format(said or "not enough memory"), usage, fix
-    return (
-        BROKEN,
-        kind,
-        f"an error in the program, not in your input: {said or 'no message'}",
-        f"{usage}, in {_place(error)}",
-        f"report it with this command; {TRACEBACK}=1 shows the traceback to send with it",
-    )
+    what = f"an error in the program, not in your input: {said or 'no message'}"
+    fix = f"report it with this command; {TRACEBACK}=1 shows the traceback to send with it"
+    return BROKEN, kind, what, f"{usage}, in {_place(error)}", fix
 
 
 def _place(error: BaseException) -> str:
@@ -268,49 +254,27 @@ def _place(error: BaseException) -> str:
     place, here = "an unknown place", Path(__file__).resolve().parents[1]
     for frame in traceback.extract_tb(error.__traceback__):
         file = Path(frame.filename).resolve()
-        if any(file.is_relative_to(here / room) for room in ROOMS):
+        if file.is_relative_to(here) and file.parent != here:
             place = f"{file.relative_to(here).as_posix()}, line {frame.lineno}"
     return place
-
-
-def _chosen(command: click.Command, words: Sequence[str]) -> click.Command:
-    """Return the command of a group that the words name; the group where there is none."""
-    if not isinstance(command, click.Group):
-        return command
-    context = click.Context(command)
-    known = command.list_commands(context)
-    name = next((word for word in words if word in known), "")
-    return command.get_command(context, name) or command
-
-
-def _option(command: click.Command, where: str, words: Sequence[str]) -> str:
-    """Return where the error is: the option as it was written, for the argument's name."""
-    for parameter in command.params:
-        spelled = max(parameter.opts, key=len)
-        given = any(word == spelled or word.startswith(f"{spelled}=") for word in words)
-        if spelled.startswith("--") and parameter.name == where and given:
-            return spelled
-    return where
-
-
-# ---- signals -------------------------------------------------------------------------------------
 
 
 @contextmanager
 def _signals() -> Iterator[None]:
     """Let SIGTERM, and SIGHUP unless it is ignored, stop the work as Ctrl-C does."""
+    names = ("SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    taken = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
     if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may say what signals do
-        return
-    last = dict.fromkeys(range(signal.NSIG), -ONE_REQUEST)
+        taken = []  # only the main thread may say what signals do
 
-    def stop(number: int, _: FrameType | None) -> None:
-        before, last[number] = last[number], time.monotonic()
-        if last[number] - before >= ONE_REQUEST:
+    last = list[int]()
+
+    def stop(number: int, _: object) -> None:
+        last.append(number)
+        if len(last) == 1:  # `timeout` and others signal the process, then its group with it in it
             raise Stopped(number)
 
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    taken = [number for number in numbers if signal.getsignal(number) is signal.SIG_DFL]
     for number in taken:
         signal.signal(number, stop)
     try:
@@ -323,7 +287,7 @@ def _signals() -> Iterator[None]:
 # ---- standard streams ----------------------------------------------------------------------------
 
 
-def _streams() -> bool:
+def _opened() -> bool:
     """Return whether there is a standard output; what is closed leads nowhere from now on.
 
     A file that is opened later would take the number of a closed stream, and get its text.
@@ -371,11 +335,11 @@ def _silence(stream: TextIO) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def warner() -> Callable[..., None]:
+def _warner() -> Callable[..., None]:
     """Return what tells a warning as one line on standard error, each text once in a command."""
     shown: set[str] = set()
 
-    def warn(message: Warning | str, *rest: object, **more: object) -> None:
+    def warn(message: Warning | str, *_: object, **__: object) -> None:
         text = shown_text(str(message), lines=True)
         if text not in shown:
             shown.add(text)

@@ -10,14 +10,13 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import click
 from click.shell_completion import shell_complete
 
-from exact_mdp.analysis import github
+from exact_mdp.analysis import ci
 from exact_mdp.analysis.cli.commands import Commands
 from exact_mdp.analysis.cli.derive import HELP
 from exact_mdp.analysis.exit_status import REFUSED, Told, leave, run, say
@@ -75,21 +74,15 @@ def _reporting(words: list[str]) -> Told | None:
     with gate.make_context(GATE, rest, resilient_parsing=True, **anything) as context:
         path, model = context.params.get("junit"), context.params.get("model") or "?"
     known = isinstance(path, str) and path.lower().endswith(".xml") and Path(path).parent.is_dir()
+    junit = str(path) if known else None  # the command refuses any other name
     title = f"{PROGRAM} check {model}"
-
-    def write(message: str) -> None:
-        junit = import_module("exact_mdp.analysis.gate.junit")
-        first = message.partition("\n")[0]
-        case = junit.Case("check", "error", first, message)
-        with suppress(ValueError, OSError):  # reported by the command, or about something worse
-            junit.write_junit(path, title, [case], seconds=0.0, properties={})
+    ci.write_error(
+        junit, title, "the check did not end: the process was killed, or is still at work"
+    )
 
     def told(_: int, message: str) -> None:
-        if known:
-            write(message)
+        ci.write_error(junit, title, message)
         with suppress(ValueError, OSError):
-            github.report_error(title, message)
+            ci.report_error(title, message)
 
-    if known:  # the command refuses any other name
-        write("the check did not end: the process was killed, or is still at work")
     return told

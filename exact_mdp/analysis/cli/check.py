@@ -8,13 +8,12 @@ from dataclasses import replace
 from time import perf_counter
 from typing import Any
 
-from exact_mdp.analysis import github
+from exact_mdp.analysis import ci
 from exact_mdp.analysis.cli.given import Given, advice
 from exact_mdp.analysis.cli.render import markdown
 from exact_mdp.analysis.cli.words import check_outputs, limits_from, refuse, settings_of, typed
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import ADVICE
@@ -123,12 +122,12 @@ def check(
         of_one: dict[str, Any] = {"--html": html, "--confidence": confidence, "--by": by}
         refuse(of_one | {"--evidence": evidence, "--no-explain": no_explain}, "several policies")
     check_outputs((junit, (".xml",)), (html, (".html",)))
-    github.summarise("")  # where it cannot be written to, that is said before any work
+    ci.summarise("")  # where it cannot be written to, that is said before any work
     asked: dict[str, Any] = {
         "max_regret": max_regret,
         "max_relative_regret": max_relative_regret,
         "exact_values": True if certify else None,
-        "criterion": "average" if given.average else "total",
+        "criterion": given.criterion,
         "subject_to": limits_from(subject_to) or None,
     }
     audit: Audit | TrainerAudit
@@ -149,9 +148,9 @@ def check(
         words = shlex.join(["exact-mdp", *typed()])
         page = audit_page(audit, report, given.loaded.name, name, rerun=words, first=ON_PAGE)
         write_atomically(html, page)
-    github.summarise(markdown(report))
+    ci.summarise(markdown(report))
     if not report.passed:
-        github.annotate(report.title, text)
+        ci.annotate(report.title, text)
     return report
 
 
@@ -193,7 +192,7 @@ def _junit(
     path: str, given: Given, result: Audit | TrainerAudit, report: Report, text: str, seconds: float
 ) -> None:
     cases = [
-        Case(each.name) if each.passed else Case(each.name, "failure", each.told, text)
+        ci.Case(each.name) if each.passed else ci.Case(each.name, "failure", each.told, text)
         for each in result.verdicts
     ]
     properties = {"model": given.loaded.name, "claim": str(result.claim)}
@@ -212,4 +211,4 @@ def _junit(
     if advice(given.endless):
         properties["notice"] = ADVICE
     suite = f"exact-mdp check {given.loaded.name}"
-    write_junit(path, suite, cases, seconds=seconds, properties=properties)
+    ci.write_junit(path, suite, cases, seconds=seconds, properties=properties)

@@ -19,7 +19,8 @@ SETS = ("sets", "discount")
 QUESTION = ("reach", "until", "reward", "allowed", "minimize", "start")
 ASKED = (*QUESTION, *SETS)
 OF_POLICY = ("kind", "perception", "horizon")
-HELD = ("perception", *ASKED)
+VARIED = ("parameters", "ranges", "relative")
+HELD = (*VARIED, "policy", "perception", *ASKED)
 
 MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     "Check": {
@@ -34,15 +35,15 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
     },
     "Vary": {
         "tornado": ("vary:tornado", HELD),
-        "gradient": ("vary:gradient", HELD),
-        "threshold": ("vary:threshold", ASKED),
+        "gradient": ("vary:gradient", ("parameters", "policy", "perception", *ASKED)),
+        "threshold": ("vary:threshold", (*VARIED, *ASKED)),
         "curve": ("vary:curve", HELD),
         "one-way": ("vary:one_way", HELD),
         "two-way": ("vary:two_way", HELD),
-        "psa": ("vary:psa", HELD),
+        "psa": ("vary:psa", ("parameters", "policy", "perception", *ASKED)),
         "sobol": ("vary:sobol", HELD),
         "robust": ("vary:robust", HELD),
-        "explore": ("vary:explore", ("kind", *ASKED)),
+        "explore": ("vary:explore", ("ranges", "relative", "kind", *ASKED)),
     },
     "Trade": {
         "tradeoff": ("trade:tradeoff", ("horizon", *SETS)),

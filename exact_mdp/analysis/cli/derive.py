@@ -37,6 +37,7 @@ from exact_mdp.mdp.io.files import aside
 PACKAGE = Path(__file__).resolve().parents[2]
 HELP = ["-h", "--help"]
 GIVEN = "analysis.cli.given:given"
+VARIED = ("parameters", "ranges", "relative", "policy")  # of `given`, beside a command's own
 
 
 @dataclass(frozen=True)
@@ -215,7 +216,7 @@ def command(
         epilog=epilog,
         context_settings={"help_option_names": HELP},
     )
-    made.shared = [each.name for each in asked]
+    made.shared = [each.name for each in asked if each.name not in VARIED]
     return made
 
 
@@ -224,14 +225,14 @@ def _report(target: str, own: list[Parameter], asked: list[str], options: dict[s
     module, _, name = target.partition(":")
     call: Callable[..., Any] = getattr(import_module(f"exact_mdp.{module}"), name)
     typed = {key: value for key, value in options.items() if value is not None and value != ()}
-    with_policy = any(each.kind.startswith("Policy") for each in own)
-    words = {name: typed[name] for name in (each.name for each in own) if name in typed}
-    if any(each.name == "given" for each in own):
+    names = [each.name for each in own]
+    words = {name: typed[name] for name in names if name in typed}
+    if "given" in names:
         given = import_module("exact_mdp.analysis.cli.given").given
-        shared = {key: typed[key] for key in asked if key in typed}
-        has = [*asked, "policy"] if with_policy else asked
-        policy = words.pop("policy", None) if with_policy else None
-        words["given"] = given(options["model"], has=has, policy=policy, **shared)
-        if words["given"].taken is not None:
+        has = {each.name for each in own if each.kind.startswith("Policy")} | {*asked}
+        has |= {"parameters"} & {*names}
+        shared = {key: typed[key] for key in has if key in typed}
+        words["given"] = given(options["model"], has=has, **shared)
+        if "policy" in has.intersection(names) and words["given"].taken is not None:
             words["policy"] = words["given"].taken
     return call(**words)

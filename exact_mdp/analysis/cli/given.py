@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,51 +28,26 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is no scenario
 
 
-@dataclass(frozen=True, kw_only=True)
-class Question:
-    """What --reach, --until and those beside them ask of a model: a function of models."""
+def posed(mdp: MDP, *, asked: Mapping[str, Any]) -> MDP:
+    """Return the model whose optimal value answers what --reach, --until and others ask."""
+    changes = {} if asked["start"] is None else {"start": asked["start"]}
+    if asked["minimize"]:
+        changes["sense"] = "min"
+    mdp = mdp.with_(**changes) if changes else mdp
+    if asked["reach"] is not None:
+        return mdp.reaching(asked["reach"], asked["allowed"])
+    return mdp if asked["until"] is None else mdp.until(asked["until"], asked["reward"])
 
-    reach: str | None = None
-    until: str | None = None
-    reward: str | None = None
-    allowed: str | None = None
-    minimize: bool = False
-    start: str | None = None
 
-    def __post_init__(self) -> None:
-        for needy, value, needed, fix in (
-            ("--allowed", self.allowed, self.reach, "--reach LABEL"),
-            ("--reward", self.reward, self.until, "--until LABEL, or MODEL.umb#NAME"),
-        ):
-            if value is not None and needed is None:
-                what = f"{needy} is part of another question"
-                raise ModelError(what, where=needy, fix=f"give {fix}")
-        if self.reach is not None and self.until is not None:
-            raise ModelError(
-                "--reach and --until ask two questions",
-                where="--until",
-                fix="leave out --until, or --reach",
-            )
-
-    def __call__(self, mdp: MDP) -> MDP:
-        """Return the model whose optimal value is the answer."""
-        changes: dict[str, Any] = {} if self.start is None else {"start": self.start}
-        if self.minimize:
-            changes["sense"] = "min"
-        mdp = mdp.with_(**changes) if changes else mdp
-        if self.reach is not None:
-            return mdp.reaching(self.reach, self.allowed)
-        return mdp if self.until is None else mdp.until(self.until, self.reward)
-
-    def words(self) -> str | None:
-        """Return the question in words; None for the total reward."""
-        best = "least" if self.minimize else "greatest"
-        if self.reach is not None:
-            through = f" through {self.allowed}" if self.allowed else ""
-            return f"{best} probability of reaching {self.reach}{through}"
-        if self.until is not None:
-            return f"{best} expected {self.reward or 'reward'} until {self.until}"
-        return "least expected costs" if self.minimize else None
+def in_words(asked: Mapping[str, Any]) -> str | None:
+    """Return the question in words; None for the total reward."""
+    best = "least" if asked["minimize"] else "greatest"
+    if asked["reach"] is not None:
+        through = f" through {asked['allowed']}" if asked["allowed"] else ""
+        return f"{best} probability of reaching {asked['reach']}{through}"
+    if asked["until"] is not None:
+        return f"{best} expected {asked['reward'] or 'reward'} until {asked['until']}"
+    return "least expected costs" if asked["minimize"] else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,37 +59,20 @@ class Given:
     endless : Loaded
         The model as it is.
     loaded : Loaded
-        The model that the question makes of it, of episodes that stop after `horizon` steps. It is
-        no scenario where there is a question.
-    question : Question, optional
-    horizon : int, optional
-    average : bool
-        Whether the average reward per step counts (--criterion average).
-    form : str or None
-        The policy as it was typed.
-    taken : Policy or "optimal", optional
-        The policy, of a command that takes one: "optimal" where it is to be re-optimised.
-    perception : str or None
-        The file of --perception.
-    kind : str
-        What an array in a policy's file holds.
-    head : {key: value}
-        How the command's report begins.
-    notes : tuple of str
-        Says where an answer leaves the environment's time limit out.
+        What the question makes of it, of episodes that stop after `horizon` steps. It is no
+        scenario where there is a question.
+    question : function of a model, optional
+    options : {name: value}
+        The others, as `given` takes them.
+    has : sequence of str
+        Those that the command has.
     """
 
     endless: Loaded
     loaded: Loaded
-    question: Question | None
-    horizon: int | None
-    average: bool
-    form: str | None
-    perception: str | None
-    kind: str
-    head: dict[str, Any]
-    notes: tuple[str, ...]
-    taken: Any = None
+    question: Callable[[MDP], MDP] | None
+    options: dict[str, Any]
+    has: Sequence[str]
 
     @property
     def mdp(self) -> MDP:
@@ -126,6 +84,23 @@ class Given:
         """The model of the question, of episodes that go on whatever the horizon."""
         return self.endless.mdp if self.question is None else self.question(self.endless.mdp)
 
+    @property
+    def horizon(self) -> int | None:
+        """The steps after which an episode stops."""
+        steps: int | None = self.options["horizon"]
+        return steps
+
+    @property
+    def criterion(self) -> Criterion:
+        """What counts."""
+        return "average" if is_average(self.options["criterion"]) else "total"
+
+    @property
+    def form(self) -> str | None:
+        """The policy as it was typed."""
+        text: str | None = self.options["policy"]
+        return text
+
     @cached_property
     def family(self) -> Parametric:
         """The model with its parameters; what is compiled already stays so."""
@@ -134,22 +109,62 @@ class Given:
             family = ScenarioFamily(scenario=self.endless.scenario, base=self.endless.mdp)
         return family if self.question is None else Posed(family=family, ask=self.question)
 
+    @cached_property
+    def taken(self) -> Any:
+        """The policy that was named; "optimal" where it is to be re-optimised, None without one."""
+        perception = self.options["perception"]
+        if "policy" not in self.has or (self.form or perception) is None:
+            return None
+        if (self.form or "optimal", perception) == ("optimal", None) and "kind" not in self.has:
+            return "optimal"
+        return self.policy(self.form or "optimal")
+
+    @property
+    def fixed(self) -> Any:
+        """The policy held fixed, the optimum unless one was named."""
+        return "optimal" if self.taken is None else self.taken
+
     def policy(self, form: str) -> Policy:
         """Return the policy that a text names, acting on what is perceived where that is given.
 
         Under a perception the optimum is that of whoever sees the truth.
         """
-        criterion: Criterion = "average" if self.average else "total"
-        policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=criterion)
-        if self.perception is None:
+        kind, perception = self.options["kind"], self.options["perception"]
+        policy: Policy = policy_of(self.mdp, form, kind=kind, criterion=self.criterion)
+        if perception is None:
             return policy
-        seen: Policy = seeing.perceived(self.mdp, policy, seeing.read(self.perception, self.mdp))
+        seen: Policy = seeing.perceived(self.mdp, policy, seeing.read(perception, self.mdp))
         return replace(seen, source=policy.source)
+
+    @cached_property
+    def head(self) -> dict[str, Any]:
+        """How a report begins; what a policy was read as comes first."""
+        mdp, has, said = self.mdp, self.has, self.options
+        head: dict[str, Any] = {"model": self.loaded.name}
+        if "start" in has:
+            question = in_words(said) if self.question else None
+            head |= {"sense": Shown(mdp.sense), "question": question, "start": said["start"]}
+        if "criterion" in has:
+            average = "reward per step" if self.criterion == "average" else None
+            head["criterion"] = Shown(said["criterion"], average)
+        if "kind" in has and self.taken is not None:
+            read = Shown(self.taken.read_as, self.taken.source or None)
+            head = {"read_as": read} | head | {"policy": self.form}
+        if "perception" in has:
+            path = said["perception"]
+            head["perception"] = Shown(path, path and f"{path}, which the policy acts on")
+        head["discount"] = mdp.discount
+        if "horizon" in has:
+            steps = self.horizon
+            head["horizon"] = Shown(steps, None if steps is None else f"{steps:,} steps")
+        return head
 
     def report(self, report: Report, **more: Any) -> Report:
         """Return what was found, after what was asked; `more` are facts that stand between."""
         facts = {**self.head, **more, **report.facts}
-        return replace(report, facts=facts, notes=(*report.notes, *self.notes))
+        stops = "horizon" in self.has and self.criterion == "total"
+        notes = (*report.notes, *unlimited(self.mdp, "--horizon {}" * stops))
+        return replace(report, facts=facts, notes=(*notes, *advice(self.endless)))
 
     def record(self, solver: str, seed: int | None = None) -> str:
         """Return the record of a result, as JSON."""
@@ -160,10 +175,7 @@ class Given:
     def saved(
         self, report: Report, out: str | None, name: str, made: tuple[str, int], *also: Path
     ) -> Report:
-        """Write a report and its record into a folder; `also` are the files that are there.
-
-        `made` are solver and seed.
-        """
+        """Write a report and its record (solver and seed) into a folder that holds `also`."""
         if out is None:
             return report
         paths = [Path(out, name), *also, Path(out, "run.json")]
@@ -177,6 +189,9 @@ def given(
     model: str,
     *,
     has: Sequence[str] = (),
+    parameters: Sequence[str] = (),
+    ranges: Sequence[str] = (),
+    relative: str | None = None,
     policy: str | None = None,
     criterion: str = "total",
     horizon: int | None = None,
@@ -198,7 +213,15 @@ def given(
     model : MODEL
     has : sequence of str
         Which of the others the command has.
+    parameters : NAME, optional
+        Vary only this parameter. Unless given, all that MODEL has.
+    ranges : NAME=LOW:HIGH, optional
+        Vary a parameter from LOW to HIGH; or a .toml file with such ranges, NAME = [low, high].
+    relative : X, optional
+        Other ranges: today's value ± this share of it, 0.2 unless given; or whole, for all that a
+        parameter may be.
     policy : POLICY, optional
+        The policy held fixed, whose value and regret are shown; today's optimum unless given.
     criterion : "total" or "average"
         What counts: the total reward, or the average reward per step in the long run, whatever the
         discount.
@@ -243,16 +266,22 @@ def given(
     format, 2; notice: that this is research software and no medical advice; without_range:
     parameters without a range to move in.
     """
-    asked = Question(
-        reach=reach, until=until, reward=reward, allowed=allowed, minimize=minimize, start=start
-    )
-    question = None if asked == Question() else asked
-    endless = read_model(model, sets=sets, discount=discount, start=start)
-    loaded = endless
+    options = dict(locals())
+    if reach is not None and until is not None:
+        fix = "leave out --until, or --reach"
+        raise ModelError("--reach and --until ask two questions", where="--until", fix=fix)
+    for needy, value, needed, fix in (
+        ("--allowed", allowed, reach, "give --reach LABEL"),
+        ("--reward", reward, until, "give --until LABEL, or MODEL.umb#NAME"),
+    ):
+        if value is not None and needed is None:
+            raise ModelError(f"{needy} is part of another question", where=needy, fix=fix)
+    asked = any(each is not None for each in (reach, until, start)) or minimize
+    question = partial(posed, asked=options) if asked else None
+    loaded = endless = read_model(model, sets=sets, discount=discount, start=start)
     if question is not None:
         loaded = replace(endless, mdp=question(endless.mdp), scenario=None)
-    average = is_average(criterion)
-    if average:
+    if is_average(criterion):
         require_no_horizon(horizon)
         if reach is not None or until is not None:
             raise ModelError(
@@ -262,47 +291,7 @@ def given(
             )
     if horizon is not None:
         loaded = replace(loaded, mdp=loaded.mdp.within(horizon))
-    found = Given(
-        endless=endless,
-        loaded=loaded,
-        question=question,
-        horizon=horizon,
-        average=average,
-        form=policy,
-        perception=perception,
-        kind=kind,
-        head={},
-        notes=(
-            *unlimited(loaded.mdp, "--horizon {}" * ("horizon" in has and not average)),
-            *advice(endless),
-        ),
-    )
-    if "policy" in has and (policy or perception) is not None:
-        same = (policy or "optimal", perception) == ("optimal", None) and "kind" not in has
-        taken: Any = "optimal" if same else found.policy(policy or "optimal")
-        found = replace(found, taken=taken)
-    return replace(found, head=_head(found, has, criterion, start))
-
-
-def _head(given: Given, has: Sequence[str], criterion: str, start: str | None) -> dict[str, Any]:
-    """Return how a report begins; what a policy was read as comes first."""
-    mdp, horizon, perception = given.mdp, given.horizon, given.perception
-    head: dict[str, Any] = {"model": given.loaded.name}
-    if "start" in has:
-        words = given.question.words() if given.question else None
-        head |= {"sense": Shown(mdp.sense), "question": words, "start": start}
-    if "criterion" in has:
-        head["criterion"] = Shown(criterion, "reward per step" if given.average else None)
-    if given.taken is not None and "kind" in has:
-        read = Shown(given.taken.read_as, given.taken.source or None)
-        head = {"read_as": read} | head | {"policy": given.form}
-    if "perception" in has:
-        said = perception and f"{perception}, which the policy acts on"
-        head |= {"perception": Shown(perception, said)}
-    head |= {"discount": mdp.discount}
-    if "horizon" in has:
-        head["horizon"] = Shown(horizon, None if horizon is None else f"{horizon:,} steps")
-    return head
+    return Given(endless=endless, loaded=loaded, question=question, options=options, has=has)
 
 
 def advice(loaded: Loaded) -> tuple[str, ...]:

@@ -27,7 +27,6 @@ from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, bounds
 from exact_mdp.solvers.objectives.totals import TotalsProof
-from exact_mdp.solvers.solver import Criterion
 from exact_mdp.solvers.solver import solve as solve_model
 from exact_mdp.solvers.values.evaluate import evaluate as value_of
 from exact_mdp.solvers.values.returns import return_distribution
@@ -99,7 +98,7 @@ def solve(
     loss of the policy.
     """
     check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
-    mdp, average = given.mdp, given.average
+    mdp, average = given.mdp, given.criterion == "average"
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
         refuse(refused | {"--criterion average": average}, "limits")
@@ -121,8 +120,7 @@ def solve(
             fix="add --certify, which proves the exact values",
         )
     error = None if tol is None else number_of(tol, "--tol")
-    criterion: Criterion = "average" if average else "total"
-    best = optimum(mdp, method, error, certify=certify, criterion=criterion)
+    best = optimum(mdp, method, error, certify=certify, criterion=given.criterion)
     if certificate:
         proof = best.certificate or certified(mdp, bounded=True, solution=best.solution)
         proof.save(certificate)
@@ -234,8 +232,7 @@ def evaluate(given: Given, policy: Policy) -> Report:
     expected return; by_state: gain, bias and share of time of each state, or null if there are
     many; recurrent_classes: number of classes of states in which the policy stays.
     """
-    criterion: Criterion = "average" if given.average else "total"
-    return given.report(value_of(given.mdp, policy, criterion=criterion).report())
+    return given.report(value_of(given.mdp, policy, criterion=given.criterion).report())
 
 
 def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from exact_mdp.analysis import github
+from exact_mdp.analysis import ci
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.errors import ModelError, shown_text
 from exact_mdp.mdp.report import Report
@@ -27,10 +27,10 @@ def show(report: Report, *, as_json: bool, as_markdown: bool = False) -> None:
         notice = {"notice": ADVICE} if ADVICE in report.notes else {}
         printed = report.json(**notice) if as_json else markdown(report)
         # "##[" in a name would begin a command to a runner.
-        print(printed.replace("##[", "##\\u005b") if github.running() else printed)
+        print(printed.replace("##[", "##\\u005b") if ci.running() else printed)
     else:
         for line in text(report).splitlines():
-            print(github.inert(line.rstrip()))
+            print(ci.inert(line.rstrip()))
 
 
 def text(report: Report) -> str:

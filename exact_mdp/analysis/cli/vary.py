@@ -70,14 +70,7 @@ MOST_APART = 2  # the L1 distance of laws that have nothing in common
 # ---- one parameter at a time ---------------------------------------------------------------------
 
 
-def tornado(
-    given: Given,
-    *,
-    parameters: Sequence[str] = (),
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
-    policy: PolicyLike = "optimal",
-) -> Report:
+def tornado(given: Given) -> Report:
     """Compute values at both ends of each parameter's range.
 
     One parameter moves at a time, the others stay at today's values.
@@ -87,33 +80,19 @@ def tornado(
     exact-mdp tornado yuan2025 --relative 1/10
     exact-mdp tornado tea --range base.anxiety=0.05:0.2 --policy random
 
-    Parameters
-    ----------
-    parameters : NAME, optional
-        Vary only this parameter. Unless given, all that MODEL has.
-    ranges : NAME=LOW:HIGH, optional
-        Vary a parameter from LOW to HIGH; or a .toml file with such ranges, NAME = [low, high].
-    relative : X, optional
-        Other ranges: today's value ± this share of it, 0.2 unless given; or whole, for all that a
-        parameter may be.
-    policy : POLICY, optional
-        The policy held fixed, whose value and regret are shown; today's optimum unless given.
-
     Keys
     ----
     bars: each parameter with both ends of its range, both values, both regrets; policy_value: the
     value of the policy held fixed; regret: loss of that policy at the start.
     """
-    spans, without = _spans(given.family, parameters, ranges, relative)
-    result = tornado_of(given.family, policy=policy, names=list(spans), ranges=spans)
-    if given.perception is not None:  # the question is what it does to the policy held fixed
+    spans, without = _moving(_ranges(given))
+    result = tornado_of(given.family, policy=given.fixed, names=list(spans), ranges=spans)
+    if given.options["perception"]:  # the question is what it does to the policy held fixed
         result = replace(result, bars=tuple(sorted(result.bars, key=lambda b: -b.fixed_swing)))
     return _report(given, "tornado", result.report(), without_range=without)
 
 
-def gradient(
-    given: Given, *, parameters: Sequence[str] = (), policy: PolicyLike = "optimal"
-) -> Report:
+def gradient(given: Given) -> Report:
     """Compute the derivative of the value by each parameter.
 
     They are those of the optimum, or of the --policy held fixed. Where the optimal policy changes
@@ -130,18 +109,13 @@ def gradient(
     the left; right: the derivative from the right, which differs where two policies are optimal;
     steps: the value with one more and one less of each whole number.
     """
-    result = gradient_of(given.family, policy=policy, names=parameters or None)
-    more = {"claim_of": ROUNDED} if given.perception is not None else {}
+    names = given.options["parameters"] or None
+    result = gradient_of(given.family, policy=given.fixed, names=names)
+    more = {"claim_of": ROUNDED} if given.options["perception"] else {}
     return _report(given, "gradient", result.report(), **more)
 
 
-def threshold(
-    given: Given,
-    *,
-    parameters: Sequence[str] = (),
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
-) -> Report:
+def threshold(given: Given) -> Report:
     """Find where an optimal action changes along a parameter.
 
     One parameter moves at a time. The policy is optimal knowing the state at every value.
@@ -155,7 +129,7 @@ def threshold(
     switches: each value at which an optimal action changes, and where; stable: for each parameter,
     the range around today's value without a change.
     """
-    spans, without = _spans(given.family, parameters, ranges, relative)
+    spans, without = _moving(_ranges(given))
     steps = tqdm(spans, desc="thresholds", disable=None, leave=False)
     results = {name: thresholds(given.family, name, spans) for name in steps}
     start = claimed("start_value", optimum(given.family.at({}))[1])
@@ -169,9 +143,6 @@ def curve(
     parameters: Sequence[str] = (),
     max_regret: str | None = None,
     max_relative_regret: str | None = None,
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
-    policy: PolicyLike | None = None,
 ) -> Report:
     """Compute the optimum as an exact function of a parameter.
 
@@ -198,24 +169,16 @@ def curve(
     intervals in which the policy keeps the limit.
     """
     (name,) = _named(parameters, 1, "curve")
-    spans = _ranges(given.family, [name], ranges, relative) if ranges or relative else None
+    ranged = given.options["ranges"] or given.options["relative"]
     limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
     limited = any(limits.values())
-    fixed = "optimal" if policy is None and limited else policy
-    result = curve_of(given.family, name, spans, policy=fixed)
+    spans, policy = _ranges(given, [name]) if ranged else None, given.taken
+    result = curve_of(given.family, name, spans, policy=given.fixed if limited else policy)
     report = result.report(result.within(**limits) if limited else None)
     return given.report(report, kind="curve")
 
 
-def one_way(
-    given: Given,
-    *,
-    parameters: Sequence[str] = (),
-    points: int = 21,
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
-    policy: PolicyLike = "optimal",
-) -> Report:
+def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -> Report:
     """Compute values along the range of one parameter.
 
     The policy is optimal at each of the values, and held fixed beside it.
@@ -236,21 +199,12 @@ def one_way(
     parameter: the parameter that varies; points: points with their values.
     """
     (name,) = _named(parameters, 1, "one-way")
-    spans = _ranges(given.family, [name], ranges, relative)
-    result = values_along(given.family, name, spans, policy=policy, points=points)
-    start = claimed("start_value", solve(given.mdp).start)
-    return _report(given, "one-way", result.report(), **start)
+    spans = _ranges(given, [name])
+    result = values_along(given.family, name, spans, policy=given.fixed, points=points)
+    return _report(given, "one-way", result.report(), **_start(given))
 
 
-def two_way(
-    given: Given,
-    *,
-    parameters: Sequence[str] = (),
-    points: int = 11,
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
-    policy: PolicyLike = "optimal",
-) -> Report:
+def two_way(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -> Report:
     """Compute values and best policies over two parameters.
 
     Give --parameter twice: the first lies across, the second along.
@@ -270,10 +224,9 @@ def two_way(
     that are optimal somewhere.
     """
     x, y = _named(parameters, 2, "two-way")
-    spans = _ranges(given.family, [x, y], ranges, relative)
-    result = values_over(given.family, x, y, policy=policy, points=points, ranges=spans)
-    start = claimed("start_value", solve(given.mdp).start)
-    return _report(given, "two-way", result.report(), **start)
+    spans = _ranges(given, [x, y])
+    result = values_over(given.family, x, y, policy=given.fixed, points=points, ranges=spans)
+    return _report(given, "two-way", result.report(), **_start(given))
 
 
 # ---- all parameters at once ----------------------------------------------------------------------
@@ -285,8 +238,6 @@ def psa(
     samples: int | None = None,
     uncertain: str | None = None,
     effective_sample_size: str | None = None,
-    parameters: Sequence[str] = (),
-    policy: PolicyLike = "optimal",
     seed: int = 0,
     n_jobs: int | None = None,
     out: str | None = None,
@@ -329,10 +280,11 @@ def psa(
     """
     of_rows = given.endless.scenario is None
     model = row_family(given.mdp) if of_rows else given.family
-    chosen, size = _uncertain(model, uncertain, effective_sample_size, parameters)
+    names = given.options["parameters"]
+    chosen, size = _uncertain(model, uncertain, effective_sample_size, names)
     n = samples or (10_000 if solver_of(model).compiled else 500)
     how = _work(n_jobs, out)
-    result = psa_of(model, n, rng=seed, uncertain=chosen, policy=policy, **how)
+    result = psa_of(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
     report = result.report(given.form or "optimal")
     report = _report(given, "psa", report, effective_sample_size=size)
     return given.saved(report, out, "psa.json", ("psa", seed))
@@ -342,10 +294,6 @@ def sobol(
     given: Given,
     *,
     samples: int = 1024,
-    parameters: Sequence[str] = (),
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
-    policy: PolicyLike = "optimal",
     seed: int = 0,
     n_jobs: int | None = None,
     out: str | None = None,
@@ -373,8 +321,8 @@ def sobol(
     total: share of the variance including all interactions with others; total_interval: interval of
     `total`; regret: the same indices, of the regret of a policy held fixed.
     """
-    names = parameters or (() if ranges else usual(given.family))
-    spans, without = _spans(given.family, names, ranges, relative)
+    some = given.options["parameters"] or given.options["ranges"]
+    spans, without = _moving(_ranges(given, None if some else usual(given.family)))
     if not spans:
         raise ModelError(
             "every chosen parameter is 0, and a share of 0 gives no range",
@@ -382,27 +330,16 @@ def sobol(
             fix="give a range: --range NAME=LOW:HIGH",
         )
     how = _work(n_jobs, out)
-    result = sobol_of(
-        given.family, names=list(spans), ranges=spans, n=samples, rng=seed, policy=policy, **how
-    )
-    start = claimed("start_value", solve(given.mdp).start)
-    report = _report(given, "sobol", result.report(), **start, without_range=without)
+    how |= {"n": samples, "rng": seed, "policy": given.fixed}
+    result = sobol_of(given.family, names=list(spans), ranges=spans, **how)
+    report = _report(given, "sobol", result.report(), **_start(given), without_range=without)
     return given.saved(report, out, "sobol.json", ("sobol", seed))
 
 
 # ---- the worst case ------------------------------------------------------------------------------
 
 
-def robust(
-    given: Given,
-    *,
-    set_kind: str = "interval",
-    radius: str | None = None,
-    parameters: Sequence[str] = (),
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
-    policy: PolicyLike = "optimal",
-) -> Report:
+def robust(given: Given, *, set_kind: str = "interval", radius: str | None = None) -> Report:
     """Compute the worst case within sets around the tables.
 
     And the policy that is best against them, with the price of that where the tables are right.
@@ -430,11 +367,11 @@ def robust(
     the tables are right; policy_changes: states in which the robust policy acts differently.
     """
     if set_kind == BOX:
-        return _box(given, radius, parameters, ranges, relative, policy)
+        return _box(given, radius)
     if set_kind not in SETS:
         known = suggest(set_kind, [*SETS, BOX])
         raise ModelError(f"unknown set {set_kind!r}", where="--set-kind", fix=known)
-    if parameters or ranges or relative:
+    if any(given.options[name] for name in ("parameters", "ranges", "relative")):
         raise ModelError(
             "parameters and ranges are for a box",
             where="robust",
@@ -449,40 +386,31 @@ def robust(
             fix=f"choose one from 0 to {MOST_APART}",
         )
     sets_of = ambiguity_of(given.mdp, set_kind, size)
-    result = robust_of(given.mdp, sets_of, policy=policy)
+    result = robust_of(given.mdp, sets_of, policy=given.fixed)
     meaning = Shown(set_kind, MEANING[set_kind].format(f"{float(size):.4g}"))
     return _report(given, "robust", result.report(), set_kind=meaning, radius=float(size))
 
 
-def _box(
-    given: Given,
-    radius: str | None,
-    parameters: Sequence[str],
-    ranges: Sequence[str],
-    relative: str | None,
-    policy: PolicyLike,
-) -> Report:
+def _box(given: Given, radius: str | None) -> Report:
     """Return the worst point that is found for the policy over one shared box of parameters."""
-    family, named = given.family, bool(parameters or ranges)
-    if (named or relative) and radius is not None:
-        raise ModelError("both a radius and ranges", where="--radius", fix="give one of them")
-    if named or relative:
-        spans, size = _spans(family, parameters, ranges, relative)[0], None
-        chosen = [*spans] if named else usual(family)
+    family, options, size = given.family, given.options, None
+    named = bool(options["parameters"] or options["ranges"])
+    if named or options["relative"]:
+        if radius is not None:
+            raise ModelError("both a radius and ranges", where="--radius", fix="give one of them")
+        box, _ = _moving(_ranges(given, None if named else usual(family)))
     else:
         size = _radius(RELATIVE if radius is None else radius)
-        spans = ranges_of(family, relative=size)
         chosen = [p.name for p in family.parameters if is_probability(p)]
-    moving = (name for name in chosen if name in spans)
-    box = Ranges({name: spans[name] for name in moving if spans[name].low < spans[name].high})
+        box, _ = _moving(ranges_of(family, chosen, relative=size))
     if not box:
         raise ModelError(
             "no parameter moves",
             where="--set-kind box",
             fix="give a range (--range NAME=LOW:HIGH), or another kind of set",
         )
-    report = worst_point(family, policy, box).report()
-    start = claimed("start_value", finite_worth(given.mdp, policy, "today's parameters"))
+    report = worst_point(family, given.fixed, box).report()
+    start = claimed("start_value", finite_worth(given.mdp, given.fixed, "today's parameters"))
     ends = {name: [float(span.low), float(span.high)] for name, span in box.items()}
     more = {"set_kind": BOX, "radius": None if size is None else float(size), "box": Shown(ends)}
     return _report(given, "robust", report, **start, **more)
@@ -507,8 +435,6 @@ def explore(
     *,
     parameters: Sequence[str],
     html: str,
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
     points: int = 11,
 ) -> Report:
     """Write a page on which a parameter moves, and the optimum.
@@ -534,9 +460,9 @@ def explore(
     parameters: parameters that move; pieces: number of pieces on the page.
     """
     check_outputs((html, (".html",)))
-    spans, _ = _spans(given.family, parameters, ranges, relative)
+    how: dict[str, Any] = {"policy": policy, "said": given.form, "n": points}
     page = explorer_of(
-        given.family, *parameters, ranges=spans, policy=policy, said=given.form, n=points
+        given.family, *parameters, ranges=_moving(_ranges(given, parameters))[0], **how
     )
     page = replace(page, model=given.loaded.name)
     write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *typed()])))
@@ -562,13 +488,15 @@ def _named(parameters: Sequence[str], count: int, kind: str) -> Sequence[str]:
     return parameters
 
 
-def _ranges(
-    model: Parametric, parameters: Sequence[str], ranges: Sequence[str], relative: str | None
-) -> Ranges:
-    """Return the range of each parameter that the options ask for."""
-    stated = Ranges()
+def _start(given: Given) -> dict[str, Any]:
+    return claimed("start_value", solve(given.mdp).start)
+
+
+def _ranges(given: Given, names: Sequence[str] | None = None) -> Ranges:
+    """Return the range of each parameter that the options name, or of `names`."""
+    model, options, stated = given.family, given.options, Ranges()
     texts = []
-    for each in ranges:
+    for each in options["ranges"]:
         if each.lower().endswith(".toml") and "=" not in each:
             stated.update(load_ranges(model, each))
         else:
@@ -578,22 +506,19 @@ def _ranges(
         if not colon:
             raise ModelError(f"{ends!r} is not a range", where="--range", fix="write NAME=LOW:HIGH")
         stated.update(checked(model, {name: (low.strip(), high.strip())}))
-    share: object = relative
-    if relative not in (None, "whole"):
+    share = options["relative"]
+    if share not in (None, "whole"):
         with located("--relative", instead=True):
-            share = exact(relative)
+            share = exact(share)
             if share and not FLOAT_RANGE[0] < abs(share) < FLOAT_RANGE[1]:
                 raise ModelError(f"a share of {shown(share)}", fix="choose one nearer to 1")
-    return ranges_of(model, parameters or None, stated, share)
+    return ranges_of(model, names or options["parameters"] or None, stated, share)
 
 
-def _spans(
-    model: Parametric, parameters: Sequence[str], ranges: Sequence[str], relative: str | None
-) -> tuple[Ranges, list[str]]:
-    """Return the ranges asked for, and the parameters without one: 0 today, so 0 ± 20 %."""
-    every = _ranges(model, parameters, ranges, relative)
-    spans = Ranges({name: span for name, span in every.items() if span.low < span.high})
-    return spans, sorted(set(every) - set(spans))
+def _moving(ranges: Ranges) -> tuple[Ranges, list[str]]:
+    """Return the ranges, and the parameters without one: 0 today, so 0 ± 20 %."""
+    spans = Ranges({name: span for name, span in ranges.items() if span.low < span.high})
+    return spans, sorted(set(ranges) - set(spans))
 
 
 def _uncertain(

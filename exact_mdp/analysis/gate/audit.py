@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.columns import Representation
-from exact_mdp.analysis.gate.criteria import Total
+from exact_mdp.analysis.gate.criteria import Total, Verdict, number
 from exact_mdp.analysis.gate.data.interval import RegretInterval
 from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, either
-from exact_mdp.analysis.gate.q_error import QError, q_error
+from exact_mdp.analysis.gate.reasons import QError, Representation, q_error
 from exact_mdp.analysis.gate.regret import Regret
-from exact_mdp.analysis.gate.verdicts import UNDECIDED, Verdict, number, share_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
@@ -38,6 +36,10 @@ AT_A_GLANCE = 3  # of them in `print(audit)`
 IN_TABLE = 10  # and in the table for people
 LISTED_STATES = 1000  # models with more states are left to Python for the regret of each
 UNEXPLAINED = "not known: whether another policy that sees no more of the state could do better"
+UNDECIDED = (
+    "which the bounds do not decide: give a limit that they keep (--max-regret,"
+    " max_regret=…), or ask for exact values (--certify, exact_values=True)"
+)
 COLUMNS = (
     "yours: what the policy does; optimal: what it should do; value lost: expected visits times "
     "what each loses; share: of all that is lost"
@@ -131,7 +133,13 @@ class Audit(Pictured):
     @property
     def relative_regret(self) -> float | None:
         """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
-        return share_of(self.value, self.regret.optimal)
+        lost, best = self.value, self.regret.optimal
+        low, high = (best.value, best.value) if isinstance(best, Certified) else best.interval
+        if not isfinite(float(best)) or low <= 0 <= high:
+            return None
+        return (
+            inf if isinf(float(lost)) else float(Fraction(lost.value) / abs(Fraction(best.value)))
+        )
 
     @property
     def regret_interval(self) -> tuple[float, float] | None:
@@ -233,9 +241,17 @@ class Audit(Pictured):
     @cached_property
     def verdicts(self) -> tuple[Verdict, ...]:
         """What was checked: each limit given, or that the regret is zero."""
-        if self.interval is not None:
-            return (self.interval.verdict(self.max_regret, self.forgiven, self.value),)
-        return tuple(self._of_model())
+        return tuple(self._of_model() if self.interval is None else self._of_records(self.interval))
+
+    def _of_records(self, interval: RegretInterval) -> Iterator[Verdict]:
+        """Yield what the interval decides, never the estimate; without a limit, that it is 0."""
+        limit = self.max_regret
+        name = "zero" if limit is None else f"at most {shown(limit, 10)}"
+        decision = interval.decided(self.forgiven if limit is None else limit)
+        text = f"it is in {interval}; {number(self.value)} in the estimated model"
+        if decision is None:
+            text += f", which leaves the limit open: {interval.open_text(limit or Fraction(0))}"
+        yield Verdict("the regret", name, decision, text)
 
     def _of_model(self) -> Iterator[Verdict]:
         """Yield the verdict on each limit given; without one, on whether the regret is zero."""

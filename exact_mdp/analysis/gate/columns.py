@@ -16,22 +16,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from heapq import heappop, heappush
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 import tqdm
 
-from exact_mdp.analysis.gate.regret import Regret, policy_regret
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.report import Shown, cell
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
@@ -40,10 +37,9 @@ from exact_mdp.solvers.bounds.bounds import levels, margin_weights
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.exact.find import first_of
-from exact_mdp.solvers.solution import Bounded, Certified, difference
+from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import Layers
-from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -398,111 +394,3 @@ class _Search:
             self.value, self.error = float(values[best]), float(errors[best])
             self.choice = choices[best]
         return better
-
-
-# ---- what it means for one policy ----------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class RowChange:
-    """A row of a policy's table, changed alone to the action that gains most at the start."""
-
-    row: str
-    learned: str
-    best: str
-    gain: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Representation:
-    """What the columns that a policy reads allow, and what was learned wrongly on top.
-
-        V*(start) - V^π(start) = [V*(start) - best] + [best - V^π(start)]
-
-    Attributes
-    ----------
-    best : BestPolicy
-        For the columns that the policy reads.
-    loss : Certified or Bounded
-        The first bracket: what no learner that reads these columns can avoid. Where the search for
-        the best policy did not end, it may be smaller, by up to `uncertainty`.
-    learning_error : Certified or Bounded
-        The second, which then is larger by as much; below 0 where the policy mixes and gains by it.
-    """
-
-    mdp: MDP
-    policy: Policy
-    best: BestPolicy
-    loss: Certified | Bounded
-    learning_error: Certified | Bounded
-
-    @classmethod
-    def of(cls, mdp: MDP, policy: Policy, lost: Regret) -> Representation:
-        """Return how much of a policy's regret `lost` its columns explain."""
-        best = best_policy(mdp, _columns(mdp, policy), start=policy)
-        chain = PolicyChain.of(mdp, best.policy)
-        loss = policy_regret(chain, optimum=lost.optimum).at_start
-        rest = difference(lost.at_start, loss)
-        return cls(mdp=mdp, policy=policy, best=best, loss=loss, learning_error=rest)
-
-    @property
-    def uncertainty(self) -> float:
-        """How much more than the best policy found another one may be worth."""
-        return 0.0 if self.best.proven else abs(self.best.upper_bound - self.best.value.value)
-
-    def __str__(self) -> str:
-        best = self.best
-        unseen = ", ".join(each for each in self.mdp.space.names if each not in best.columns)
-        proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
-        return (
-            f"the best policy that reads {', '.join(best.columns) or 'nothing'} alone has "
-            f"{cell(best.value)} ({proof}): {cell(self.loss)} is lost because it cannot see "
-            f"{unseen}, {cell(self.learning_error)} because of what was learned"
-        )
-
-    @staticmethod
-    def facts(why: Representation | None) -> dict[str, Any]:
-        """Return what a report says of it; null where there is nothing to say."""
-        if why is None:
-            return {"representation": None, "rows": None}
-        best = why.best
-        details = {
-            "columns": best.columns,
-            "best_value": best.value.value,
-            "error_bound": best.error,
-            "upper_bound": best.upper_bound,
-            "mixed_upper_bound": best.mixed_upper_bound,
-            "proven": best.proven,
-            "loss": float(why.loss.value),
-            "learning_error": float(why.learning_error.value),
-            "uncertainty": why.uncertainty,
-            "policy": best.actions,
-        }
-        return {"representation": Shown(details, str(why)), "rows": Shown(why.rows)}
-
-    @cached_property
-    def rows(self) -> tuple[RowChange, ...]:
-        """The rows of a deterministic policy's table whose change alone gains, the most first."""
-        if not self.policy.deterministic:
-            return ()
-        mdp = self.mdp.maximised
-        rows = Rows(mdp, _columns(mdp, self.policy))
-        own, numbers = rows.choices(self.policy), np.arange(mdp.n_actions)
-        other = rows.available & rows.asked[:, None] & (own[:, None] != numbers)
-        row, action = np.nonzero(other)
-        choices = np.repeat(own[None], len(row) + 1, axis=0)
-        choices[np.arange(len(row)), row] = action
-        values, errors = rows.values(choices)
-        gain = values[:-1] - values[-1]
-        changes = {}  # by rising gain: the best of each row comes last, of equals the first action
-        for k in np.lexsort((-action, gain)).tolist():
-            if gain[k] > 2 * errors.max():
-                label = rows.space.label(int(row[k])) or "all states"
-                names = {"learned": mdp.actions[own[row[k]]], "best": mdp.actions[action[k]]}
-                changes[label] = RowChange(row=label, gain=float(gain[k]), **names)
-        return tuple(sorted(changes.values(), key=lambda change: -change.gain))
-
-
-def _columns(mdp: MDP, policy: Policy) -> tuple[str, ...]:
-    """Return the columns that a policy reads, in the model's order."""
-    return tuple(name for name in mdp.space.names if name in policy.columns)

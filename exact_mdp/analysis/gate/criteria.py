@@ -38,7 +38,6 @@ from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, Loss, 
 from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.analysis.gate.forgiveness import per_use
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
-from exact_mdp.analysis.gate.verdicts import Verdict, number
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
@@ -53,6 +52,57 @@ from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solv
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError, regret
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import PolicyChain, average
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One thing that was checked, such as "the regret" "at most 1/2", and what was found.
+
+    Attributes
+    ----------
+    subject, limit : str
+    decision : bool or None
+        Whether it holds; None where bounds or records leave that open, which does not pass.
+    text : str
+        What was found.
+
+    Examples
+    --------
+    >>> verdict = Verdict("the regret", "zero", False, "it is 2")
+    >>> verdict.name, verdict.passed, verdict.told
+    ('the regret is zero', False, 'the regret is not zero: it is 2')
+    """
+
+    subject: str
+    limit: str
+    decision: bool | None
+    text: str
+
+    @property
+    def name(self) -> str:
+        """What was checked."""
+        return f"{self.subject} is {self.limit}"
+
+    @property
+    def passed(self) -> bool:
+        """Whether it holds."""
+        return self.decision is True
+
+    @property
+    def told(self) -> str:
+        """What was found, as a sentence: the name of a check that fails is not what was found."""
+        holds = {True: "is", False: "is not", None: "is not known to be"}[self.decision]
+        return f"{self.subject} {holds} {self.limit}: {self.text}"
+
+    def __str__(self) -> str:
+        return f"{'passed' if self.passed else 'failed'}: {self.told}"
+
+
+def number(value: Certified | Bounded) -> str:
+    """Return a number with its claim; an exact one may have thousands of digits, and is rounded."""
+    if isinstance(value, Certified):
+        return f"{float(value.value):.10g} ({value.claim})"
+    return str(value)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

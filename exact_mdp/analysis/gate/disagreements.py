@@ -125,7 +125,7 @@ def own_visits(chain: PolicyChain, *, exact: bool) -> Floats:
     except SolverError:
         if not exact:
             raise
-        return exact_visits(chain).value_float
+        return exact_visits(chain).floats()
 
 
 def action_of(chain: PolicyChain, state: int) -> str:

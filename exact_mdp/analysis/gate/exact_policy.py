@@ -9,16 +9,14 @@ been proven: a rank that falls along every pair, or w > γ P w, holds for mixtur
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
-from functools import cached_property
 
 import numpy as np
 
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.table import Floats, divide
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.find import evaluated, visited
 from exact_mdp.solvers.exact.levels import Level, fraction, surplus
@@ -27,40 +25,16 @@ from exact_mdp.solvers.objectives.totals import Flow
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ExactPolicy:
-    """Exact values of a policy."""
-
-    mdp: MDP
-    h: Level
-
-    @cached_property
-    def value_float(self) -> Floats:
-        """(S,) the values, each rounded once."""
-        return divide(np.array(self.h.top, object), np.array(self.h.each_below, object))
-
-    @cached_property
-    def value(self) -> list[Fraction]:
-        """The values of all states."""
-        return list(self.h.fractions())
-
-    @cached_property
-    def start_value(self) -> Fraction:
-        """The value of the start distribution."""
-        return self.h.mean(self.mdp.start)
-
-
-def exact_policy(chain: PolicyChain) -> ExactPolicy:
+def exact_policy(chain: PolicyChain) -> Level:
     """Return the exact values of a policy whose equations are known to have one solution.
 
     States from which the policy need not end at discount 1 have no value, and 0 stands for it.
     """
-    mdp = chain.mdp
     rows = chain.rows()
-    if mdp.discount_exact == 1:
+    if chain.mdp.discount_exact == 1:
         rows = replace(rows, terminal=rows.terminal | ~chain.ends)
-    (level,) = evaluated(rows, np.arange(mdp.n_states))
-    return ExactPolicy(mdp=mdp, h=level)
+    (level,) = evaluated(rows, np.arange(chain.mdp.n_states))
+    return level
 
 
 def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
@@ -77,16 +51,14 @@ def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
     return Flow(pairs=np.array(pairs, dtype=np.int64), visits=Level.of(visits))
 
 
-def exact_visits(chain: PolicyChain) -> ExactPolicy:
-    """Return the expected discounted visits of a policy from the start, as its values.
+def exact_visits(chain: PolicyChain) -> Level:
+    """Return the expected discounted visits of a policy from the start.
 
     They solve d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached; terminal states count
     arrivals.
     """
-    mdp = chain.mdp
-    rows = chain.rows()
-    (visits,) = visited(rows, chain.reached & ~mdp.terminal, mdp.start)
-    return ExactPolicy(mdp=mdp, h=visits)
+    (visits,) = visited(chain.rows(), chain.reached & ~chain.mdp.terminal, chain.mdp.start)
+    return visits
 
 
 def exact_gaps(mdp: MDP, best: Certificate, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:

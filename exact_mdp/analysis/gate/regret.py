@@ -15,22 +15,25 @@ ties with the best where its gap is at most what their rounding can move
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from math import inf, isfinite
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.gate.exact_policy import ExactPolicy, exact_gaps, exact_policy
+from exact_mdp.analysis.gate.exact_policy import exact_gaps, exact_policy
 from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, ties
 from exact_mdp.analysis.gate.waiting import taking, to_blame
+from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Brief
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.result import Brief, Pictured
 from exact_mdp.mdp.table import LARGEST, Floats, shown
 from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
@@ -43,9 +46,12 @@ from exact_mdp.solvers.exact.certify import certify
 from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, at_start, regret
-from exact_mdp.solvers.solver import solve
+from exact_mdp.solvers.solver import mdp_of, solve
 from exact_mdp.solvers.values.evaluate import evaluate
-from exact_mdp.solvers.values.policy_chain import PolicyChain
+from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 def proven(mdp: MDP, criterion: str = "total") -> Certificate:
@@ -62,7 +68,7 @@ EXACT_CYCLE = 200  # states of the largest cycle
 LAST_CYCLE = 500  # states of the largest cycle, where bounds leave a verdict open: about a second
 CLOSE = 2.0**-36  # errors of values, as parts of the largest, that are little but rounding
 ACCURATE = 2.0**-30  # relative errors of gaps from which on they are worked out exactly
-IMPROVEMENTS = 100  # policies tried after a solver has stopped at its tolerance
+LONGEST = 40  # letters of an exact number in a table
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -188,6 +194,96 @@ def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
     return is_acyclic(mdp) or int(np.bincount(components(mdp)[1]).max()) <= cycle
 
 
+# ---- several policies side by side --------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PolicyComparison(Pictured):
+    """What policies are worth at the start.
+
+    Attributes
+    ----------
+    regrets : {name: Regret}
+        In the order given; `.learned` is the policy's value, `.at_start` its regret.
+    """
+
+    regrets: dict[str, Regret]
+
+    @property
+    def value(self) -> Certified | Bounded:
+        """The optimal value at the start."""
+        return next(iter(self.regrets.values())).optimal
+
+    @property
+    def claim(self) -> Claim:
+        """What the values claim."""
+        return self.value.claim
+
+    def frame(self) -> DataFrame:
+        """Return a row for each policy, with its exact value where that is short."""
+        import pandas
+
+        return pandas.DataFrame(
+            [
+                {
+                    "policy": name,
+                    "value": float(each.learned.value),
+                    "regret": float(each.at_start.value),
+                    "exact": _short(each.learned),
+                    "claim": str(each.learned.claim),
+                }
+                for name, each in self.regrets.items()
+            ]
+        )
+
+    def __repr__(self) -> str:
+        return f"PolicyComparison({len(self.regrets)} policies; optimal value {self.value})"
+
+
+def _short(value: Certified | Bounded) -> Fraction | float | None:
+    """Return a certified value that a column of a table has room for."""
+    if not isinstance(value, Certified) or len(str(value.value)) > LONGEST:
+        return None
+    return value.value
+
+
+def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> PolicyComparison:
+    """Return the start value and the loss of each of several policies.
+
+    Parameters
+    ----------
+    model : MDP or Scenario
+    policies : {name: PolicyLike}
+
+    Returns
+    -------
+    PolicyComparison
+
+    Raises
+    ------
+    ModelError
+        Without policies, and for one that does not fit the model.
+
+    Examples
+    --------
+    >>> from exact_mdp import MDP
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
+    >>> found = compare(mdp, {"mine": [0, 0], "coin": "random", "best": "optimal"})
+    >>> found.frame()["exact"].tolist()
+    [Fraction(1, 1), Fraction(2, 1), Fraction(3, 1)]
+    """
+    if not isinstance(policies, Mapping) or not policies:
+        said = "no policies" if isinstance(policies, Mapping) else "policies without names"
+        raise ModelError(said, where="compare", fix="give {name: policy}, at least one")
+    mdp, regrets = mdp_of(model), dict[str, Regret]()
+    optimum = None
+    for name, policy in policies.items():
+        chain = PolicyChain.of(mdp, policy_of(mdp, policy))
+        regrets[name] = regret = policy_regret(chain, optimum=optimum)
+        optimum = regret.optimum
+    return PolicyComparison(regrets=regrets)
+
+
 # ---- rational arithmetic -----------------------------------------------------------------------
 
 
@@ -199,13 +295,12 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     is forgiven on the way to where a policy stays for ever, and none there.
     """
     unending = endless(mdp)
-    own: ExactPolicy | Certificate = best
-    if unending:
-        own = proven(chain.model)
-    elif not best.optimal_pairs[chain.pairs].all():
-        own = exact_policy(chain)
-    value, mine = best.value_float, own.value_float
-    lost = _less(best.start_value, own.start_value, mdp)
+    own = proven(chain.model) if unending else best
+    value, mine, learned, level = best.value_float, own.value_float, own.start_value, own.h
+    if not unending and not best.optimal_pairs[chain.pairs].all():
+        level = exact_policy(chain)
+        mine, learned = level.floats(), level.mean(mdp.start)
+    lost = _less(best.start_value, learned, mdp)
     ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))
     movable: Callable[[], Fraction] = Fraction
     if isinstance(lost, Fraction):
@@ -213,8 +308,10 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             each.ended(each.classes.recurrent) if unending and not each.ends_from_start else each
             for each in (chain, ideal)
         ]
-        movable = partial(forgiven, mdp, *zip(chains, (_rounded(own), _rounded(best)), strict=True))
-    by_state = _differences(best.h, own.h)
+        movable = partial(
+            forgiven, mdp, *zip(chains, (_rounded(mine), _rounded(value)), strict=True)
+        )
+    by_state = _differences(best.h, level)
     if unending:
         with np.errstate(invalid="ignore"):
             apart = np.where(value == mine, 0.0, value - mine)
@@ -230,7 +327,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
         optimal, gap = optimal | used, np.where(used, 0.0, gap)
     return Regret(
         optimal=best.start,
-        learned=Certified(value=own.start_value),
+        learned=Certified(value=learned),
         at_start=Certified(value=lost),
         optimal_value=value,
         learned_value=mine,
@@ -256,9 +353,9 @@ def _less(best: Fraction | float, own: Fraction | float, mdp: MDP) -> Fraction |
     return inf
 
 
-def _rounded(known: ExactPolicy | Certificate) -> FixedPoint:
-    """Return exact values, each rounded once; 0 where they are infinite."""
-    value = np.nan_to_num(known.value_float, posinf=0.0, neginf=0.0)
+def _rounded(exact: Floats) -> FixedPoint:
+    """Return exact values that were rounded once; 0 where they are infinite."""
+    value = np.nan_to_num(exact, posinf=0.0, neginf=0.0)
     return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
 
 
@@ -296,7 +393,7 @@ def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags
     rough = others & (doubt > ACCURATE * gap)
     if ideal is not None and mdp.floats:
         with suppress(SolverError):
-            limit = ties(ideal, _rounded(best))
+            limit = ties(ideal, _rounded(best.value_float))
             equal = others & (gap + doubt <= limit)
             open_ = np.flatnonzero(others & ~equal & (gap - doubt <= limit)).tolist()
             for pair, (top, bottom) in exact_gaps(mdp, best, open_).items():

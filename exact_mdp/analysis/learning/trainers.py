@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from exact_mdp.analysis.exit_status import answering
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.check import check
-from exact_mdp.analysis.gate.verdicts import Verdict
+from exact_mdp.analysis.gate.criteria import Verdict
 from exact_mdp.analysis.learning.anytime import excluded, fewest, share_intervals
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError

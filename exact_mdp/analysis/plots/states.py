@@ -45,7 +45,7 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 
 if TYPE_CHECKING:
     from exact_mdp.analysis.gate.audit import Audit
-    from exact_mdp.analysis.gate.comparison import PolicyComparison
+    from exact_mdp.analysis.gate.regret import PolicyComparison
     from exact_mdp.solvers.solution import Solution
     from exact_mdp.solvers.values.evaluate import Evaluation
 

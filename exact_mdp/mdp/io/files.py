@@ -167,7 +167,7 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
             os.chmod(temporary, 0o666 & ~_umask())
             os.replace(temporary, target)
         except BaseException:
-            os.unlink(temporary)
+            Path(temporary).unlink(missing_ok=True)  # a signal may come after the rename
             raise
     except OSError as error:
         if error.errno in EXHAUSTED:

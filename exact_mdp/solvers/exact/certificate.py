@@ -27,7 +27,7 @@ from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Pictured, Result
-from exact_mdp.mdp.table import Floats, Integers, Numbers, divide
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.exact import checker, codec
 from exact_mdp.solvers.exact.levels import Level, fraction, surplus
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, by_state, in_decimals, in_float
@@ -259,8 +259,7 @@ class Certificate(Proof, Pictured):
         Raises ModelError where one is beyond the floats.
         """
         level = self._average(self.g) if self.kind == "average" else self.h
-        top, below = np.array(level.top, object), np.array(level.each_below, object)
-        values: Floats = self._with_infinite(divide(self.sign * top, below))
+        values: Floats = self._with_infinite(level.floats(self.sign))
         return values
 
     def _average(self, level: Level | None) -> Level:
@@ -448,10 +447,7 @@ class BoundedCertificate(Proof, Pictured):
     @cached_property
     def _bounds(self) -> tuple[Floats, Floats]:
         sign = 1 if self.sense == "max" else -1
-        bounds = [
-            divide(sign * np.array(level.top, object), np.array(level.each_below, object))
-            for level in (self.low, self.high)[::sign]
-        ]
+        bounds = [level.floats(sign) for level in (self.low, self.high)[::sign]]
         for bound in bounds:
             bound.setflags(write=False)
         return bounds[0], bounds[1]

@@ -21,7 +21,7 @@ import flint
 import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.table import Integers, Numbers, common
+from exact_mdp.mdp.table import Floats, Integers, Numbers, common, divide
 
 BITS = 128  # of values with which most pairs are compared
 
@@ -94,6 +94,10 @@ class Level:
         numbers[:] = [fraction(sign * a, b) for a, b in zip(self.top, self.each_below, strict=True)]
         numbers.setflags(write=False)
         return numbers
+
+    def floats(self, sign: int = 1) -> Floats:
+        """Return (S,) the numbers, each rounded once, times a sign."""
+        return divide(sign * np.array(self.top, object), np.array(self.each_below, object))
 
     def over_one(self, states: Sequence[int], group: Sequence[int]) -> tuple[list[int], int]:
         """Return the numbers of some states over a common denominator; `group` is the list."""

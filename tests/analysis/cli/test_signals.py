@@ -114,7 +114,7 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_bytes(tmp_path: Path) -
     process.send_signal(signal.SIGTERM)  # as `timeout` does: to the process, then to its group
     out, err = process.communicate()
     assert gone(process.pid)
-    assert (process.returncode, out) == (143, "")
+    assert (process.returncode, out) == (143, ""), err
     assert err.startswith("stopped by SIGTERM; what is finished (runs: ")
     assert "Traceback" not in err
     kept = sorted(path.name for path in (tmp_path / "out").glob("runs-*.npz"))

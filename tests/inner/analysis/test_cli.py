@@ -25,9 +25,9 @@ from hypothesis import strategies as st
 from made_models import corridor
 
 from exact_mdp import ModelError, Policy, Scenario, SolverError, Status, check, plots, solve
-from exact_mdp.analysis import exit_status, github
+from exact_mdp.analysis import ci, exit_status
+from exact_mdp.analysis.ci import Case, write_junit
 from exact_mdp.analysis.cli.render import markdown
-from exact_mdp.analysis.gate.junit import Case, write_junit
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.plots.style import picture
@@ -247,10 +247,10 @@ def test_what_xml_cannot_hold(tmp_path: Path) -> None:
 
 
 def test_github_is_told_nothing_elsewhere(capsys: pytest.CaptureFixture[str]) -> None:
-    github.annotate("a", "b")
-    github.summarise("c")
+    ci.annotate("a", "b")
+    ci.summarise("c")
     assert capsys.readouterr() == ("", "")
-    assert github.inert("::error::x ##[y]") == "::error::x ##[y]"
+    assert ci.inert("::error::x ##[y]") == "::error::x ##[y]"
 
 
 def test_names_stay_text_in_figures(tmp_path: Path) -> None:

@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.analysis.gate.verdicts import Verdict, number
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Integers, exact, shown
+from exact_mdp.mdp.table import Integers, exact
 from exact_mdp.mdp.validate import Flags
-from exact_mdp.solvers.solution import Bounded, Certified, Claim
+from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -78,17 +77,6 @@ class RegretInterval(Result):
         if self.high <= limit:
             return True
         return False if self.low > limit else None
-
-    def verdict(
-        self, limit: Fraction | None, forgiven: Fraction, estimate: Certified | Bounded
-    ) -> Verdict:
-        """Return what the interval decides, never the estimate; without a limit, that it is 0."""
-        name = "zero" if limit is None else f"at most {shown(limit, 10)}"
-        decision = self.decided(forgiven if limit is None else limit)
-        text = f"it is in {self}; {number(estimate)} in the estimated model"
-        if decision is None:
-            text += f", which leaves the limit open: {self.open_text(limit or Fraction(0))}"
-        return Verdict("the regret", name, decision, text)
 
     def open_text(self, limit: Fraction) -> str:
         """Return what to say of a limit that the interval leaves open."""

@@ -406,11 +406,14 @@ class _ExactPass:
         chain = PolicyChain.of(mdp, policy)
         if mdp.discount_exact == 1:
             chain.require_end()
-        values = self.certificate or exact_policy(chain)
-        self.value = np.array([*map(rational, values.value)], dtype=object)
-        self.start = Certified(value=values.start_value)
+        if self.certificate is None:
+            level = exact_policy(chain)
+            value, start = level.fractions(), Certified(value=level.mean(mdp.start))
+        else:
+            value, start = self.certificate.value, self.certificate.start
+        self.value, self.start = np.array([*map(rational, value)], dtype=object), start
         self.uses = np.array([rational(0)] * mdp.n_pairs, dtype=object)
-        for state, seen in enumerate(exact_visits(chain).value):
+        for state, seen in enumerate(exact_visits(chain).fractions()):
             if seen:
                 leak = 1 - mdp.discount_exact
                 amount = rational(seen / leak if mdp.terminal[state] and leak else seen)

@@ -1,0 +1,207 @@
+"""Why a policy loses: what it reads of the state, and the errors of its Q-table.
+
+    V*(start) - V^π(start) = [V*(start) - best] + [best - V^π(start)]
+
+The first bracket is what no policy that reads the same columns can avoid (`analysis.gate.columns`),
+the second what was learned wrongly on top. A Q-table is compared with the optimal action values,
+
+    error(s, a) = Q(row(s), a) - Q*(s, a)
+
+over the pairs of all states with a choice that any policy can reach, infinities left out. A table
+that shares rows among states cannot be right everywhere, and a greedy policy can be optimal under
+large errors. What the table promises at the start, max_a Q, stands beside its greedy policy's value
+there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from exact_mdp.analysis.gate.columns import BestPolicy, Rows, best_policy
+from exact_mdp.analysis.gate.regret import Regret, policy_regret
+from exact_mdp.mdp.graph import reachable
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import by_time, rows_read
+from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.report import Shown, cell
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.solution import Bounded, Certified, difference, in_float
+from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowChange:
+    """A row of a policy's table, changed alone to the action that gains most at the start."""
+
+    row: str
+    learned: str
+    best: str
+    gain: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Representation:
+    """What the columns that a policy reads allow, and what was learned wrongly on top.
+
+    Attributes
+    ----------
+    best : BestPolicy
+        For the columns that the policy reads.
+    loss : Certified or Bounded
+        The first bracket: what no learner that reads these columns can avoid. Where the search for
+        the best policy did not end, it may be smaller, by up to `uncertainty`.
+    learning_error : Certified or Bounded
+        The second, which then is larger by as much; below 0 where the policy mixes and gains by it.
+    """
+
+    mdp: MDP
+    policy: Policy
+    best: BestPolicy
+    loss: Certified | Bounded
+    learning_error: Certified | Bounded
+
+    @classmethod
+    def of(cls, mdp: MDP, policy: Policy, lost: Regret) -> Representation:
+        """Return how much of a policy's regret `lost` its columns explain."""
+        best = best_policy(mdp, _columns(mdp, policy), start=policy)
+        chain = PolicyChain.of(mdp, best.policy)
+        loss = policy_regret(chain, optimum=lost.optimum).at_start
+        rest = difference(lost.at_start, loss)
+        return cls(mdp=mdp, policy=policy, best=best, loss=loss, learning_error=rest)
+
+    @property
+    def uncertainty(self) -> float:
+        """How much more than the best policy found another one may be worth."""
+        return 0.0 if self.best.proven else abs(self.best.upper_bound - self.best.value.value)
+
+    def __str__(self) -> str:
+        best = self.best
+        unseen = ", ".join(each for each in self.mdp.space.names if each not in best.columns)
+        proof = "proven" if best.proven else f"bound {cell(best.upper_bound)}"
+        return (
+            f"the best policy that reads {', '.join(best.columns) or 'nothing'} alone has "
+            f"{cell(best.value)} ({proof}): {cell(self.loss)} is lost because it cannot see "
+            f"{unseen}, {cell(self.learning_error)} because of what was learned"
+        )
+
+    @staticmethod
+    def facts(why: Representation | None) -> dict[str, Any]:
+        """Return what a report says of it; null where there is nothing to say."""
+        if why is None:
+            return {"representation": None, "rows": None}
+        best = why.best
+        details = {
+            "columns": best.columns,
+            "best_value": best.value.value,
+            "error_bound": best.error,
+            "upper_bound": best.upper_bound,
+            "mixed_upper_bound": best.mixed_upper_bound,
+            "proven": best.proven,
+            "loss": float(why.loss.value),
+            "learning_error": float(why.learning_error.value),
+            "uncertainty": why.uncertainty,
+            "policy": best.actions,
+        }
+        return {"representation": Shown(details, str(why)), "rows": Shown(why.rows)}
+
+    @cached_property
+    def rows(self) -> tuple[RowChange, ...]:
+        """The rows of a deterministic policy's table whose change alone gains, the most first."""
+        if not self.policy.deterministic:
+            return ()
+        mdp = self.mdp.maximised
+        rows = Rows(mdp, _columns(mdp, self.policy))
+        own, numbers = rows.choices(self.policy), np.arange(mdp.n_actions)
+        other = rows.available & rows.asked[:, None] & (own[:, None] != numbers)
+        row, action = np.nonzero(other)
+        choices = np.repeat(own[None], len(row) + 1, axis=0)
+        choices[np.arange(len(row)), row] = action
+        values, errors = rows.values(choices)
+        gain = values[:-1] - values[-1]
+        changes = {}  # by rising gain: the best of each row comes last, of equals the first action
+        for k in np.lexsort((-action, gain)).tolist():
+            if gain[k] > 2 * errors.max():
+                label = rows.space.label(int(row[k])) or "all states"
+                names = {"learned": mdp.actions[own[row[k]]], "best": mdp.actions[action[k]]}
+                changes[label] = RowChange(row=label, gain=float(gain[k]), **names)
+        return tuple(sorted(changes.values(), key=lambda change: -change.gain))
+
+
+def _columns(mdp: MDP, policy: Policy) -> tuple[str, ...]:
+    """Return the columns that a policy reads, in the model's order."""
+    return tuple(name for name in mdp.space.names if name in policy.columns)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QError:
+    """Errors of a Q-table against the optimal action values.
+
+    Attributes
+    ----------
+    largest : float
+        The greatest |error|.
+    where : str
+        State and action of that error.
+    mean : float
+        Mean error: above 0 where the table promises too much.
+    root_mean_square : float
+    visited : float
+        Root mean square error of the actions taken, each weighted by the policy's visits.
+    promised : float
+        max_a Q at the start; of costs, min_a Q.
+    """
+
+    largest: float
+    where: str
+    mean: float
+    root_mean_square: float
+    visited: float
+    promised: float
+
+    def __str__(self) -> str:
+        return (
+            f"promises {cell(self.promised)} at the start; its error: mean {cell(self.mean)}, "
+            f"root mean square {cell(self.root_mean_square)} ({cell(self.visited)} by visits), at "
+            f"most {cell(self.largest)} in {self.where}"
+        )
+
+
+def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError | None:
+    """Return the errors of the table that a policy is greedy in; None where nothing is asked.
+
+    `optimal` are the optimal action values (L,), `used` (L,) the expected uses of pairs. Where some
+    are used for ever, only these have a weight, each the same.
+    """
+    assert policy.values is not None
+    # (K, A) over the states, or the columns that the policy reads; (N, S, A) by time
+    table = by_time(mdp, policy.values, np.nan, of_actions=True)
+    keys = rows_read(mdp, policy.space)[mdp.pair_state]
+    named = [policy.actions.index(name) if name in policy.actions else -1 for name in mdp.actions]
+    column = np.array(named)[mdp.pair_action]
+    said, known = np.full(mdp.n_pairs, np.nan), (column >= 0) & (keys < len(table))
+    values = table[keys[known], column[known]]
+    with np.errstate(over="ignore"):
+        exact = values.dtype == object
+        said[known] = [in_float(x) for x in values] if exact else values.astype(np.float64)
+    asked = (reachable(mdp) & ~mdp.forced & ~mdp.terminal)[mdp.pair_state]
+    asked &= np.isfinite(said) & np.isfinite(optimal)
+    if not asked.any():
+        return None
+    error = np.where(asked, said, 0.0) - np.where(asked, optimal, 0.0)
+    weight = np.where(asked, np.isinf(used) if np.isinf(used).any() else used, 0.0)
+    total = float(weight.sum())
+    better = np.fmax if mdp.sense == "max" else np.fmin
+    best = better.reduceat(said, mdp.pair_offsets[:-1])
+    start = mdp.start_distribution > 0
+    return QError(
+        largest=float(np.abs(error).max()),
+        where=mdp.where(int(np.argmax(np.abs(error)))),
+        mean=float(error[asked].mean()),
+        root_mean_square=float(np.sqrt((error[asked] ** 2).mean())),
+        visited=float(np.sqrt(weight @ error**2 / total)) if total > 0 else 0.0,
+        promised=float(mdp.start_distribution[start] @ best[start]),
+    )
