@@ -38,7 +38,7 @@ AT_ONCE = os._exit
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ALSO_CALLED = {"--gamma": "--discount", "--plot": "--html"}
 
-Told = Callable[[int, str], None]
+OnError = Callable[[int, str], None]
 
 
 class NoAnswer(RuntimeError):
@@ -124,13 +124,13 @@ class Programs(Program, click.Group):
 
 
 def run(
-    command: click.Command, program: str, words: Sequence[str], told: Told | None = None
+    command: click.Command, program: str, words: Sequence[str], on_error: OnError | None = None
 ) -> int:
     """Run a command and return its exit status; what goes wrong is reported on standard error.
 
     What the command returns is the status; None is 0. `program` is its name in messages, `words`
-    are those after the name. If the command fails, `told` is called with status and message. With
-    --json the last line of standard error is an object with the parts of the message.
+    are those after the name. If the command fails, `on_error` is called with status and message.
+    With --json the last line of standard error is an object with the parts of the message.
     """
     output = None
     try:
@@ -163,8 +163,8 @@ def run(
     if "--json" in words:
         names = ("kind", "what", "where", "fix")
         say(json.dumps({"status": status, "error": dict(zip(names, parts, strict=True))}))
-    if told is not None:
-        told(status, message)
+    if on_error is not None:
+        on_error(status, message)
     return int(status)
 
 

@@ -90,12 +90,17 @@ def arrange(
     named = [*(down or ()), *(across or ()), *at]
     for name in named:
         space.column(name)
+    heading: tuple[str, ...] = ()
     if shape is not None:
         _check_shape(model.space, shape, named)
-        return _numbered(model, model.space, *shape)
-    if len(space.columns) < 2 or space.regular == 0:
+        named = ["row", "column"]
+        sides = (Column(name=name, size=size) for name, size in zip(named, shape, strict=True))
+        space, down, across = StateSpace(columns=tuple(sides)), named[:1], named[1:]
+        states = np.minimum(np.arange(model.n_states), space.regular)
+    elif len(space.columns) < 2 or space.regular == 0:
         return _listed(model, space)
-    space, states, heading = _headed(model, space, states)
+    else:
+        space, states, heading = _headed(model, space, states)
     rest = [name for name in space.names if name not in named]
     split = across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1
     if heading and not (down or across) and set(heading) <= set(rest):
@@ -254,21 +259,6 @@ def _along(
         for values in np.ndindex(*sizes)
     )
     return place, labels
-
-
-def _numbered(model: MDP, space: StateSpace, high: int, wide: int) -> Layout:
-    states = np.arange(space.size)
-    inside = states < space.regular
-    row, column = np.where(inside, states // wide, -1), np.where(inside, states % wide, -1)
-    return Layout(
-        row=row,
-        column=column,
-        signs=_signs(model, row, column),
-        rows=tuple(map(str, range(high))),
-        columns=tuple(map(str, range(wide))),
-        down="row",
-        across="column",
-    )
 
 
 def _listed(model: MDP, space: StateSpace) -> Layout:

@@ -70,8 +70,6 @@ def policy_gate(request: pytest.FixtureRequest) -> Callable[..., Audit | Trainer
             if isinstance(policy, list | tuple | Iterator):
                 policy = [_beside(request.path, one) for one in policy]
             result = check(mdp, policy, **{"rng": 0} | limits)
-            low, high = map(float, result.interval)
-            known = {"within": result.within, "runs": len(result.audits), "low": low, "high": high}
         else:
             if few := [name for name in OF_RUNS if name in limits]:
                 raise import_module("exact_mdp.mdp.errors").ModelError(
@@ -81,10 +79,7 @@ def policy_gate(request: pytest.FixtureRequest) -> Callable[..., Audit | Trainer
                 )
             check = import_module("exact_mdp.analysis.gate.check").check
             result = check(mdp, _beside(request.path, policy), **limits)
-            known = {"regret": float(result.regret.at_start.value), "agreement": result.agreement}
-            if result.interval is not None:
-                known["regret_interval"] = str(result.interval)
-        request.node.user_properties += [("claim", str(result.claim)), *known.items()]
+        request.node.user_properties += result.measures.items()
         if not result.passed:
             pytest.fail(result.message(), pytrace=False)
         return result

@@ -19,7 +19,7 @@ from click.shell_completion import shell_complete
 from exact_mdp.analysis import ci
 from exact_mdp.analysis.cli.commands import Commands
 from exact_mdp.analysis.cli.derive import HELP
-from exact_mdp.analysis.exit_status import REFUSED, Told, leave, run, say
+from exact_mdp.analysis.exit_status import REFUSED, OnError, leave, run, say
 
 PROGRAM = "exact-mdp"
 COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell's line that completes words
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if asked := os.environ.get(COMPLETE):
         return shell_complete(cli, {}, PROGRAM, COMPLETE, asked)
     if words:
-        status = run(cli, PROGRAM, words, told=_reporting(words))
+        status = run(cli, PROGRAM, words, on_error=_reporting(words))
     else:  # a job whose command came out empty has no verdict, so this is no success
         say(cli.get_help(click.Context(cli, info_name=PROGRAM)))
         status = REFUSED
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
-def _reporting(words: list[str]) -> Told | None:
+def _reporting(words: list[str]) -> OnError | None:
     """Let the reports of a check say why it did not end: its JUnit file, GitHub's page of the run.
 
     The file says so from the start, so that no report of an earlier run stays, whatever happens to
@@ -80,9 +80,9 @@ def _reporting(words: list[str]) -> Told | None:
         junit, title, "the check did not end: the process was killed, or is still at work"
     )
 
-    def told(_: int, message: str) -> None:
+    def on_error(_: int, message: str) -> None:
         ci.write_error(junit, title, message)
         with suppress(ValueError, OSError):
             ci.report_error(title, message)
 
-    return told
+    return on_error

@@ -143,7 +143,15 @@ def check(
     report = replace(report, title=f"{name} in {given.loaded.name}: {passed}")
     text = audit.message(explain=report.facts.get("representation") is not None)
     if junit is not None:
-        _junit(junit, given, audit, report, text, perf_counter() - started)
+        cases = [
+            ci.Case(each.name) if each.passed else ci.Case(each.name, "failure", each.told, text)
+            for each in audit.verdicts
+        ]
+        values = {"model": given.loaded.name, "learned": name} | audit.measures
+        values |= {"notice": ADVICE} if advice(given.endless) else {}
+        properties = {key: str(value) for key, value in values.items()}
+        suite, seconds = f"exact-mdp check {given.loaded.name}", perf_counter() - started
+        ci.write_junit(junit, suite, cases, seconds=seconds, properties=properties)
     if html is not None and isinstance(audit, Audit):
         words = shlex.join(["exact-mdp", *typed()])
         page = audit_page(audit, report, given.loaded.name, name, rerun=words, first=ON_PAGE)
@@ -186,29 +194,3 @@ def _audited(
     report = given.report(audit.report(explain=explain), **names)
     read_as = {"read_as": Shown(policy.read_as, policy.source or None)}
     return audit, replace(report, facts=read_as | {**report.facts})
-
-
-def _junit(
-    path: str, given: Given, result: Audit | TrainerAudit, report: Report, text: str, seconds: float
-) -> None:
-    cases = [
-        ci.Case(each.name) if each.passed else ci.Case(each.name, "failure", each.told, text)
-        for each in result.verdicts
-    ]
-    properties = {"model": given.loaded.name, "claim": str(result.claim)}
-    if isinstance(result, Audit):
-        properties |= {
-            "learned": report.facts["learned"],
-            "regret": repr(float(result.value.value)),
-            "agreement": repr(result.agreement),
-        }
-        if result.interval is not None:
-            properties["regret_interval"] = str(result.interval)
-    else:
-        low, high = map(float, result.interval)
-        properties["within"] = f"{result.within} of {len(result.audits)}"
-        properties |= {"share": f"{low!r} to {high!r}", "alpha": str(result.alpha)}
-    if advice(given.endless):
-        properties["notice"] = ADVICE
-    suite = f"exact-mdp check {given.loaded.name}"
-    ci.write_junit(path, suite, cases, seconds=seconds, properties=properties)

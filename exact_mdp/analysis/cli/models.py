@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.resources import files
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination
+from exact_mdp.mdp.graph import is_acyclic, reachable, termination
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model, save
@@ -115,7 +116,14 @@ def info(given: Given) -> Report:
     mdp, scenario = given.mdp, given.loaded.scenario
     ending = termination(mdp)
     start = [(mdp.space.label(state), weight) for state, weight in mdp.start]
-    shown = [f"{label} ({ratio(weight)})" for label, weight in start[:SHOWN]]
+    begins = (f"{label} ({ratio(weight)})" for label, weight in start)
+    never = None
+    if ending.policy is not None:
+        trapped, action = ending.trapped.tolist(), ending.policy
+        policy = {mdp.space.label(s): mdp.actions[action[s]] for s in trapped[:SHOWN]}
+        stays = some((f"{state}: {action}" for state, action in policy.items()), len(trapped))
+        content = {"states": len(trapped), "policy": policy}
+        never = Shown(content, f"a policy that stays for ever: {stays}")
     facts: dict[str, Any] = {
         "title": scenario.title if scenario else None,
         "source": scenario.source if scenario else None,
@@ -129,9 +137,9 @@ def info(given: Given) -> Report:
         "pairs": mdp.n_pairs,
         "transitions": mdp.n_transitions,
         "discount_exact": Shown(mdp.discount_exact),
-        "start": Shown(start, some(shown, start)),
+        "start": Shown(start, some(begins, len(start))),
         "terminates": Shown(ending.proven, "every policy ends" if ending.proven else "no"),
-        "never_ends": _counterexample(mdp, ending),
+        "never_ends": never,
         "acyclic": is_acyclic(mdp),
         "time_limit": Shown(
             mdp.time_limit,
@@ -154,22 +162,10 @@ def info(given: Given) -> Report:
     return given.report(Report(title=f"model {given.loaded.name}", facts=facts))
 
 
-def _counterexample(mdp: MDP, ending: Termination) -> Shown | None:
-    """Return a policy that never ends, by the first of the states that it never leaves."""
-    if ending.policy is None:
-        return None
-    trapped = ending.trapped[:SHOWN].tolist()
-    policy = {mdp.space.label(s): mdp.actions[ending.policy[s]] for s in trapped}
-    shown = some([f"{state}: {action}" for state, action in policy.items()], ending.trapped)
-    return Shown(
-        {"states": len(ending.trapped), "policy": policy}, f"a policy that stays for ever: {shown}"
-    )
-
-
-def some(shown: Sequence[str], of: Any) -> str:
-    """Return the texts shown, and how many more there are."""
-    more = len(of) - len(shown)
-    return "; ".join(shown) + (f"; {more} more" if more else "")
+def some(texts: Iterable[str], count: int) -> str:
+    """Return the first few of some texts, and how many more there are."""
+    first = [*islice(texts, SHOWN)]
+    return "; ".join(first) + (f"; {count - len(first)} more" if count > len(first) else "")
 
 
 def data(
@@ -221,11 +217,6 @@ def data(
     record = transitions.counted(file, names, progress=True)
     mdp = MDP(**record.parts(discount, unseen))
     save(mdp, out)
-    return _estimated(mdp, record, file, out, rare)
-
-
-def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: int) -> Report:
-    """Return what was counted, and what the records do not tell."""
     seen, ends, never = mdp.observations, entered(mdp), never_taken(mdp)
     assert seen is not None
     few = np.flatnonzero((seen > 0) & (seen < rare))
@@ -252,14 +243,14 @@ def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: 
             observed, f"{observed:,} observed of {offered:,}, {len(rows):,} of them rare"
         ),
         "discount": mdp.discount,
-        "ends": Shown(ends, ends and f"{some(ends[:SHOWN], ends)} (entered, never left)"),
+        "ends": Shown(ends, ends and f"{some(ends, len(ends))} (entered, never left)"),
         "n_never_taken": Shown(len(never)),
-        "never_taken": Shown(named, named and some(named[:SHOWN], never)),
+        "never_taken": Shown(named, named and some(named, len(never))),
         "rare": rows,
         "cut_off": Shown(
             stopped, f"{stopped:,} episode{'s' * (stopped != 1)}" if stopped else None
         ),
-        "cut_off_states": Shown(unknown, unknown and some(unknown[:SHOWN], unknown)),
+        "cut_off_states": Shown(unknown, unknown and some(unknown, len(unknown))),
         "model_hash": fingerprint(mdp),
     }
     title, keys = f"pairs observed fewer than {rare} times", ("state", "action", "observations")

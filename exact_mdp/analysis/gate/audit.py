@@ -58,26 +58,18 @@ class Audit(Pictured):
         reward and the priced totals.
     regret : Regret
         Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
-    found : callable
+    where : callable
         Makes `visits` and `disagreements` when they are first asked for.
     max_regret, max_relative_regret : Fraction, optional
         The limits; without either, the regret has to be zero.
     interval : RegretInterval, optional
         Where the regret lies in the process behind the records; the verdicts then rest on it, and
         all other numbers are those of the estimated model.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> from exact_mdp import check
-    >>> audit = check(mdp, [0, 0])
-    >>> print(audit.value, audit.frame()["gap"].tolist())
-    2 (certified) [2.0]
     """
 
     criterion: Total
     regret: Regret
-    found: Callable[[], Findings] = field(repr=False)
+    where: Callable[[], Findings] = field(repr=False)
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
     interval: RegretInterval | None = None
@@ -158,7 +150,7 @@ class Audit(Pictured):
 
     @cached_property
     def _findings(self) -> Findings:
-        visits, wrong = self.found()
+        visits, wrong = self.where()
         return visits, wrong if self.feasible else ()
 
     @property
@@ -326,6 +318,13 @@ class Audit(Pictured):
     @property
     def _partial(self) -> bool:
         return set(self.policy.columns) != set(self.mdp.space.names) and self.criterion.plain
+
+    @property
+    def measures(self) -> dict[str, Any]:
+        """What a test report keeps of it."""
+        known = {"claim": str(self.claim), "regret": float(self.value.value)}
+        interval = {} if self.interval is None else {"regret_interval": str(self.interval)}
+        return known | {"agreement": self.agreement} | interval
 
     # ---- words -------------------------------------------------------------------------------
 

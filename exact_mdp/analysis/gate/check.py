@@ -151,8 +151,8 @@ def check(
         about = UnderLimits.of(chain, subject_to)
 
     def audit(exactly: bool | None) -> Audit:
-        regret, found = about.loss(exactly)
-        return Audit(criterion=about, regret=regret, found=found, **most)
+        regret, where = about.loss(exactly)
+        return Audit(criterion=about, regret=regret, where=where, **most)
 
     last = exact_values is None and cheap(mdp, LAST_CYCLE)
     try:

@@ -392,5 +392,5 @@ class UnderLimits(Total):
 
     def tables(self) -> dict[str, Table]:
         """Return each limit with the policy's total, and its price or the closest to be kept."""
-        kept = ["yes" if self.keeps(limit) else "NO" for limit in self.best.limits]
-        return {"limits of the policy": self.best.table(self.totals, kept)}
+        answers = ["yes" if self.keeps(limit) else "NO" for limit in self.best.limits]
+        return {"limits of the policy": self.best.table(self.totals, answers)}

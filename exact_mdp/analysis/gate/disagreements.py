@@ -14,7 +14,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap
-from exact_mdp.analysis.gate.waiting import arrivals, attaining, kept, shares
+from exact_mdp.analysis.gate.waiting import arrivals, attaining, final_class, shares
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.exact.certificate import Certificate
@@ -118,7 +118,7 @@ def own_visits(chain: PolicyChain, *, exact: bool) -> Floats:
     if `exact` allows it; otherwise this raises SolverError.
     """
     if chain.mdp.discount_exact == 1 and not chain.ends_from_start:
-        label = kept(chain)
+        label = final_class(chain)
         return np.where(chain.reached & (label >= 0), np.inf, arrivals(chain, label))
     try:
         return np.where(chain.reached, chain.discounted.visits.value, 0.0)

@@ -409,15 +409,11 @@ def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags
 
 
 def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
-    if np.array_equal(chain.pairs, optimum.pairs):
-        own = FixedPoint(value=optimum.value, error=optimum.state_error)
-    else:
+    own = known = FixedPoint(value=optimum.value, error=optimum.state_error)
+    if not np.array_equal(chain.pairs, optimum.pairs):
         evaluation = evaluate(mdp, chain)
         own = FixedPoint(value=evaluation.value, error=evaluation.error)
-    known, near = (
-        FixedPoint(value=optimum.value, error=optimum.state_error),
-        ActionBounds(mdp, optimum),
-    )
+    near = ActionBounds(mdp, optimum)
     best, mine, ideal = at_start(mdp, known), at_start(mdp, own), taking(mdp, optimum.pairs)
     reached = FixedPoint(  # 0 where values are not known: what is not reached
         value=np.nan_to_num(own.value, posinf=0.0, neginf=0.0),
@@ -441,7 +437,7 @@ def _bounded(mdp: MDP, chain: PolicyChain, optimum: Bounds) -> Regret:
         learned_value=own.value,
         by_state=np.maximum(known.value - own.value, 0.0),
         optimal_pairs=~loses,
-        unclear=~loses & (near.most_gap > 0),
+        unclear=~loses & near.open,
         gap=np.where(loses, near.gap, 0.0),
         optimum=optimum,
         movable=partial(forgiven, mdp, (chain, reached), (ideal, known)),
@@ -483,9 +479,10 @@ class ActionBounds:
         What each pair adds to the values V that the bounds are around.
     low, high : (L,)
         Bounds of Q*(l) - V(s).
-    gap, least_gap, most_gap : (L,)
-        What the pair falls short of the optimum: the best guess, and bounds; 0 in `most_gap` where
-        it is proven to be optimal.
+    gap, least_gap : (L,)
+        What the pair falls short of the optimum: the best guess, and a lower bound.
+    open : (L,) bool
+        Whether another pair of the state may be better.
     """
 
     def __init__(self, mdp: MDP, optimum: Bounds) -> None:
@@ -501,8 +498,11 @@ class ActionBounds:
         best = np.maximum.reduceat(self.low, first)[state]
         self.gap = np.maximum.reduceat(value, first)[state] - value
         self.least_gap = _outward(best - self.high, -1, 4 * UNIT)
-        most = np.where(mdp.forced[state], self.low, _largest_other(mdp, self.high))
-        self.most_gap = np.maximum(_outward(most - self.low, 1, 4 * UNIT), 0.0)
+        leader = np.lexsort((self.high, state))[mdp.pair_offsets[1:] - 1]
+        rest, other = self.high.copy(), self.high[leader][state]
+        rest[leader] = -inf
+        other[leader] = np.maximum.reduceat(rest, first)
+        self.open = (other > self.low) & ~mdp.forced[state]
 
     def narrow(self, optimum: Bounds, chain: PolicyChain) -> float:
         """Return an upper bound on the regret that is narrow where the policy is nearly optimal."""
@@ -516,7 +516,7 @@ class ActionBounds:
         """Return whether all that a policy does where it comes is proven to be optimal."""
         mdp = self.mdp
         live = (chain.reached & ~mdp.terminal)[mdp.pair_state]
-        open_ = live & (chain.chosen > 0) & (self.most_gap > 0)
+        open_ = live & (chain.chosen > 0) & self.open
         return all(self._beats(int(pair)) for pair in np.flatnonzero(open_))
 
     def _beats(self, pair: int) -> bool:
@@ -538,19 +538,6 @@ def _outcomes(mdp: MDP, pair: int) -> tuple[Fraction, dict[int, Fraction]]:
         reward += chance * gain
         row[following] = row.get(following, Fraction(0)) + chance
     return reward, row
-
-
-def _largest_other(mdp: MDP, values: Floats) -> Floats:
-    """Return (L,) the largest value among the other pairs of the state; -inf without any."""
-    first, state = mdp.pair_offsets[:-1], mdp.pair_state
-    best = np.maximum.reduceat(values, first)
-    numbers = np.where(values == best[state], np.arange(mdp.n_pairs), mdp.n_pairs)
-    leader = np.minimum.reduceat(numbers, first)
-    rest = values.copy()
-    rest[leader] = -inf
-    other = best[state]
-    other[leader] = np.maximum.reduceat(rest, first)
-    return np.asarray(other)
 
 
 def _outward(values: Floats, sign: int, share: float = SLACK - 1) -> Floats:

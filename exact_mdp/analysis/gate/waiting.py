@@ -33,7 +33,7 @@ from exact_mdp.solvers.exact.levels import surplus
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
-def kept(chain: PolicyChain) -> Integers:
+def final_class(chain: PolicyChain) -> Integers:
     """Return (S,) the number of the class that a state is in and a policy never leaves, or -1."""
     graph, mdp = chain.graph, chain.mdp
     label = strong_components(graph)
@@ -44,7 +44,7 @@ def kept(chain: PolicyChain) -> Integers:
 
 
 def ways_out(mdp: MDP, label: Integers, optimal: Flags) -> Flags:
-    """Return (S,) states of a class (S,) of `kept` in which an optimal pair may lead out of it."""
+    """Return (S,) states of a final class (S,) in which an optimal pair may lead out of it."""
     matrix = mdp.transition
     pair = np.repeat(np.arange(mdp.n_pairs), np.diff(matrix.indptr))
     out = np.zeros(mdp.n_pairs, dtype=bool)
@@ -54,7 +54,7 @@ def ways_out(mdp: MDP, label: Integers, optimal: Flags) -> Flags:
 
 def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
     """Return (L,) pairs of a policy that are to blame for what is lost (S,) in its classes."""
-    mdp, label = chain.mdp, kept(chain)
+    mdp, label = chain.mdp, final_class(chain)
     of, taken, optimal = mdp.pair_state, chain.chosen > 0, np.asarray(best.optimal_pairs)
     departs = taken & (mdp.pair_action != best.policy[of])
     at_fault, named = taken & ~optimal, np.zeros(mdp.n_states, dtype=bool)
@@ -93,7 +93,7 @@ def shares(chain: PolicyChain, by_state: Floats, gap: Floats, wrong: Flags) -> F
 
     By the regret and the gap of each state (S,); where a gap is not 0, that is what is lost.
     """
-    label = kept(chain)
+    label = final_class(chain)
     inside = (label >= 0) & chain.reached
     came = arrivals(chain, label)
     lost = np.where(inside & (came > 0), came * np.where(came > 0, by_state, 0.0), 0.0)
@@ -114,7 +114,7 @@ def taking(mdp: MDP, pairs: Integers) -> PolicyChain:
 def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
     """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
     pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
-    sign, stays = best.infinite_sign, kept(taking(mdp, best.pairs)) >= 0
+    sign, stays = best.infinite_sign, final_class(taking(mdp, best.pairs)) >= 0
     stays |= mdp.terminal
     if not endless(mdp) or len(pairs) < 2 or stays[state] or sign[state] < 0:
         return pairs

@@ -65,13 +65,6 @@ class TrainerAudit(Pictured):
         How many runs there might have been.
     prove : bool
         Whether a share that is open fails.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> found = check_trainer(mdp, lambda seed: [seed % 2, 0], rng=0)
-    >>> found.passed, len(found.audits), found.frame()["passed"].tolist()[:4]
-    (False, 19, [True, True, True, False])
     """
 
     names: tuple[Any, ...]
@@ -143,6 +136,13 @@ class TrainerAudit(Pictured):
         decision = True if self.passed else self.proven
         least = f"at least {shown(self.share, 10)}"
         return (Verdict("the share of runs within the limits", least, decision, self._found),)
+
+    @property
+    def measures(self) -> dict[str, Any]:
+        """What a test report keeps of it."""
+        low, high = map(float, self.interval)
+        runs = {"within": self.within, "runs": len(self.audits), "low": low, "high": high}
+        return {"claim": str(self.claim)} | runs
 
     @property
     def _found(self) -> str:

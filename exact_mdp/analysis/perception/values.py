@@ -100,7 +100,7 @@ class Passes:
         """Return (N,) start values of values (S, N)."""
         return np.asarray(self.mdp.start_distribution @ values)
 
-    def worth(self, table: Floats, confusions: Floats) -> Floats:
+    def start_values(self, table: Floats, confusions: Floats) -> Floats:
         """Return (N,) the start values of a policy (P, Z, A) under confusions (N, Z, Z)."""
         return self.at_start(self.layers.mean(self.weights(table, confusions))[0])
 
@@ -180,7 +180,7 @@ def accuracy_curves(
     names = (*status_names(model), ALL)
     for name in names if statuses is None else listed(statuses, "statuses"):
         matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])
-        curves[name] = passes.worth(table, matrices)
+        curves[name] = passes.start_values(table, matrices)
     return AccuracyCurves(levels=grid, values=curves, error=passes.rounding)
 
 
@@ -243,14 +243,14 @@ def value_under_counts(
     table = passes.table(policy)
     sizes = [min(BATCH, n - first) for first in range(0, n, BATCH)]
     matrices = (counts.samples(drawn, size) for size in sizes)
-    draws = np.concatenate([passes.worth(table, some) for some in matrices])
+    draws = np.concatenate([passes.start_values(table, some) for some in matrices])
     draws.setflags(write=False)
     tail = (1 - level) / 2
     low, high = np.quantile(draws, [tail, 1 - tail]).tolist()
     error = float(draws.std(ddof=1) / np.sqrt(n)) if n > 1 else inf
     return UncertainValue(
         at_mean=Bounded(
-            value=float(passes.worth(table, counts.mean[None])[0]), error=passes.rounding
+            value=float(passes.start_values(table, counts.mean[None])[0]), error=passes.rounding
         ),
         value=Estimated(value=float(draws.mean()), standard_error=error),
         interval=(low, high),

@@ -15,40 +15,22 @@ if TYPE_CHECKING:
 
 
 @picture
-def plot_return_distribution(
-    distribution: ReturnDistribution,
-    *,
-    label: str = "",
-    bin: float | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw the probability of each return, with the mean as a line.
-
-    `label` stands before the title. With `bin`, returns are added up in stretches so long, from 0:
-    distributions with many returns and with few can be compared then.
-    """
+def plot_return_distribution(distribution: ReturnDistribution, *, ax: Axes | None = None) -> Axes:
+    """Draw the probability of each return, with the mean as a line."""
     ax = axes_or_new(ax)
     values = np.array([float(value) for value in distribution.values])
-    if bin is None or not len(values):  # every run may go on for ever
-        thick = 5 if len(values) < 20 else 1.3
-        ax.vlines(values, 0, distribution.probabilities, color="0.45", linewidth=thick)
-        if len(values) == 1:
-            ax.set_xlim(values[0] - 1, values[0] + 1)
-    else:
-        first, last = np.floor(values.min() / bin), np.floor(values.max() / bin)
-        edges = bin * np.arange(first, last + 2)
-        shares, _ = np.histogram(values, edges, weights=distribution.probabilities)
-        ax.bar(edges[:-1], shares, width=bin, align="edge", color="0.45", edgecolor="white")
-    mean, sd = distribution.mean, distribution.sd
+    thick = 5 if len(values) < 20 else 1.3
+    ax.vlines(values, 0, distribution.probabilities, color="0.45", linewidth=thick)
+    if len(values) == 1:
+        ax.set_xlim(values[0] - 1, values[0] + 1)
     ax.set_ylim(bottom=0)
-    title = f"mean {mean:.2f}, standard deviation {sd:.2f}"
+    title = f"mean {distribution.mean:.2f}, standard deviation {distribution.sd:.2f}"
     if distribution.unending:
         title = f"never ends, and is infinite, with probability {distribution.never_ends:.4g}"
     else:
-        ax.axvline(mean, color="black", linestyle="--", linewidth=1, label="mean")
-    y = "probability" if bin is None else f"probability\nof each {bin:g} points"
-    what = f"{label or 'Distribution of the return'}: {title}"
-    return described(ax, what, x="return (reward)", y=y)
+        ax.axvline(distribution.mean, color="black", linestyle="--", linewidth=1, label="mean")
+    what = f"Distribution of the return: {title}"
+    return described(ax, what, x="return (reward)", y="probability")
 
 
 @picture

@@ -6,16 +6,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from fractions import Fraction
 from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap, to_rgb
+from matplotlib.colors import ListedColormap
 from matplotlib.ticker import FuncFormatter, NullFormatter
-from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.plots.style import (
     BLACK,
@@ -24,7 +23,6 @@ from exact_mdp.analysis.plots.style import (
     LINES,
     WHITE,
     Look,
-    action_styles,
     axes_or_new,
     bars_across,
     described,
@@ -250,52 +248,40 @@ def plot_thresholds(
 
 
 @picture
-def plot_two_way(grid: TwoWay, *, state: int | None = None, ax: Axes | None = None) -> Axes:
-    """Draw which policy is optimal over two parameters, or which action in the state given.
+def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
+    """Draw which policy is optimal over two parameters.
 
-    Colours of policies have no order; a number stands in each region. The legend says the first
-    actions in which they differ, or those of the only one.
+    Shades have no order; a number stands in each region. The legend says the first actions in which
+    the policies differ, or those of the only one.
     """
-    ax, styles = axes_or_new(ax), action_styles(grid.mdp.actions)
-    x, y = grid.x_values, grid.y_values
-    shown = grid.policy if state is None else grid.actions_at(state)
-    handles = []
-    if state is None:
-        chosen = [grid.chosen(number) for number in range(int(shown.max()) + 1)]
-        count = len(chosen)
-        shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
-        colours, signs = [str(shade) for shade in shades], [str(n) for n in range(count)]
-        for number, own in enumerate(chosen[:MOST_POLICIES]):
-            told = [
-                f"{label}: {action}"
-                for label, action in own.items()
-                if count == 1 or any(other.get(label) != action for other in chosen)
-            ]
-            most = max(1, min(3, 12 // count))
-            text = ", ".join(told[:most]) + ", …" * (len(told) > most)
-            handles.append(swatch(fill(f"policy {number}: {text}", 30), (colours[number], "")))
-        what = "Which policy is optimal"
-    else:
-        colours, signs = [s.fill for s in styles], [s.short for s in styles]
-        used = np.unique(shown).tolist()
-        handles = [
-            swatch(" ".join(dict.fromkeys((styles[n].short, styles[n].name))), (colours[n], ""))
-            for n in used
+    ax, x, y, shown = axes_or_new(ax), grid.x_values, grid.y_values, grid.policy
+    chosen = [grid.chosen(number) for number in range(int(shown.max()) + 1)]
+    count, handles = len(chosen), []
+    shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]
+    for number, own in enumerate(chosen[:MOST_POLICIES]):
+        differing = [
+            f"{label}: {action}"
+            for label, action in own.items()
+            if count == 1 or any(other.get(label) != action for other in chosen)
         ]
-        what = f"Which action is optimal in {grid.mdp.space.label(state)}"
-    ends, colour_map = (-0.5, len(colours) - 0.5), ListedColormap(colours)
-    ax.pcolormesh(x, y, shown, cmap=colour_map, vmin=ends[0], vmax=ends[1], shading="nearest")
+        most = max(1, min(3, 12 // count))
+        text = ", ".join(differing[:most]) + ", …" * (len(differing) > most)
+        handles.append(swatch(fill(f"policy {number}: {text}", 30), (str(shades[number]), "")))
+    colours, ends = ListedColormap([*map(str, shades)]), (-0.5, count - 0.5)
+    ax.pcolormesh(x, y, shown, cmap=colours, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
         places = np.argwhere(shown == number)
         row = places[len(places) // 3, 0]  # the middle may be today's
         columns = places[places[:, 0] == row, 1]
         column = columns[len(columns) // 3]
-        ink = "black" if np.mean(to_rgb(colours[number])) > 0.5 else "white"
-        ax.text(x[column], y[row], signs[number], ha="center", va="center", color=ink, fontsize=7)
+        ink = "black" if shades[number] > 0.5 else "white"
+        ax.text(x[column], y[row], str(number), ha="center", va="center", color=ink, fontsize=7)
     today = (float(grid.x.value), float(grid.y.value))
     (mark,) = ax.plot(*today, "D", color=BLACK, markersize=5, label="today")
     names = {"x": _axis(grid.x), "y": _axis(grid.y)}
-    return described(ax, what, grid.mdp.name, handles=[*handles, mark], **names)
+    return described(
+        ax, "Which policy is optimal", grid.mdp.name, handles=[*handles, mark], **names
+    )
 
 
 @picture
@@ -358,37 +344,30 @@ def plot_sobol(
 def plot_acceptability(
     draws: PSA,
     *,
-    candidates: Sequence[int] | None = None,
-    tolerances: ArrayLike | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw the probability that each candidate loses at most Δ, with its 95 % interval, against Δ.
 
-    Candidates are numbers of policies in `PSA.candidates`, all unless given. Tolerances Δ that are
-    given are on a linear scale. Otherwise they reach from 0 to the largest 99 % quantile of these
-    policies' regrets; the scale is linear up to a ten-thousandth of that, then logarithmic.
+    Tolerances Δ reach from 0 to the largest 99 % quantile of the candidates' regrets; the scale is
+    linear up to a ten-thousandth of that, then logarithmic.
     """
     ax = axes_or_new(ax)
-    candidates = range(len(draws.candidates)) if candidates is None else candidates
-    if tolerances is None:
-        at = tolerances_of([draws.regret(number) for number in candidates], 201)
-        if len(at) > 1:
-            near = float(at[1])
-            ax.set_xscale("symlog", linthresh=near, linscale=0.3)
-            # Powers of 10 within the linear part would stand upon the 0.
-            powers = np.arange(np.ceil(np.log10(2 * near)), np.log10(at[-1]) + 1e-9)
-            ax.set_xticks([0.0, *10.0**powers])
-            ax.set_xticks([], minor=True)
-            ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            ax.xaxis.set_minor_formatter(NullFormatter())
-            at = np.append(np.linspace(0, near, 21), at[2:])
-    else:
-        at = np.asarray(tolerances, dtype=float)
-    for place, number in enumerate(candidates):
+    at = tolerances_of([draws.regret(number) for number in range(len(draws.candidates))], 201)
+    if len(at) > 1:
+        near = float(at[1])
+        ax.set_xscale("symlog", linthresh=near, linscale=0.3)
+        # Powers of 10 within the linear part would stand upon the 0.
+        powers = np.arange(np.ceil(np.log10(2 * near)), np.log10(at[-1]) + 1e-9)
+        ax.set_xticks([0.0, *10.0**powers])
+        ax.set_xticks([], minor=True)
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.xaxis.set_minor_formatter(NullFormatter())
+        at = np.append(np.linspace(0, near, 21), at[2:])
+    for number, candidate in enumerate(draws.candidates):
         share, low, high = draws.accepted(at, number)
-        colour, line = (BLACK, *INK)[place % 7], LINES[place % len(LINES)]
-        name = draws.candidates[number].name
-        ax.plot(at, share, linestyle=line, color=colour, label=name, marker="o" * (len(at) == 1))
+        colour, line = (BLACK, *INK)[number % 7], LINES[number % len(LINES)]
+        form: Look = {"linestyle": line, "color": colour, "marker": "o" * (len(at) == 1)}
+        ax.plot(at, share, label=candidate.name, **form)
         ax.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
     ax.set_ylim(-0.02, 1.02)
     if at.max() > 0:
@@ -400,12 +379,9 @@ def plot_acceptability(
 
 
 @picture
-def plot_cost_effectiveness(
-    analysis: CostEffectiveness, *, wtp: ArrayLike | None = None, ax: Axes | None = None
-) -> Axes:
+def plot_cost_effectiveness(analysis: CostEffectiveness, *, ax: Axes | None = None) -> Axes:
     """Draw acceptability curves over the willingness to pay; the frontier is the wide grey line."""
-    ax = axes_or_new(ax)
-    at = analysis.grid() if wtp is None else np.asarray(wtp, dtype=float)
+    ax, at = axes_or_new(ax), analysis.grid()
     frontier = [share for _, share in analysis.frontier(at)]
     ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
     shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)

@@ -92,18 +92,17 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
     ax, styles = _map(layout, ax), action_styles(model.actions, layout.signs)
     ends = _ends(model)
     choices = taken(model, policy_of(model, policy).weights(model))
-    used = set[int]()
+    used, font = set[int](), _font(layout)
     for state in layout.shown.tolist():
         where, numbers = (int(layout.column[state]), int(layout.row[state])), choices[state]
-        drawn, look = styles[numbers[0]], Look(font=_font(layout))
         if state in ends:
-            look |= {"text": ends[state][0], "fill": "0.92", "ink": "0.2", "hatch": ""}
+            cell(ax, *where, ends[state][0], fill="0.92", ink="0.2", font=font)
         elif len(numbers) > 1:
-            mixed = joined([styles[number].short for number in numbers], "mixed")
-            look |= {"text": mixed, "fill": "white", "ink": "black", "hatch": "", "font": 6}
+            cell(ax, *where, joined([styles[n].short for n in numbers], "mixed"), font=6)
         else:
             used.add(numbers[0])
-        cell(ax, *where, drawn, **look)
+            own = styles[numbers[0]]
+            cell(ax, *where, own.short, fill=own.fill, ink=own.ink, hatch=own.hatch, font=font)
     names = {styles[n].short: styles[n].name for n in range(len(styles))}
     handles = [swatch(_named(styles[n].short, names), styles[n]) for n in sorted(used)]
     handles += _signs_of_states(ax, model, layout)
@@ -171,16 +170,15 @@ def plot_states(
         signs += _counts(texts)
     else:
         ax, scale, ends = _map(layout, ax), _scale(given[layout.shown]), _ends(model)
-        numbered, style = len(layout.shown) <= NUMBERED, action_styles(["-"])[0]
+        numbered = len(layout.shown) <= NUMBERED
         for state in layout.shown.tolist():
             value, where = given[state], (int(layout.column[state]), int(layout.row[state]))
             share = float(scale(value)) if np.isfinite(value) else 0.0
             number = f"{value:.3g}" if numbered or not np.isfinite(value) else ""
             lines = [ends[state][0] if state in ends else texts[state], number]
-            text = "\n".join(line for line in lines if line) or " "
-            look: Look = {"text": text, "fill": SHADES(share), "edgecolor": "0.8"}
-            look["ink"] = "white" if share > 0.7 else "black"
-            cell(ax, *where, style, font=_font(layout), **look)
+            text, ink = "\n".join(filter(None, lines)), "white" if share > 0.7 else "black"
+            look: Look = {"fill": SHADES(share), "edgecolor": "0.8", "font": _font(layout)}
+            cell(ax, *where, text, ink=ink, **look)
         _colours(ax, scale, SHADES, label)
         signs += _signs_of_states(ax, model, layout)
     return described(ax, f"{what} of each state{acting}", model.name, handles=signs)
@@ -222,7 +220,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     Darker cells cost more. States that are only listed have their number or name in a corner.
     """
     layout, mdp = _placed(audit.mdp, place), audit.mdp
-    ax, style, font = _map(layout, ax), action_styles(["-"])[0], _font(layout)
+    ax, font = _map(layout, ax), _font(layout)
     drawn = [each for row in cells(audit, layout) for each in row if each is not None]
     ends = _ends(mdp)
     for each in drawn:
@@ -232,7 +230,7 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
         frame: Look = {"edgecolor": ORANGE if wrong else "0.8", "linewidth": 1.6 if wrong else 1.0}
         ink = "0.5" if each.kind == "idle" else "black"
         fill = LOSSES(min(each.shade, 1.0)) if wrong else "white"
-        cell(ax, *where, style, text=text, fill=fill, ink=ink, font=font, zorder=1 + wrong, **frame)
+        cell(ax, *where, text, fill=fill, ink=ink, font=font, zorder=1 + wrong, **frame)
         if each.name and font:
             corner: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
             name = each.name if len(each.name) <= 9 else f"{each.name[:8]}…"

@@ -244,30 +244,21 @@ def cell(
     ax: Axes,
     column: float,
     row: float,
-    drawn: ActionStyle,
+    text: str,
     *,
-    text: str = "",
-    fill: object = None,
-    ink: str = "",
-    font: float | None = 8,
+    fill: object = WHITE,
+    ink: str = "black",
+    hatch: str = "",
+    font: float = 8,
     **frame: Any,
 ) -> None:
-    """Draw a cell of a map in an action's style, with its sign or another text; none at font 0."""
-    face = drawn.fill if fill is None else fill
-    frame = {"edgecolor": "black", "hatch": drawn.hatch} | frame
-    ax.add_patch(Rectangle((column, row), 1, 1, facecolor=face, **frame))
-    if font == 0:
-        return
-    ax.text(
-        column + 0.5,
-        row + 0.5,
-        text or drawn.short,
-        ha="center",
-        va="center",
-        color=ink or drawn.ink,
-        fontsize=font,
-        bbox={"facecolor": face if frame["hatch"] else "none", "edgecolor": "none", "pad": 1.2},
-    )
+    """Draw a cell of a map, with a text; none at font 0."""
+    frame = {"edgecolor": "black"} | frame
+    ax.add_patch(Rectangle((column, row), 1, 1, facecolor=fill, hatch=hatch, **frame))
+    if font:
+        box = {"facecolor": fill if hatch else "none", "edgecolor": "none", "pad": 1.2}
+        centre: Look = {"ha": "center", "va": "center", "fontsize": font, "bbox": box}
+        ax.text(column + 0.5, row + 0.5, text, color=ink, **centre)
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:

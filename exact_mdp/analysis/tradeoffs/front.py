@@ -90,16 +90,6 @@ class Front(TotalsProof, Pictured):
         A deterministic policy for each vertex, in rising order of the first total.
     corners : tuple of Corner
         Weights at which the best vertex changes.
-
-    Examples
-    --------
-    >>> rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (0, 2, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
-    >>> parts = {"help": [0, 2, 3, 0], "calm": [5, 4, 0, 0]}
-    >>> front = tradeoff(MDP.from_outcomes(rows, components=parts), ["help", "calm"])
-    >>> [tuple(map(str, vertex)) for vertex in front.vertices]
-    [('0', '5'), ('2', '4'), ('3', '0')]
-    >>> [str(edge.rate) for edge in front.edges], front.violations()
-    (['1/2', '4'], [])
     """
 
     attained: tuple[Attained, ...]
@@ -181,69 +171,50 @@ class Front(TotalsProof, Pictured):
         def named(values: Any) -> dict[str, Fraction]:
             return dict(zip(self.names, values, strict=True))
 
-        mdp = self.of.mdp
-        vertices = [
-            {
-                "values": named(vertex),
-                "policy": of_every_state(mdp, [mdp.actions[a] for a in policy]),
-            }
-            for vertex, policy in zip(self.vertices, self.policies, strict=True)
-        ]
-        edges = [
-            {
-                "from": edge.start,
-                "to": edge.end,
-                "rate": named(edge.rate) if isinstance(edge.rate, tuple) else edge.rate,
-            }
-            for edge in self.edges
-        ]
-        beside: list[dict[str, Any]] = [
-            {
-                "policy": name,
-                "values": named(self.totals(policy)),
-                "distance": self.distance(policy),
-            }
-            for name, policy in (policies or {}).items()
-        ]
-        two = len(self.names) == 2
-        rates = [None, *(each["rate"] for each in edges)]
+        mdp, two = self.of.mdp, len(self.names) == 2
+        policies = policies or {}
+        choices = ([mdp.actions[action] for action in policy] for policy in self.policies)
         each = {name: f"{name}:.10g" for name in self.names}
-        return Report(
-            title="front",
-            facts={
-                "names": list(self.names),
-                "claim": self.claim,
-                "vertices": vertices,
-                "edges": Shown(edges),
-                "facets": Shown(
-                    [
-                        {"weights": named(weights), "vertices": list(tight)}
-                        for weights, tight in self.facets
-                    ]
-                ),
-                "policies": beside,
-            },
-            tables={
-                "vertices": Table(
-                    title="vertices of the front",
-                    rows=[
-                        named(vertex) | ({"rate of exchange": rates[number]} if two else {})
-                        for number, vertex in enumerate(self.vertices)
-                    ],
-                    columns={**each, "rate": "rate of exchange:.6g"} if two else each,
-                    note=f"rate: how much {self.names[1]} one point of {self.names[0]} costs on "
-                    "the way from the row above"
-                    if two
-                    else "",
-                ),
-                "policies": Table(
-                    title="policies beside the front",
-                    rows=[one | one["values"] for one in beside],
-                    columns={"policy": "policy", **each, "distance": "distance:.6g"},
-                    note="distance: by how much every total could be better at once",
-                ),
-            },
+        rates = [None, *(edge.rate for edge in self.edges)] if two else [None] * len(self.attained)
+        note = "rate: how much {1} one point of {0} costs on the way from the row above"
+        facts: dict[str, Any] = {
+            "names": list(self.names),
+            "claim": self.claim,
+            "vertices": [
+                {"values": named(vertex), "policy": of_every_state(mdp, names)}
+                for vertex, names in zip(self.vertices, choices, strict=True)
+            ],
+            "edges": Shown(
+                [
+                    {"from": e.start, "to": e.end, "rate": e.rate if two else named(e.rate)}
+                    for e in self.edges
+                ]
+            ),
+            "facets": Shown(
+                [{"weights": named(w), "vertices": list(tight)} for w, tight in self.facets]
+            ),
+            "policies": [
+                {"policy": name, "values": named(self.totals(p)), "distance": self.distance(p)}
+                for name, p in policies.items()
+            ],
+        }
+        vertices = Table(
+            title="vertices of the front",
+            rows=[
+                named(vertex) | {"rate of exchange": rate}
+                for vertex, rate in zip(self.vertices, rates, strict=True)
+            ],
+            columns=each | ({"rate": "rate of exchange:.6g"} if two else {}),
+            note=note.format(*self.names) if two else "",
         )
+        beside = Table(
+            title="policies beside the front",
+            rows=[one | one["values"] for one in facts["policies"]],
+            columns={"policy": "policy", **each, "distance": "distance:.6g"},
+            note="distance: by how much every total could be better at once",
+        )
+        tables = {"vertices": vertices, "policies": beside}
+        return Report(title="front", facts=facts, tables=tables)
 
     def frame(self) -> DataFrame:
         """Return the vertices, one in each row, and what the step from the one before costs."""
@@ -281,18 +252,17 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
 
     Examples
     --------
-    >>> scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    >>> front = tradeoff(scenario, ["anger", "subtask-complete"])
-    >>> len(front.vertices) == len(front.edges) + 1, front.violations()
-    (True, [])
+    >>> rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (0, 2, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
+    >>> parts = {"help": [0, 2, 3, 0], "calm": [5, 4, 0, 0]}
+    >>> front = tradeoff(MDP.from_outcomes(rows, components=parts), ["help", "calm"])
+    >>> [tuple(map(str, vertex)) for vertex in front.vertices]
+    [('0', '5'), ('2', '4'), ('3', '0')]
+    >>> [str(edge.rate) for edge in front.edges], front.violations()
+    (['1/2', '4'], [])
     """
     if isinstance(names, str) or not isinstance(names, Sequence) or len(names) not in (2, 3):
         many = len(names) if isinstance(names, Sequence) and not isinstance(names, str) else names
-        raise ModelError(
-            f"a front of {many!r} totals",
-            where="tradeoff",
-            fix="name two or three",
-        )
+        raise ModelError(f"a front of {many!r} totals", where="tradeoff", fix="name two or three")
     of = Objectives.of(mdp_of(model), names)
     own = of.rows.pair_state[of.rows.pair]
     moves = sp.csr_array((np.ones(len(own)), (own, of.rows.next)), (of.mdp.n_states,) * 2)

@@ -94,16 +94,6 @@ class Rationalization(TotalsProof):
         Policies that nothing less than the change makes worse than this one, with multipliers.
     intervals : tuple of Interval
         The multipliers of each component alone under which the policy is optimal, with proofs.
-
-    Examples
-    --------
-    >>> rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
-    >>> parts = {"gain": [6, 3, 0], "effort": [-1, 0, 0]}
-    >>> weights = rationalize(MDP.from_outcomes(rows, components=parts), {"0": "1", "1": "0"})
-    >>> weights.change, weights.weights
-    (Fraction(1, 2), {'gain': Fraction(1, 2), 'effort': Fraction(3, 2)})
-    >>> weights.alone["effort"], weights.violations()
-    ((Fraction(3, 1), inf), [])
     """
 
     change: Fraction
@@ -213,9 +203,11 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
 
     Examples
     --------
-    >>> scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    >>> rationalize(scenario, "optimal").change
-    Fraction(0, 1)
+    >>> rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+    >>> parts = {"gain": [6, 3, 0], "effort": [-1, 0, 0]}
+    >>> weights = rationalize(MDP.from_outcomes(rows, components=parts), {"0": "1", "1": "0"})
+    >>> weights.weights, weights.alone["effort"], weights.violations()
+    ({'gain': Fraction(1, 2), 'effort': Fraction(3, 2)}, (Fraction(3, 1), inf), [])
     """
     mdp = mdp_of(model)
     of = Objectives.of(mdp, mdp.component_names)
@@ -238,7 +230,7 @@ class _Search:
 
     def __init__(self, of: Objectives, totals: Point) -> None:
         self.of, self.totals = of, totals
-        self.found: list[tuple[Flow, Point]] = []
+        self.policies: list[tuple[Flow, Point]] = []
 
     def beaten(self, weights: Sequence[Fraction]) -> Level | None:
         """Return what proves that the policy is optimal for weights; None after one beats it."""
@@ -252,7 +244,7 @@ class _Search:
         visits = replace(level, top=[level.top[s] for s in taken], group=level.group[taken])
         flow = Flow(pairs=pairs[taken], visits=visits)
         lead = tuple(a - b for a, b in zip(flow.totals(self.of), self.totals, strict=True))
-        self.found.append((flow, lead))
+        self.policies.append((flow, lead))
         return None
 
     def least(self) -> tuple[list[Fraction], Fraction, Level, tuple[Cut, ...]]:
@@ -262,12 +254,12 @@ class _Search:
         bounds = [[*row, ONE] for row in unit] + [[*(-x for x in row), ONE] for row in unit]
         gain = [ONE] * size + [-ONE] * size
         while True:
-            columns = bounds + [[*(-x for x in lead), ZERO] for _, lead in self.found]
-            solved = maximise([*gain, *[ZERO] * len(self.found)], columns, [*[ZERO] * size, ONE])
+            columns = bounds + [[*(-x for x in lead), ZERO] for _, lead in self.policies]
+            solved = maximise([*gain, *[ZERO] * len(self.policies)], columns, [*[ZERO] * size, ONE])
             *weights, change = solved.y
             dual = self.beaten(weights)
             if dual is not None:
-                each = zip(self.found, solved.x[2 * size :], strict=False)
+                each = zip(self.policies, solved.x[2 * size :], strict=False)
                 cuts = tuple(Cut(flow=other, multiplier=x) for (other, _), x in each if x)
                 return weights, change, dual, cuts
 
@@ -282,12 +274,12 @@ class _Search:
 
         beaten(inf)
         while True:
-            lines = [(lead[k], sum(lead) - lead[k]) for _, lead in self.found]
+            lines = [(lead[k], sum(lead) - lead[k]) for _, lead in self.policies]
             low, high = allowed(lines)
             each = [allowed([line]) for line in lines]
             binding = [i for i, own in enumerate(each) if low > 0 and own[0] == low][:1]
             binding += [i for i, own in enumerate(each) if high < inf and own[1] == high][:1]
-            cuts = tuple(self.found[i][0] for i in sorted({*binding}))
+            cuts = tuple(self.policies[i][0] for i in sorted({*binding}))
             if low > high:
                 return Interval(low=None, high=None, at_low=None, at_high=None, cuts=cuts)
             at_low = beaten(low)

@@ -50,11 +50,6 @@ class RegretInterval(Result):
     claim : Claim
         Bounded where the ends are bounds for every process in the sets, estimated where they are
         drawn or worked out in floats without a bound of the rounding; at the confidence, in both.
-
-    Examples
-    --------
-    >>> RegretInterval(low=0.0, high=0.5, confidence=0.95, by="robust", assumptions=(), found={})
-    RegretInterval([0, 0.5] at 95 % confidence, robust)
     """
 
     low: float
