@@ -19,7 +19,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.graph import reachable, ways_out
@@ -28,6 +27,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, ratio
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.dynamic.iterate import check_tolerance
 from exact_mdp.solvers.endless.average import AverageSolution
 from exact_mdp.solvers.exact.certify import certify as certified
@@ -43,9 +43,6 @@ from exact_mdp.solvers.solver import SOLVERS, Criterion, solve
 if TYPE_CHECKING:
     from exact_mdp.solvers.exact.certificate import Certificate
     from exact_mdp.solvers.objectives.limits import ConstrainedSolution
-
-Mask = NDArray[np.bool_]
-
 
 LISTED = 1000  # states whose actions are listed
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
@@ -90,7 +87,7 @@ class Optimum:
         return np.asarray(self.best.state_error)
 
     @cached_property
-    def optimal(self) -> Mask:
+    def optimal(self) -> Flags:
         """(L,) the optimal pairs; up to the error bound where there is no certificate."""
         if self.certificate is not None:
             return self.certificate.optimal_pairs
@@ -273,7 +270,7 @@ def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
     return dict(zip(state_names(mdp.space), said, strict=True))
 
 
-def _serves_each_status(mdp: MDP, optimal: Mask) -> bool:
+def _serves_each_status(mdp: MDP, optimal: Flags) -> bool:
     """Return whether some action is optimal, by pairs (L,), in all states of each status."""
     values, size = mdp.space.values("status"), mdp.space.column("status").size
     asked = reachable(mdp) & ~mdp.forced & (values >= 0)

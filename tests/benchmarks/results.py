@@ -36,14 +36,14 @@ def write(rows: Rows, bandwidth: float, folder: Path) -> None:
     write_atomically(folder / "RESULTS.md", "\n".join(_page(rows, bandwidth)) + "\n")
     with plots.style():
         if _leading(rows):
-            plots.save(figure := _ratios(rows), folder, "results_ratio")
+            (figure := _ratios(rows)).savefig(folder / "results_ratio.png")
             plt.close(figure)
         for name, what in (("results_time", "seconds"), ("results_memory", "memory")):
             large = [row for row in rows if what == "seconds" or row["bytes"] >= LARGE]
             if not large:
                 continue
             figure = _figure(large, bandwidth, what)
-            plots.save(figure, folder, name)
+            figure.savefig(folder / f"{name}.png")
             plt.close(figure)
 
 

@@ -34,17 +34,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, Loss, findings, listed
+from exact_mdp.analysis.gate.disagreements import Loss, findings, listed
 from exact_mdp.analysis.gate.exact_policy import flow_of
-from exact_mdp.analysis.gate.forgiveness import per_use
+from exact_mdp.analysis.gate.forgiveness import per_use, rounded
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
 from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
 from exact_mdp.solvers.bounds.bounds import Bounds
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT
-from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.bounds.gains import SLACK
 from exact_mdp.solvers.endless.chain import AverageEvaluation, ExactAverages
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import Level, surplus
@@ -185,11 +184,7 @@ class Average(Total):
         else:
             assert own is not None
             lost, disagreements = _bounded(rewards, own), ()
-        return lost.of_sense(mdp.sense), partial(_both, visits, disagreements)
-
-
-def _both(visits: Floats, disagreements: tuple[Disagreement, ...]) -> Findings:
-    return visits, disagreements
+        return lost.of_sense(mdp.sense), lambda: (visits, disagreements)
 
 
 def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:
@@ -208,7 +203,7 @@ def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:
     forgiven = Fraction(0)
     if mdp.floats:
         # The rounding of a row, and of the best one, can cause the whole gap.
-        most = per_use(step, _rounded(best.bias))
+        most = per_use(step, rounded(best.bias))
         most = most + most[best.pairs][step.pair_state]
         optimal |= gap.astype(np.float64) * SLACK <= most
         ideal = ExactAverages(rows.of_pairs(best.pairs))
@@ -244,17 +239,11 @@ def _movable(
         return np.array(means, dtype=object)
 
     inside = own.classes.recurrent
-    on_the_way = each(per_use(step, _rounded(gain), rewards=False))
+    on_the_way = each(per_use(step, rounded(gain), rewards=False))
     on_the_way[inside] = Fraction(0)
-    moved = own.spread(own.mean(each(per_use(step, _rounded(bias)))))
+    moved = own.spread(own.mean(each(per_use(step, rounded(bias)))))
     moved = moved + own.total(on_the_way, inside)
     return sum((p * moved[state] for state, p in step.start), Fraction(0))
-
-
-def _rounded(values: Numbers) -> FixedPoint:
-    """Return exact values, each rounded once."""
-    floats = values.astype(np.float64)
-    return FixedPoint(value=floats, error=UNIT * np.abs(floats))
 
 
 def _bounded(mdp: MDP, own: AverageEvaluation) -> Regret:

@@ -23,7 +23,7 @@ from fractions import Fraction
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.solution import SolverError
@@ -52,6 +52,12 @@ def _moved_by_rows(mdp: MDP, x: Floats, error: Floats) -> Floats:
     places = np.where(ahead >= middle[pair], np.arange(len(x)), len(x))
     median = x[order[np.minimum.reduceat(places, first)]]
     return np.add.reduceat(half * (np.abs(x - median[pair]) + error), first)
+
+
+def rounded(exact: Numbers) -> FixedPoint:
+    """Return exact values as floats, with the error of that; 0 where they are infinite."""
+    value = np.nan_to_num(exact.astype(np.float64), posinf=0.0, neginf=0.0)
+    return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
 
 
 def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:

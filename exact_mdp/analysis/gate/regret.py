@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import exact_gaps, exact_policy
-from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, ties
+from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, rounded, ties
 from exact_mdp.analysis.gate.waiting import taking, to_blame
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
@@ -308,9 +308,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             each.ended(each.classes.recurrent) if unending and not each.ends_from_start else each
             for each in (chain, ideal)
         ]
-        movable = partial(
-            forgiven, mdp, *zip(chains, (_rounded(mine), _rounded(value)), strict=True)
-        )
+        movable = partial(forgiven, mdp, *zip(chains, (rounded(mine), rounded(value)), strict=True))
     by_state = _differences(best.h, level)
     if unending:
         with np.errstate(invalid="ignore"):
@@ -353,12 +351,6 @@ def _less(best: Fraction | float, own: Fraction | float, mdp: MDP) -> Fraction |
     return inf
 
 
-def _rounded(exact: Floats) -> FixedPoint:
-    """Return exact values that were rounded once; 0 where they are infinite."""
-    value = np.nan_to_num(exact, posinf=0.0, neginf=0.0)
-    return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY)
-
-
 def _unending_gaps(
     mdp: MDP, chain: PolicyChain, best: Certificate, by_state: Floats
 ) -> tuple[Flags, Floats]:
@@ -393,7 +385,7 @@ def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags
     rough = others & (doubt > ACCURATE * gap)
     if ideal is not None and mdp.floats:
         with suppress(SolverError):
-            limit = ties(ideal, _rounded(best.value_float))
+            limit = ties(ideal, rounded(best.value_float))
             equal = others & (gap + doubt <= limit)
             open_ = np.flatnonzero(others & ~equal & (gap - doubt <= limit)).tolist()
             for pair, (top, bottom) in exact_gaps(mdp, best, open_).items():

@@ -20,11 +20,10 @@ with extra("plots"):
     )
     from exact_mdp.analysis.plots.sensitivity import plot_optimal_actions, plot_thresholds
     from exact_mdp.analysis.plots.states import plot_policy, plot_states
-    from exact_mdp.analysis.plots.style import action_styles, save, style
+    from exact_mdp.analysis.plots.style import style
     from exact_mdp.analysis.plots.transitions import plot_transitions
 
 __all__ = [
-    "action_styles",
     "plot_confusion",
     "plot_distinct",
     "plot_influence",
@@ -37,6 +36,5 @@ __all__ = [
     "plot_thresholds",
     "plot_transitions",
     "plot_value_bands",
-    "save",
     "style",
 ]

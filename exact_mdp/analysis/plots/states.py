@@ -28,10 +28,10 @@ from exact_mdp.analysis.plots.style import (
     BLUE,
     ORANGE,
     Look,
-    action_styles,
     axes_or_new,
     cell,
     described,
+    fill_of,
     name_rows,
     narrow,
     picture,
@@ -89,8 +89,7 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
     ['∎', '∎', '∎', '∎', '∎', '←']
     """
     layout = _placed(model, place)
-    ax, styles = _map(layout, ax), action_styles(model.actions, layout.signs)
-    ends = _ends(model)
+    ax, signs, ends = _map(layout, ax), layout.signs, _ends(model)
     choices = taken(model, policy_of(model, policy).weights(model))
     used, font = set[int](), _font(layout)
     for state in layout.shown.tolist():
@@ -98,13 +97,13 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
         if state in ends:
             cell(ax, *where, ends[state][0], fill="0.92", ink="0.2", font=font)
         elif len(numbers) > 1:
-            cell(ax, *where, joined([styles[n].short for n in numbers], "mixed"), font=6)
+            cell(ax, *where, joined([signs[n] for n in numbers], "mixed"), font=6)
         else:
             used.add(numbers[0])
-            own = styles[numbers[0]]
-            cell(ax, *where, own.short, fill=own.fill, ink=own.ink, hatch=own.hatch, font=font)
-    names = {styles[n].short: styles[n].name for n in range(len(styles))}
-    handles = [swatch(_named(styles[n].short, names), styles[n]) for n in sorted(used)]
+            color, hatch, ink = fill_of(numbers[0])
+            cell(ax, *where, signs[numbers[0]], fill=color, ink=ink, hatch=hatch, font=font)
+    names = dict(zip(signs, model.actions, strict=True))
+    handles = [swatch(_named(signs[n], names), fill_of(n)[:2]) for n in sorted(used)]
     handles += _signs_of_states(ax, model, layout)
     return described(ax, "What the policy does", model.name, handles=handles)
 

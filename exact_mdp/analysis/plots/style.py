@@ -1,16 +1,13 @@
-"""One look for every figure: colours, axes, titles, legends, bars, cells; saving it whole.
+"""One look for every figure: colours, axes, titles, legends, bars, cells.
 
 Every text is shown as it is written: names may hold "$", which matplotlib takes for a formula.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import wraps
-from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
@@ -20,9 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import Text
 
-from exact_mdp.analysis.layout import symbols
 from exact_mdp.mdp.errors import named_options
-from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.table import Numbers
 
 Arguments = ParamSpec("Arguments")
@@ -57,42 +52,11 @@ SETTINGS: dict[Any, Any] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class ActionStyle:
-    """How one action is drawn: fill, hatching, the letters on it and their colour."""
-
-    name: str
-    short: str
-    fill: str
-    hatch: str
-    ink: str
-
-
-def action_styles(actions: Sequence[str], signs: Sequence[str] = ()) -> list[ActionStyle]:
-    """Return one style for each action.
-
-    Parameters
-    ----------
-    actions : sequence of A str
-    signs : sequence of A str, optional
-        What stands for each in a cell; see `layout.symbols`, which it is unless given.
-
-    Returns
-    -------
-    list of A ActionStyle
-
-    Examples
-    --------
-    >>> [style.short for style in action_styles(["none", "supportive"])]
-    ['a0', 'a1']
-    """
-    styles = []
-    for number, (name, short) in enumerate(zip(actions, signs or symbols(actions), strict=True)):
-        fill = PALETTE[number % len(PALETTE)]
-        dark = sum(int(fill[i : i + 2], 16) for i in (1, 3, 5)) < 330
-        hatch, ink = HATCHES[number % len(HATCHES)], "white" if dark else "black"
-        styles.append(ActionStyle(name=name, short=short, fill=fill, hatch=hatch, ink=ink))
-    return styles
+def fill_of(number: int) -> tuple[str, str, str]:
+    """Return the fill, the hatching and the ink on it of one of several actions."""
+    fill, hatch = PALETTE[number % len(PALETTE)], HATCHES[number % len(HATCHES)]
+    dark = sum(int(fill[i : i + 2], 16) for i in (1, 3, 5)) < 330
+    return fill, hatch, "white" if dark else "black"
 
 
 def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
@@ -203,10 +167,9 @@ def narrow(ax: Axes) -> bool:
     return figure is not None and float(figure.get_size_inches()[0]) < NARROW
 
 
-def swatch(label: str, drawn: ActionStyle | tuple[str, str]) -> Patch:
-    """Return a legend's handle for an action, or for a fill and a hatching."""
-    fill, hatch = drawn if isinstance(drawn, tuple) else (drawn.fill, drawn.hatch)
-    return Patch(facecolor=fill, edgecolor="black", hatch=hatch, label=label)
+def swatch(label: str, look: tuple[str, str]) -> Patch:
+    """Return a legend's handle for a fill and a hatching."""
+    return Patch(facecolor=look[0], edgecolor="black", hatch=look[1], label=label)
 
 
 def bars_across(
@@ -259,41 +222,3 @@ def cell(
         box = {"facecolor": fill if hatch else "none", "edgecolor": "none", "pad": 1.2}
         centre: Look = {"ha": "center", "va": "center", "fontsize": font, "bbox": box}
         ax.text(column + 0.5, row + 0.5, text, color=ink, **centre)
-
-
-def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as SVG and PNG, each whole or not at all.
-
-    Parameters
-    ----------
-    figure : Figure
-    folder : path
-        An existing one.
-    name : str
-        Of the files, without an ending.
-
-    Returns
-    -------
-    list of path
-        Where the two files are.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     [path.name for path in save(Figure(), Path(folder), "empty")]
-    ['empty.svg', 'empty.png']
-    """
-    paths = [folder / f"{name}.{kind}" for kind in ("svg", "png")]
-    for path in paths:
-        save_as(figure, path)
-    return paths
-
-
-def save_as(figure: Figure, path: Path) -> None:
-    """Write a figure as the path's ending says, svg or png, whole or not at all."""
-    _as_written(figure)
-    kind, buffer = path.suffix.lower().removeprefix("."), io.BytesIO()
-    with _context({"svg.fonttype": "none", "svg.hashsalt": "exact-mdp"}):
-        figure.savefig(buffer, format=kind, metadata={"Date": None} if kind == "svg" else {})
-    write_atomically(path, buffer.getvalue())

@@ -266,7 +266,7 @@ def test_names_stay_text_in_figures(tmp_path: Path) -> None:
         return ax
 
     with plots.style():
-        plots.save(plot().figure, tmp_path, "names")
+        plot().figure.savefig(tmp_path / "names.svg")
     root = ElementTree.parse(tmp_path / "names.svg").getroot()
     texts = {"".join(text.itertext()) for text in root.iter("{http://www.w3.org/2000/svg}text")}
     assert {"from $x^$ to $y$", "<script>&\"'", "$\\frac$", "</text>"} <= texts
