@@ -174,7 +174,8 @@ def _parts(model: MDP) -> tuple[StateSpace, Integers] | None:
         distinct = _sorted(list(dict.fromkeys(each[k] for each in tuples)))
         place = {value: number for number, value in enumerate(distinct)}
         values[k, inside] = [place[each[k]] for each in tuples]
-        words = tuple(map(_word, distinct))
+        texts = [(text_of(value), repr(value)) for value in distinct]
+        words = tuple(a if a.strip() and a.isprintable() else b for a, b in texts)
         columns.append(Column(name=field, size=len(distinct), words=words, objects=tuple(distinct)))
     if prod(column.size for column in columns) > SPARSE * len(tuples):
         return None
@@ -189,11 +190,6 @@ def _sorted(values: list[Any]) -> list[Any]:
         return sorted(values)
     except TypeError:  # of several kinds
         return values
-
-
-def _word(value: Hashable) -> str:
-    text = text_of(value)
-    return text if text.strip() and text.isprintable() else repr(value)
 
 
 def _headed(
@@ -219,19 +215,14 @@ def _headed(
     columns = list(space.columns)
     for each, k in zip(change, heading, strict=True):
         if each[k] < 0:
-            columns[k] = _turned(columns[k])
-            values[k] = columns[k].size - 1 - values[k]
+            own, back = columns[k], range(columns[k].size)[::-1]
+            words, objects = tuple(map(own.label, back)), tuple(map(own.thing, back))
+            columns[k] = Column(name=own.name, size=own.size, words=words, objects=objects)
+            values[k] = own.size - 1 - values[k]
     number = states.copy()
     number[inside] = np.ravel_multi_index([*values[:, inside]], [c.size for c in columns])
     names = tuple(columns[k].name for k in heading)
     return replace(space, columns=tuple(columns)), number, names
-
-
-def _turned(column: Column) -> Column:
-    """Return a column whose values count the other way."""
-    back = range(column.size)[::-1]
-    words, things = tuple(map(column.label, back)), tuple(map(column.thing, back))
-    return Column(name=column.name, size=column.size, words=words, objects=things)
 
 
 def _blocks(

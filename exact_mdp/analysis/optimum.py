@@ -138,7 +138,13 @@ class Optimum:
         status = "status" in mdp.space.names and not self.average
         stationary = self.stationary() if status else None
         policy = [mdp.actions[action] for action in np.asarray(self.best.policy)]
-        words = by_status_or_state(mdp, policy)
+        words: dict[str, Any] = {"policy": None, "policy_by_state": None}
+        if {"subtask", "trial", "status"} <= set(mdp.space.names):
+            column = mdp.space.column("status")
+            first = {column.label(n): mdp.space.index(status=n) for n in range(column.size)}
+            words["policy"] = {label: policy[state] for label, state in first.items()}
+        elif mdp.n_states <= LISTED:
+            words["policy_by_state"] = dict(zip(state_names(mdp.space), policy, strict=True))
         facts = {
             "claim": Shown(self.start.claim),
             "start_value": Shown(float(self.start), self.start),
@@ -239,17 +245,6 @@ def state_names(space: StateSpace) -> list[str]:
         column = space.columns[0]
         return [*(column.label(value) for value in range(column.size)), *space.extra]
     return space.labels(range(space.size))
-
-
-def by_status_or_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:
-    """Return what is said of each state by status at subtask 0, trial 0, or by state if few."""
-    if {"subtask", "trial", "status"} <= set(mdp.space.names):
-        column = mdp.space.column("status")
-        first = {column.label(value): mdp.space.index(status=value) for value in range(column.size)}
-        return {"policy": {label: said[s] for label, s in first.items()}, "policy_by_state": None}
-    if mdp.n_states > LISTED:
-        return {"policy": None, "policy_by_state": None}
-    return {"policy": None, "policy_by_state": dict(zip(state_names(mdp.space), said, strict=True))}
 
 
 def of_every_state(mdp: MDP, said: Sequence[Any]) -> dict[str, Any]:

@@ -114,21 +114,17 @@ def _documented(function: ast.FunctionDef) -> tuple[str, dict[str, tuple[str, st
     text = cleandoc(ast.get_docstring(function) or "")
     head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", text)
     rest = next((each for each in sections if each.startswith("Parameters")), "\n\n")
-    return head, dict(_sections(rest.split("\n", 2)[2]))
+    said: dict[str, tuple[str, str]] = {}
+    for block in re.split(r"\n(?=\S)", rest.split("\n", 2)[2]):
+        form, _, below = block.partition("\n")
+        names, _, kind = form.partition(" : ")
+        said |= dict.fromkeys(names.split(", "), (kind, " ".join(below.split())))
+    return head, said
 
 
 @cache
 def _tree(module: str) -> ast.Module:
     return ast.parse(PACKAGE.joinpath(*module.split(".")).with_suffix(".py").read_text("utf-8"))
-
-
-def _sections(text: str) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Yield name, type and text of each parameter in numpydoc's section of them."""
-    for block in re.split(r"\n(?=\S)", text):
-        head, _, below = block.partition("\n")
-        names, _, form = head.partition(" : ")
-        for name in names.split(", "):
-            yield name, (form, " ".join(below.split()))
 
 
 def _parameters(args: ast.arguments, said: dict[str, tuple[str, str]]) -> Iterator[Parameter]:

@@ -34,7 +34,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.gate.disagreements import Loss, findings, listed
+from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, Loss, findings, listed
 from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.analysis.gate.forgiveness import per_use, rounded
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
@@ -184,7 +184,11 @@ class Average(Total):
         else:
             assert own is not None
             lost, disagreements = _bounded(rewards, own), ()
-        return lost.of_sense(mdp.sense), lambda: (visits, disagreements)
+        return lost.of_sense(mdp.sense), partial(_both, visits, disagreements)
+
+
+def _both(visits: Floats, disagreements: tuple[Disagreement, ...]) -> Findings:
+    return visits, disagreements  # an audit can be pickled, and a lambda cannot
 
 
 def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:

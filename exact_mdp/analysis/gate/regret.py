@@ -33,6 +33,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import ratio
 from exact_mdp.mdp.result import Brief, Pictured
 from exact_mdp.mdp.table import LARGEST, Floats, shown
 from exact_mdp.mdp.table import exact as exact_number
@@ -223,28 +224,16 @@ class PolicyComparison(Pictured):
         """Return a row for each policy, with its exact value where that is short."""
         import pandas
 
-        return pandas.DataFrame(
-            [
-                {
-                    "policy": name,
-                    "value": float(each.learned.value),
-                    "regret": float(each.at_start.value),
-                    "exact": _short(each.learned),
-                    "claim": str(each.learned.claim),
-                }
-                for name, each in self.regrets.items()
-            ]
-        )
+        rows = []
+        for name, each in self.regrets.items():
+            value, claim = each.learned.value, each.learned.claim
+            short = claim == Claim.CERTIFIED and len(ratio(value)) <= LONGEST
+            exact, regret = value if short else None, float(each.at_start.value)
+            rows.append((name, float(value), regret, exact, str(claim)))
+        return pandas.DataFrame(rows, columns=["policy", "value", "regret", "exact", "claim"])
 
     def __repr__(self) -> str:
         return f"PolicyComparison({len(self.regrets)} policies; optimal value {self.value})"
-
-
-def _short(value: Certified | Bounded) -> Fraction | float | None:
-    """Return a certified value that a column of a table has room for."""
-    if not isinstance(value, Certified) or len(str(value.value)) > LONGEST:
-        return None
-    return value.value
 
 
 def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> PolicyComparison:
@@ -508,19 +497,12 @@ class ActionBounds:
         """Return whether all that a policy does where it comes is proven to be optimal."""
         mdp = self.mdp
         live = (chain.reached & ~mdp.terminal)[mdp.pair_state]
-        open_ = live & (chain.chosen > 0) & self.open
-        return all(self._beats(int(pair)) for pair in np.flatnonzero(open_))
-
-    def _beats(self, pair: int) -> bool:
-        """Return whether all other pairs of the state are worse, or have the same outcomes."""
-        mdp, own = self.mdp, None
-        for other in mdp.pairs_of(int(mdp.pair_state[pair])):
-            if other == pair or self.high[other] <= self.low[pair]:
-                continue
-            own = _outcomes(mdp, pair) if own is None else own
-            if _outcomes(mdp, other) != own:
-                return False
-        return True
+        return all(  # all other pairs are worse, or have the same outcomes
+            _outcomes(mdp, other) == _outcomes(mdp, pair)
+            for pair in np.flatnonzero(live & (chain.chosen > 0) & self.open).tolist()
+            for other in mdp.pairs_of(int(mdp.pair_state[pair]))
+            if other != pair and self.high[other] > self.low[pair]
+        )
 
 
 def _outcomes(mdp: MDP, pair: int) -> tuple[Fraction, dict[int, Fraction]]:

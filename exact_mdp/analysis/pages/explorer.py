@@ -27,7 +27,7 @@ from exact_mdp.analysis.vary.base_case import held_at
 from exact_mdp.analysis.vary.curves import curve as exact_curves
 from exact_mdp.analysis.vary.curves.checker import RationalFunction
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
-from exact_mdp.analysis.vary.ranges import Range, ranges_of, unit_of
+from exact_mdp.analysis.vary.ranges import ranges_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
@@ -183,7 +183,11 @@ def explore(
             raise ModelError(f"{name} has no range", where="explorer", fix="state a range")
     name = names[0]
     second = parameter_of(family, names[1]) if len(names) == 2 else None
-    grid = () if second is None else _grid(spans[second.name], second.value, n)
+    grid: tuple[Fraction, ...] = ()
+    if second is not None:
+        span, today = spans[second.name], second.value
+        steps = {span.low + (span.high - span.low) * k / (n - 1) for k in range(n)}
+        grid = tuple(sorted(steps | ({today} if span.low <= today <= span.high else set())))
     curves = []
     for value in grid or (None,):
         here, where = family, ""
@@ -212,11 +216,6 @@ def _prove(family: Parametric, curve: ValueFunction) -> None:
     for point in certified(curve):
         if proven(family.at({curve.parameter.name: point})).start_value != curve.at(point):
             raise RuntimeError(f"the curve is not the optimum at {point}")
-
-
-def _grid(span: Range, today: Fraction, n: int) -> tuple[Fraction, ...]:
-    steps = {span.low + (span.high - span.low) * k / (n - 1) for k in range(n)}
-    return tuple(sorted(steps | ({today} if span.low <= today <= span.high else set())))
 
 
 # ---- what the script of the page reads ---------------------------------------------------------

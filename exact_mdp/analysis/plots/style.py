@@ -143,22 +143,17 @@ def described(
 ) -> Axes:
     """Return the axes with a title (what is shown, and of which model), their names, a legend.
 
-    The legend has the `handles`, or what was drawn with a label, below the title `legend`.
+    The legend has the `handles`, or what was drawn with a label, below the title `legend`, to the
+    right of the axes, or below them where the figure is narrow.
     """
     ax.set_title(f"{what} \N{EN DASH} {model}" if model else what)
     ax.set(**{key: text for key, text in (("xlabel", x), ("ylabel", y)) if text})
-    if handles or ax.get_legend_handles_labels()[1]:
-        _legend_beside(ax, handles or None, legend)
+    if drawn := handles or ax.get_legend_handles_labels()[0]:
+        columns = 2 if max(len(str(each.get_label())) for each in drawn) < 20 else 1
+        under: Look = {"bbox_to_anchor": (0.0, -0.25), "ncols": columns, "fontsize": "small"}
+        place: Look = under if narrow(ax) else {"bbox_to_anchor": (1.02, 1.0)}
+        ax.legend(handles=handles or None, title=legend, loc="upper left", **place)
     return ax
-
-
-def _legend_beside(ax: Axes, handles: Sequence[Any] | None, title: str) -> None:
-    """Draw the legend to the right of the axes, or below them where the figure is narrow."""
-    drawn = ax.get_legend_handles_labels()[0] if handles is None else handles
-    columns = 2 if max((len(str(each.get_label())) for each in drawn), default=0) < 20 else 1
-    under: Look = {"bbox_to_anchor": (0.0, -0.25), "ncols": columns, "fontsize": "small"}
-    place: Look = under if narrow(ax) else {"bbox_to_anchor": (1.02, 1.0)}
-    ax.legend(handles=handles, title=title, loc="upper left", **place)
 
 
 def narrow(ax: Axes) -> bool:

@@ -237,6 +237,12 @@ def test_start_goal_and_holes_are_told_apart() -> None:
     assert "∎ an episode ends" in [text.get_text() for text in solved.get_texts()]
 
 
+def test_a_value_of_thousands_of_digits_is_left_out_of_the_table() -> None:
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, Fraction(1, 3**9100))]), (1, 0, [(1, 1, 0)])])
+    frame = compare(mdp, {"only": "always:0"}).frame()
+    assert (frame["exact"].tolist(), frame["claim"].tolist()) == ([None], ["certified"])
+
+
 def test_named_states_keep_their_names() -> None:
     names = ["in good health", "ill", "dead"]
     moves = [[["1/2", "1/2", 0], [0, "1/2", "1/2"], [0, 0, 1]]] * 2
