@@ -141,25 +141,38 @@ def check(
     name = learned[0] if single else f"{len(report.facts['policies'])} policies"
     passed = "passed" if audit.passed else "failed"
     report = replace(report, title=f"{name} in {given.loaded.name}: {passed}")
+    _publish(given, audit, report, name, (junit, html), perf_counter() - started)
+    return report
+
+
+def _publish(
+    given: Given,
+    audit: Audit | TrainerAudit,
+    report: Report,
+    name: str,
+    files: tuple[str | None, str | None],
+    seconds: float,
+) -> None:
+    """Write the JUnit report, the page and what GitHub shows of a step, where these are wanted."""
+    (junit, html), model = files, given.loaded.name
     text = audit.message(explain=report.facts.get("representation") is not None)
     if junit is not None:
         cases = [
             ci.Case(each.name) if each.passed else ci.Case(each.name, "failure", each.told, text)
             for each in audit.verdicts
         ]
-        values = {"model": given.loaded.name, "learned": name} | audit.measures
+        values = {"model": model, "learned": name} | audit.measures
         values |= {"notice": ADVICE} if advice(given.endless) else {}
         properties = {key: str(value) for key, value in values.items()}
-        suite, seconds = f"exact-mdp check {given.loaded.name}", perf_counter() - started
+        suite = f"exact-mdp check {model}"
         ci.write_junit(junit, suite, cases, seconds=seconds, properties=properties)
     if html is not None and isinstance(audit, Audit):
         words = shlex.join(["exact-mdp", *typed()])
-        page = audit_page(audit, report, given.loaded.name, name, rerun=words, first=ON_PAGE)
+        page = audit_page(audit, report, model, name, rerun=words, first=ON_PAGE)
         write_atomically(html, page)
     ci.summarise(markdown(report))
     if not report.passed:
         ci.annotate(report.title, text)
-    return report
 
 
 def _audited(

@@ -74,21 +74,17 @@ class Commands(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command; None where there is none of the name."""
-        if cmd_name not in self.commands:
-            for made in MADE.values():
-                if cmd_name in made:
-                    target, shared = made[cmd_name]
-                    with_policy = {"kind", "perception"} & {*shared} or cmd_name in (
-                        "risk",
-                        "tradeoff",
-                    )
-                    self.commands[cmd_name] = command(
-                        cmd_name,
-                        f"analysis.cli.{target}",
-                        shared,
-                        markdown=cmd_name == "check",
-                        epilog=POLICY if with_policy else "",
-                    )
+        made = {name: each for group in MADE.values() for name, each in group.items()}
+        if cmd_name in made and cmd_name not in self.commands:
+            target, shared = made[cmd_name]
+            policies = {"kind", "perception"} & {*shared} or cmd_name in ("risk", "tradeoff")
+            self.commands[cmd_name] = command(
+                cmd_name,
+                f"analysis.cli.{target}",
+                shared,
+                markdown=cmd_name == "check",
+                epilog=POLICY if policies else "",
+            )
         return self.commands.get(cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

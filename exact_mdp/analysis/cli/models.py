@@ -17,7 +17,7 @@ from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.graph import is_acyclic, reachable, termination
+from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model, save
@@ -117,13 +117,6 @@ def info(given: Given) -> Report:
     ending = termination(mdp)
     start = [(mdp.space.label(state), weight) for state, weight in mdp.start]
     begins = (f"{label} ({ratio(weight)})" for label, weight in start)
-    never = None
-    if ending.policy is not None:
-        trapped, action = ending.trapped.tolist(), ending.policy
-        policy = {mdp.space.label(s): mdp.actions[action[s]] for s in trapped[:SHOWN]}
-        stays = some((f"{state}: {action}" for state, action in policy.items()), len(trapped))
-        content = {"states": len(trapped), "policy": policy}
-        never = Shown(content, f"a policy that stays for ever: {stays}")
     facts: dict[str, Any] = {
         "title": scenario.title if scenario else None,
         "source": scenario.source if scenario else None,
@@ -139,7 +132,7 @@ def info(given: Given) -> Report:
         "discount_exact": Shown(mdp.discount_exact),
         "start": Shown(start, some(begins, len(start))),
         "terminates": Shown(ending.proven, "every policy ends" if ending.proven else "no"),
-        "never_ends": never,
+        "never_ends": None if ending.policy is None else _stays(mdp, ending),
         "acyclic": is_acyclic(mdp),
         "time_limit": Shown(
             mdp.time_limit,
@@ -160,6 +153,16 @@ def info(given: Given) -> Report:
         }
     facts["model_hash"] = fingerprint(mdp)
     return given.report(Report(title=f"model {given.loaded.name}", facts=facts))
+
+
+def _stays(mdp: MDP, ending: Termination) -> Shown:
+    """Return a policy that never ends, by the first of the states that it never leaves."""
+    assert ending.policy is not None
+    trapped, choice = ending.trapped.tolist(), ending.policy
+    policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:SHOWN]}
+    states = some((f"{state}: {action}" for state, action in policy.items()), len(trapped))
+    content = {"states": len(trapped), "policy": policy}
+    return Shown(content, f"a policy that stays for ever: {states}")
 
 
 def some(texts: Iterable[str], count: int) -> str:
@@ -217,6 +220,11 @@ def data(
     record = transitions.counted(file, names, progress=True)
     mdp = MDP(**record.parts(discount, unseen))
     save(mdp, out)
+    return _estimated(mdp, record, file, out, rare)
+
+
+def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: int) -> Report:
+    """Return what was counted, and what the records do not tell."""
     seen, ends, never = mdp.observations, entered(mdp), never_taken(mdp)
     assert seen is not None
     few = np.flatnonzero((seen > 0) & (seen < rare))
