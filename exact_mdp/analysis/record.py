@@ -6,6 +6,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -26,32 +27,26 @@ def run_record(
     `model` is the model as the user named it, `solver` the solver with its settings, `command` the
     words of the command line.
     """
+    versions = {"python": platform.python_version()}
+    for name in PACKAGES:
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
     return {
         "command": list(command),
         "model": model,
         "model_hash": fingerprint(mdp) if isinstance(mdp, MDP) else None,
         "solver": solver,
         "seed": seed,
-        "versions": {"python": platform.python_version()} | _versions(),
+        "versions": versions,
         "platform": f"{sys.platform} {platform.machine()}",
         "commit": _commit(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 
-def _versions() -> dict[str, str]:
-    versions = {}
-    for name in PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return versions
-
-
 def _commit() -> str | None:
     """Return the commit of the source, marked where it was changed; None outside a checkout."""
-    root = Path(__file__).resolve().parent.parent
+    root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return None
     words = ["git", "-C", str(root), *COMMIT]
