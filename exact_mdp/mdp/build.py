@@ -123,10 +123,10 @@ class FromArrays(Parts):
                     else "leave it out; or give the rows of each state's actions, by state",
                 )
             if (layout or fitting[0]) == "sas":
-                rows, found = listed.rows_of(P, R, costs=names.get("sense") == "min")
-                return cls.from_outcomes(rows, discount, start=start, **(found | names))
-            P, listed_pairs, keys, found = listed.by_action(P)
-            names, layout = found | names, layout or (None if len(fitting) == 2 else "ass")
+                rows, own_names = listed.rows_of(P, R, costs=names.get("sense") == "min")
+                return cls.from_outcomes(rows, discount, start=start, **(own_names | names))
+            P, listed_pairs, keys, own_names = listed.by_action(P)
+            names, layout = own_names | names, layout or (None if len(fitting) == 2 else "ass")
         rows, shape, order = _rows_of_matrices(P, "P", layout)
         states, actions = shape
         swapped = None

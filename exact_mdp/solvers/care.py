@@ -221,8 +221,8 @@ def optimal(model: Scenario, names: Sequence[str], draws: ArrayLike) -> CareValu
     Examples
     --------
     >>> scenario = Scenario.load("yuan2025")
-    >>> found = optimal(scenario, ["base.anger"], [[0.05], [0.1]])
-    >>> found.start.round(6).tolist(), found.gaps[0, 0].argmin().item()
+    >>> optima = optimal(scenario, ["base.anger"], [[0.05], [0.1]])
+    >>> optima.start.round(6).tolist(), optima.gaps[0, 0].argmin().item()
     ([146.235871, 143.338709], 2)
     """
     batch = Batch(model, names, draws)

@@ -373,10 +373,10 @@ class Solution(Valued, Pictured):
     Examples
     --------
     >>> from exact_mdp.solvers import solve
-    >>> found = solve(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
-    >>> found.value.tolist(), found.policy.tolist(), found.start.interval
+    >>> solution = solve(MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]]))
+    >>> solution.value.tolist(), solution.policy.tolist(), solution.start.interval
     ([3.0, 0.0], [1, 0], (2.99..., 3.00...))
-    >>> found.frame().action.tolist(), found.q.tolist(), found.gap_table.tolist()
+    >>> solution.frame().action.tolist(), solution.q.tolist(), solution.gap_table.tolist()
     (['1', '0'], [[1.0, 3.0], [0.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])
     """
 

@@ -135,8 +135,8 @@ def solve(
     --------
     >>> wait, go = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
     >>> mdp = MDP.from_arrays([wait, go], [[1, "3/2"], [0, 0]])
-    >>> found = solve(mdp, horizon=3)
-    >>> found.start_value, [found.mdp.actions[a] for a in found.policy[[0, 2, 4]]]
+    >>> solution = solve(mdp, horizon=3)
+    >>> solution.start_value, [solution.mdp.actions[a] for a in solution.policy[[0, 2, 4]]]
     (1.875, ['0', '0', '1'])
     >>> solve(mdp, horizon=3, terminal_value=[4, 0]).start_value
     2.25

@@ -101,23 +101,23 @@ def records(sign: int) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["episode", "state", "action", "reward", "next_state"])
 
 
-def audited(found: Any) -> Told:
-    lost = found.regret
+def audited(audit: Any) -> Told:
+    lost = audit.regret
     signed = [lost.optimal.value, lost.learned.value, *lost.optimal_value, *lost.learned_value]
-    same = [lost.at_start.value, *lost.by_state, *lost.gap, *lost.optimal_pairs, found.passed]
-    same += [number for each in found.disagreements for number in (each.state, each.gap, each.cost)]
-    return signed, [*same, found.agreement, found.relative_regret]
+    same = [lost.at_start.value, *lost.by_state, *lost.gap, *lost.optimal_pairs, audit.passed]
+    same += [number for each in audit.disagreements for number in (each.state, each.gap, each.cost)]
+    return signed, [*same, audit.agreement, audit.relative_regret]
 
 
-def solved(found: Any) -> Told:
-    gaps = found.gap_table[found.mdp.pair_state, found.mdp.pair_action]
-    return [found.start_value, *found.value], [*found.policy, *gaps, found.error_bound]
+def solved(solution: Any) -> Told:
+    gaps = solution.gap_table[solution.mdp.pair_state, solution.mdp.pair_action]
+    return [solution.start_value, *solution.value], [*solution.policy, *gaps, solution.error_bound]
 
 
 def with_interval(sign: int, by: Any) -> Told:
-    found = check(recorded(sign), POLICY, confidence=0.9, by=by)
-    signed, same = audited(found)
-    return signed, [*same, found.interval.low, found.interval.high]
+    audit = check(recorded(sign), POLICY, confidence=0.9, by=by)
+    signed, same = audited(audit)
+    return signed, [*same, audit.interval.low, audit.interval.high]
 
 
 def span(sign: int, low: int, high: int) -> tuple[int, int]:
@@ -126,9 +126,9 @@ def span(sign: int, low: int, high: int) -> tuple[int, int]:
 
 
 def limited(sign: int) -> Told:
-    found = solve(model(sign), subject_to=limits(sign))
-    signed = [found.start_value, *found.totals.values(), *found.closest.values()]
-    return signed, [*found.prices.values(), *found.rule.ravel(), found.violations()]
+    solution = solve(model(sign), subject_to=limits(sign))
+    signed = [solution.start_value, *solution.totals.values(), *solution.closest.values()]
+    return signed, [*solution.prices.values(), *solution.rule.ravel(), solution.violations()]
 
 
 def limits(sign: int) -> dict[str, str]:
@@ -137,126 +137,136 @@ def limits(sign: int) -> dict[str, str]:
 
 
 def fronts(sign: int) -> Told:
-    found = tradeoff(model(sign), ["anger", "rest"])
-    signed = [number for vertex in found.vertices for number in vertex]
-    return signed, [found.violations(), len(found.vertices)]
+    front = tradeoff(model(sign), ["anger", "rest"])
+    signed = [number for vertex in front.vertices for number in vertex]
+    return signed, [front.violations(), len(front.vertices)]
 
 
 def weighed(sign: int) -> Told:
-    found = rationalize(model(sign), POLICY)
-    return [], [found.change, *found.weights.values(), *found.alone.values(), found.violations()]
+    least_change = rationalize(model(sign), POLICY)
+    return [], [
+        least_change.change,
+        *least_change.weights.values(),
+        *least_change.alone.values(),
+        least_change.violations(),
+    ]
 
 
 def bars(sign: int) -> Told:
-    found = tornado(family(sign), policy=POLICY)
-    ends = [end for bar in found.bars for end in (bar.low, bar.high)]
+    ends_of = tornado(family(sign), policy=POLICY)
+    ends = [end for bar in ends_of.bars for end in (bar.low, bar.high)]
     signed = [number for end in ends for number in (end.optimal.value, end.fixed.value)]
-    return signed, [bar.parameter.name for bar in found.bars] + [end.regret.value for end in ends]
+    return signed, [bar.parameter.name for bar in ends_of.bars] + [end.regret.value for end in ends]
 
 
 def line(sign: int) -> Told:
-    found = one_way(family(sign), "p", policy=POLICY, points=5)
-    signed = [number for p in found.points for number in (p.optimal.value, p.fixed.value)]
-    return signed, [p.regret.value for p in found.points]
+    points = one_way(family(sign), "p", policy=POLICY, points=5)
+    signed = [number for p in points.points for number in (p.optimal.value, p.fixed.value)]
+    return signed, [p.regret.value for p in points.points]
 
 
 def plane(sign: int) -> Told:
-    found = two_way(family(sign), "p", "q", policy=POLICY, points=4)
-    signed = [*found.value.ravel(), *found.fixed_value.ravel()]
-    return signed, [*found.choices.ravel(), *found.policy.ravel()]
+    grid = two_way(family(sign), "p", "q", policy=POLICY, points=4)
+    signed = [*grid.value.ravel(), *grid.fixed_value.ravel()]
+    return signed, [*grid.choices.ravel(), *grid.policy.ravel()]
 
 
 def slopes(sign: int) -> Told:
-    found = gradient(family(sign), policy=POLICY)
-    own = [each.value.value for each in found.derivatives.values()]
-    return [found.start.value, *own], [each.elasticity for each in found.derivatives.values()]
+    slope = gradient(family(sign), policy=POLICY)
+    own = [each.value.value for each in slope.derivatives.values()]
+    return [slope.start.value, *own], [each.elasticity for each in slope.derivatives.values()]
 
 
 def crossings(sign: int) -> Told:
-    found = thresholds(family(sign), "p", ("1/100", "99/100"))
-    return [], [number for each in found.found for number in (each.value, each.state)]
+    switches = thresholds(family(sign), "p", ("1/100", "99/100"))
+    return [], [number for each in switches.found for number in (each.value, each.state)]
 
 
 def pieces(sign: int) -> Told:
-    found = curve(family(sign), "p", ("1/100", "99/100"), policy=POLICY)
+    value_curve = curve(family(sign), "p", ("1/100", "99/100"), policy=POLICY)
     at = ["1/100", "1/7", "1/2", "5/6"]
-    signed = [found.at(x) for x in at] + [found.fixed_at(x) for x in at]
-    ends = [number for each in found.within("1/10") for number in (*each.low, *each.high)]
-    return signed, [found.violations(), len(found.pieces), *ends]
+    signed = [value_curve.at(x) for x in at] + [value_curve.fixed_at(x) for x in at]
+    ends = [number for each in value_curve.within("1/10") for number in (*each.low, *each.high)]
+    return signed, [value_curve.violations(), len(value_curve.pieces), *ends]
 
 
 def drawn(sign: int) -> Told:
-    found = psa(family(sign), 60, rng=0, policy=POLICY)
-    worth = found.evpi()
-    signed = [*found.optimal, *found.values.ravel()]
-    same = [worth.low.value, worth.high.value, found.evpi_of_candidates().value, *found.regret()]
-    same += [each.regression.value for each in found.evppi().values()]
-    same += [each.lower.value for each in found.evppi().values()]
-    same += [each.value for each in found.acceptability([0, 0.1])]
-    same += [each.name for each in found.candidates]
-    return signed, [*same, *found.lost.ravel(), *found.counts.ravel()]
+    analysis = psa(family(sign), 60, rng=0, policy=POLICY)
+    evpi = analysis.evpi()
+    signed = [*analysis.optimal, *analysis.values.ravel()]
+    same = [
+        evpi.low.value,
+        evpi.high.value,
+        analysis.evpi_of_candidates().value,
+        *analysis.regret(),
+    ]
+    same += [each.regression.value for each in analysis.evppi().values()]
+    same += [each.lower.value for each in analysis.evppi().values()]
+    same += [each.value for each in analysis.acceptability([0, 0.1])]
+    same += [each.name for each in analysis.candidates]
+    return signed, [*same, *analysis.lost.ravel(), *analysis.counts.ravel()]
 
 
 def indices(sign: int) -> Told:
-    found = sobol(family(sign), policy=POLICY, n=16, rng=0)
-    outputs = (found.optimal, found.fixed, found.regret)
+    shares = sobol(family(sign), policy=POLICY, n=16, rng=0)
+    outputs = (shares.optimal, shares.fixed, shares.regret)
     return [], [number for each in outputs for number in (*each.first, *each.total)]
 
 
 def against_nature(sign: int) -> Told:
-    found = robust(model(sign), policy=POLICY)
-    starts = (found.value, found.worst, found.robust.start, found.optimistic.start)
-    return [each.value for each in starts], [*found.robust.policy]
+    cases = robust(model(sign), policy=POLICY)
+    starts = (cases.value, cases.worst, cases.robust.start, cases.optimistic.start)
+    return [each.value for each in starts], [*cases.robust.policy]
 
 
 def along_radii(sign: int) -> Told:
-    found = robust_curve(model(sign), "l1", [0, 0.1], policy=POLICY)
-    return [n for _, each in found.points for n in (each.worst.value, each.robust.start.value)], []
+    cases = robust_curve(model(sign), "l1", [0, 0.1], policy=POLICY)
+    return [n for _, each in cases.points for n in (each.worst.value, each.robust.start.value)], []
 
 
 def learned(sign: int) -> Told:
     own = model(sign)
     run = QLearning(epochs=20, discount="9/10").train(own, rng=3)
-    found = outcomes(own, [run])
-    return [*run.q.ravel(), *run.returns], [*run.policies.ravel(), *found.regret]
+    runs = outcomes(own, [run])
+    return [*run.q.ravel(), *run.returns], [*run.policies.ravel(), *runs.regret]
 
 
 def over_epochs(sign: int) -> Told:
     own = model(sign)
-    found = learning_curve(own, QLearning(epochs=5).train(own, rng=0), rng=0, n=20)
-    return [*found.sampled, *found.value], [*found.standard_error, *found.error]
+    by_epoch = learning_curve(own, QLearning(epochs=5).train(own, rng=0), rng=0, n=20)
+    return [*by_epoch.sampled, *by_epoch.value], [*by_epoch.standard_error, *by_epoch.error]
 
 
 def trainers(sign: int) -> Told:
-    found = check_trainer(model(sign), lambda seed: [seed % 2, 0, 0, 0], rng=0, runs=30)
-    return [], [found.passed, *found.frame()["regret"]]
+    verdict = check_trainer(model(sign), lambda seed: [seed % 2, 0, 0, 0], rng=0, runs=30)
+    return [], [verdict.passed, *verdict.frame()["regret"]]
 
 
 def sampled(sign: int) -> Told:
-    found = simulate(model(sign), POLICY, 50, 0)
-    return [found.mean, *found.returns], [found.standard_error, *found.steps]
+    sample = simulate(model(sign), POLICY, 50, 0)
+    return [sample.mean, *sample.returns], [sample.standard_error, *sample.steps]
 
 
 def spread(sign: int) -> Told:
-    found = return_distribution(model(sign, 1), POLICY)
-    signed = [found.mean]
-    told = {sign * value: chance for value, chance in found.as_dict().items()}
-    return signed, [found.sd, *(n for pair in sorted(told.items()) for n in pair)]
+    law = return_distribution(model(sign, 1), POLICY)
+    signed = [law.mean]
+    chances = {sign * value: chance for value, chance in law.as_dict().items()}
+    return signed, [law.sd, *(n for pair in sorted(chances.items()) for n in pair)]
 
 
 def measured(sign: int) -> Told:
-    found = evaluate(model(sign, 1), "random")
-    quantiles = [found.quantiles[share] for share in (0.25, 0.75)][::sign]
-    return [found.mean, *found.components.values(), *found.value, *quantiles], [
-        found.sd, found.steps, *found.occupancy,
+    evaluation = evaluate(model(sign, 1), "random")
+    quantiles = [evaluation.quantiles[share] for share in (0.25, 0.75)][::sign]
+    return [evaluation.mean, *evaluation.components.values(), *evaluation.value, *quantiles], [
+        evaluation.sd, evaluation.steps, *evaluation.occupancy,
     ]  # fmt: skip
 
 
 def averaged(sign: int) -> Told:
-    found = certify(endless(sign), criterion="average")
+    optimum = certify(endless(sign), criterion="average")
     mine = evaluate(endless(sign), [0, 0], criterion="average")
-    signed = [*found.value, *found.bias, *solve(endless(sign), criterion="average").value]
-    return [*signed, mine.start.value], [*found.policy, found.violations()]
+    signed = [*optimum.value, *optimum.bias, *solve(endless(sign), criterion="average").value]
+    return [*signed, mine.start.value], [*optimum.policy, optimum.violations()]
 
 
 def endless(sign: int) -> MDP:
@@ -269,25 +279,27 @@ def endless(sign: int) -> MDP:
 
 
 def average_check(sign: int) -> Told:
-    found = check(endless(sign), [1, 0], criterion="average")
-    return [found.regret.optimal.value, found.regret.learned.value], [found.regret.at_start.value]
+    audit = check(endless(sign), [1, 0], criterion="average")
+    return [audit.regret.optimal.value, audit.regret.learned.value], [audit.regret.at_start.value]
 
 
 def tails(sign: int) -> Told:
-    found = mean_cvar(model(sign, 1), "1/4", policies={"mine": POLICY}, horizon=4)
+    points = mean_cvar(model(sign, 1), "1/4", policies={"mine": POLICY}, horizon=4)
     best = best_cvar(model(sign, 1), "1/4", horizon=4)
-    return [n for point in found.policies.values() for n in point] + [best.value, best.mean], []
+    return [n for point in points.policies.values() for n in point] + [best.value, best.mean], []
 
 
 def compared(sign: int) -> Told:
-    found = compare(model(sign), {"mine": POLICY, "coin": "random", "best": "optimal"})
-    each = list(found.regrets.values())
-    return [found.value.value, *(r.learned.value for r in each)], [r.at_start.value for r in each]
+    comparison = compare(model(sign), {"mine": POLICY, "coin": "random", "best": "optimal"})
+    each = list(comparison.regrets.values())
+    return [comparison.value.value, *(r.learned.value for r in each)], [
+        r.at_start.value for r in each
+    ]
 
 
 def by_columns(sign: int) -> Told:
-    found = best_policy(model(sign), [])
-    return [found.value.value, found.upper_bound], [*found.policy.weights(model(sign))]
+    best = best_policy(model(sign), [])
+    return [best.value.value, best.upper_bound], [*best.policy.weights(model(sign))]
 
 
 TABLE: dict[str, Callable[[int], Told]] = {
@@ -336,10 +348,10 @@ TABLE: dict[str, Callable[[int], Told]] = {
 
 
 def flat(numbers: Any) -> list[Any]:
-    found: list[Any] = []
+    facts: list[Any] = []
     for each in numbers:
-        found += flat(each) if isinstance(each, tuple | list | np.ndarray) else [each]
-    return found
+        facts += flat(each) if isinstance(each, tuple | list | np.ndarray) else [each]
+    return facts
 
 
 @pytest.mark.parametrize("name", TABLE)

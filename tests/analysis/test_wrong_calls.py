@@ -377,10 +377,10 @@ def test_no_optimum_is_shown_that_ignores_a_limit(tmp_path: Path) -> None:
         assert_policy_optimal(MODEL, [0, 0], subject_to=limit)
     MODEL.save(tmp_path / "model.npz")
     words = ["check", tmp_path / "model.npz", "always:slow", "--subject-to", "steps <= 1/2"]
-    found = run(*words, "--json").result
-    assert found["learned_value"] == float(audit.regret.learned.value)
+    result = run(*words, "--json").result
+    assert result["learned_value"] == float(audit.regret.learned.value)
     unknown = ("optimal_value", "regret", "exact_regret", "relative_regret", "agreement")
-    assert [found[name] for name in unknown] == [None] * 5
+    assert [result[name] for name in unknown] == [None] * 5
     assert "optimal" not in run(*words).out
 
 
@@ -437,8 +437,8 @@ def test_what_is_advised_can_be_done(tmp_path: Path, sense: str, earned: int) ->
             seen += 1
             name, _, value = option.partition(" ")
             value = {"N": "3", "LABEL": "goal"}.get(value, value)
-            kept = [] if name == "reach" else until
-            again = run(*words, *kept, *steps, f"--{name}", value)
+            question = [] if name == "reach" else until
+            again = run(*words, *question, *steps, f"--{name}", value)
             assert again.status in (0, 1), again.err
             assert "infinite" not in again.out
     assert seen

@@ -122,21 +122,21 @@ def measure(family: str, workload: Workload, rounds: int, folder: Path) -> Itera
     if workload.transition.nnz > MOST_FOR_LISTS:
         for name in ("mdpsolver MPI", "Storm, topological"):
             contenders.pop(name, None)
-    found: dict[str, list[dict[str, Any]]] = {name: [] for name in contenders}
+    timings: dict[str, list[dict[str, Any]]] = {name: [] for name in contenders}
     spent = dict.fromkeys(contenders, 0.0)
     errors: dict[str, float] = {}
     for turn in range(rounds):
         for name in contenders:
-            if turn and not found[name]:
+            if turn and not timings[name]:
                 continue
             started = perf_counter()
             once = _in_a_process(path, family, name, folder / "values.npy")
             spent[name] += perf_counter() - started
             if once is not None:
-                found[name].append(once)
+                timings[name].append(once)
                 gap = np.abs(np.load(folder / "values.npy") - value)
                 errors[name] = max(errors.get(name, 0.0), float(gap.max()))
-    for name, runs in found.items():
+    for name, runs in timings.items():
         row = {
             "family": family,
             "size": workload.size,
@@ -212,9 +212,9 @@ def main() -> None:
     from results import write
 
     families = (QUICK if options.quick else FULL) | LINEAR_PROGRAMS
-    kept = options.out / "results.json"
+    earlier = options.out / "results.json"
     part = options.quick or options.only or options.largest < np.inf
-    rows = json.loads(kept.read_text()) if part and kept.exists() else []
+    rows = json.loads(earlier.read_text()) if part and earlier.exists() else []
     bandwidth = read_once()
     with tempfile.TemporaryDirectory() as folder:
         for family, sizes in families.items():

@@ -91,9 +91,9 @@ def _quantecon(method: str, **options: Any) -> Contender:
                     work.reward, matrix, work.discount, s_indices=work.state, a_indices=work.action
                 )
                 built = perf_counter()
-                found = model.solve(method=method, epsilon=TOLERANCE, max_iter=limit, **options)
+                solution = model.solve(method=method, epsilon=TOLERANCE, max_iter=limit, **options)
             ended = perf_counter()
-            return Answer(value=found.v, seconds=ended - started, solving=ended - built)
+            return Answer(value=solution.v, seconds=ended - started, solving=ended - built)
 
         return run
 
@@ -175,9 +175,9 @@ def _storm(work: Workload) -> Callable[[], Answer]:
 
     def run() -> Answer:
         started = perf_counter()
-        found = stormpy.model_checking(model, formula, environment=environment)
+        checked = stormpy.model_checking(model, formula, environment=environment)
         seconds = perf_counter() - started
-        value = np.array(found.get_value_vector())[:states]
+        value = np.array(checked.get_value_vector())[:states]
         return Answer(value=value, seconds=seconds, solving=seconds, note=ALONE)
 
     return run
@@ -192,7 +192,7 @@ def _highs(method: str) -> Contender:
             started = perf_counter()
             pairs = len(work.reward)
             one = csr_array((np.ones(pairs), (np.arange(pairs), work.state)))
-            found = linprog(
+            program = linprog(
                 np.full(work.states, 1 / work.states),
                 A_ub=work.discount * work.transition - one,
                 b_ub=-work.reward,
@@ -200,7 +200,7 @@ def _highs(method: str) -> Contender:
                 method=method,
             )
             seconds = perf_counter() - started
-            return Answer(value=found.x, seconds=seconds, solving=seconds)
+            return Answer(value=program.x, seconds=seconds, solving=seconds)
 
         return run
 

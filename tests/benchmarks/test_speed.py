@@ -105,10 +105,10 @@ def test_policy_iteration(benchmark: Any, states: int, least: float) -> None:
 @pytest.mark.parametrize("subtasks", [3, 30, 100])
 def test_certify_and_check(benchmark: Any, subtasks: int) -> None:
     mdp = SCENARIO.with_(tasks=[subtasks]).compile()
-    found = certify(mdp)
-    assert found.unique
+    optimum = certify(mdp)
+    assert optimum.unique
     benchmark.extra_info["seconds to certify"] = fastest(lambda: certify(mdp))
-    assert benchmark.pedantic(found.violations, rounds=3) == []
+    assert benchmark.pedantic(optimum.violations, rounds=3) == []
 
 
 # ---- many draws and policies at once -------------------------------------------------------------
@@ -139,14 +139,14 @@ def peer_model(mdp: MDP):
 
 def test_draws_a_second(benchmark: Any, show: Callable[..., None]) -> None:
     draws = drawn(DRAWS)
-    found = optimal(SCENARIO, NAMES, draws)
+    optima = optimal(SCENARIO, NAMES, draws)
     models = [compiled(row) for row in draws[:PEER_DRAWS]]
     peers = [peer_model(mdp) for mdp in models]
     for number, (mdp, peer) in enumerate(zip(models, peers, strict=True)):
         start = mdp.start[0][0]
         theirs = peer.solve(method="policy_iteration").v[start]
-        assert abs(solve(mdp).start_value - found.start[number]) < 1e-9
-        assert abs(theirs - found.start[number]) < 1e-4
+        assert abs(solve(mdp).start_value - optima.start[number]) < 1e-9
+        assert abs(theirs - optima.start[number]) < 1e-4
     benchmark.pedantic(optimal, args=(SCENARIO, NAMES, draws), rounds=3)
     ours = fastest(lambda: optimal(SCENARIO, NAMES, draws)) / DRAWS
     methods = ("policy_iteration", "modified_policy_iteration", "value_iteration")

@@ -206,8 +206,8 @@ def grid(side: int, discount: float = 0.9999) -> Workload:
 def inventory(capacity: int, discount: float = 0.9999, most: int = 20) -> Workload:
     """Order up to a capacity, uniform demand below `most`; fixed and unit costs, lost sales."""
     level, order = np.meshgrid(np.arange(capacity + 1), np.arange(most), indexing="ij")
-    kept = level + order <= capacity
-    state, action = level[kept], order[kept]
+    fits = level + order <= capacity
+    state, action = level[fits], order[fits]
     demand = np.arange(most)
     stock = (state + action)[:, None]
     after = np.maximum(stock - demand, 0)

@@ -83,7 +83,7 @@ def secretary(n: int, skipped: int, ties: bool = False) -> Case:
         if k < n:
             later = {j - 1: F(k, j * (j - 1)) for j in range(k + 1, n + 1)}
             pairs.append((k - 1, 1, F(0), {**later, n: F(k, n)}))
-    found = F(skipped, n) * sum(F(1, k) for k in range(skipped, n))
+    chance = F(skipped, n) * sum(F(1, k) for k in range(skipped, n))
     return Case(
         name=f"secretary-{n}",
         source="Gilbert and Mosteller, Journal of the American Statistical Association 61 (1966), "
@@ -91,7 +91,7 @@ def secretary(n: int, skipped: int, ties: bool = False) -> Case:
         n_states=n + 1,
         pairs=tuple(pairs),
         discount=F(1),
-        values={0: found},
+        values={0: chance},
         optimal={
             k - 1: frozenset({0, 1} if ties and k == skipped else {int(k <= skipped)})
             for k in range(1, n)

@@ -23,8 +23,8 @@ Cell = tuple[int, int]
 
 
 def _cells(grid: Iterable[str]) -> dict[Cell, int]:
-    found = [(y, x) for y, line in enumerate(grid) for x, mark in enumerate(line) if mark != "#"]
-    return {cell: s for s, cell in enumerate(found)}
+    cells = [(y, x) for y, line in enumerate(grid) for x, mark in enumerate(line) if mark != "#"]
+    return {cell: s for s, cell in enumerate(cells)}
 
 
 def _go(cells: Mapping[Cell, int], cell: Cell, move: int) -> Cell:

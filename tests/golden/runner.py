@@ -84,9 +84,9 @@ def trimmed(value: Any) -> Any:
     return value
 
 
-def opened(found: dict[str, Any], case: str | list[str], tmp: Path) -> dict[str, Any]:
+def opened(content: dict[str, Any], case: str | list[str], tmp: Path) -> dict[str, Any]:
     """Return an answer to be pinned, with every choice that it leaves open marked."""
-    body = found["answer"]
+    body = content["answer"]
     line = case if isinstance(case, str) else case[-1]
     for name in ("vertices", "pieces"):
         listed = body.get(name)
@@ -99,7 +99,7 @@ def opened(found: dict[str, Any], case: str | list[str], tmp: Path) -> dict[str,
             body[key] = anything(body[key]) if several else optimal_actions(body[key], line, tmp)
     if line.startswith("rationalize") and body.get("weights"):
         body["weights"] = anything(body["weights"])
-    return found
+    return content
 
 
 def anything(choices: dict[str, Any]) -> dict[str, str]:
@@ -124,12 +124,12 @@ def optimal_actions(policy: dict[str, str], line: str, tmp: Path) -> dict[str, s
 # ---- comparison --------------------------------------------------------------------------------
 
 
-def differences(wanted: dict[str, Any], found: dict[str, Any]) -> list[str]:
+def differences(wanted: dict[str, Any], given: dict[str, Any]) -> list[str]:
     """Return where an answer differs from the pinned one."""
     body = wanted["answer"]
     seeded = isinstance(body, dict) and body.get("claim") == "estimated"
     largest = max(map(abs, floats(wanted)), default=0.0)
-    return list(unequal(wanted, found, "", SEEDED if seeded else EXACT, 0.0, largest))
+    return list(unequal(wanted, given, "", SEEDED if seeded else EXACT, 0.0, largest))
 
 
 def floats(value: Any) -> Iterator[float]:
@@ -160,7 +160,7 @@ def unequal(
     if a == "*":
         return
     if isinstance(a, dict) and isinstance(b, dict):
-        own = [max(found, default=slack / 2) for found in (list(bounds(a)), list(bounds(b)))]
+        own = [max(width, default=slack / 2) for width in (list(bounds(a)), list(bounds(b)))]
         for key in [*a, *(key for key in b if key not in a)]:
             inside = f"{where}.{key}" if where else key
             if key not in b or key not in a:

@@ -26,8 +26,8 @@ FAST |= {
 
 def agrees(name: str, case: str | list[str], tmp_path: Path) -> None:
     wanted = json.loads((ANSWERS / f"{name}.json").read_text("utf-8"))
-    found = differences(wanted, answer(case, tmp_path))
-    assert not found, "\n".join(["the answer has changed", *found])
+    unlike = differences(wanted, answer(case, tmp_path))
+    assert not unlike, "\n".join(["the answer has changed", *unlike])
 
 
 @pytest.mark.parametrize("name", FAST)
@@ -126,8 +126,8 @@ def test_the_models_are_still_built_as_they_were_saved(tmp_path: Path) -> None:
 def test_the_quick_reproduction_gives_the_pinned_numbers(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "exact_mdp.paper_repro", "--quick", "--out", tmp_path]
     subprocess.run(words, cwd=ROOT, check=True)
-    found = json.loads((tmp_path / "numbers.json").read_text("utf-8"))
+    content = json.loads((tmp_path / "numbers.json").read_text("utf-8"))
     pinned = json.loads((FOLDER / "numbers.json").read_text("utf-8"))
-    assert [entry["name"] for entry in found] == [entry["name"] for entry in pinned]
-    for old, new in zip(pinned, found, strict=True):
+    assert [entry["name"] for entry in content] == [entry["name"] for entry in pinned]
+    for old, new in zip(pinned, content, strict=True):
         assert differences({"answer": old}, {"answer": trimmed(new)}) == [], old["name"]

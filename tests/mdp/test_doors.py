@@ -656,15 +656,15 @@ def test_what_a_model_tells_can_be_given_back(drawn: Rows) -> None:
         components={"pairs": np.arange(mdp.n_pairs)}, name="drawn",
     )  # fmt: skip
     names = ("start", "name", "sense", "space", "actions", "component_names")
-    told: dict[str, Any] = {name: getattr(mdp, name) for name in names}
-    told |= {"labels": mdp.labels, "action_objects": mdp.action_objects, "goal": mdp.goal}
-    told["components"], rate = mdp.components, mdp.discount_exact
+    parts: dict[str, Any] = {name: getattr(mdp, name) for name in names}
+    parts |= {"labels": mdp.labels, "action_objects": mdp.action_objects, "goal": mdp.goal}
+    parts["components"], rate = mdp.components, mdp.discount_exact
     square = [mdp.P(action) for action in mdp.actions]
     for again in (
-        MDP.from_arrays(square, mdp.R, rate, layout="ass", **told),
-        MDP.from_pairs(mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward, rate, **told),
-        MDP.from_outcomes(rows_of(mdp, range(mdp.n_pairs)), rate, **told),
-        mdp.with_(**told),
+        MDP.from_arrays(square, mdp.R, rate, layout="ass", **parts),
+        MDP.from_pairs(mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward, rate, **parts),
+        MDP.from_outcomes(rows_of(mdp, range(mdp.n_pairs)), rate, **parts),
+        mdp.with_(**parts),
     ):
         for name in names:
             assert getattr(again, name) == getattr(mdp, name)
@@ -683,16 +683,16 @@ def test_counts_are_given_back_by_the_observations(order: list[int]) -> None:
     mdp = MDP.from_transitions(frame, "9/10")
     assert mdp.observations is not None
     assert mdp.counts is not None
-    told = {name: getattr(mdp, name) for name in ("space", "actions", "start", "episodes")}
-    told["observations"] = mdp.observations[order].tolist()
+    given = {name: getattr(mdp, name) for name in ("space", "actions", "start", "episodes")}
+    given["observations"] = mdp.observations[order].tolist()
     parts = [
         array[order] for array in (mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward)
     ]
     for again in (
-        MDP.from_outcomes(rows_of(mdp, order), "9/10", **told),
-        MDP.from_pairs(*parts, "9/10", **told),
+        MDP.from_outcomes(rows_of(mdp, order), "9/10", **given),
+        MDP.from_pairs(*parts, "9/10", **given),
     ):
         assert again.counts.toarray().tolist() == mdp.counts.toarray().tolist()
         assert again.observations.tolist() == mdp.observations.tolist()
     with pytest.raises(ModelError, match="not counts over the observations"):
-        MDP.from_outcomes(rows_of(mdp, order), "9/10", **told | {"observations": [3] * 3})
+        MDP.from_outcomes(rows_of(mdp, order), "9/10", **given | {"observations": [3] * 3})

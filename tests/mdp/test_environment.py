@@ -58,17 +58,17 @@ def test_a_step_follows_the_law_of_the_care_model(number: int) -> None:
         expected[label, float(sum(rewards.values()))] += float(chance)
     env = care_env(readings=readings, max_trial=1)
     env.reset(seed=10 + number)
-    found: Counter[tuple[str, float]] = Counter()
+    frequencies: Counter[tuple[str, float]] = Counter()
     begin = env.mdp.space.index(subtask=0, trial=0, status=0b1010)
     for _ in range(6000):
         env.state = begin
         seen, reward, over, _, info = env.step(np.int64(number))
         assert not over
         assert info["state"].endswith(env.observed.columns[0].label(int(seen)))
-        found[info["state"][-4:], reward] += 1
-    assert set(found) <= set(expected)
+        frequencies[info["state"][-4:], reward] += 1
+    assert set(frequencies) <= set(expected)
     keys = sorted(expected)
-    test = chisquare([found[key] for key in keys], [6000 * expected[key] for key in keys])
+    test = chisquare([frequencies[key] for key in keys], [6000 * expected[key] for key in keys])
     assert test.pvalue > 1e-4
 
 
@@ -90,13 +90,13 @@ def test_episodes_have_the_exact_means(readings: dict[str, str]) -> None:
         steps.append(count)
         skips.append(skipped)
         parts.append(pieces)
-    for found, mean in (
+    for sample, mean in (
         (returns, exact.mean),
         (steps, exact.steps),
         (skips, exact.skip_probability),
         (parts, exact.mean),
     ):
-        assert abs(np.mean(found) - mean) < 4 * np.std(found) / np.sqrt(len(found))
+        assert abs(np.mean(sample) - mean) < 4 * np.std(sample) / np.sqrt(len(sample))
 
 
 def test_an_action_that_is_not_offered_is_refused() -> None:

@@ -143,11 +143,11 @@ def families(draw) -> tuple[Family, int]:
 def test_checked_derivatives_are_the_slopes_of_exact_values(drawn) -> None:
     """Values in fractions on either side, three steps each, close in on the derivative."""
     family, _ = drawn
-    found = gradient(family)["p"]
-    assert found.claim == Claim.CHECKED
-    today = found.parameter.value
+    slope = gradient(family)["p"]
+    assert slope.claim == Claim.CHECKED
+    today = slope.parameter.value
     at = {step: start_value(family.at({"p": today + step})) for step in (F(0),)}
-    for sign, side in ((1, found.right), (-1, found.left)):
+    for sign, side in ((1, slope.right), (-1, slope.left)):
         assert side is not None
         errors = []
         for step in (F(1, 10**4), F(1, 2 * 10**4)):
@@ -162,9 +162,9 @@ def test_checked_derivatives_are_the_slopes_of_exact_values(drawn) -> None:
 def test_checked_thresholds_are_where_optimal_actions_change(drawn) -> None:
     """Optimal pairs in fractions at both sides of each threshold, and between them."""
     family, _ = drawn
-    found = thresholds(family, "p", (F(1, 100), F(99, 100)))
-    assert found.claim == Claim.CHECKED
-    cuts = [each for each in found.found if not each.touch]
+    switches = thresholds(family, "p", (F(1, 100), F(99, 100)))
+    assert switches.claim == Claim.CHECKED
+    cuts = [each for each in switches.found if not each.touch]
 
     def best(value: F) -> np.ndarray:
         return certify(family.at({"p": value})).optimal_pairs
@@ -174,7 +174,7 @@ def test_checked_thresholds_are_where_optimal_actions_change(drawn) -> None:
     ends = [F(1, 100), *(end for each in cuts for end in (each.low, each.high)), F(99, 100)]
     for low, high in list(pairwise(ends))[::2]:
         inside = [best(low + (high - low) * F(k, 7)) for k in (1, 2, 4, 6)]
-        touched = [each for each in found.found if each.touch and low < each.low < high]
+        touched = [each for each in switches.found if each.touch and low < each.low < high]
         assert touched or all((one == inside[0]).all() for one in inside)
 
 
@@ -190,11 +190,11 @@ def test_thresholds_where_an_absorbing_reward_spans_both_signs(bounds) -> None:
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, at["r"])]), (2, 0, [(1, 2, 0)])], F(1, 2))
 
     family = Family(parameters=(Parameter(name="r", value=F(0)),), build=build)
-    found = thresholds(family, "r", bounds)
-    (one,) = found.found
+    switches = thresholds(family, "r", bounds)
+    (one,) = switches.found
     assert one.low <= F(1, 10) <= one.high
     assert (one.switches[0].before, one.switches[0].after) == (("1",), ("0",))
-    assert found.claim == Claim.CHECKED
+    assert switches.claim == Claim.CHECKED
 
 
 def test_a_reward_without_end_is_refused() -> None:
@@ -216,13 +216,13 @@ def test_a_tie_at_a_kink_is_a_touch() -> None:
         return MDP.from_outcomes(rows)
 
     family = Family(parameters=(unit("x", F(1, 4)),), build=build, breaks={"x": [F(1, 2)]})
-    found = thresholds(family, "x", (0, 1))
-    (one,) = found.found
+    switches = thresholds(family, "x", (0, 1))
+    (one,) = switches.found
     assert (one.low, one.high, one.touch) == (F(1, 2), F(1, 2), True)
     assert (one.switches[0].before, one.switches[0].after) == (("0",), ("0", "1"))
-    assert found.claim == Claim.CHECKED
-    assert found.frame()["touch"].tolist() == [True]
-    assert found.stable() == (0, 1)
+    assert switches.claim == Claim.CHECKED
+    assert switches.frame()["touch"].tolist() == [True]
+    assert switches.stable() == (0, 1)
 
 
 def test_what_is_checked_at_points_alone_is_not_certified() -> None:
@@ -243,8 +243,8 @@ def test_two_entries_of_one_row_have_a_gradient_and_an_end_has_one_side() -> Non
     family, a, b = moving(mdp, {"a": [(0, 0)], "b": [(0, 1)]}), F(1, 2), F(1, 4)
     assert start_value(family.at({"a": F(1, 8)})) == (1 + 2 * b) / (1 - F(1, 16))
     slopes = {"a": (1 + 2 * b) / 2 / (1 - a / 2) ** 2, "b": 2 / (1 - a / 2)}
-    found = gradient(family)
-    assert {name: found[name].value for name in slopes} == {
+    derivatives = gradient(family)
+    assert {name: derivatives[name].value for name in slopes} == {
         name: Certified(value=slope) for name, slope in slopes.items()
     }
     first, *rest = family.parameters
@@ -312,9 +312,9 @@ def test_default_ranges_stay_where_there_is_a_model() -> None:
 def test_models_without_a_step_have_gradients() -> None:
     for gain, discount in ((0, 1), (0, "1/2"), (1, "1/2")):
         family = moving(MDP.from_arrays([[[1]]], [gain], discount), {})
-        found = gradient(family, policy=[0])["discount"].value
-        assert found is not None
-        assert found.value == (4 if gain else 0)
+        value = gradient(family, policy=[0])["discount"].value
+        assert value is not None
+        assert value.value == (4 if gain else 0)
         assert gradient(family)["discount"].elasticity == (1.0 if gain else None)
 
 
@@ -344,8 +344,8 @@ def test_numbers_of_parameters_become_exact_at_the_door(number: Any) -> None:
     for parameters in ((p,), [p], {"p": number}):
         family = Family(parameters=parameters, build=staying, breaks={"p": [number]})
         assert family.breakpoints("p") == (F(1, 4),)
-        found = gradient(family)["p"]
-        assert (str(found.value), found.claim) == (SIXTEENTHS, Claim.CHECKED)
+        slope = gradient(family)["p"]
+        assert (str(slope.value), slope.claim) == (SIXTEENTHS, Claim.CHECKED)
     assert Range(low=number, high=1) == Range(low=F(1, 4), high=F(1))
 
 
@@ -389,8 +389,8 @@ def test_entries_are_named_as_states_and_actions_are_everywhere() -> None:
     """It was "probability 0", or an IndexError."""
     wanted = moving(WORDS, {"recovery": [(0, 1)]}).at({"recovery": "2/5"}).table.row(0)
     for entry in ((("sick", "wait"), "well"), (("state sick", 0), 1), (np.int64(0), "well")):
-        found = moving(WORDS, {"recovery": [entry]}).at({"recovery": "2/5"}).table.row(0)
-        assert found == wanted
+        outcomes = moving(WORDS, {"recovery": [entry]}).at({"recovery": "2/5"}).table.row(0)
+        assert outcomes == wanted
     for entry, what in (
         ((("sick", "wait"), "wel"), "unknown state 'wel'"),
         ((("sick", "wail"), "well"), "unknown action 'wail'"),

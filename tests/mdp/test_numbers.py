@@ -29,17 +29,17 @@ Law = tuple[int, int, list[tuple[F, int, F]]]
 
 def kinds(value: F) -> list[Any]:
     """Return the number in every kind that holds it exactly, floats last."""
-    found: list[Any] = [value, f"{value.numerator}/{value.denominator}"]
+    forms: list[Any] = [value, f"{value.numerator}/{value.denominator}"]
     places = next((k for k in range(12) if (value * 10**k).denominator == 1), None)
     if places is not None:
         sign, digits = "-" if value < 0 else "", str(abs(int(value * 10**places))).zfill(places + 1)
         cut = len(digits) - places
-        found.append(f"{sign}{digits[:cut]}.{digits[cut:]}" if places else f"{sign}{digits}")
+        forms.append(f"{sign}{digits[:cut]}.{digits[cut:]}" if places else f"{sign}{digits}")
     if value.denominator == 1:
-        found += [int(value), np.int64(int(value))]
+        forms += [int(value), np.int64(int(value))]
         if abs(value) < 100:
-            found.append(np.int8(int(value)))
-    return found + floats(value)
+            forms.append(np.int8(int(value)))
+    return forms + floats(value)
 
 
 def floats(value: F) -> list[Any]:
@@ -47,10 +47,10 @@ def floats(value: F) -> list[Any]:
     wide = float(value)
     if F(wide) != value:
         return []
-    found: list[Any] = [wide, np.float64(wide), np.longdouble(wide)]
+    forms: list[Any] = [wide, np.float64(wide), np.longdouble(wide)]
     with np.errstate(over="ignore"):
         short: list[Any] = [np.float32(wide), np.float16(wide)]
-    return found + [number for number in short if float(number) == wide]
+    return forms + [number for number in short if float(number) == wide]
 
 
 def rows_of(mdp: MDP) -> list[Law]:
@@ -156,8 +156,8 @@ def test_numbers_wider_than_doubles_keep_their_value() -> None:
     value = F(*wide.as_integer_ratio())
     for reward in ([wide, 0], np.array([wide, 0]), [wide, F(1, 3)]):
         assert certify(MDP.from_arrays([EYE], reward, 0)).value[0] == value
-    found = MDP.from_arrays([EYE], np.array([0.1, 0], dtype=np.float32), 0)
-    assert certify(found).value[0] == F(float(np.float32(0.1)))
+    model = MDP.from_arrays([EYE], np.array([0.1, 0], dtype=np.float32), 0)
+    assert certify(model).value[0] == F(float(np.float32(0.1)))
     assert MDP.from_arrays([EYE], [1, 0], wide / 2).discount_exact == value / 2
 
 
@@ -215,15 +215,15 @@ def test_integers_over_denominators_are_fractions(order: list[int], times: int) 
     row, column = np.tile(place.row, times), np.tile(place.col, times)
     matrix = sp.coo_array((np.tile(place.data, times), (row, column)), counts.shape)
     parts = matrix, times * below[order]
-    found = MDP.from_pairs(state[order], action[order], parts, reward[order], "9/10")
-    assert fingerprint(found) == fingerprint(wanted)
-    assert found.table.row(0) == wanted.table.row(0)
+    model = MDP.from_pairs(state[order], action[order], parts, reward[order], "9/10")
+    assert fingerprint(model) == fingerprint(wanted)
+    assert model.table.row(0) == wanted.table.row(0)
 
 
 # ---- what rows of floats mean -------------------------------------------------------------------
 
 
-def row_of(chances: list[object], **told: object) -> list[F]:
+def row_of(chances: list[object], **named: object) -> list[F]:
     """Return the exact probabilities of a row, as a model has them."""
     size = len(chances)
     rest = [[0] * k + [1] + [0] * (size - k - 1) for k in range(1, size)]
@@ -250,9 +250,9 @@ OFF = st.sampled_from([0.0, 1e-16, -1e-16, 3e-10, -3e-10, 9.9e-10, -9.9e-10])
 
 def nearly_one(parts: list[float], off: float) -> list[float]:
     total = sum(parts)
-    found = [part / total for part in parts]
-    found[0] += off if found[0] + off > 0 else 0.0
-    return found
+    parts_of_one = [part / total for part in parts]
+    parts_of_one[0] += off if parts_of_one[0] + off > 0 else 0.0
+    return parts_of_one
 
 
 @given(CHANCES, OFF, st.randoms(use_true_random=False))
@@ -278,10 +278,10 @@ def test_a_model_keeps_the_floats_next_to_what_its_rows_mean(tmp_path_factory, p
     floats, exact = mdp.transition[[0]].toarray()[0], row_of(row)
     assert [float(p) for p in exact] == floats.tolist()
     assert row_of(floats.tolist()) == exact
-    told = MDP.from_arrays([[exact] * len(row)], [1] * len(row), "9/10")
-    assert fingerprint(told) == fingerprint(mdp)
-    assert (mdp.floats, told.floats) == (True, False)
-    assert list(certify(told).value) == list(certify(mdp).value)
+    model = MDP.from_arrays([[exact] * len(row)], [1] * len(row), "9/10")
+    assert fingerprint(model) == fingerprint(mdp)
+    assert (mdp.floats, model.floats) == (True, False)
+    assert list(certify(model).value) == list(certify(mdp).value)
     save(mdp, path := tmp_path_factory.mktemp("m") / "m.npz")
     for same in (again(mdp), again(again(mdp)), load(path)):
         assert fingerprint(same) == fingerprint(mdp)

@@ -47,9 +47,9 @@ def test_the_probability_is_that_of_the_best_policy(mdp: MDP, avoiding: bool) ->
     low, high = solve(model).start.interval
     assert low <= best[mdp.start[0][0]] <= high
     choice = next(each_choice(mdp))
-    held = Policy.of(mdp, mdp.pair_action[list(choice)])
+    fixed = Policy.of(mdp, mdp.pair_action[list(choice)])
     mine = hitting(rows_of(mdp, choice), target, allowed)[mdp.start[0][0]]
-    assert evaluate(model, held).mean == pytest.approx(float(mine), abs=1e-12)
+    assert evaluate(model, fixed).mean == pytest.approx(float(mine), abs=1e-12)
 
 
 @settings(max_examples=40, deadline=None)
@@ -62,13 +62,13 @@ def test_the_reward_until_then_is_that_of_the_best_policy(mdp: MDP) -> None:
     model = mdp.until("target")
     assert model.goal is not None
     assert model.goal.tolist() == target
-    kept = np.inf if mdp.sense == "max" else -np.inf
-    assert (model.unreached, model.maximised.unreached) == (np.inf, kept)
+    missed = np.inf if mdp.sense == "max" else -np.inf
+    assert (model.unreached, model.maximised.unreached) == (np.inf, missed)
     proof = certify(model)
     assert proof.value.tolist() == best
     assert proof.violations() == []
-    found = solve(model).value
-    assert found == pytest.approx([float(value) for value in best], rel=1e-9, abs=1e-9)
+    values = solve(model).value
+    assert values == pytest.approx([float(value) for value in best], rel=1e-9, abs=1e-9)
 
 
 def test_components_keep_their_exact_values() -> None:

@@ -54,7 +54,7 @@ def reading() -> Reading:
 
 
 @pytest.fixture(scope="module")
-def found(reading: Reading) -> dict[str, Any]:
+def claims(reading: Reading) -> dict[str, Any]:
     return {e["name"]: e for e in judged(EXACT, reading, one_change(reading), reading)}
 
 
@@ -77,11 +77,11 @@ def test_every_claim_has_its_places_and_a_reason_for_what_is_pinned() -> None:
     assert all(entry["reason"] for entry in PINNED.values())
 
 
-def test_the_exact_claims_are_as_pinned_and_as_committed(found: dict[str, Any]) -> None:
+def test_the_exact_claims_are_as_pinned_and_as_committed(claims: dict[str, Any]) -> None:
     names = {claim.id for claim in EXACT}
-    assert not [line for line in run.disagreements(list(found.values())) if "no claim" not in line]
+    assert not [line for line in run.disagreements(list(claims.values())) if "no claim" not in line]
     for name in names:
-        old, new = COMMITTED[name], found[name]
+        old, new = COMMITTED[name], claims[name]
         for key in ("says", "source", "paper", "code", "why", "verdict_of_default_reading"):
             assert new[key] == old[key], (name, key)
         if new["exact"] is not None:
@@ -98,10 +98,10 @@ def test_the_committed_claims_are_as_pinned() -> None:
 @pytest.mark.parametrize("status, action", [("anger", "supportive"), ("confusion", "directive")])
 def test_a_change_of_the_model_is_found_and_names_the_claims(status: str, action: str) -> None:
     change = f"assistance.{action}.{status}.persistence=1/20"
-    kept = run.changed_reading(default(), [change])
+    changed = run.changed_reading(default(), [change])
     moved = run.changed_reading(default(), [change.replace("1/20", "9/10")])
     names = ["assistance", "return.random", f"return.reported.{FINAL}"]
-    for reading, off in ((kept, 0), (moved, 3)):
+    for reading, off in ((changed, 0), (moved, 3)):
         entries = list(judged([CLAIMS[n] for n in names], reading, [], reading))
         lines = [line for line in run.disagreements(entries) if "no claim" not in line]
         assert len({line.split()[0] for line in lines}) == off
@@ -142,7 +142,7 @@ def test_reported_policies_against_the_independent_model(
 
 
 def test_optimum_random_and_regret_against_the_independent_model(
-    reading: Reading, found: dict[str, Any], oracle: Oracle
+    reading: Reading, claims: dict[str, Any], oracle: Oracle
 ) -> None:
     best = oracle.value(oracle.start)
     quarter = dict.fromkeys(ACTIONS, Fraction(1, 4))
@@ -152,29 +152,29 @@ def test_optimum_random_and_regret_against_the_independent_model(
         value = reading.value(name)
         assert abs(Fraction(value.mean) - exact) <= Fraction(value.start.error)
         assert RESULTS["values"][name] == pytest.approx(float(exact), rel=1e-12)
-    assert Fraction(found["policy.final-is-optimal"]["exact_rational"]) == best - final
+    assert Fraction(claims["policy.final-is-optimal"]["exact_rational"]) == best - final
 
 
 @pytest.mark.parametrize("name", ["anger", "1100", "1000", "0100", "0000"])
 def test_best_actions_against_the_independent_model(
-    found: dict[str, Any], oracle: Oracle, name: str
+    claims: dict[str, Any], oracle: Oracle, name: str
 ) -> None:
     statuses = ANGRY if name == "anger" else [name]
     action = {"anger": "supportive", "0000": FINAL, **REPORTED["stated"]}[name]
     places = itertools.product(range(3), range(5), statuses)
     states = [(k, t, 1, tuple(map(int, status))) for k, t, status in places]
     right = [action in oracle.optimal_actions(state) for state in states]
-    assert found[f"policy.{name}"]["exact"] == sum(right) / len(right)
-    assert (found[f"policy.{name}"]["verdict"] == "reproduced") == all(right)
+    assert claims[f"policy.{name}"]["exact"] == sum(right) / len(right)
+    assert (claims[f"policy.{name}"]["verdict"] == "reproduced") == all(right)
 
 
 def test_losses_against_the_independent_model(reading: Reading, oracle: Oracle) -> None:
     states = [(k, t, 1, (0, 1, 0, 0)) for k, t in itertools.product(range(3), range(5))]
-    worth = [
+    values = [
         sum(p * (sum(rewards.values()) + oracle.value(after)) for p, after, rewards, _ in listed)
         for listed in (oracle.outcomes(state, "supportive") for state in states)
     ]
-    exact = [oracle.value(state) - each for state, each in zip(states, worth, strict=True)]
+    exact = [oracle.value(state) - each for state, each in zip(states, values, strict=True)]
     assert sorted(losses(reading, "0100", 1)) == sorted(exact)
 
 
@@ -233,23 +233,23 @@ def test_the_likelihood_is_that_of_three_averages_and_a_plot(reading: Reading) -
 
 @pytest.mark.slow
 def test_the_support_of_the_readings_is_as_committed() -> None:
-    found, committed = support(default()), RESULTS["readings"]
-    assert found.weights.sum() == pytest.approx(1)
-    assert len({each.label for each in found.readings}) == len(found.readings) == 1152
-    assert found.rank == committed["default_rank"]
-    assert found.best.label == committed["best"]["label"]
-    for point, options in found.of_options().items():
+    computed, committed = support(default()), RESULTS["readings"]
+    assert computed.weights.sum() == pytest.approx(1)
+    assert len({each.label for each in computed.readings}) == len(computed.readings) == 1152
+    assert computed.rank == committed["default_rank"]
+    assert computed.best.label == committed["best"]["label"]
+    for point, options in computed.of_options().items():
         assert sum(options.values()) == pytest.approx(1)
         assert options == pytest.approx(committed["options"][point], abs=1e-9)
 
 
-def test_other_readings_are_named_once_and_change_verdicts(found: dict[str, Any]) -> None:
+def test_other_readings_are_named_once_and_change_verdicts(claims: dict[str, Any]) -> None:
     readings = one_change(default())
     assert len({each.label for each in readings}) == len(readings) == 17
-    assert found["return.random"]["verdict"] == "depends on the reading"
-    assert found["return.reported.supportive"]["verdict"] == "depends on the reading"
-    assert found["policy.0100"]["under_other_readings"]["reproduced"] == 0
-    assert found["equation1"]["under_other_readings"] is None
+    assert claims["return.random"]["verdict"] == "depends on the reading"
+    assert claims["return.reported.supportive"]["verdict"] == "depends on the reading"
+    assert claims["policy.0100"]["under_other_readings"]["reproduced"] == 0
+    assert claims["equation1"]["under_other_readings"] is None
 
 
 def test_a_skip_with_a_timestep_of_its_own_breaks_table_1() -> None:
@@ -269,9 +269,9 @@ def test_reproduced_is_kept_for_nearly_all_runs() -> None:
 
 def test_an_average_is_compatible_within_three_standard_errors() -> None:
     for errors, verdict in ((2.99, Verdict.COMPATIBLE), (3.01, Verdict.NOT_REPRODUCED)):
-        found = average(errors, 0.0, 10.0, 100, error=0.0, why="")
-        assert found.verdict is verdict
-        assert found.difference == -errors
+        answer = average(errors, 0.0, 10.0, 100, error=0.0, why="")
+        assert answer.verdict is verdict
+        assert answer.difference == -errors
     assert by_chance(0.01, "").says == "compatible, p = 0.01"
 
 

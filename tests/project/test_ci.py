@@ -88,18 +88,18 @@ def filled(text: str, inputs: dict[str, Any], temp: Path) -> str:
     text = text.replace("${{ runner.temp }}", str(temp))
     if "${{" not in text:
         return text
-    found = re.fullmatch(r"\$\{\{ (?:inputs\.([\w-]+)|(github\.action_path)) \}\}", text)
-    assert found, text
-    return str(ROOT) if found[2] else inputs[found[1]]
+    match = re.fullmatch(r"\$\{\{ (?:inputs\.([\w-]+)|(github\.action_path)) \}\}", text)
+    assert match, text
+    return str(ROOT) if match[2] else inputs[match[1]]
 
 
 def test_the_workflow_of_the_readme_reports_a_policy_that_loses_too_much(project: Path) -> None:
-    status, said, told = act(project, **GATE)
+    status, said, annotations = act(project, **GATE)
     assert status == 1, said
-    assert told.splitlines()[-1] == str(ROOT)
-    (told,) = (line for line in said.splitlines() if line.startswith("::"))
-    assert told.startswith("::error title=q_table.npy in tea%3A failed::")
-    assert "%0Afailed: the regret is not at most 0.5: it is " in told
+    assert annotations.splitlines()[-1] == str(ROOT)
+    (annotations,) = (line for line in said.splitlines() if line.startswith("::"))
+    assert annotations.startswith("::error title=q_table.npy in tea%3A failed::")
+    assert "%0Afailed: the regret is not at most 0.5: it is " in annotations
     assert "| state | yours | optimal |" in (project.parent / "summary.md").read_text("utf-8")
     root = ElementTree.parse(project / "policy-report.xml").getroot()
     assert (root.get("failures"), root.get("errors")) == ("1", "0")
@@ -115,9 +115,9 @@ def test_a_good_policy_passes(project: Path) -> None:
         "max-regret": "",
         "options": "--set\ntasks=[2]\n\n",
     }
-    status, said, told = act(project, **GATE | given | {"extras": "models,lp"})
+    status, said, annotations = act(project, **GATE | given | {"extras": "models,lp"})
     assert status == 0, said
-    assert told.splitlines()[-1] == f"{ROOT}[models,lp]"
+    assert annotations.splitlines()[-1] == f"{ROOT}[models,lp]"
     key = (project.parent / "output.txt").read_text("utf-8")  # of the cache: no commas, no blanks
     assert re.fullmatch(r"key=3\.\d+\.\d+-\d+\n", key)
 

@@ -88,7 +88,7 @@ def declared() -> dict[str, str]:
 
 def locked(name: str) -> dict[str, str]:
     text = (ROOT / name).read_text()
-    return {name_of(found[1]): found[2] for found in re.finditer(r"(?m)^(\S+?)==(\S+)", text)}
+    return {name_of(match[1]): match[2] for match in re.finditer(r"(?m)^(\S+?)==(\S+)", text)}
 
 
 def imported(path: Path) -> set[str]:

@@ -105,10 +105,10 @@ def test_the_wheel_holds_every_file_of_the_package_and_nothing_else(
     source: Path, wheel: Path
 ) -> None:
     files = {path for path in (source / "exact_mdp").rglob("*") if path.is_file()}
-    held, about = contents(wheel)
-    assert held == {path.relative_to(source).as_posix() for path in files}
-    assert {f"exact_mdp/{room}/py.typed" for room in ROOMS} <= held
-    assert "exact_mdp/mdp/scenarios/yuan2025.toml" in held
+    inside, about = contents(wheel)
+    assert inside == {path.relative_to(source).as_posix() for path in files}
+    assert {f"exact_mdp/{room}/py.typed" for room in ROOMS} <= inside
+    assert "exact_mdp/mdp/scenarios/yuan2025.toml" in inside
     assert f"\nName: {PROJECT['name']}\n" in about["METADATA"]
     assert f"\nVersion: {PROJECT['version']}\n" in about["METADATA"]
     assert "exact-mdp = exact_mdp.analysis.cli:main" in about["entry_points.txt"]
@@ -132,8 +132,8 @@ def test_a_clone_without_links_builds_the_wheel_and_one_without_rooms_none(tmp_p
     clone = tmp_path / "clone"
     call("git", "-c", "core.symlinks=false", "clone", "-q", "--no-local", ROOT, clone, cwd=tmp_path)
     assert (clone / "mdp").is_file()
-    held, _ = contents(build("wheel", clone, tmp_path / "out"))
-    assert held == set(call("git", "ls-files", "exact_mdp", cwd=clone).split())
+    files, _ = contents(build("wheel", clone, tmp_path / "out"))
+    assert files == set(call("git", "ls-files", "exact_mdp", cwd=clone).split())
     shutil.rmtree(clone / "exact_mdp" / "mdp")
     (clone / "exact_mdp" / "mdp").write_text("../mdp")
     words = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "-o", "none", clone]

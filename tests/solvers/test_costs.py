@@ -31,10 +31,10 @@ COSTS = MDP.from_arrays(
 def test_solvers_themselves_take_costs(name: str) -> None:
     """Whoever calls a solver without `solve` gets the least costs as well, not the greatest."""
     mdp = COSTS.within(30) if name == "backward-induction" else COSTS
-    found, least = SOLVERS[name]().solve(mdp), certify(mdp).start_value
-    assert found.start.interval[0] <= least <= found.start.interval[1]
-    if found.program:
-        assert found.program.lower <= least <= found.program.upper
+    solution, least = SOLVERS[name]().solve(mdp), certify(mdp).start_value
+    assert solution.start.interval[0] <= least <= solution.start.interval[1]
+    if solution.program:
+        assert solution.program.lower <= least <= solution.program.upper
 
 
 def test_a_table_of_costs_is_read_by_its_least_entries() -> None:
@@ -54,9 +54,9 @@ def test_a_table_of_costs_is_read_by_its_least_entries() -> None:
 
 def test_what_columns_cannot_express_of_costs() -> None:
     """The best policy that reads nothing has the least costs of the two constant policies."""
-    held = [evaluate(COSTS, f"always:{action}").mean for action in COSTS.actions]
+    means = [evaluate(COSTS, f"always:{action}").mean for action in COSTS.actions]
     best = best_policy(COSTS, ())
-    assert best.value.value == pytest.approx(min(held))
+    assert best.value.value == pytest.approx(min(means))
     assert best.upper_bound <= best.value.value + 1e-9
     audit = check(COSTS, "always:0")
     assert audit.representation is None or audit.representation.loss.value >= 0

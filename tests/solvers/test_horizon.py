@@ -83,14 +83,14 @@ def test_known_optima_within_the_registered_limit(name: str) -> None:
     mdp = MDP.from_gymnasium(name)
     steps, known = OPTIMA[name]
     assert mdp.time_limit == steps
-    found = solve(mdp, horizon=steps)
-    assert found.start_value == pytest.approx(known, abs=1e-7)
+    solution = solve(mdp, horizon=steps)
+    assert solution.start_value == pytest.approx(known, abs=1e-7)
     wanted, _ = recursion(name, steps)
-    own = found.value.reshape(steps + 1, -1)
+    own = solution.value.reshape(steps + 1, -1)
     ends = mdp.terminal
     assert own[0][~ends] == pytest.approx(np.array(wanted)[~ends], abs=1e-12)
     assert (own[steps] == 0).all()
-    assert abs(found.start_value - wanted[0]) <= found.start.error + 1e-13
+    assert abs(solution.start_value - wanted[0]) <= solution.start.error + 1e-13
 
 
 def test_a_learned_policy_of_the_wide_lake_is_judged_exactly() -> None:
@@ -154,9 +154,9 @@ def test_puterman_inventory_over_three_periods() -> None:
     assert certificate.violations() == []
     assert certificate.value[:4].tolist() == [F(v, 16) for v in (67, 129, 194, 227)]
     assert certificate.policy[:4].tolist() == [3, 0, 0, 0]
-    found = solve(mdp, horizon=3)
-    assert found.value[:4].tolist() == [67 / 16, 129 / 16, 194 / 16, 227 / 16]
-    assert found.policy[:4].tolist() == [3, 0, 0, 0]
+    solution = solve(mdp, horizon=3)
+    assert solution.value[:4].tolist() == [67 / 16, 129 / 16, 194 / 16, 227 / 16]
+    assert solution.policy[:4].tolist() == [3, 0, 0, 0]
 
 
 def test_returns_sum_to_one_exactly() -> None:
@@ -164,10 +164,10 @@ def test_returns_sum_to_one_exactly() -> None:
     thirds = [["1/3", "2/3"], [0, 1]]
     P = [thirds, [["2/3", "1/3"], [0, 1]]]
     mdp = MDP.from_arrays(P, [["1/2", 1], [0, 0]], layout="ass")
-    found = return_distribution(mdp, "random", exact=True, horizon=4)
-    assert found.exact is not None
-    assert sum(found.exact) == 1
-    mean = sum(p * v for p, v in zip(found.exact, found.values, strict=True))
+    law = return_distribution(mdp, "random", exact=True, horizon=4)
+    assert law.exact is not None
+    assert sum(law.exact) == 1
+    mean = sum(p * v for p, v in zip(law.exact, law.values, strict=True))
     own = evaluate(mdp, "random", horizon=4)
     assert abs(own.mean - float(mean)) <= own.start.error + 1e-15
     lake = return_distribution(MDP.from_gymnasium(LAKE), "random", horizon=100)
@@ -179,14 +179,14 @@ def test_simulation_stops_at_the_limit() -> None:
     """It agrees with evaluate within four standard errors, and never takes a step more."""
     mdp = MDP.from_gymnasium(LAKE)
     best = solve(mdp, horizon=100)
-    found = simulate(mdp, best, 40_000, rng=1, horizon=100)
-    assert abs(found.mean - best.start_value) < 4 * found.standard_error
-    assert found.steps.max() == 100
+    sample = simulate(mdp, best, 40_000, rng=1, horizon=100)
+    assert abs(sample.mean - best.start_value) < 4 * sample.standard_error
+    assert sample.steps.max() == 100
     own = evaluate(mdp, best, horizon=100)
-    spread = found.steps.std() / 200
-    assert abs(found.steps.mean() - own.steps) < 4 * spread
-    assert 0 < found.truncated < (found.steps == 100).sum() + 1
-    assert found.truncation_error == 0
+    spread = sample.steps.std() / 200
+    assert abs(sample.steps.mean() - own.steps) < 4 * spread
+    assert 0 < sample.truncated < (sample.steps == 100).sum() + 1
+    assert sample.truncation_error == 0
 
 
 def test_extra_states_that_go_on_are_unrolled_as_well() -> None:
@@ -202,10 +202,10 @@ def test_it_is_earned_with_the_last_step_and_is_a_component() -> None:
     """Steps stay N, returns hold it, limits and parts of the reward count it apart."""
     rows = [(0, 0, [("1/2", 0, 1), ("1/2", 1, 1)]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows, components={"effort": [1, 0]}).within(1, terminal_value={1: 4})
-    found = evaluate(mdp, "random")
-    assert found.components == {"effort": 1.0, "terminal value": 2.0}
-    assert (found.mean, found.steps) == (3.0, 1.0)
-    quantiles = found.quantiles
+    evaluation = evaluate(mdp, "random")
+    assert evaluation.components == {"effort": 1.0, "terminal value": 2.0}
+    assert (evaluation.mean, evaluation.steps) == (3.0, 1.0)
+    quantiles = evaluation.quantiles
     assert quantiles is not None
     assert (quantiles[0.05], quantiles[0.95]) == (1, 5)
     assert solve(mdp, subject_to={"terminal value": ">= 2"}).start_value == 3
@@ -263,9 +263,9 @@ def test_a_command_says_once_that_it_leaves_the_limit_out(command: str, tmp_path
 
 
 def test_returns_take_a_horizon_on_the_command_line() -> None:
-    found = run("returns", f"gymnasium:{LAKE}", "random", "--horizon", "20", "--json").result
-    assert sum(found["distribution"].values()) == pytest.approx(1, abs=1e-12)
-    assert (found["horizon"], found["remaining"]) == (20, 0)
+    result = run("returns", f"gymnasium:{LAKE}", "random", "--horizon", "20", "--json").result
+    assert sum(result["distribution"].values()) == pytest.approx(1, abs=1e-12)
+    assert (result["horizon"], result["remaining"]) == (20, 0)
 
 
 def test_an_optimum_without_end_names_the_limit_that_is_left_out() -> None:
@@ -289,9 +289,9 @@ def test_solve_with_a_horizon_is_proved_written_and_given_back(tmp_path: Path) -
     proof, policy, arrays = tmp_path / "p.json", tmp_path / "p.csv", tmp_path / "p.npz"
     model, limit = f"gymnasium:{LAKE}", ("--horizon", "10")
     files = ("--certificate", proof, "--policy-out", policy, "--out", arrays)
-    found = run("solve", model, *limit, "--certify", *files, "--json").result
+    result = run("solve", model, *limit, "--certify", *files, "--json").result
     wanted = exactly(MDP.from_gymnasium(LAKE), 10)
-    assert F(found["exact_start_value"]) == wanted[0]
+    assert F(result["exact_start_value"]) == wanted[0]
     assert run("verify", proof, model, *limit).status == 0
     assert run("verify", proof, model).status == 1
     for file in (policy, arrays):

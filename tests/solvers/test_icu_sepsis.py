@@ -35,16 +35,16 @@ def mdp(env: Any) -> MDP:
 def test_published_numbers(env: Any, mdp: MDP) -> None:
     for name, (survival, length) in PUBLISHED.items():
         policy = Policy.of(mdp, env.expert_policy, kind="policy") if name == "expert" else name
-        found = evaluate(mdp, policy)
-        assert found.start.error < 1e-11
-        assert abs(found.mean - survival) < 0.005 + 1e-9
-        assert abs(found.steps - length) < 0.02
+        evaluation = evaluate(mdp, policy)
+        assert evaluation.start.error < 1e-11
+        assert abs(evaluation.mean - survival) < 0.005 + 1e-9
+        assert abs(evaluation.steps - length) < 0.02
 
 
 def test_the_optimum_is_proven(mdp: MDP) -> None:
-    found, solution = certify(mdp), solve(mdp)
-    assert found.violations() == []
-    assert abs(F(solution.start_value) - F(found.start_value)) <= F(solution.start.error)
+    optimum, solution = certify(mdp), solve(mdp)
+    assert optimum.violations() == []
+    assert abs(F(solution.start_value) - F(optimum.start_value)) <= F(solution.start.error)
     alike = np.diff(mdp.pair_offsets)[:713] - [
         len({mdp.table.weight[slice(*mdp.table.offsets[l : l + 2])].tobytes() for l in pairs})
         for pairs in (mdp.pairs_of(s) for s in range(713))
@@ -63,16 +63,16 @@ def test_commands(env: Any, mdp: MDP, tmp_path: Path) -> None:
     model, file = f"gymnasium:{NAME}", str(tmp_path / "expert.npy")
     np.save(file, env.expert_policy)
     assert run("info", model, "--json").result["time_limit"] == 500
-    found = run("check", model, file, "--kind", "policy", "--max-regret", "1/10", "--json")
+    done = run("check", model, file, "--kind", "policy", "--max-regret", "1/10", "--json")
     audit = check(mdp, Policy.of(mdp, env.expert_policy, kind="policy"))
-    assert (found.status, found.result["regret"]) == (0, float(audit.value.value))
-    assert found.result["optimal_value"] == pytest.approx(0.87514169961, abs=1e-11)
+    assert (done.status, done.result["regret"]) == (0, float(audit.value.value))
+    assert done.result["optimal_value"] == pytest.approx(0.87514169961, abs=1e-11)
 
 
 @pytest.mark.slow
 def test_commands_that_prove(mdp: MDP) -> None:
-    found = run("solve", f"gymnasium:{NAME}", "--certify", "--json").result
-    top, bottom = map(Decimal, found["exact_start_value"].split("/"))
+    result = run("solve", f"gymnasium:{NAME}", "--certify", "--json").result
+    top, bottom = map(Decimal, result["exact_start_value"].split("/"))
     best = certify(mdp).start_value
     assert top / bottom == Decimal(best.numerator) / Decimal(best.denominator)
     shown = run("evaluate", f"gymnasium:{NAME}", "optimal", "--json").result

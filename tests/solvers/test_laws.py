@@ -156,20 +156,20 @@ def asked(door: str, mdp: MDP) -> Any:
         raise
 
 
-def errors_of(found: Any) -> Iterable[F]:
-    if found.claim == "certified":
-        return [F(0)] * len(found.value)
-    error = found.error if hasattr(found, "error") else found.error_bound
-    return map(F, np.broadcast_to(error, len(found.value)).tolist())
+def errors_of(answer: Any) -> Iterable[F]:
+    if answer.claim == "certified":
+        return [F(0)] * len(answer.value)
+    error = answer.error if hasattr(answer, "error") else answer.error_bound
+    return map(F, np.broadcast_to(error, len(answer.value)).tolist())
 
 
-def taken(mdp: MDP, found: Any) -> list[int]:
-    return [mdp.pair(s, int(a)) for s, a in enumerate(found.policy)]
+def taken(mdp: MDP, answer: Any) -> list[int]:
+    return [mdp.pair(s, int(a)) for s, a in enumerate(answer.policy)]
 
 
-def holds(found: Any, exact: Iterable[Any]) -> None:
+def holds(answer: Any, exact: Iterable[Any]) -> None:
     """Infinite values are said, and the others are no further away than their errors."""
-    for right, value, error in zip(exact, found.value, errors_of(found), strict=True):
+    for right, value, error in zip(exact, answer.value, errors_of(answer), strict=True):
         assert value == right or abs(F(value) - right) <= error
 
 
@@ -177,28 +177,30 @@ def holds(found: Any, exact: Iterable[Any]) -> None:
 @given(rows=models(), view=views)
 def test_the_optimum_lies_within_the_bounds(door: str, rows: Rows, view: View) -> None:
     mdp, exact = view(rows, solve_exact(rows.n_states, rows.pairs, rows.discount)[0])
-    found = asked(door, mdp)
-    if found is None:
+    answer = asked(door, mdp)
+    if answer is None:
         return
-    holds(found, exact)
+    holds(answer, exact)
     best = sum((weight * exact[s] for s, weight in mdp.start), F(0))
     if door == "certify":
-        assert found.violations() == []
-        assert found.start_value == best
+        assert answer.violations() == []
+        assert answer.start_value == best
     elif door != "bounded":
-        assert abs(F(found.start_value) - best) <= F(found.start.error)
+        assert abs(F(answer.start_value) - best) <= F(answer.start.error)
     else:
-        assert found.violations() == []
+        assert answer.violations() == []
     if door != "evaluate":
         over = set(np.flatnonzero(mdp.terminal).tolist())
-        own = policy_values(rows_of(mdp, taken(mdp, found)), mdp.discount_exact, over)
-        holds(found, own)
-        if hasattr(found, "regret_bound"):
+        own = policy_values(rows_of(mdp, taken(mdp, answer)), mdp.discount_exact, over)
+        holds(answer, own)
+        if hasattr(answer, "regret_bound"):
             lost = max(abs(v - x) for v, x in zip(exact, own, strict=True))
-            assert lost <= F(found.regret_bound)
+            assert lost <= F(answer.regret_bound)
     if door in DIRECT:
         size = max(map(abs, exact)) + max((abs(r) for _, _, r, _ in rows_of(mdp)), default=F(0))
-        assert max(errors_of(found)) <= F(1, 10**9) * size + F(2) ** -900  # underflow may cost that
+        assert (
+            max(errors_of(answer)) <= F(1, 10**9) * size + F(2) ** -900
+        )  # underflow may cost that
 
 
 NUMBERS = st.sampled_from([0.0, 1e9, -1e9, 1e-9, 1 / 3, 1e15, 2.0**-1060, -7.5])
@@ -214,11 +216,11 @@ def test_bounds_hold_around_any_values(kind: Any, rows: Rows, view: View, data: 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = solver.solve(mdp)
+            solution = solver.solve(mdp)
     except SolverError as error:
-        found = error.solution
-    if found is not None:
-        holds(found, exact)
+        solution = error.solution
+    if solution is not None:
+        holds(solution, exact)
 
 
 STARTS: dict[str, Callable[[MDP], Any]] = {
@@ -258,8 +260,8 @@ def test_a_horizon_is_a_recursion(door: str, rows: Rows, view: View, steps: int,
         values.insert(0, [best(r + mdp.discount_exact * mean(law, after) for *_, r, law in each)
                           for each in rows_by_state(mdp)])  # fmt: skip
     unrolled = mdp.within(steps, terminal_value=last if any(last) else None)
-    found, n = asked(door, unrolled), mdp.n_states
-    times = zip(found.value[: n * steps], errors_of(found), strict=False)
+    answer, n = asked(door, unrolled), mdp.n_states
+    times = zip(answer.value[: n * steps], errors_of(answer), strict=False)
     for (value, error), right in zip(times, chain(*values[:-1]), strict=True):
         assert abs(F(value) - right) <= error
 
@@ -273,13 +275,13 @@ ENDLESS: list[View] = [as_drawn, renumbered, scaled, costs, copied]
 @given(model=any_models(), view=st.sampled_from(ENDLESS))
 def test_totals_are_the_best_of_all_policies(door: str, model: Pairs, view: View) -> None:
     mdp, exact = view(Rows(n_states=model[0], pairs=model[1], discount=F(1)), best_total(model[1]))
-    found = asked(door, mdp)
-    holds(found, exact)
-    holds(found, total(rows_of(mdp, taken(mdp, found))))
-    assert max(errors_of(found)) < F(1, 10**6)
+    answer = asked(door, mdp)
+    holds(answer, exact)
+    holds(answer, total(rows_of(mdp, taken(mdp, answer))))
+    assert max(errors_of(answer)) < F(1, 10**6)
     if door == "certify":
-        assert found.violations() == []
-        assert found.start_value == exact[mdp.start[0][0]]
+        assert answer.violations() == []
+        assert answer.start_value == exact[mdp.start[0][0]]
 
 
 @pytest.mark.parametrize("door", ["default", "certify"])
@@ -311,22 +313,22 @@ def test_averages_are_the_best_of_all_policies(door: str, rows: Rows, view: View
     gain, bias = best_average(rows.pairs)
     mdp, exact = view(rows, list(gain))
     try:
-        found = AVERAGE[door](mdp)
+        answer = AVERAGE[door](mdp)
     except ModelError:
         assert door == "value-iteration"  # several end components
         return
-    holds(found, exact)
+    holds(answer, exact)
     size = 1 + max(abs(r) for _, _, r, _ in rows_of(mdp))
-    assert max(errors_of(found)) <= F(1, 10 ** (6 if door == "value-iteration" else 9)) * size
+    assert max(errors_of(answer)) <= F(1, 10 ** (6 if door == "value-iteration" else 9)) * size
     if door == "evaluate":
         return
-    own, ahead = gain_and_bias(rows_of(mdp, taken(mdp, found)))
-    holds(found, own)
+    own, ahead = gain_and_bias(rows_of(mdp, taken(mdp, answer)))
+    holds(answer, own)
     if door == "certify":
-        assert found.violations() == []
-        assert found.bias.tolist() == view(rows, list(bias))[1] == list(ahead)
+        assert answer.violations() == []
+        assert answer.bias.tolist() == view(rows, list(bias))[1] == list(ahead)
     else:
-        for value, error, right in zip(found.bias, found.bias_error, ahead, strict=True):
+        for value, error, right in zip(answer.bias, answer.bias_error, ahead, strict=True):
             assert abs(F(value) - right) <= F(error)
 
 
@@ -349,9 +351,9 @@ def test_discounted_values_approach_gain_and_bias(criterion: str, model: Pairs) 
 @given(rows=models(discounts=[F(1)]))
 @settings(max_examples=30)
 def test_where_every_policy_ends_the_bias_is_the_total(rows: Rows) -> None:
-    found = certify(rows.model(), criterion="average")
-    assert found.value.tolist() == [0] * rows.n_states
-    assert found.bias.tolist() == certify(rows.model()).value.tolist()
+    optimum = certify(rows.model(), criterion="average")
+    assert optimum.value.tolist() == [0] * rows.n_states
+    assert optimum.bias.tolist() == certify(rows.model()).value.tolist()
 
 
 # ---- numbers of floats ---------------------------------------------------------------------------
@@ -385,19 +387,19 @@ def test_no_number_breaks_a_bound(kind: Any, seed: int, tol: Any, large: int) ->
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = solve(mdp, kind(max_iterations=3000, **chosen))
+            solution = solve(mdp, kind(max_iterations=3000, **chosen))
     except SolverError as error:  # an honest refusal has an honest bound
-        found = error.solution
-    if found is not None:
-        holds(found, exact)
+        solution = error.solution
+    if solution is not None:
+        holds(solution, exact)
 
 
 @given(seed=st.integers(0, 10**6), power=st.integers(-30, 30))
 def test_signs_and_scales_change_no_digit(seed: int, power: int) -> None:
     rng = np.random.default_rng(seed)
     chances, reward = rng.dirichlet(np.ones(5), (3, 5)), rng.normal(size=(5, 3))
-    found = solve(MDP.from_arrays(chances, reward, 0.9, layout="ass"), tol=1e-9)
+    solution = solve(MDP.from_arrays(chances, reward, 0.9, layout="ass"), tol=1e-9)
     least = solve(MDP.from_arrays(chances, -reward, 0.9, layout="ass", sense="min"), tol=1e-9)
-    assert (least.value == -found.value).all()
+    assert (least.value == -solution.value).all()
     more = MDP.from_arrays(chances, reward * 2.0**power, 0.9, layout="ass")
-    assert (solve(more, tol=1e-9 * 2.0**power).value == found.value * 2.0**power).all()
+    assert (solve(more, tol=1e-9 * 2.0**power).value == solution.value * 2.0**power).all()

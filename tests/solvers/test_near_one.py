@@ -41,8 +41,8 @@ def quietly(mdp: MDP, solver: Any = "auto", **settings: Any) -> Any:
         return solve(mdp, solver, **settings)
 
 
-def holds(found: Any, exact: Iterable[F]) -> bool:
-    each = zip(found.value.tolist(), exact, found.error.tolist(), strict=True)
+def holds(answer: Any, exact: Iterable[F]) -> bool:
+    each = zip(answer.value.tolist(), exact, answer.error.tolist(), strict=True)
     return all(abs(F(value) - right) <= F(error) for value, right, error in each)
 
 
@@ -154,11 +154,11 @@ def test_bounds_hold_and_runs_in_which_nothing_is_gained_end(
     """Around what rational arithmetic proves; copies make the same model large."""
     mdp, exact = made(name, 1 + large * 8000 // SMALL[name]().n_transitions)
     for tol in (None, 1e-3) if kind is not PolicyIteration else (None,):
-        found = quietly(mdp, kind() if tol is None else kind(tol=tol))
-        assert holds(found, exact)
-        assert found.iterations < 300 or name.startswith(ORDINARY)
+        solution = quietly(mdp, kind() if tol is None else kind(tol=tol))
+        assert holds(solution, exact)
+        assert solution.iterations < 300 or name.startswith(ORDINARY)
         if name.startswith(("off", "beside")) and not large:
-            assert found.error_bound <= 1e-9 * max(1, np.abs(found.value).max())
+            assert solution.error_bound <= 1e-9 * max(1, np.abs(solution.value).max())
 
 
 CLOSE = {
@@ -175,10 +175,10 @@ CLOSE = {
 @pytest.mark.parametrize("name", CLOSE)
 def test_pairs_that_differ_by_little_are_told_apart(name: str) -> None:
     model, tol = CLOSE[name]
-    found, other = quietly(model, tol=tol), quietly(model, PolicyIteration())
-    assert found.iterations < (60 if "queue" in name else 500)
-    assert found.error_bound <= 1e-6 * max(1, np.abs(found.value).max())
-    assert agree(found, other)
+    solution, other = quietly(model, tol=tol), quietly(model, PolicyIteration())
+    assert solution.iterations < (60 if "queue" in name else 500)
+    assert solution.error_bound <= 1e-6 * max(1, np.abs(solution.value).max())
+    assert agree(solution, other)
 
 
 @pytest.mark.parametrize("discount", ["999/1000", "99999/100000", "9999999/10000000"])
@@ -192,11 +192,11 @@ def test_one_living_state_is_solved_at_once(
     stay, go = [[1, 0], [0, 1]], [[0.5, 0.5], [0, 1]]
     mdp = MDP.from_arrays([stay, go], [[reward, 1], [0, 0]], discount, layout="ass")
     many, exact = in_copies(mdp, copies)
-    found = quietly(many, tol=tol)
-    assert holds(found, exact)
+    solution = quietly(many, tol=tol)
+    assert holds(solution, exact)
     assert max(exact) == F(reward) / (1 - F(discount))
-    assert found.error_bound <= 1e-9 * max(exact)
-    assert found.iterations <= 25
+    assert solution.error_bound <= 1e-9 * max(exact)
+    assert solution.iterations <= 25
 
 
 @pytest.mark.parametrize("discount", ["99/100", "999/1000", "9999/10000", "999999/1000000"])
@@ -211,11 +211,11 @@ def test_the_default_converges_whatever_the_size(states: int, discount: str) -> 
 def test_discounts_next_to_1_leave_the_digits_that_tell_states_apart(states: int) -> None:
     """Values of 3e9 are found to 1, though 1e-7 of them is all that their equations keep."""
     mdp = mixed(states, "999999999/1000000000")
-    found, other = solve(mdp), solve(mdp, PolicyIteration())
-    assert found.status is Status.CONVERGED
-    assert found.iterations < 60
-    assert found.error_bound < 1 < 1e-9 * found.value.max()
-    assert agree(found, other)
+    solution, other = solve(mdp), solve(mdp, PolicyIteration())
+    assert solution.status is Status.CONVERGED
+    assert solution.iterations < 60
+    assert solution.error_bound < 1 < 1e-9 * solution.value.max()
+    assert agree(solution, other)
 
 
 @pytest.mark.parametrize("kind", [GaussSeidel, ValueIteration])
@@ -226,9 +226,9 @@ def test_a_hundred_sweeps_tell_that_ten_thousand_would_be_too_few(kind: Any, see
     after = (np.arange(states)[:, None] + rng.integers(-1, 2, (2, states, 2))) % states
     chances = np.eye(states)[after].mean(axis=2)
     model = MDP.from_arrays(chances, rng.normal(size=(states, 2)), discount=1 - 1e-9)
-    found = quietly(model, kind())
-    assert found.iterations < 200
-    assert holds(found, certify(model).value)
+    solution = quietly(model, kind())
+    assert solution.iterations < 200
+    assert holds(solution, certify(model).value)
 
 
 # ---- policies ------------------------------------------------------------------------------------
@@ -245,9 +245,9 @@ def test_policies_are_evaluated_as_closely_as_models_are_solved(exponent: int, s
     first = MDP.from_arrays(chances[:1], rewards[:, :1], discount=rate)
     mean = MDP.from_arrays([chances.mean(axis=0)], rewards.mean(axis=1)[:, None], discount=rate)
     for policy, alone in (([0] * 4, first), (np.full(8, 0.5), mean)):
-        found, best = evaluate(model, policy), quietly(alone)
-        assert holds(found, certify(alone).value)
-        assert found.error_bound <= 2 * max(1e-9 * np.abs(best.value).max(), best.error_bound)
+        evaluation, best = evaluate(model, policy), quietly(alone)
+        assert holds(evaluation, certify(alone).value)
+        assert evaluation.error_bound <= 2 * max(1e-9 * np.abs(best.value).max(), best.error_bound)
 
 
 @pytest.mark.parametrize("rate", [1 - 1e-8, 1 - 1e-9, 1 - 1e-12])
@@ -264,8 +264,8 @@ def test_a_mixed_policy_earns_its_pairs_rewards_in_full(rate: float, seed: int) 
         for s in range(2)
     ]
     alone = MDP.from_outcomes([(s, 0, row) for s, row in enumerate(half)], model.discount_exact)
-    found = evaluate(model, np.full((2, 2), 0.5), kind="policy")
-    assert holds(found, certify(alone).value)
+    evaluation = evaluate(model, np.full((2, 2), 0.5), kind="policy")
+    assert holds(evaluation, certify(alone).value)
 
 
 def test_a_mixed_policy_next_to_discount_1_fails_where_it_loses_more() -> None:
@@ -287,12 +287,12 @@ def test_an_audit_that_bounds_leave_open_says_so() -> None:
     actions = solve(model).policy.rule.copy()
     actions[5] = (actions[5] + 1) % 3
     lost = check(model, actions).regret.at_start
-    found = [check(model, actions, max_regret=lost.value + k * lost.error) for k in (-2, 0, 2)]
-    verdicts = [(each.passed, each.undecided) for each in found]
+    audits = [check(model, actions, max_regret=lost.value + k * lost.error) for k in (-2, 0, 2)]
+    verdicts = [(each.passed, each.undecided) for each in audits]
     assert verdicts == [(False, False), (False, True), (True, False)]
-    assert "; failed: " in repr(found[0])
-    assert "; failed, left open: " in repr(found[1])
-    assert "the bounds do not decide" in found[1].verdicts[0].text
+    assert "; failed: " in repr(audits[0])
+    assert "; failed, left open: " in repr(audits[1])
+    assert "the bounds do not decide" in audits[1].verdicts[0].text
 
 
 # ---- chains of a policy, by every way that their equations are solved ---------------------------
@@ -358,14 +358,14 @@ CHAINS = {
 def test_chains_of_any_shape_are_evaluated(name: str) -> None:
     """c = 1 - P 1 leaks: values are the numbers of steps, and their equations nearly hold."""
     mdp = CHAINS[name]
-    found = evaluate(mdp, [0] * mdp.n_states)
-    size = float(np.abs(found.value).max())
-    left = mdp.reward + mdp.discount * (mdp.transition @ found.value) - found.value
+    evaluation = evaluate(mdp, [0] * mdp.n_states)
+    size = float(np.abs(evaluation.value).max())
+    left = mdp.reward + mdp.discount * (mdp.transition @ evaluation.value) - evaluation.value
     assert np.abs(left[:-1]).max() < 1e-11 * max(1, size)
-    assert found.error_bound < 1e-6 * size
+    assert evaluation.error_bound < 1e-6 * size
     if mdp.n_states < 1000:
-        assert holds(found, certify(mdp).value)
-    assert agree(found, solve(mdp, PolicyIteration()))
+        assert holds(evaluation, certify(mdp).value)
+    assert agree(evaluation, solve(mdp, PolicyIteration()))
 
 
 @pytest.mark.parametrize(
@@ -378,9 +378,9 @@ def test_chains_of_any_shape_are_evaluated(name: str) -> None:
 def test_conjugate_gradients_that_break_down_start_again(rows: list[list[float]]) -> None:
     """Here the residual comes to be orthogonal to the first one, after two steps at most."""
     mdp, exact = in_copies(MDP.from_arrays([[*rows, [0, 0, 0, 1]]], [-1, 0, 0, 0]), 9_000)
-    found = evaluate(mdp, [0] * mdp.n_states)
-    assert holds(found, exact)
-    assert found.error_bound < 1e-9
+    evaluation = evaluate(mdp, [0] * mdp.n_states)
+    assert holds(evaluation, exact)
+    assert evaluation.error_bound < 1e-9
 
 
 @pytest.mark.parametrize("shuffled", [False, True])
@@ -399,9 +399,9 @@ def test_long_models_without_cycles(kind: Any, shuffled: bool) -> None:
     value = np.zeros(states + 1)
     for s in range(states - 1, -1, -1):
         value[s] = (reward[s] + 0.99 * value[after[s]].mean(axis=1)).max()
-    found = solve(MDP.from_outcomes(sorted(rows, key=lambda row: row[:2]), "99/100"), kind)
-    assert (np.abs(found.value[place] - value) <= found.state_error[place] + 1e-12).all()
-    assert found.error_bound < 1e-10
+    solution = solve(MDP.from_outcomes(sorted(rows, key=lambda row: row[:2]), "99/100"), kind)
+    assert (np.abs(solution.value[place] - value) <= solution.state_error[place] + 1e-12).all()
+    assert solution.error_bound < 1e-10
 
 
 # ---- resources -----------------------------------------------------------------------------------
@@ -412,9 +412,9 @@ def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -
     for threads in (1, 2):
         given = set(range(threads))
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, given=given: given, raising=False)
-        found = [solve(mdp, kind(tol=1e-6)) for kind in KINDS[:2]]
-        seen.append([part.tobytes() for one in found for part in (one.value, one.pairs)])
-        assert agree(*found)
+        solutions = [solve(mdp, kind(tol=1e-6)) for kind in KINDS[:2]]
+        seen.append([part.tobytes() for one in solutions for part in (one.value, one.pairs)])
+        assert agree(*solutions)
     assert seen[0] == seen[1]
 
 
@@ -426,8 +426,8 @@ def test_an_end_alone_is_worth_nothing(kind: Any) -> None:
 def test_a_policy_is_evaluated_before_it_is_improved() -> None:
     """Of 12,100 cells: with rough values policies went round, and values grew to 1e10."""
     mdp = grid(110, 0.9999).model()
-    found, other = solve(mdp, PolicyIteration(max_iterations=100)), solve(mdp)
-    assert (abs(found.value - other.value) <= found.error + other.error).all()
+    solution, other = solve(mdp, PolicyIteration(max_iterations=100)), solve(mdp)
+    assert (abs(solution.value - other.value) <= solution.error + other.error).all()
 
 
 def test_a_large_model_is_solved_in_little_memory() -> None:

@@ -29,16 +29,16 @@ NAMES = [f"{c.model}-{c.until}-{c.reward}-{c.sense}" for c in PUBLISHED]
 @pytest.mark.parametrize("case", PUBLISHED, ids=NAMES)
 def test_published_answers(case: Asked) -> None:
     mdp = posed(case)
-    proof, found = certify(mdp), solve(mdp)
+    proof, solution = certify(mdp), solve(mdp)
     assert proof.start_value == case.value
     assert proof.violations() == []
-    assert found.start.value == pytest.approx(float(case.value))
+    assert solution.start.value == pytest.approx(float(case.value))
     if not isinf(case.value):
-        low, high = found.start.interval
+        low, high = solution.start.interval
         assert low <= case.value <= high
         if np.isfinite(proof.value_float).all():
-            assert check(mdp, found).passed
-        assert evaluate(mdp, found).mean == pytest.approx(float(case.value))
+            assert check(mdp, solution).passed
+        assert evaluate(mdp, solution).mean == pytest.approx(float(case.value))
 
 
 @pytest.mark.parametrize("case", [c for c in PUBLISHED if c.until], ids=lambda c: c.model)

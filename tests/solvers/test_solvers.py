@@ -58,7 +58,7 @@ def case_model(name: str | Case) -> MDP:
 def test_published_answers(case: Case, name: str) -> None:
     mdp = case_model(case)
     try:
-        found = solve(mdp, QUICK[name])
+        solution = solve(mdp, QUICK[name])
     except ModelError:
         if (name == "backward-induction" and not is_acyclic(mdp)) or not case.proper:
             return
@@ -68,17 +68,17 @@ def test_published_answers(case: Case, name: str) -> None:
             raise
         if error.solution is None:
             return
-        found = error.solution
+        solution = error.solution
     for state, value in case.values.items():
-        error = abs(F(float(found.value[state])) - F(value))
-        assert error <= F(float(found.state_error[state])) + F(case.tolerance)
-    if found.status is Status.ITERATION_LIMIT:
+        error = abs(F(float(solution.value[state])) - F(value))
+        assert error <= F(float(solution.state_error[state])) + F(case.tolerance)
+    if solution.status is Status.ITERATION_LIMIT:
         return
-    size = max(1.0, float(np.abs(found.value).max()))
-    assert found.error_bound <= (1e-8 if case in HARD else 1e-9) * size
+    size = max(1.0, float(np.abs(solution.value).max()))
+    assert solution.error_bound <= (1e-8 if case in HARD else 1e-9) * size
     for state, actions in case.optimal.items():
-        assert found.policy[state] in actions
-    assert found.method == name
+        assert solution.policy[state] in actions
+    assert solution.method == name
 
 
 def test_the_default_depends_on_cycles() -> None:
@@ -95,10 +95,10 @@ def test_the_default_depends_on_cycles() -> None:
         mdp.reward[order],
         start=int(turn[0]),
     )
-    found, known = solve(other), solve(mdp)
-    assert found.method == "backward-induction"
-    gap = np.abs(found.value[turn] - known.value)
-    assert (gap <= found.state_error[turn] + known.state_error + 1e-12).all()
+    solution, known = solve(other), solve(mdp)
+    assert solution.method == "backward-induction"
+    gap = np.abs(solution.value[turn] - known.value)
+    assert (gap <= solution.state_error[turn] + known.state_error + 1e-12).all()
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -126,11 +126,11 @@ def test_what_is_known_saves_work_and_changes_no_answer(name: str, costs: bool) 
         "bad": np.zeros(120, dtype=np.int64),
     }
     for what, start in starts.items():
-        found = solve(mdp, name, start=start)
-        assert np.abs(found.value - cold.value).max() <= found.error_bound + cold.error_bound
-        assert found.error_bound < 1e-6
+        solution = solve(mdp, name, start=start)
+        assert np.abs(solution.value - cold.value).max() <= solution.error_bound + cold.error_bound
+        assert solution.error_bound < 1e-6
         if what in ("solution", "values", "policy"):
-            assert found.iterations <= max(3, cold.iterations // 2), what
+            assert solution.iterations <= max(3, cold.iterations // 2), what
     acyclic = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0])
     assert solve(acyclic, start=[0, 0]).value.tolist() == [1, 0]
 
@@ -141,17 +141,17 @@ def test_what_is_known_saves_work_and_changes_no_answer(name: str, costs: bool) 
 @pytest.mark.parametrize("kind", SWEEPING)
 @pytest.mark.parametrize("tol", [1e-2, 1e-6, 1e-10])
 def test_the_tolerance_is_met(kind: Any, tol: float) -> None:
-    found = solve(case_model("gambler-100-2/5"), kind(tol=tol))
-    assert found.error_bound <= tol
-    assert found.status is Status.CONVERGED
+    solution = solve(case_model("gambler-100-2/5"), kind(tol=tol))
+    assert solution.error_bound <= tol
+    assert solution.status is Status.CONVERGED
 
 
 @pytest.mark.parametrize("kind", SWEEPING)
 def test_a_tolerance_beyond_double_precision_warns(kind: Any) -> None:
     with pytest.warns(PrecisionWarning, match="certify"):
-        found = solve(case_model("gambler-100-2/5"), kind(tol=1e-18))
-    assert found.status is Status.PRECISION
-    assert 1e-18 < found.error_bound < 1e-10
+        solution = solve(case_model("gambler-100-2/5"), kind(tol=1e-18))
+    assert solution.status is Status.PRECISION
+    assert 1e-18 < solution.error_bound < 1e-10
 
 
 def test_small_last_changes_are_no_reason_to_stop() -> None:
@@ -163,26 +163,27 @@ def test_small_last_changes_are_no_reason_to_stop() -> None:
     assert reached is not None
     assert abs(reached.start_value - 0.5) <= reached.start.error
     for kind in (ModifiedPolicyIteration, ValueIteration):
-        found = solve(mdp, kind(tol=1e-6))
-        assert found.error_bound <= 1e-6
-        assert found.iterations < 200
-        assert abs(found.start_value - 0.5) <= found.start.error
+        solution = solve(mdp, kind(tol=1e-6))
+        assert solution.error_bound <= 1e-6
+        assert solution.iterations < 200
+        assert abs(solution.start_value - 0.5) <= solution.start.error
 
 
 @pytest.mark.parametrize("name", ["howard-taxicab", "forest-10-24/25"])
 def test_relaxed_values_are_not_shifted_for_ever(name: str) -> None:
     """Where errors differ from state to state, a shift to the middle of the bounds adds to them."""
-    found = solve(case_model(name), GaussSeidel(max_iterations=200))
-    assert found.status is Status.CONVERGED
+    solution = solve(case_model(name), GaussSeidel(max_iterations=200))
+    assert solution.status is Status.CONVERGED
 
 
 @pytest.mark.parametrize("solver", [ModifiedPolicyIteration, PolicyIteration])
 def test_too_few_iterations_name_all_that_goes_on(solver: Any) -> None:
-    with pytest.raises(SolverError, match=r"iteration limit.*PolicyIteration.*certify\(\)") as told:
+    said = r"iteration limit.*PolicyIteration.*certify\(\)"
+    with pytest.raises(SolverError, match=said) as caught:
         solve(case_model("gambler-100-2/5"), solver(max_iterations=1))
-    error = pickle.loads(pickle.dumps(told.value))
+    error = pickle.loads(pickle.dumps(caught.value))
     assert error.status is Status.ITERATION_LIMIT
-    assert str(error) == str(told.value)
+    assert str(error) == str(caught.value)
 
 
 @pytest.mark.parametrize("kind", SWEEPING)
@@ -236,10 +237,10 @@ def test_rewards_below_the_range_of_floats_are_allowed_for(row: Any, joint: bool
     mdp = MDP.from_outcomes([(0, 0, row), (1, 0, end)])
     assert mdp.table.joint is joint
     exact = sum(F(p) * F(r) for p, _, r in row)
-    found = solve(mdp, BackwardInduction())
-    assert found.value[0] == 0
-    assert abs(exact) <= F(float(found.state_error[0])) < F(1, 10**280)
-    assert exact or not found.state_error.any()
+    solution = solve(mdp, BackwardInduction())
+    assert solution.value[0] == 0
+    assert abs(exact) <= F(float(solution.state_error[0])) < F(1, 10**280)
+    assert exact or not solution.state_error.any()
 
 
 @pytest.mark.parametrize("states", [300, 3000])  # below and above the size that is compiled
@@ -273,8 +274,8 @@ def test_rewards_that_cancel_are_known_no_better_than_their_sum(name: str) -> No
     outcomes = [(0.1, 1, 1e15), (0.2, 1, 3e15), (0.7, 1, -1e15)]
     mdp = MDP.from_outcomes([(0, 0, outcomes), (1, 0, [(1, 1, 0)])])
     exact = sum(F(p) * F(reward) for p, _, reward in outcomes)
-    found = solve(mdp, name)
-    assert F(1, 1000) < abs(F(found.value[0]) - exact) <= F(float(found.state_error[0]))
+    solution = solve(mdp, name)
+    assert F(1, 1000) < abs(F(solution.value[0]) - exact) <= F(float(solution.state_error[0]))
 
 
 # ---- linear programs -----------------------------------------------------------------------------
@@ -289,18 +290,18 @@ def test_gaps_visits_and_both_sides_of_a_program(solver: LinearProgram, name: st
         "garnet": lambda: garnet(120, seed=0, discount=0.95),
     }
     mdp = made[name]() if name in made else case_model(name)
-    found, run = solve(mdp, solver), solver.solve(mdp).program
-    assert found.gaps is not None
-    assert found.occupancy is not None
+    solution, run = solve(mdp, solver), solver.solve(mdp).program
+    assert solution.gaps is not None
+    assert solution.occupancy is not None
     q = mdp.backup(solve(mdp, PolicyIteration()).value)
-    assert np.abs(found.gaps - (found.value[mdp.pair_state] - q)).max() < 1e-9
-    assert found.gaps.min() > -1e-9
-    assert found.occupancy.min() >= 0
-    assert (found.occupancy[found.gaps > 1e-9] == 0).all()
-    assert float(found.occupancy @ mdp.reward) == pytest.approx(found.start_value, abs=1e-9)
+    assert np.abs(solution.gaps - (solution.value[mdp.pair_state] - q)).max() < 1e-9
+    assert solution.gaps.min() > -1e-9
+    assert solution.occupancy.min() >= 0
+    assert (solution.occupancy[solution.gaps > 1e-9] == 0).all()
+    assert float(solution.occupancy @ mdp.reward) == pytest.approx(solution.start_value, abs=1e-9)
     # What flows in flows out, except at the end.
-    used = np.bincount(mdp.pair_state, found.occupancy, minlength=mdp.n_states)
-    inflow = mdp.start_distribution + mdp.discount * (mdp.transition.T @ found.occupancy)
+    used = np.bincount(mdp.pair_state, solution.occupancy, minlength=mdp.n_states)
+    inflow = mdp.start_distribution + mdp.discount * (mdp.transition.T @ solution.occupancy)
     assert np.abs((used - inflow)[~mdp.terminal]).max() < 1e-10
     assert run is not None
     assert (run.by, run.gap < 1e-9) == (solver.solver, True)
@@ -333,22 +334,22 @@ def test_an_optimiser_that_fails_or_errs_is_found_out(monkeypatch: pytest.Monkey
 
 
 def test_a_solution_cannot_be_changed() -> None:
-    found = solve(case_model("pig-turn"))
+    solution = solve(case_model("pig-turn"))
     with pytest.raises(ValueError, match="read-only"):
-        found.value[0] = 1
+        solution.value[0] = 1
     with pytest.raises(dataclasses.FrozenInstanceError):
-        found.claim = Claim.CERTIFIED
-    assert found.claim == "bounded"
-    assert str(found.start) in repr(found)
-    assert "solved directly" in repr(found)
+        solution.claim = Claim.CERTIFIED
+    assert solution.claim == "bounded"
+    assert str(solution.start) in repr(solution)
+    assert "solved directly" in repr(solution)
 
 
 def test_the_start_may_be_spread_over_states() -> None:
     case = BY_NAME["gambler-30-1/2"]
-    found = solve(case_model(case).with_(start={3: "1/3", 7: "2/3"}), PolicyIteration())
+    solution = solve(case_model(case).with_(start={3: "1/3", 7: "2/3"}), PolicyIteration())
     exact = F(1, 3) * case.values[3] + F(2, 3) * case.values[7]
-    assert abs(F(found.start_value) - exact) <= F(found.start.error)
-    assert found.start.error < 1e-12
+    assert abs(F(solution.start_value) - exact) <= F(solution.start.error)
+    assert solution.start.error < 1e-12
 
 
 def test_three_kinds_of_number() -> None:
@@ -373,8 +374,8 @@ def test_room_behind_the_entries_of_a_sparse_matrix_is_left_out(form: Any) -> No
     entries, places = np.append(rows.data, [7.0, 8.0]), np.append(rows.indices, [0, 99])
     roomy = rows.copy()
     roomy.data, roomy.indices = entries, places
-    found = MDP.from_arrays([roomy], [[1], [0]], discount="1/2")
-    assert found.transition.toarray().tolist() == [[0.5, 0.5], [0.0, 1.0]]
+    model = MDP.from_arrays([roomy], [[1], [0]], discount="1/2")
+    assert model.transition.toarray().tolist() == [[0.5, 0.5], [0.0, 1.0]]
     assert len(roomy.data) == 5
     roomy.indptr = roomy.indptr + np.array([0, 0, 9], roomy.indptr.dtype)
     with pytest.raises(ModelError, match="indptr"):

@@ -100,9 +100,9 @@ class Browser:
 
     def js(self, expression: str) -> Any:
         """Return the value of an expression in the page."""
-        found = self.send("Runtime.evaluate", expression=expression, returnByValue=True)
-        assert "exceptionDetails" not in found, found
-        return found["result"].get("value")
+        reply = self.send("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in reply, reply
+        return reply["result"].get("value")
 
     def press(self, key: str, times: int = 1) -> None:
         """Press a key, or type a text."""

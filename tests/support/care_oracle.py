@@ -227,16 +227,16 @@ class Oracle:
 
     def reachable(self, extra: Iterable[State] = ()) -> set[State]:
         """All states reachable from the start (and `extra`) under any actions."""
-        found: set[State] = {self.start, *extra}
-        todo = list(found)
+        reached: set[State] = {self.start, *extra}
+        todo = list(reached)
         while todo:
             state = todo.pop()
             for action in self.actions(state):
                 for _, nxt, _, _ in self.outcomes(state, action):
-                    if nxt not in found:
-                        found.add(nxt)
+                    if nxt not in reached:
+                        reached.add(nxt)
                         todo.append(nxt)
-        return found
+        return reached
 
     def value(self, state: State) -> Fraction:
         """The optimal expected discounted return from a state."""
@@ -248,7 +248,7 @@ class Oracle:
 
     def _best(self, state: State) -> tuple[Fraction, frozenset[str]]:
         if state not in self._optimal:  # (k, t) only grows: the recursion ends, and is shallow
-            worth = {
+            values = {
                 action: sum(
                     (
                         p * (sum(rewards.values()) + self.discount * self.value(nxt))
@@ -258,8 +258,8 @@ class Oracle:
                 )
                 for action in self.actions(state)
             }
-            best = max(worth.values())
-            self._optimal[state] = (best, frozenset(a for a in worth if worth[a] == best))
+            best = max(values.values())
+            self._optimal[state] = (best, frozenset(a for a in values if values[a] == best))
         return self._optimal[state]
 
     def optimal(
@@ -311,17 +311,17 @@ class Oracle:
                 for (nxt, r), w in jumps.items():
                     for rest, p in spreads[nxt].items():
                         terms[r + rest].append(w * p)
-                spreads[state] = {x: total(found) for x, found in terms.items()}
+                spreads[state] = {x: total(terms_of) for x, terms_of in terms.items()}
             memo[state] = here
             return here
 
-        found = at(self.start)
+        terms_of = at(self.start)
         return {
-            "mean": found["mean"],
-            "variance": found["square"] - found["mean"] ** 2,
-            "steps": found["steps"],
-            "skip_probability": found["skip"],
-            "components": {name: found[name] for name in COMPONENTS},
+            "mean": terms_of["mean"],
+            "variance": terms_of["square"] - terms_of["mean"] ** 2,
+            "steps": terms_of["steps"],
+            "skip_probability": terms_of["skip"],
+            "components": {name: terms_of[name] for name in COMPONENTS},
             "distribution": spreads.get(self.start),
         }
 

@@ -31,9 +31,9 @@ class Done:
         """The JSON object that it printed, which has to be all that it printed but for notes."""
         assert self.status in (0, 1), self.err
         assert [line for line in self.err.splitlines() if not line.startswith("note: ")] == []
-        found = strict(self.out)
-        assert isinstance(found, dict)
-        return found
+        content = strict(self.out)
+        assert isinstance(content, dict)
+        return content
 
 
 def strict(text: str) -> Any:

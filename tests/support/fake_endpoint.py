@@ -100,9 +100,9 @@ def fake_endpoint(*faults: int | str, tls: bool = False, **headers: str) -> Iter
 
         def reply(self, fault: int | str, status: int, data: bytes) -> None:
             self.send_response(status)
-            told = state.headers if status != 200 else {}
-            told = told | ({"Content-Encoding": "gzip, gzip"} if fault == "bomb" else {})
-            for name, value in (told | {"Content-Length": str(len(data))}).items():
+            sent = state.headers if status != 200 else {}
+            sent = sent | ({"Content-Encoding": "gzip, gzip"} if fault == "bomb" else {})
+            for name, value in (sent | {"Content-Length": str(len(data))}).items():
                 self.send_header(name, value)
             self.end_headers()
             self.wfile.write(data)

@@ -26,12 +26,12 @@ class Stream:
         s = self.s
         mixed = (s[0] + s[3]) & WORD
         drawn = (self.rotated(mixed, 23) + s[0]) & WORD
-        kept = (s[1] << 17) & WORD
+        shifted = (s[1] << 17) & WORD
         s[2] ^= s[0]
         s[3] ^= s[1]
         s[1] ^= s[2]
         s[0] ^= s[3]
-        s[2] ^= kept
+        s[2] ^= shifted
         s[3] = self.rotated(s[3], 45)
         return (drawn >> 11) / 2**53
 
@@ -60,7 +60,7 @@ class Twin:
         rate: Sequence[float],
         episodes: int,
         max_steps: int,
-        kept: Collection[int],
+        epochs: Collection[int],
     ) -> None:
         """Learn; keep the greedy policies after the episodes numbered in `kept`, from 1."""
         self.random = Stream(words)
@@ -74,7 +74,7 @@ class Twin:
             for _ in range(episodes):
                 total = self.episode(eps, alpha, max_steps, total)
                 episode += 1
-                if episode in kept:
+                if episode in epochs:
                     self.policies[episode] = self.greedy_policy()
             self.returns.append(total / episodes)
 

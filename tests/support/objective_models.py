@@ -146,7 +146,7 @@ def best_under(
     A limit (k, sign, bound) says that sign · entry k is at least sign · bound. A mixture of as few
     points as can be has one more of them than limits that bind.
     """
-    found = []
+    totals = []
     for count in range(1, len(limits) + 2):
         for mixed, tight in product(combinations(points, count), combinations(limits, count - 1)):
             rows = [[F(1)] * count] + [[point[k] for point in mixed] for k, _, _ in tight]
@@ -157,8 +157,8 @@ def best_under(
                 continue
             total = [sum(x * p[k] for x, p in zip(shares, mixed, strict=True)) for k in range(3)]
             if all(sign * (total[k] - bound) >= 0 for k, sign, bound in limits):
-                found.append(sense * total[0])
-    return sense * F(max(found)) if found else None
+                totals.append(sense * total[0])
+    return sense * F(max(totals)) if totals else None
 
 
 def vertices(points: Sequence[tuple[Fraction, Fraction]], sense: int) -> set[Vector]:
@@ -179,14 +179,14 @@ def vertices(points: Sequence[tuple[Fraction, Fraction]], sense: int) -> set[Vec
 LIMITS = st.sampled_from([F(-3), F(-1), F(-1, 3), F(0), F(1, 7), F(1), F(5, 2)])
 
 
-def sound(found: ConstrainedSolution, binding: int) -> None:
+def sound(solution: ConstrainedSolution, binding: int) -> None:
     """What holds of every solution: the proof, the totals of its policy, few randomised states."""
-    assert found.mdp is not None
-    assert found.violations() == []
-    assert sum(len(own) - 1 for own in found.randomises.values()) <= binding
-    measured = evaluate(found.mdp, found.policy)
-    if found.start_value is not None:
+    assert solution.mdp is not None
+    assert solution.violations() == []
+    assert sum(len(own) - 1 for own in solution.randomises.values()) <= binding
+    measured = evaluate(solution.mdp, solution.policy)
+    if solution.start_value is not None:
         low, high = measured.start.interval
-        assert low <= found.start_value <= high
-    for name, total in found.totals.items():
+        assert low <= solution.start_value <= high
+    for name, total in solution.totals.items():
         assert measured.components[name] == pytest.approx(float(total), abs=1e-6)

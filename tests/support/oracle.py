@@ -37,20 +37,20 @@ def solved(rows: Iterable[Mapping[int, F]], *right: Sequence[F]) -> list[Vector]
         column = number if number in row else min(row)
         pivot = row.pop(column)
         above[column] = {c: x / pivot for c, x in row.items()}, [v / pivot for v in values]
-    found: dict[int, Vector] = {}
+    columns: dict[int, Vector] = {}
     for column, (row, values) in reversed(above.items()):
-        found[column] = [
-            v - sum((x * found[c][k] for c, x in row.items()), F(0)) for k, v in enumerate(values)
+        columns[column] = [
+            v - sum((x * columns[c][k] for c, x in row.items()), F(0)) for k, v in enumerate(values)
         ]
-    return [[found[s][k] for s in sorted(found)] for k in range(len(right))]
+    return [[columns[s][k] for s in sorted(columns)] for k in range(len(right))]
 
 
 def fixed_point(right: Sequence[F], moves: Sequence[Mapping[int, F]]) -> Vector:
     """x = right + moves x."""
-    found = solved([_less(s, row) for s, row in enumerate(moves)], right)
-    if found is None:
+    values = solved([_less(s, row) for s, row in enumerate(moves)], right)
+    if values is None:
         raise ValueError("at discount 1 this policy never ends: it has no value")
-    return found[0]
+    return values[0]
 
 
 def _less(state: int, row: Mapping[int, F]) -> dict[int, F]:
@@ -67,14 +67,14 @@ def mean(row: Mapping[int, F], values: Sequence[F]) -> F:
 
 def rows_of(mdp: Any, pairs: Iterable[int] | None = None) -> list[Row]:
     """Return the rows of a model's pairs, or of some, such as those that a policy takes."""
-    found: list[Row] = []
+    rows: list[Row] = []
     for pair in range(mdp.n_pairs) if pairs is None else pairs:
         law: dict[int, F] = {}
         for p, t, _ in mdp.table.row(pair):
             law[t] = law.get(t, F(0)) + p
         reward = sum((p * r for p, _, r in mdp.table.row(pair)), F(0))
-        found.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), reward, law))
-    return found
+        rows.append((int(mdp.pair_state[pair]), int(mdp.pair_action[pair]), reward, law))
+    return rows
 
 
 def each_choice(mdp: Any) -> Iterator[tuple[int, ...]]:
@@ -196,46 +196,46 @@ def until(policy: Sequence[Row], target: Sequence[bool]) -> Values:
     """The expected reward until the target; infinite where it is not reached almost surely."""
     sure = hitting(policy, target, [True] * len(policy))
     ended = {s for s, chance in enumerate(sure) if chance < 1 or target[s]}
-    found = policy_values(policy, F(1), ended)
-    return [v if chance == 1 else inf for v, chance in zip(found, sure, strict=True)]
+    values = policy_values(policy, F(1), ended)
+    return [v if chance == 1 else inf for v, chance in zip(values, sure, strict=True)]
 
 
 def _leading_to(
-    policy: Sequence[Row], found: list[bool], through: Callable[[int], bool]
+    policy: Sequence[Row], ends: list[bool], through: Callable[[int], bool]
 ) -> list[bool]:
     """Whether a path leads to the states found, step by step, through some states."""
     while True:
-        more = [found[s] or (through(s) and any(found[t] for t in law)) for s, _, _, law in policy]
-        if more == found:
-            return found
-        found = more
+        more = [ends[s] or (through(s) and any(ends[t] for t in law)) for s, _, _, law in policy]
+        if more == ends:
+            return ends
+        ends = more
 
 
 def hitting_within(mdp: Any, target: Sequence[bool], allowed: Sequence[bool], steps: int) -> Vector:
     """The best probability of reaching the target within N steps, through allowed states."""
-    best, found = max if mdp.sense == "max" else min, [F(bool(t)) for t in target]
+    best, values = max if mdp.sense == "max" else min, [F(bool(t)) for t in target]
     for _ in range(steps):
-        after, rows = found, rows_by_state(mdp)
-        found = [
+        after, rows = values, rows_by_state(mdp)
+        values = [
             F(1) if target[s] else best(mean(law, after) for law in laws) if allowed[s] else F(0)
             for s, laws in enumerate([[law for *_, law in each] for each in rows])
         ]
-    return found
+    return values
 
 
 def until_within(mdp: Any, target: Sequence[bool], steps: int) -> Values:
     """The best reward until the target; at discount 1 infinite unless N steps are surely enough."""
     best, rate = max if mdp.sense == "max" else min, mdp.discount_exact
-    found: Values = [F(0) if t else inf if rate == 1 else F(0) for t in target]
+    values: Values = [F(0) if t else inf if rate == 1 else F(0) for t in target]
     for _ in range(steps):
-        after = found
-        found = [
+        after = values
+        values = [
             F(0)
             if target[s]
             else best(r + sum(rate * p * after[t] for t, p in law.items()) for _, _, r, law in each)
             for s, each in enumerate(rows_by_state(mdp))
         ]
-    return found
+    return values
 
 
 def rows_by_state(mdp: Any) -> list[list[Row]]:
@@ -259,7 +259,7 @@ def classes(policy: Sequence[Row]) -> list[list[int]]:
 def limit(policy: Sequence[Row]) -> list[dict[int, F]]:
     """The Cesàro limit of the powers of a chain, row by row."""
     laws = [law for *_, law in policy]
-    found: dict[int, dict[int, F]] = {}
+    rows: dict[int, dict[int, F]] = {}
     for each in classes(policy):
         place = {s: k for k, s in enumerate(each)}
         balance: list[dict[int, F]] = [{} for _ in each]  # of (I - P)ᵀ, and shares that sum to 1
@@ -269,12 +269,12 @@ def limit(policy: Sequence[Row]) -> list[dict[int, F]]:
         balance[-1] = dict.fromkeys(range(len(each)), F(1))
         shares = solved(balance, [F(s == each[-1]) for s in each])
         assert shares is not None
-        found |= {s: dict(zip(each, shares[0], strict=True)) for s in each}
-    moves = [{} if s in found else law for s, law in enumerate(laws)]
-    ends = sorted(found)
+        rows |= {s: dict(zip(each, shares[0], strict=True)) for s in each}
+    moves = [{} if s in rows else law for s, law in enumerate(laws)]
+    ends = sorted(rows)
     shares = solved(
         [_less(s, row) for s, row in enumerate(moves)],
-        *([found[s].get(t, F(0)) if s in found else F(0) for s in range(len(laws))] for t in ends),
+        *([rows[s].get(t, F(0)) if s in rows else F(0) for s in range(len(laws))] for t in ends),
     )
     assert shares is not None
     columns = dict(zip(ends, shares, strict=True))
@@ -297,9 +297,9 @@ def gain_and_bias(policy: Sequence[Row]) -> tuple[tuple[F, ...], tuple[F, ...]]:
 
 def best_average(rows: Iterable[Row]) -> tuple[tuple[F, ...], tuple[F, ...]]:
     """Return the greatest gains, and the greatest biases of the policies that have them."""
-    found = [gain_and_bias(policy) for policy in policies(rows)]
-    gain = tuple(map(max, zip(*(g for g, _ in found), strict=True)))
-    return gain, tuple(map(max, zip(*(h for g, h in found if g == gain), strict=True)))
+    averages = [gain_and_bias(policy) for policy in policies(rows)]
+    gain = tuple(map(max, zip(*(g for g, _ in averages), strict=True)))
+    return gain, tuple(map(max, zip(*(h for g, h in averages if g == gain), strict=True)))
 
 
 # ---- totals without a discount -------------------------------------------------------------------
@@ -320,6 +320,6 @@ def reaching(rows: Iterable[Row], missed: float, sign: int) -> Values:
     """The greatest (1) or least (-1) totals until state 0; runs that miss it are worth `missed`."""
     every = []
     for policy in policies(rows):
-        found = until(policy, [s == 0 for s in range(len(policy))])
-        every.append([missed if v == inf else v for v in found])
+        chances = until(policy, [s == 0 for s in range(len(policy))])
+        every.append([missed if v == inf else v for v in chances])
     return list(map(max if sign > 0 else min, zip(*every, strict=True)))

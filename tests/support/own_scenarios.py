@@ -59,8 +59,8 @@ def check_pairs(mdp: MDP, oracle: Oracle, pairs: Iterable[int]) -> None:
         action = mdp.actions[mdp.pair_action[pair]]
         law, parts = wanted_of(oracle, state, action)
         assert law_of(mdp, pair) == law, mdp.where(pair)
-        found = dict(zip(mdp.component_names, mdp.components[pair], strict=True))
-        for name, value in found.items():
+        amounts = dict(zip(mdp.component_names, mdp.components[pair], strict=True))
+        for name, value in amounts.items():
             assert value == pytest.approx(float(parts.get(name, 0)), rel=1e-14, abs=1e-14)
 
 

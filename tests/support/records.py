@@ -61,8 +61,8 @@ def by_stage(rows: np.ndarray, reward: np.ndarray, rate: float, own: np.ndarray)
     """Return V* and V^π (2, S) at time 0: rows (S, A, S), rewards (S, A), actions (N, S)."""
     value = np.zeros((2, len(rows)))
     for actions in own[::-1]:
-        worth = reward[None] + rate * np.einsum("sat,vt->vsa", rows, value)
-        value = np.stack([worth[0].max(axis=1), worth[1][np.arange(len(rows)), actions]])
+        values = reward[None] + rate * np.einsum("sat,vt->vsa", rows, value)
+        value = np.stack([values[0].max(axis=1), values[1][np.arange(len(rows)), actions]])
     return value
 
 

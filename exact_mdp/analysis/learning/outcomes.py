@@ -339,8 +339,8 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
     >>> from exact_mdp.solvers.learning.training import train
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = outcomes(mdp, train(mdp, QLearning(epochs=300), 12, rng=0))
-    >>> found.counts.sum(), bool((found.learning_error <= found.regret).all())
+    >>> runs = outcomes(mdp, train(mdp, QLearning(epochs=300), 12, rng=0))
+    >>> runs.counts.sum(), bool((runs.learning_error <= runs.regret).all())
     (np.int64(12), True)
     """
     mdp, rows = model, common_rows(model, runs)

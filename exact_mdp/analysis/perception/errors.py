@@ -171,9 +171,9 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     --------
     >>> from exact_mdp import Scenario, error_costs, independent
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = error_costs(mdp, "optimal", independent([0.9] * 4, [0.9] * 4))
-    >>> whole = found.perfect.value - found.value.value
-    >>> bool(abs(found.loss.sum() - whole) < 1e-9), max(found.by_status, key=found.by_status.get)
+    >>> costs = error_costs(mdp, "optimal", independent([0.9] * 4, [0.9] * 4))
+    >>> whole = costs.perfect.value - costs.value.value
+    >>> bool(abs(costs.loss.sum() - whole) < 1e-9), max(costs.by_status, key=costs.by_status.get)
     (True, 'disengagement')
     """
     passes = Passes(model)

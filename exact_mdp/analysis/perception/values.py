@@ -168,8 +168,8 @@ def accuracy_curves(
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> found = accuracy_curves(Scenario.load("yuan2025").compile(), levels=[0.9, 1])
-    >>> found.values["all"].round(4).tolist()
+    >>> curves = accuracy_curves(Scenario.load("yuan2025").compile(), levels=[0.9, 1])
+    >>> curves.values["all"].round(4).tolist()
     [140.7766, 146.2359]
     """
     grid = np.linspace(0.5, 1.0, 51)

@@ -156,8 +156,8 @@ def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
     >>> from exact_mdp.solvers.learning.training import train
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
-    >>> plot_regrets(found).get_xlabel()
+    >>> runs = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
+    >>> plot_regrets(runs).get_xlabel()
     'exact regret of the final policy (reward)'
     """
     ax = axes_or_new(ax)
@@ -219,8 +219,8 @@ def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -
     >>> from exact_mdp.solvers.learning.q_learning import QLearning
     >>> from exact_mdp.solvers.learning.training import train
     >>> mdp = Scenario.load("yuan2025").compile()
-    >>> found = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
-    >>> plot_distinct({"20 epochs": found}).get_ylabel()
+    >>> runs = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
+    >>> plot_distinct({"20 epochs": runs}).get_ylabel()
     'share of runs'
     """
     ax = axes_or_new(ax)

@@ -120,8 +120,8 @@ def worst_point(
 
     Examples
     --------
-    >>> found = worst_point(Scenario.load("yuan2025"), ranges={"base.anger": ("1/25", "3/50")})
-    >>> str(found.point["base.anger"]), found.value.value < 146.2
+    >>> worst = worst_point(Scenario.load("yuan2025"), ranges={"base.anger": ("1/25", "3/50")})
+    >>> str(worst.point["base.anger"]), worst.value.value < 146.2
     ('3/50', True)
     """
     family = parametric(model)

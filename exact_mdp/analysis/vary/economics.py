@@ -236,8 +236,8 @@ def cost_effectiveness(
     ...     return MDP.from_outcomes(rows, components=parts)
     >>> model = Family(parameters={"gain": 1}, build=build)
     >>> said = {"gain": {"distribution": "uniform", "low": 0, "high": 2}}
-    >>> found = cost_effectiveness(model, {"wait": [0, 0], "treat": [1, 0]}, 400, uncertain=said)
-    >>> found.frontier(10)[0][0], abs(float(found.acceptability(10)[0, 1]) - 3 / 4) < 0.1
+    >>> analysis = cost_effectiveness(model, {"wait": [0, 0], "treat": [1, 0]}, 400, uncertain=said)
+    >>> analysis.frontier(10)[0][0], abs(float(analysis.acceptability(10)[0, 1]) - 3 / 4) < 0.1
     ('treat', True)
     """
     family, seed = parametric(model), seed_of(rng)

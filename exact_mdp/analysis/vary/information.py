@@ -73,8 +73,8 @@ def evpi(values: Floats) -> MeanLoss:
 
     Examples
     --------
-    >>> found = evpi(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))
-    >>> found.value
+    >>> expected = evpi(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))
+    >>> expected.value
     0.25
     """
     best = int(values.mean(axis=0).argmax())
@@ -91,8 +91,8 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     >>> rng = np.random.default_rng(0)
     >>> known = rng.normal(size=(4000, 1))
     >>> values = np.hstack([known + rng.normal(size=known.shape), 0 * known])
-    >>> found = evppi(values, known, ("x",))  # E[max(x, 0)] = 0.3989
-    >>> abs(found.regression.value - 0.3989) < 4 * found.regression.standard_error
+    >>> expected = evppi(values, known, ("x",))  # E[max(x, 0)] = 0.3989
+    >>> abs(expected.regression.value - 0.3989) < 4 * expected.regression.standard_error
     True
     """
     count, candidates = values.shape

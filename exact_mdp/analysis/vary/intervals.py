@@ -58,8 +58,8 @@ class MeanLoss(Estimated):
 
     Examples
     --------
-    >>> found = mean_loss(np.array([0.0] * 98 + [1.0, 1.0]))
-    >>> round(found.value, 4), [round(end, 4) for end in found.interval], found.few
+    >>> loss = mean_loss(np.array([0.0] * 98 + [1.0, 1.0]))
+    >>> round(loss.value, 4), [round(end, 4) for end in loss.interval], loss.few
     (0.02, [0.0007, 0.1277], True)
     """
 

@@ -326,14 +326,14 @@ def tornado(
         for k, parameter in enumerate(parameters)
     }
     solver = solver_of(family)
-    base, held = solver.base, solver.base.held(policy)
-    points = _points(study_by(solver, columns, [held]), ends, base.mdp) if ends else ()
+    base, fixed_policy = solver.base, solver.base.held(policy)
+    points = _points(study_by(solver, columns, [fixed_policy]), ends, base.mdp) if ends else ()
     bars = [
         Bar(parameter=parameter, low=low, high=high)
         for parameter, low, high in zip(parameters, points[::2], points[1::2], strict=True)
     ]
     bars.sort(key=lambda bar: -bar.swing)
-    fixed = finite_worth(base.mdp, held, "today's parameters")
+    fixed = finite_worth(base.mdp, fixed_policy, "today's parameters")
     now = Point(optimal=base.solution.start, fixed=fixed, sense=base.mdp.sense)
     return Tornado(model=family.name, today=now, bars=tuple(bars))
 
@@ -479,8 +479,8 @@ def two_way(
     >>> rows = [(0, 0, [("1/2", 1, 4), ("1/2", 2, 0)]), (0, 1, [(1, 1, 1)])]
     >>> mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 0, 0)])], "1/2")
     >>> ranges = {"p": ("1/10", "9/10"), "discount": (0, "1/2")}
-    >>> found = two_way(moving(mdp, {"p": [(0, 1)]}), "p", "discount", points=2, ranges=ranges)
-    >>> found.actions_at(0).tolist()
+    >>> grid = two_way(moving(mdp, {"p": [(0, 1)]}), "p", "discount", points=2, ranges=ranges)
+    >>> grid.actions_at(0).tolist()
     [[1, 0], [1, 0]]
     """
     family = parametric(model)

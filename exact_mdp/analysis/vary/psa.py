@@ -515,8 +515,8 @@ def psa(
 
     Examples
     --------
-    >>> found = psa(Scenario.load("yuan2025"), 200, rng=0, effective_sample_size=50)
-    >>> len(found), found.candidates[0].actions["0000"]
+    >>> analysis = psa(Scenario.load("yuan2025"), 200, rng=0, effective_sample_size=50)
+    >>> len(analysis), analysis.candidates[0].actions["0000"]
     (200, 'non-directive')
     """
     family = parametric(model)
@@ -524,9 +524,9 @@ def psa(
     chosen, blocks_of_draws, rest = drawn(
         family, uncertain, n, seed, solver.block, effective_sample_size
     )
-    today, held = solver.base.held("optimal"), solver.base.held(policy)
-    same = np.array_equal(held, today)
-    given = [(TODAY, today)] if same else [(HELD, held), (TODAY, today)]
+    today, fixed_policy = solver.base.held("optimal"), solver.base.held(policy)
+    same = np.array_equal(fixed_policy, today)
+    given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
     key = {
         "model": family.name,
         "fingerprint": fingerprint(solver.base.mdp),

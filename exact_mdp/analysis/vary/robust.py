@@ -269,8 +269,8 @@ def robust(
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> found = robust(Scenario.load("yuan2025").compile())
-    >>> print(f"{found.value.value:.4f} {found.worst.value:.4f} {found.robust.start.value:.4f}")
+    >>> cases = robust(Scenario.load("yuan2025").compile())
+    >>> print(f"{cases.value.value:.4f} {cases.worst.value:.4f} {cases.robust.start.value:.4f}")
     146.2359 140.7817 140.7817
     """
     model = mdp_of(model)
@@ -321,8 +321,8 @@ def robust_curve(
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> found = robust_curve(Scenario.load("yuan2025").compile(), "l1", [0, 0.1])
-    >>> [round(each.robust.start.value, 3) for _, each in found.points]
+    >>> cases = robust_curve(Scenario.load("yuan2025").compile(), "l1", [0, 0.1])
+    >>> [round(each.robust.start.value, 3) for _, each in cases.points]
     [146.236, 139.106]
     """
     model = mdp_of(model)

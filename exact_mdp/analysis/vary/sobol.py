@@ -275,8 +275,8 @@ def sobol(
     >>> rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [("1/2", 2, 1), ("1/2", 3, 0)])]
     >>> rows += [(2, 0, [(1, 2, 0)]), (3, 0, [(1, 3, 0)])]
     >>> model = moving(MDP.from_outcomes(rows, 1), {"p": [(0, 1)], "q": [(1, 2)]})
-    >>> found = sobol(model, ranges={"p": (0, 1), "q": (0, 1)}, n=64, rng=0)
-    >>> found.names, found.draws, (found.optimal.total > found.optimal.first).tolist()
+    >>> indices = sobol(model, ranges={"p": (0, 1), "q": (0, 1)}, n=64, rng=0)
+    >>> indices.names, indices.draws, (indices.optimal.total > indices.optimal.first).tolist()
     (('p', 'q'), 256, [True, True])
     """
     confidence = float(confidence_of(confidence))

@@ -144,8 +144,8 @@ def study(
     --------
     >>> from exact_mdp.mdp.parametric import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    >>> found = study(moving(mdp, {"stay": [(0, 0)]}), {"stay": [0.5, "3/4"]})
-    >>> found.optimal.round(9).tolist(), found.regret.tolist()
+    >>> table = study(moving(mdp, {"stay": [(0, 0)]}), {"stay": [0.5, "3/4"]})
+    >>> table.optimal.round(9).tolist(), table.regret.tolist()
     ([2.0, 4.0], [[0.0], [0.0]])
     """
     return study_by(solver_of(parametric(model)), points, policies, **how)

@@ -257,8 +257,8 @@ class Counted:
 
         Examples
         --------
-        >>> found = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["anger"])
-        >>> rate = found["anger"]["sensitivity"]
+        >>> counts = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["anger"])
+        >>> rate = counts["anger"]["sensitivity"]
         >>> rate.right, round(rate.low, 4), rate.high
         (10, 0.6915, 1.0)
         """

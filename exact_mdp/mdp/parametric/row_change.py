@@ -124,8 +124,8 @@ def row_change(
     >>> from exact_mdp.mdp.parametric.family import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> family = moving(mdp, {"p": [(0, 0)]})
-    >>> found = row_change(family, "p", Piece(low=Fraction(0), high=Fraction(1)))
-    >>> found.transition.key.tolist(), [str(slope) for slope in found.transition.slope]
+    >>> change = row_change(family, "p", Piece(low=Fraction(0), high=Fraction(1)))
+    >>> change.transition.key.tolist(), [str(slope) for slope in change.transition.slope]
     ([0, 1], ['1', '-1'])
     """
     degree = max(model.degree(name), 1)

@@ -80,8 +80,8 @@ class LinearSystem(ByFields):
     Examples
     --------
     >>> walk = sp.csr_array([[0.5, 0.25], [0.0, 0.0]])
-    >>> found = LinearSystem(walk).solve(np.array([1.0, 1.0]))
-    >>> found.value.tolist(), bool(found.error.max() < 1e-14)
+    >>> solved = LinearSystem(walk).solve(np.array([1.0, 1.0]))
+    >>> solved.value.tolist(), bool(solved.error.max() < 1e-14)
     ([2.5, 1.0], True)
     """
 

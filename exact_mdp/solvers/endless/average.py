@@ -70,8 +70,8 @@ class AverageSolution(Solution):
     --------
     >>> from exact_mdp.solvers import solve
     >>> mdp = MDP.from_arrays([[[0, 1], [1, 0]], [[1, 0], [0, 1]]], [[2, 0], [3, "1/2"]])
-    >>> found = solve(mdp.with_(discount="1/2"), criterion="average")
-    >>> found.value.tolist(), found.bias.tolist(), found.policy.tolist()
+    >>> solution = solve(mdp.with_(discount="1/2"), criterion="average")
+    >>> solution.value.tolist(), solution.bias.tolist(), solution.policy.tolist()
     ([2.5, 2.5], [-0.25, 0.25], [0, 0])
     """
 

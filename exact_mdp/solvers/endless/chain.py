@@ -262,8 +262,8 @@ class AverageEvaluation(Valued, Result):
     --------
     >>> from exact_mdp.solvers import evaluate
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], ["4/5", "1/5"]]], [[5], [-1]])
-    >>> found = evaluate(mdp, [0, 0], criterion="average")
-    >>> found.start.interval, found.share.value.round(4).tolist()
+    >>> evaluation = evaluate(mdp, [0, 0], criterion="average")
+    >>> evaluation.start.interval, evaluation.share.value.round(4).tolist()
     ((2.69230..., 2.69230...), [0.6154, 0.3846])
     """
 

@@ -210,10 +210,10 @@ class ConstrainedSolution(TotalsProof):
         mdp = self.of.mdp
         return Policy(space=mdp.space, actions=mdp.actions, rule=self.rule)
 
-    def table(self, totals: Mapping[str, Fraction], kept: Sequence[str] = ()) -> Table:
+    def table(self, totals: Mapping[str, Fraction], keeps: Sequence[str] = ()) -> Table:
         """Return each limit with a policy's total of it, and its price or the closest to be kept.
 
-        `kept` says of each limit whether the policy keeps it.
+        `keeps` says of each limit whether the policy keeps it.
         """
         rows = [
             {"limit": str(limit), "total": totals[limit.name], "price": price, "closest": near}
@@ -222,8 +222,8 @@ class ConstrainedSolution(TotalsProof):
             )
         ]
         columns = {"limit": "limit", "total": "total:.10g"}
-        if kept:
-            rows = [row | {"kept": word} for row, word in zip(rows, kept, strict=True)]
+        if keeps:
+            rows = [row | {"kept": word} for row, word in zip(rows, keeps, strict=True)]
             columns |= {"kept": "kept"}
         if self.feasible:
             note = "price: what the optimum gains for one point by which the limit is moved"

@@ -81,8 +81,8 @@ class Intervals:
     Examples
     --------
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    >>> found = Intervals.relative(mdp, 0.2)
-    >>> found.lower.tolist(), found.upper.tolist()
+    >>> intervals = Intervals.relative(mdp, 0.2)
+    >>> intervals.lower.tolist(), intervals.upper.tolist()
     ([0.4, 0.4, 0.8], [0.6, 0.6, 1.0])
     """
 

@@ -94,10 +94,10 @@ class Evaluation(Valued, Pictured):
     Examples
     --------
     >>> from exact_mdp import Scenario
-    >>> found = evaluate(Scenario.load("yuan2025"), "random")
-    >>> print(f"{found.mean:.4f} {found.sd:.4f} {found.steps:.4f} {found.skip_probability:.4f}")
+    >>> law = evaluate(Scenario.load("yuan2025"), "random")
+    >>> print(f"{law.mean:.4f} {law.sd:.4f} {law.steps:.4f} {law.skip_probability:.4f}")
     85.0285 71.5334 7.4267 0.5481
-    >>> print(found.start)
+    >>> print(law.start)
     85.0285... ± ... (bounded)
     """
 
@@ -528,8 +528,8 @@ def evaluate(
     --------
     >>> wait, leave = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
     >>> mdp = MDP.from_arrays([wait, leave], [[1, 5], [0, 0]])
-    >>> found = evaluate(mdp, [0, 0])
-    >>> found.mean, found.steps, found.components, found.quantiles[0.5]
+    >>> evaluation = evaluate(mdp, [0, 0])
+    >>> evaluation.mean, evaluation.steps, evaluation.components, evaluation.quantiles[0.5]
     (2.0, 2.0, {'reward': 2.0}, 1.0)
     """
     mdp = mdp_of(model)

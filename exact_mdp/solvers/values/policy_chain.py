@@ -453,11 +453,11 @@ class Equations:
         rows = self.chain.rows(self.rate, self.used)
         sides = [[*map(Fraction, side.tolist())] for side in (constant, doubt)]
         if self.turned:
-            found = visited(rows, self.live, *([*enumerate(side)] for side in sides))
+            levels = visited(rows, self.live, *([*enumerate(side)] for side in sides))
         else:
             matrix = equations(rows, self.live)
-            found = [solved(matrix, rows, side) for side in sides]
-        value, off = (rounded(level.fractions()) for level in found)
+            levels = [solved(matrix, rows, side) for side in sides]
+        value, off = (rounded(level.fractions()) for level in levels)
         return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
 
 
@@ -569,7 +569,7 @@ def parted(chain: PolicyChain) -> Parted:
         lost = {inf: busy & (gain > 0), -inf: busy & (gain < 0)}
     ending = chain.ended(np.logical_or.reduce([rest, *lost.values()]))
     lost = {sign: each for sign, each in lost.items() if each.any()}
-    worth = sum(lost)
+    value = sum(lost)
     if len(lost) == 2:
         if not (sign := one_sign(mdp, np.sign(chain.exact_gain))):
             raise ModelError(
@@ -577,8 +577,8 @@ def parted(chain: PolicyChain) -> Parted:
                 where="policy",
                 fix=ways_out(mdp, "take evaluate(), which gives the limit of the discounted means"),
             )
-        worth = inf * sign
-    return Parted(chain=ending, lost=lost, worth=worth)
+        value = inf * sign
+    return Parted(chain=ending, lost=lost, worth=value)
 
 
 def _signs(chain: PolicyChain, busy: Mask) -> Numbers:

@@ -76,8 +76,8 @@ class ReturnDistribution(Pictured):
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
-    >>> found = return_distribution(MDP.from_outcomes(rows), "random")
-    >>> found.mean, found.cdf(1), found.quantile(0.5)
+    >>> law = return_distribution(MDP.from_outcomes(rows), "random")
+    >>> law.mean, law.cdf(1), law.quantile(0.5)
     (1.25, 0.5, Fraction(1, 2))
     """
 
@@ -274,8 +274,8 @@ def return_distribution(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
-    >>> found = return_distribution(MDP.from_outcomes(rows), "random")
-    >>> print(*found.values, found.probabilities.tolist())
+    >>> law = return_distribution(MDP.from_outcomes(rows), "random")
+    >>> print(*law.values, law.probabilities.tolist())
     1/2 2 [0.5, 0.5]
     """
     check_counts("return_distribution", max_sweeps=max_sweeps)

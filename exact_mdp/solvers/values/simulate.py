@@ -216,8 +216,8 @@ def simulate(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, 0), ("1/2", 1, 2)]), (1, 0, [(1, 1, 0)])]
-    >>> found = simulate(MDP.from_outcomes(rows), "random", n=400, rng=0)
-    >>> abs(found.mean - 1) < 4 * found.standard_error
+    >>> sample = simulate(MDP.from_outcomes(rows), "random", n=400, rng=0)
+    >>> abs(sample.mean - 1) < 4 * sample.standard_error
     True
     """
     check_counts("simulate", n=n, **({} if max_steps is None else {"max_steps": max_steps}))

@@ -59,8 +59,8 @@ def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
     mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0], states=names, actions=["[red]go"])
     path = tmp_path / "model.npz"
     save(mdp, path)
-    found = run("solve", path, "--json").result
-    assert found["policy_by_state"] == dict.fromkeys(names, "[red]go")
+    result = run("solve", path, "--json").result
+    assert result["policy_by_state"] == dict.fromkeys(names, "[red]go")
     assert all(name in run("solve", path).out for name in [*names, "[red]go"])
     done = launch("solve", path, PYTHONIOENCODING="ascii")
     assert done.status == 0
@@ -119,15 +119,17 @@ def test_every_command_has_help() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "notice"),
     [
         (["evaluate", "yuan2025", "random"], True),
         (["gradient", "tea", "--parameter", "reward.anxiety"], True),
         (["info", "gymnasium:FrozenLake-v1"], False),
     ],
 )
-def test_what_concerns_care_says_that_it_is_no_medical_advice(words: list[str], told: bool) -> None:
-    assert ("no medical advice" in run(*words).out) == told
-    found = run(*words, "--json")
-    assert ("no medical advice" in json.loads(found.out).get("notice", "")) == told
-    assert "medical" not in found.err
+def test_what_concerns_care_says_that_it_is_no_medical_advice(
+    words: list[str], notice: bool
+) -> None:
+    assert ("no medical advice" in run(*words).out) == notice
+    done = run(*words, "--json")
+    assert ("no medical advice" in json.loads(done.out).get("notice", "")) == notice
+    assert "medical" not in done.err

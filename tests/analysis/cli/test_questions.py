@@ -56,13 +56,13 @@ def land(tmp_path: Path) -> str:
 def test_simulations_and_returns_of_questions(
     land: str, words: list[str], mean: float | str, never: float
 ) -> None:
-    found = run("simulate", land, "always:swim", "--episodes", "400", "--json", *words).result
-    assert found["mean"] == (mean if isinstance(mean, str) else pytest.approx(mean, abs=0.1))
-    assert found["never_ends"] == pytest.approx(never, abs=0.1)
+    result = run("simulate", land, "always:swim", "--episodes", "400", "--json", *words).result
+    assert result["mean"] == (mean if isinstance(mean, str) else pytest.approx(mean, abs=0.1))
+    assert result["never_ends"] == pytest.approx(never, abs=0.1)
     exact = run("returns", land, "always:swim", "--json", *words).result
     assert exact["mean"] == (mean if isinstance(mean, str) else pytest.approx(mean))
     assert exact["never_ends"] == exact["distribution"].get("inf", 0) == never
-    assert exact["question"] == found["question"]
+    assert exact["question"] == result["question"]
 
 
 @pytest.mark.parametrize(
@@ -88,11 +88,11 @@ def test_simulations_and_returns_of_questions(
     ],
 )
 def test_solve(land: str, words: list[str], exact: str, policy: str | None) -> None:
-    found = run("solve", land, *words, "--certify", "--json").result
-    assert found["exact_start_value"] == exact
-    assert found["sense"] == ("min" if "--minimize" in words else "max")
+    result = run("solve", land, *words, "--certify", "--json").result
+    assert result["exact_start_value"] == exact
+    assert result["sense"] == ("min" if "--minimize" in words else "max")
     if policy:
-        assert found["policy_by_state"]["here"] == policy
+        assert result["policy_by_state"]["here"] == policy
 
 
 def test_other_commands(land: str) -> None:
@@ -183,7 +183,7 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "start", "words", "told"),
+    ("rows", "start", "words", "message"),
     [
         ([(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, -1)])], {0: "1/2", 1: "1/2"}, [], "from another"),
         (
@@ -195,7 +195,7 @@ def test_where_some_policy_never_ends(tmp_path: Path) -> None:
     ],
 )
 def test_totals_that_nobody_has_are_refused_by_name(
-    rows: list[Any], start: object, words: list[str], told: str, tmp_path: Path
+    rows: list[Any], start: object, words: list[str], message: str, tmp_path: Path
 ) -> None:
     model = str(tmp_path / "m.npz")
     size = 1 + max(row[0] for row in rows)
@@ -208,7 +208,7 @@ def test_totals_that_nobody_has_are_refused_by_name(
     ):
         done = run(*command, *words)
         assert (done.status, done.out) == (2, ""), command
-        assert told in done.err, command
+        assert message in done.err, command
 
 
 def test_a_model_in_the_place_of_a_certificate_is_told(tmp_path: Path) -> None:
@@ -224,11 +224,11 @@ def test_an_average_is_solved_proven_and_verified(tmp_path: Path) -> None:
     forest("9/10").save(model := tmp_path / "forest.npz")
     proof, arrays = tmp_path / "proof.json", tmp_path / "arrays.npz"
     files = ("--certificate", proof, "--out", arrays, "--policy-out", tmp_path / "policy.csv")
-    found = run("solve", model, *AVERAGE, "--certify", *files, "--json").result
-    assert found["criterion"] == "average"
-    assert (found["exact_start_value"], found["claim"]) == ("81/25", "certified")
-    assert found["bias"] == {"0": "-162/25", "1": "-72/25", "2": "28/25"}
-    assert found["policy_by_state"] == {"0": "0", "1": "0", "2": "0"}
+    result = run("solve", model, *AVERAGE, "--certify", *files, "--json").result
+    assert result["criterion"] == "average"
+    assert (result["exact_start_value"], result["claim"]) == ("81/25", "certified")
+    assert result["bias"] == {"0": "-162/25", "1": "-72/25", "2": "28/25"}
+    assert result["policy_by_state"] == {"0": "0", "1": "0", "2": "0"}
     assert np.load(arrays)["bias"].tolist() == [-6.48, -2.88, 1.12]
     verified = run("verify", proof, model, "--json").result
     assert (verified["holds"], verified["exact_start_value"]) == (True, "81/25")

@@ -23,21 +23,23 @@ def ask(kind: str, *words: object) -> dict[str, Any]:
 
 
 def test_sobol_tells_of_value_and_regret() -> None:
-    found = ask("sobol", *HELD, "--samples", 4)
-    names = set(found["first_order"])
+    answer = ask("sobol", *HELD, "--samples", 4)
+    names = set(answer["first_order"])
     assert {"base.anger", "reward.subtask-complete"} <= names
-    assert "assistance.supportive.anger.onset" in found["without_range"]
-    assert names | set(found["without_range"]) == set(YUAN.names)
-    assert (found["claim"], found["seed"], found["confidence"]) == ("estimated", 0, 0.95)
-    assert found["draws"] == 4 * (len(names) + 2)
-    for each in (found, found["regret"]):
+    assert "assistance.supportive.anger.onset" in answer["without_range"]
+    assert names | set(answer["without_range"]) == set(YUAN.names)
+    assert (answer["claim"], answer["seed"], answer["confidence"]) == ("estimated", 0, 0.95)
+    assert answer["draws"] == 4 * (len(names) + 2)
+    for each in (answer, answer["regret"]):
         assert set(each["total"]) == names
         for kind in ("first_order", "total"):
             for name, (low, high) in each[f"{kind}_interval"].items():
                 assert low <= each[kind][name] <= high
     expected = sobol(SMALL, policy="always:directive", n=4, rng=0)
-    assert found["total"] == dict(zip(expected.names, expected.optimal.total.tolist(), strict=True))
-    assert found["regret"]["mean"] == expected.regret.mean > 0
+    assert answer["total"] == dict(
+        zip(expected.names, expected.optimal.total.tolist(), strict=True)
+    )
+    assert answer["regret"]["mean"] == expected.regret.mean > 0
 
 
 def test_the_discount_is_held_unless_it_is_named() -> None:
@@ -54,27 +56,27 @@ def test_first_orders_above_the_total_are_called_noise() -> None:
     names = ("base.anger", "reward.anger", "reward.timestep", "base.forgetfulness")
     words = ("sobol", "yuan2025", *SET, "--samples", 8)
     words = (*words, *(word for name in names for word in ("--parameter", name)))
-    found, said = run(*words, "--json").result, run(*words).err
-    assert any(found["first_order"][name] > found["total"][name] for name in names)
+    result, said = run(*words, "--json").result, run(*words).err
+    assert any(result["first_order"][name] > result["total"][name] for name in names)
     assert "the first order is above the total" in said
 
 
 def test_sobol_keeps_its_work(tmp_path: Path) -> None:
     words = (*HELD, "--samples", 4, "--parameter", "base.anger", "--out", tmp_path / "kept")
-    found = ask("sobol", *words)
-    assert [Path(path).name for path in found["written"]] == ["sobol.json", "run.json"]
-    kept = json.loads((tmp_path / "kept" / "sobol.json").read_text())
-    assert found == kept | {"notice": found["notice"]}
+    answer = ask("sobol", *words)
+    assert [Path(path).name for path in answer["written"]] == ["sobol.json", "run.json"]
+    content = json.loads((tmp_path / "kept" / "sobol.json").read_text())
+    assert answer == content | {"notice": answer["notice"]}
     assert json.loads((tmp_path / "kept" / "run.json").read_text())["seed"] == 0
-    assert ask("sobol", *words) == found
+    assert ask("sobol", *words) == answer
     other = run("sobol", "yuan2025", *SET, *words, "--seed", 1)
     assert other.status == 2
     assert "differs in" in other.err
 
 
 def test_a_regret_of_nothing_has_no_indices() -> None:
-    found = ask("sobol", "--samples", 4, "--parameter", "reward.subtask-complete")
-    assert found["regret"]["total"] == {"reward.subtask-complete": None}
+    answer = ask("sobol", "--samples", 4, "--parameter", "reward.subtask-complete")
+    assert answer["regret"]["total"] == {"reward.subtask-complete": None}
     text = run("sobol", "yuan2025", *SET, "--samples", 4, "--parameter", "discount")
     assert text.status == 0
     assert "shares of the variance of the start value" in text.out
@@ -86,8 +88,8 @@ def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
     pytest.importorskip("gymnasium")
     assert run(*words).status == 0
     words = ("--samples", 32, "--n-jobs", 1, "--relative", "0.05", "--parameter", "discount")
-    found = run("sobol", file, *words, "--json").result
-    assert found["total"]["discount"] == pytest.approx(1, abs=0.2)
+    result = run("sobol", file, *words, "--json").result
+    assert result["total"]["discount"] == pytest.approx(1, abs=0.2)
 
 
 # ---- robust -------------------------------------------------------------------------------------
@@ -100,8 +102,8 @@ def test_a_box_tells_the_worst_point_found() -> None:
     box = run("robust", "yuan2025", *small).result
     assert (box["set_kind"], box["radius"], box["claim"]) == ("box", 0.2, "estimated")
     worst, own = box["worst_case"], Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    found = worst_point(own, ranges={name: tuple(span) for name, span in box["box"].items()})
-    assert worst["value"] == pytest.approx(found.value.value, abs=1e-9)
+    point = worst_point(own, ranges={name: tuple(span) for name, span in box["box"].items()})
+    assert worst["value"] == pytest.approx(point.value.value, abs=1e-9)
     assert worst["value"] <= worst["optimum"]["value"] < box["start_value"]
     assert all(worst["point"][name] in span for name, span in box["box"].items())
     assert "base.anger" in box["box"]
@@ -114,18 +116,18 @@ def test_a_box_tells_the_worst_point_found() -> None:
 @pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
 def test_a_radius_of_0_is_the_tables_as_they_are(kind: str) -> None:
     words = (*ONE, "--set", "max_trial=2", "--set-kind", kind, "--radius", "0", "--json")
-    found = run("robust", "yuan2025", *words).result
+    result = run("robust", "yuan2025", *words).result
     for case in ("worst_case", "best_case"):
-        held = found[case]["nominal_policy"]["value"]
-        assert held == pytest.approx(found["start_value"], abs=1e-6)
+        nominal = result[case]["nominal_policy"]["value"]
+        assert nominal == pytest.approx(result["start_value"], abs=1e-6)
 
 
 def test_a_model_that_need_not_end_is_refused_at_discount_1() -> None:
     done = run("robust", "gymnasium:FrozenLake-v1", "--discount", "1")
     assert done.status == 2
     assert "every episode to end" in done.err
-    found = run("robust", "gymnasium:FrozenLake-v1", "--discount", "0.9", "--json").result
-    assert found["worst_case"]["value"] < found["start_value"]
+    result = run("robust", "gymnasium:FrozenLake-v1", "--discount", "0.9", "--json").result
+    assert result["worst_case"]["value"] < result["start_value"]
 
 
 # ---- derivatives, bars and thresholds -----------------------------------------------------------
@@ -135,18 +137,18 @@ def test_command_tornado_and_threshold(tmp_path: Path) -> None:
     file = tmp_path / "ranges.toml"
     file.write_text('"reward.assist.non-directive" = [-10, 0]', "utf-8")
     words = ("tornado", "yuan2025", *SET, "--range", file)
-    found = run(*words, "--json").result
-    (bar,) = found["bars"]
+    result = run(*words, "--json").result
+    (bar,) = result["bars"]
     assert (bar["low"], bar["high"]) == (-10, 0)
-    assert bar["value_low"] < found["start_value"] < bar["value_high"]
+    assert bar["value_low"] < result["start_value"] < bar["value_high"]
     assert "reward.assist.non-directive" in run(*words).out
     words = ("threshold", "yuan2025", *SET, "--range", file)
-    found = run(*words, "--json").result
-    assert found["switches"]
-    for switch in found["switches"]:
+    result = run(*words, "--json").result
+    assert result["switches"]
+    for switch in result["switches"]:
         assert switch["before"] != switch["after"]
         assert Fraction(switch["high"]) - Fraction(switch["low"]) <= Fraction(1, 10**12)
-    stable = found["stable"]["reward.assist.non-directive"]
+    stable = result["stable"]["reward.assist.non-directive"]
     assert stable["low"] <= -3 <= stable["high"]
     assert run(*words).status == 0
 
@@ -161,16 +163,16 @@ def test_psa_takes_any_model(tmp_path: Path) -> None:
     file = tmp_path / "wager.npz"
     rows = [(0, action, [(p, 1, 1), (1 - p, 2, 0)]) for action, p in enumerate(CHANCES)]
     save(MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]), file)
-    found = run("psa", file, "--samples", 24, "--n-jobs", 1, "--json").result
-    assert found["evpi"] > 0
-    assert set(found["evppi"]) == {"(state 0, 0)", "(state 0, 1)"}
-    assert found["clipped"] is None
+    result = run("psa", file, "--samples", 24, "--n-jobs", 1, "--json").result
+    assert result["evpi"] > 0
+    assert set(result["evppi"]) == {"(state 0, 0)", "(state 0, 1)"}
+    assert result["clipped"] is None
     row = tmp_path / "row.toml"
     row.write_text('["(state 0, 0)"]\nfixed = true\n')
     words = ("--samples", 20, "--n-jobs", 1, "--json", "--uncertain", row)
-    held = run("psa", file, *words).result
-    assert held["fixed"]["(state 0, 0): to state 1"] == "stated to be fixed"
-    assert len(held["drawn"]) == 1
+    fixed = run("psa", file, *words).result
+    assert fixed["fixed"]["(state 0, 0): to state 1"] == "stated to be fixed"
+    assert len(fixed["drawn"]) == 1
 
 
 def test_psa_draws_rewards_and_the_discount_of_any_model_where_they_are_stated(
@@ -179,9 +181,11 @@ def test_psa_draws_rewards_and_the_discount_of_any_model_where_they_are_stated(
     file, stated = tmp_path / "model.npz", tmp_path / "stated.toml"
     save(MDP.from_arrays([[[0, 1], [0, 1]]], [2, 0], "1/2"), file)
     stated.write_text('["reward.2"]\nsd = 0.5\n[discount]\neffective_sample_size = 9\n')
-    found = run("psa", file, "--uncertain", stated, "--samples", 64, "--n-jobs", 1, "--json").result
-    assert {name: each["distribution"] for name, each in found["drawn"].items()} == {
+    result = run(
+        "psa", file, "--uncertain", stated, "--samples", 64, "--n-jobs", 1, "--json"
+    ).result
+    assert {name: each["distribution"] for name, each in result["drawn"].items()} == {
         "reward.2": "normal",
         "discount": "beta",
     }
-    assert found["value"]["mean"] == pytest.approx(2, abs=0.3)
+    assert result["value"]["mean"] == pytest.approx(2, abs=0.3)

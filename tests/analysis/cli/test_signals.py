@@ -38,7 +38,7 @@ def piece(number):
 
 def session(leader: int) -> list[int]:
     """Return the processes of a session that are alive."""
-    found = []
+    members = []
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():
             try:
@@ -46,8 +46,8 @@ def session(leader: int) -> list[int]:
             except OSError:
                 continue
             if int(fields[3]) == leader and fields[0] != "Z":
-                found.append(int(folder.name))
-    return found
+                members.append(int(folder.name))
+    return members
 
 
 def gone(leader: int) -> bool:
@@ -117,8 +117,8 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_bytes(tmp_path: Path) -
     assert (process.returncode, out) == (143, ""), err
     assert err.startswith("stopped by SIGTERM; what is finished (runs: ")
     assert "Traceback" not in err
-    kept = sorted(path.name for path in (tmp_path / "out").glob("runs-*.npz"))
-    count = str(len(kept) + 2)
+    saved = sorted(path.name for path in (tmp_path / "out").glob("runs-*.npz"))
+    count = str(len(saved) + 2)
     for folder in ("out", "fresh"):
         subprocess.run(
             [*words, tmp_path / folder, "--seeds", count], check=True, stdout=subprocess.DEVNULL

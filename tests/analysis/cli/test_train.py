@@ -20,11 +20,11 @@ def result() -> dict:
 def test_the_last_episodes_of_the_first_run(result: dict) -> None:
     mdp = Scenario.load("yuan2025").compile()
     run = QLearning(epochs=60).train(mdp, np.random.SeedSequence(0).spawn(1)[0])
-    found = result["first_run"]
-    assert found["episodes"] == 100
-    assert found["distinct"] == len(set(run.last.tolist()))
-    assert [top["episodes"] for top in found["top"]] == list(run.last_counts().values())[:5]
-    for top in found["top"]:
+    first = result["first_run"]
+    assert first["episodes"] == 100
+    assert first["distinct"] == len(set(run.last.tolist()))
+    assert [top["episodes"] for top in first["top"]] == list(run.last_counts().values())[:5]
+    for top in first["top"]:
         assert top["value"] == pytest.approx(evaluate(mdp, Policy.of(mdp, top["policy"])).mean)
 
 
@@ -32,8 +32,10 @@ def test_values_and_regrets_are_exact(result: dict) -> None:
     mdp = Scenario.load("yuan2025").compile()
     total = 0.0
     for entry in result["policies"]:
-        found = evaluate(mdp, Policy.of(mdp, entry["policy"]))
-        assert abs(found.mean - entry["value"]) <= found.start.error + entry["error_bound"]
+        evaluation = evaluate(mdp, Policy.of(mdp, entry["policy"]))
+        assert (
+            abs(evaluation.mean - entry["value"]) <= evaluation.start.error + entry["error_bound"]
+        )
         assert entry["regret"] == pytest.approx(result["optimal_value"] - entry["value"], abs=1e-9)
         total += entry["count"] * entry["regret"]
     assert result["regret"]["mean"] == pytest.approx(total / 20)
@@ -62,8 +64,8 @@ def test_the_files_can_be_used(tmp_path: Path) -> None:
     written = {"summary.json", "policy.csv", "q.npy", "run.json"}
     assert names == written | {"training.json", "runs-000000.npz", "runs-000001.npz"}
     assert {Path(path).name for path in done.result["written"]} == written
-    told = {key: value for key, value in done.result.items() if key != "notice"}
-    assert strict((tmp_path / "summary.json").read_text()) == told
+    facts = {key: value for key, value in done.result.items() if key != "notice"}
+    assert strict((tmp_path / "summary.json").read_text()) == facts
     record = json.loads((tmp_path / "run.json").read_text())
     assert record["seed"] == 0
     assert "Exponential" in record["solver"]
@@ -105,11 +107,11 @@ def test_the_files_can_be_used(tmp_path: Path) -> None:
     ids=" ".join,
 )
 def test_options(words: tuple[str, ...], tmp_path: Path) -> None:
-    found = run(*QUICK, "--seeds", 3, "--learner=epochs=10", "--out", tmp_path, *words).result
-    assert found["regret"]["mean"] >= 0
-    assert found["best_value"] <= found["optimal_value"] + 1e-9
+    trained = run(*QUICK, "--seeds", 3, "--learner=epochs=10", "--out", tmp_path, *words).result
+    assert trained["regret"]["mean"] >= 0
+    assert trained["best_value"] <= trained["optimal_value"] + 1e-9
     if "--learner=max_steps=3" in words:
-        assert found["cut_short"] > 0
+        assert trained["cut_short"] > 0
     policy = "q.npy" if "--learner=columns=trial, status" not in words else "policy.csv"
     mine = [word for word in words if word.startswith(("readings", "tasks"))]
     changes = [piece for word in mine for piece in ("--set", word)]

@@ -66,11 +66,11 @@ def test_limits_fronts_and_gates_agree_with_every_policy(
         part = data.draw(st.sampled_from([F(0), F(1, 3), F(1, 2), F(1), F(5, 4)]))
         sign = data.draw(st.sampled_from([1, -1]))
         limits.append((k, sign, ends[0] + part * (ends[1] - ends[0])))
-    kept = {names[k]: f"{'>=' if sign > 0 else '<='} {bound}" for k, sign, bound in limits}
+    bounds = {names[k]: f"{'>=' if sign > 0 else '<='} {bound}" for k, sign, bound in limits}
     best = best_under(points, limits, sense)
-    found = solve(mdp, subject_to=kept, horizon=steps)
-    assert (found.feasible, found.violations()) == (best is not None, [])
-    assert best in (None, found.start_value)
+    solution = solve(mdp, subject_to=bounds, horizon=steps)
+    assert (solution.feasible, solution.violations()) == (best is not None, [])
+    assert best in (None, solution.start_value)
 
     choice = [data.draw(st.sampled_from(pairs)) for pairs in every]
     q = np.where(mdp.by_action(np.ones(mdp.n_pairs), 0) > 0, -F(sense), np.nan).astype(float)
@@ -82,7 +82,7 @@ def test_limits_fronts_and_gates_agree_with_every_policy(
         else {totals(mdp, names)[[*each_choice(mdp)].index(tuple(choice))]}
     )
     total = mine.pop()
-    audit = check(mdp, q, subject_to=kept, horizon=steps, kind="q")
+    audit = check(mdp, q, subject_to=bounds, horizon=steps, kind="q")
     keeps = all(sign * (total[k] - bound) >= 0 for k, sign, bound in limits)
     assert audit.criterion.totals == {names[k]: total[k] for k, _, _ in limits}
     assert audit.passed == (keeps and total[0] == best)

@@ -75,8 +75,8 @@ def test_an_array_that_fits_both_readings_is_refused_everywhere(mdp: MDP, tmp_pa
         assert (done.status, done.out) == (2, "")
         assert "are these probabilities or a Q-table" in done.err
         for kind, line in (("q", "a Q-table"), ("policy", "action probabilities")):
-            found = run(*words, model, file, "--kind", kind, "--json")
-            assert found.result["read_as"] == kind
+            answer = run(*words, model, file, "--kind", kind, "--json")
+            assert answer.result["read_as"] == kind
             text = run(*words, model, file, "--kind", kind).out
             assert line in text.splitlines()[0]
 
@@ -326,23 +326,23 @@ def test_probabilities_of_a_network_are_no_q_table(kind: str, actions: int, tmp_
     forms += [dict(enumerate(table)), lambda state: table[int(state)]]
     forms += [tmp_path / "p.npy", tmp_path / "p.npz"]
     exact = [[F(float(x)) for x in row] for row in table]
-    worth = sum(
+    value = sum(
         F(float(mdp.reward[pair])) * exact[0][mdp.pair_action[pair]] for pair in mdp.pairs_of(0)
     )
     for form in forms:
         with pytest.raises(ModelError, match="are these probabilities or a Q-table"):
             check(mdp, form)
         audit = check(mdp, form, kind="policy")
-        assert audit.regret.learned.value == 2 * worth / sum(exact[0])  # discount 1/2
+        assert audit.regret.learned.value == 2 * value / sum(exact[0])  # discount 1/2
         assert audit.read_as == "policy"
         assert check(mdp, form, kind="q").read_as == "q"
     by_name = {str(s): dict(zip(mdp.actions, table[s], strict=True)) for s in range(states)}
     lines = [f"{s},{a},{x!s}" for s, row in by_name.items() for a, x in row.items()]
     (tmp_path / "p.csv").write_text("\n".join(["state,action,probability", *lines]))
-    assert check(mdp, by_name).regret.learned.value == 2 * worth / sum(exact[0])
+    assert check(mdp, by_name).regret.learned.value == 2 * value / sum(exact[0])
     if kind == "float32":  # as text: in as many digits as tell it from other floats
         printed = check(mdp, tmp_path / "p.csv").regret.learned.value
-        assert float(printed) == pytest.approx(float(2 * worth / sum(exact[0])), rel=1e-6)
+        assert float(printed) == pytest.approx(float(2 * value / sum(exact[0])), rel=1e-6)
     else:
         with pytest.raises(ModelError, match="not a distribution"):
             check(mdp, short(table * 1.2, kind), kind="policy")

@@ -108,12 +108,12 @@ def test_every_number_is_the_reference_s(
     bounded = check(mdp, choices(rows, policy), exact_values=False)
     if bounded.claim is Claim.CERTIFIED or bounded.passed:  # they prove the policy optimal
         assert lost == 0
-    for found, truth in (
+    for number, truth in (
         (bounded.regret.optimal, best[0]),
         (bounded.regret.learned, own[0]),
         (bounded.regret.at_start, lost),
     ):
-        assert F(found.interval[0]) <= truth <= F(found.interval[1])
+        assert F(number.interval[0]) <= truth <= F(number.interval[1])
     if isinstance(bounded.regret.at_start, Bounded):
         assert bounded.regret.at_start.error <= 1e-11 * scale
     assert bounded.regret.by_state == pytest.approx(by_state, abs=1e-9 * scale)
@@ -152,13 +152,13 @@ def test_published_policies_pass_and_wrong_ones_do_not(case: Case) -> None:
     if len(case.wrong_policy) == case.n_states:
         wrong = [case.wrong_policy[s] for s in range(case.n_states)]
         own = evaluate_exact(case.n_states, case.pairs, case.discount, case.wrong_policy)
-        found = check(mdp, wrong)
-        assert float(found.regret.at_start.value) == pytest.approx(
+        failed = check(mdp, wrong)
+        assert float(failed.regret.at_start.value) == pytest.approx(
             float(best[case.start] - own[case.start]), abs=1e-9
         )
-        assert found.passed == (best[case.start] == own[case.start])
+        assert failed.passed == (best[case.start] == own[case.start])
         for s, value in case.wrong_values.items():
-            assert found.regret.learned_value[s] == pytest.approx(
+            assert failed.regret.learned_value[s] == pytest.approx(
                 float(value), abs=max(1e-11, case.tolerance)
             )
 
@@ -214,13 +214,13 @@ def test_q_errors_by_hand() -> None:
     assert right.q_error.promised == pytest.approx(float(exact.start_value), abs=1e-12)
     state = mdp.space.index(subtask=1, trial=1, status=6)
     q[state, 2] += 7.5
-    found = check(mdp, q).q_error
-    assert found is not None
-    assert found.largest == pytest.approx(7.5)
-    assert found.where == mdp.where(mdp.pair(state, 2))
+    q_error = check(mdp, q).q_error
+    assert q_error is not None
+    assert q_error.largest == pytest.approx(7.5)
+    assert q_error.where == mdp.where(mdp.pair(state, 2))
     pairs = 4 * int(((evaluate(mdp, "random").visits > 0) & ~mdp.forced).sum())
-    assert found.mean == pytest.approx(7.5 / pairs)
-    assert found.root_mean_square == pytest.approx(7.5 / np.sqrt(pairs))
+    assert q_error.mean == pytest.approx(7.5 / pairs)
+    assert q_error.root_mean_square == pytest.approx(7.5 / np.sqrt(pairs))
     assert check(mdp, "random").q_error is None
 
 
@@ -254,15 +254,15 @@ def test_infinite_action_values_are_no_errors_and_promise_nothing() -> None:
     step = [[0, 1, 0], [0, 0, 1], [0, 0, 1]]
     mdp = MDP.from_arrays([step] * 3, [[1, 3, 2], [0, 1, 4], [0, 0, 0]], layout="ass")
     table = np.array([[2.0, -np.inf, 6.5], [-np.inf, 0.5, 3.5], [0, 0, 0]])
-    found = check(mdp, table, kind="q").q_error
-    assert found is not None
+    q_error = check(mdp, table, kind="q").q_error
+    assert q_error is not None
     # Q* is 5, 7, 6 in the first state and 0, 1, 4 in the second.
     errors = np.array([2 - 5, 6.5 - 6, 0.5 - 1, 3.5 - 4])
-    assert (found.largest, found.where) == (3.0, mdp.where(0))
-    assert found.mean == pytest.approx(errors.mean())
-    assert found.root_mean_square == pytest.approx((errors**2).mean() ** 0.5)
-    assert found.promised == 6.5
-    assert found.visited == pytest.approx(0.5)
+    assert (q_error.largest, q_error.where) == (3.0, mdp.where(0))
+    assert q_error.mean == pytest.approx(errors.mean())
+    assert q_error.root_mean_square == pytest.approx((errors**2).mean() ** 0.5)
+    assert q_error.promised == 6.5
+    assert q_error.visited == pytest.approx(0.5)
 
 
 def test_its_text_names_the_costliest_states_and_its_table_begins_with_what_matters() -> None:
@@ -293,7 +293,7 @@ def test_many_actions_take_one_line() -> None:
     assert (each.learned, each.optimal) == ("any of 25", ("7",))
     table = np.zeros((2, 25))
     table[1, 0] = 1
-    for others, told in (
+    for others, line in (
         (2, "0.5 3, 0.25 9, 0.125 0, 0.125 1"),
         (4, "0.5 3, 0.25 9, 0.0625 0, 3 others"),
     ):
@@ -301,7 +301,7 @@ def test_many_actions_take_one_line() -> None:
         table[0, [3, 9]] = 1 / 2, 1 / 4
         table[0, [0, 1, 4, 5][:others]] = 1 / 4 / others
         (each,) = check(mdp, table, kind="policy").disagreements
-        assert sorted(each.learned.split(", ")) == sorted(told.split(", "))
+        assert sorted(each.learned.split(", ")) == sorted(line.split(", "))
     worst = check(mdp.with_(sense="min"), "always:7")
     assert len(worst.disagreements[0].optimal) == 24
     assert "optimal 0 or 1 or 2 or 21 others" in worst.message()

@@ -63,39 +63,39 @@ def test_planted_policies_get_the_right_verdict(mdp: MDP, tmp_path: Path) -> Non
     for ending in (".json", ".csv", "-status.npy", "-states.npz"):
         done = run("check", "yuan2025", tmp_path / f"right{ending}", *SMALL, "--json")
         assert (done.status, done.err) == (0, "")
-        found = done.result
-        assert found.keys() >= KEYS
-        assert (found["passed"], found["regret"], found["agreement"]) == (True, 0, 1)
-        assert (found["disagreements"], found["claim"]) == ([], "certified")
+        result = done.result
+        assert result.keys() >= KEYS
+        assert (result["passed"], result["regret"], result["agreement"]) == (True, 0, 1)
+        assert (result["disagreements"], result["claim"]) == ([], "certified")
         done = run("check", "yuan2025", tmp_path / f"costly{ending}", *SMALL, "--json")
         assert (done.status, done.err) == (1, "")
-        found = done.result
-        assert found["passed"] is False
-        assert found["regret"] == pytest.approx(float(lost), abs=1e-9)
-        assert found["optimal_value"] - found["learned_value"] == pytest.approx(float(lost))
-        assert found["exact_regret"] == str(lost)
-        assert found["disagreements"][0].keys() >= PER_STATE
+        result = done.result
+        assert result["passed"] is False
+        assert result["regret"] == pytest.approx(float(lost), abs=1e-9)
+        assert result["optimal_value"] - result["learned_value"] == pytest.approx(float(lost))
+        assert result["exact_regret"] == str(lost)
+        assert result["disagreements"][0].keys() >= PER_STATE
         # Only trial 0 and the first trial of the next subtask can be in status 0000.
-        assert {each["columns"]["status"] for each in found["disagreements"]} == {"0000"}
-        visited = [each for each in found["disagreements"] if each["expected_visits"] > 0]
+        assert {each["columns"]["status"] for each in result["disagreements"]} == {"0000"}
+        visited = [each for each in result["disagreements"] if each["expected_visits"] > 0]
         assert visited[0]["state"] == "subtask 0, trial 0, status 0000"
         assert sum(each["cost"] for each in visited) == pytest.approx(float(lost), abs=1e-9)
-        assert found["regret_by_state"]["subtask 0, trial 0, status 0000"] == found["regret"]
+        assert result["regret_by_state"]["subtask 0, trial 0, status 0000"] == result["regret"]
 
 
 def test_reasons(mdp: MDP, tmp_path: Path) -> None:
     q = np.random.default_rng(0).normal(size=(16, 4))
     np.save(tmp_path / "q.npy", q)
-    found = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json").result
-    why = found["representation"]
+    result = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json").result
+    why = result["representation"]
     assert (why["columns"], why["proven"]) == (["status"], True)
-    assert why["loss"] + why["learning_error"] == pytest.approx(found["regret"], abs=1e-12)
+    assert why["loss"] + why["learning_error"] == pytest.approx(result["regret"], abs=1e-12)
     assert list(why["policy"]) == [f"status {s:04b}" for s in range(16)]
-    assert found["rows"][0]["gain"] > 0
-    assert found["q_error"]["promised"] == q[0].max()
+    assert result["rows"][0]["gain"] > 0
+    assert result["q_error"]["promised"] == q[0].max()
     bare = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json", "--no-explain").result
     assert (bare["representation"], bare["rows"]) == (None, None)
-    assert bare["regret"] == found["regret"]
+    assert bare["regret"] == result["regret"]
 
 
 # ---- reports -----------------------------------------------------------------------------------
@@ -217,10 +217,10 @@ def test_fixture(mdp: MDP, tmp_path: Path) -> None:
     cases = {
         case.get("name"): case for case in ElementTree.parse(report).getroot().iter("testcase")
     }
-    found = {each.get("name"): each.get("value") for each in cases["test_fails"].iter("property")}
-    assert found["claim"] == "certified"
-    assert float(found["regret"] or "nan") > 1
-    assert float(found["agreement"] or "nan") < 1
+    facts = {each.get("name"): each.get("value") for each in cases["test_fails"].iter("property")}
+    assert facts["claim"] == "certified"
+    assert float(facts["regret"] or "nan") > 1
+    assert float(facts["agreement"] or "nan") < 1
 
 
 def test_the_plugin_loads_nothing_heavy() -> None:
@@ -262,10 +262,10 @@ def test_bad_input_becomes_an_error_case(tmp_path: Path, line: str) -> None:
     assert (done.status, done.out) == (2, "")
     root = ElementTree.parse(path).getroot()
     assert (root.get("tests"), root.get("failures"), root.get("errors")) == ("1", "0", "1")
-    found = root.find("./testsuite/testcase/error")
-    assert found is not None
-    assert found.get("message") == done.err.partition("\n")[0]
-    assert str(found.text).strip() == done.err.strip()
+    case = root.find("./testsuite/testcase/error")
+    assert case is not None
+    assert case.get("message") == done.err.partition("\n")[0]
+    assert str(case.text).strip() == done.err.strip()
 
 
 def test_help_and_refused_names_of_reports_write_nothing(tmp_path: Path) -> None:
@@ -313,5 +313,5 @@ def test_a_broken_policy_is_refused(
     assert "status 0001" in capsys.readouterr().out
     audit = check(care, q, max_regret=1.4)
     assert not audit.passed
-    worst = [care.space.label(found.state) for found in audit.disagreements[:3]]
+    worst = [care.space.label(each.state) for each in audit.disagreements[:3]]
     assert all("status 0001" in label for label in worst)

@@ -40,12 +40,12 @@ def every_policy(mdp: MDP, columns: tuple[str, ...]) -> list[float]:
         tuple(mdp.space.as_dict(state)[c] for c in columns) for state in range(mdp.space.regular)
     ]
     rows = sorted(set(read))
-    found = []
+    policies = []
     for choice in product(range(mdp.n_actions), repeat=len(rows)):
         actions = [choice[rows.index(each)] for each in read]
         actions += [0] * (mdp.n_states - len(actions))
-        found.append(evaluate(mdp, Policy.from_choices(mdp, actions)).mean)
-    return found
+        policies.append(evaluate(mdp, Policy.from_choices(mdp, actions)).mean)
+    return policies
 
 
 @settings(max_examples=25)
@@ -159,17 +159,17 @@ TARGETS = [[3, 0, 3], [2, 2, 3], [1, 1, 1], [1, 2, 2]]
 def test_the_best_policy_of_small_rewards_is_the_best(unit: F) -> None:
     """A search that stops at 1e-13 has proven nothing about rewards of 1e-15."""
     rows = [(s, a, [(1, TARGETS[s][a], REWARDS[s][a] * unit)]) for s in range(4) for a in range(3)]
-    worth = []
+    values = []
     for choice in product(range(3), repeat=4):
         state, total = 0, F(0)
         for _ in range(STEPS):
             total += REWARDS[state][choice[state]] * unit
             state = TARGETS[state][choice[state]]
-        worth.append(total)
+        values.append(total)
     best = best_policy(MDP.from_outcomes(rows).within(STEPS), ("state",))
     assert best.proven
-    assert best.value.value == pytest.approx(float(max(worth)), rel=1e-9, abs=0)
-    assert best.upper_bound >= float(max(worth)) * (1 - 1e-12)
+    assert best.value.value == pytest.approx(float(max(values)), rel=1e-9, abs=0)
+    assert best.upper_bound >= float(max(values)) * (1 - 1e-12)
 
 
 ALL_OVER = [(s, a, [(1, s, 0)]) for s in range(3) for a in range(2)]
@@ -182,11 +182,11 @@ def test_models_with_nothing_to_do_have_answers(rows: list[Any], discount: F) ->
     if discount == 1 and rows[0][2][0][2]:
         return  # worth +∞, whatever is done
     mdp = MDP.from_outcomes(rows, discount)
-    worth = F(rows[0][2][0][2]) / (1 - discount) if discount < 1 else F(0)
-    assert certify(mdp).start_value == worth
+    value = F(rows[0][2][0][2]) / (1 - discount) if discount < 1 else F(0)
+    assert certify(mdp).start_value == value
     assert certify(mdp).violations() == []
     for read in ((), ("state",)):
-        assert best_policy(mdp, read).value.value == pytest.approx(float(worth))
+        assert best_policy(mdp, read).value.value == pytest.approx(float(value))
     for kind, form in (("auto", solve(mdp)), ("q", np.zeros((mdp.n_states, mdp.n_actions)))):
         for exactly in (True, False):
             audit = check(mdp, form, kind=kind, exact_values=exactly)
@@ -195,4 +195,4 @@ def test_models_with_nothing_to_do_have_answers(rows: list[Any], discount: F) ->
             assert audit.message()
     assert check(mdp, "random", criterion="average").passed
     assert check(mdp, "random", horizon=2).passed
-    assert evaluate(mdp, "random").mean == pytest.approx(float(worth))
+    assert evaluate(mdp, "random").mean == pytest.approx(float(value))

@@ -47,21 +47,21 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
         kind,
         *more,
     ]
-    found = run(*words, "--max-regret", "0.9", "--json").result
-    assert (found["passed"], found["confidence"], found["by"]) == (True, 0.95, kind)
+    result = run(*words, "--max-regret", "0.9", "--json").result
+    assert (result["passed"], result["confidence"], result["by"]) == (True, 0.95, kind)
     claim = "bounded" if kind == "robust" else "estimated"
-    assert (found["claim"], found["regret_claim"]) == (claim, "certified")
-    low, high = found["regret_interval"]
-    assert low <= found["regret"] <= high <= 0.9
-    assert found["assumptions"]
+    assert (result["claim"], result["regret_claim"]) == (claim, "certified")
+    low, high = result["regret_interval"]
+    assert low <= result["regret"] <= high <= 0.9
+    assert result["assumptions"]
     if kind == "posterior":
-        within = found["interval"]["probability_within"]
+        within = result["interval"]["probability_within"]
         assert within["value"] == 1
         assert 0.9 < within["interval"][0] < 1
     if kind == "off-policy":
-        assert found["interval"]["effective_sample_size"] == pytest.approx(400)
+        assert result["interval"]["effective_sample_size"] == pytest.approx(400)
     page, report = tmp_path / "page.html", tmp_path / "report.xml"
-    limit = found["regret"] + 0.001  # the estimate keeps it, the interval does not
+    limit = result["regret"] + 0.001  # the estimate keeps it, the interval does not
     done = run(*words, f"--max-regret={limit}", "--markdown", f"--html={page}", f"--junit={report}")
     assert done.status == 1
     shown = f"at 95 % confidence, {kind}"

@@ -51,14 +51,14 @@ def truth(horizon: int | None = None) -> float:
 def interval_of(
     by: Kind, mdp: MDP, policy: PolicyLike = POLICY, level: F = LEVEL, **how: Any
 ) -> Any:
-    found = check(mdp, policy, confidence=level, by=by, exact_values=False, **how).interval
-    assert found is not None
-    return found
+    interval = check(mdp, policy, confidence=level, by=by, exact_values=False, **how).interval
+    assert interval is not None
+    return interval
 
 
 def wilson(count: int, total: int) -> tuple[float, float]:
-    found = stats.binomtest(count, total).proportion_ci(0.95, "wilson")
-    return found.low, found.high
+    interval = stats.binomtest(count, total).proportion_ci(0.95, "wilson")
+    return interval.low, interval.high
 
 
 # ---- coverage ----------------------------------------------------------------------------------
@@ -118,11 +118,11 @@ def test_where_actions_tie_every_kind_holds_0() -> None:
         mdp = MDP.from_transitions(frame, "1/2")
         policy = "always:a"
         for kind, make in KINDS.items():
-            found = interval_of(make(frame, seed), mdp, policy)
-            assert found.low == 0, kind
+            interval = interval_of(make(frame, seed), mdp, policy)
+            assert interval.low == 0, kind
             if kind == "posterior":
-                assert found.found["equal_tails"][0] > 0  # which is why it has no lower end
-                assert found.decided(F(1, 1000)) is None
+                assert interval.found["equal_tails"][0] > 0  # which is why it has no lower end
+                assert interval.decided(F(1, 1000)) is None
     audit = check(mdp, "always:a", max_regret="1/1000", confidence=0.95, by=Posterior(n=400))
     assert audit.undecided
     assert "kept with probability 0 by the posterior" in audit.message()
@@ -153,12 +153,12 @@ def test_states_that_were_only_entered_are_named() -> None:
         "off-policy": OffPolicy(records=frame, rewards="known"),
     }
     for kind, by in kinds.items():
-        found = interval_of(by, mdp, policy)
-        named = [each for each in found.assumptions if "state trap" in each]
+        interval = interval_of(by, mdp, policy)
+        named = [each for each in interval.assumptions if "state trap" in each]
         assert len(named) == 1, kind
         assert "end" not in named[0].split("(")[1].split(")")[0]
-    assert found.found["taken_for_ended"] == 40
-    assert found.found["cut_off"] == 0
+    assert interval.found["taken_for_ended"] == 40
+    assert interval.found["cut_off"] == 0
 
 
 def test_where_episodes_were_cut_off_anything_may_follow() -> None:
@@ -171,14 +171,14 @@ def test_where_episodes_were_cut_off_anything_may_follow() -> None:
         policy = f"always:{action}"
         for kind in ("robust", "off-policy"):
             by = Robust(rewards="known") if kind == "robust" else KINDS[kind](frame, 0)
-            found = interval_of(by, mdp, policy)
-            assert any("(state trap)" in each for each in found.assumptions)
-            assert not any("taken for ends" in each for each in found.assumptions)
+            interval = interval_of(by, mdp, policy)
+            assert any("(state trap)" in each for each in interval.assumptions)
+            assert not any("taken for ends" in each for each in interval.assumptions)
             # In the trap rewards of 0 to 1/2 follow for ever: worth 0 to 1, and 0 to 1/2 today.
-            for worth in (0.0, 0.3, 1.0):
-                value = {"risky": 0.5 * worth, "safe": 0.5}
+            for later in (0.0, 0.3, 1.0):
+                value = {"risky": 0.5 * later, "safe": 0.5}
                 regret = max(value.values()) - value[action]
-                assert found.low <= regret <= found.high
+                assert interval.low <= regret <= interval.high
         with pytest.raises(ModelError, match="cut off in"):
             interval_of(Posterior(), mdp, policy)
     ended = MDP.from_transitions(frame.drop(columns="truncated"), discount="1/2")
@@ -200,8 +200,8 @@ def test_what_follows_a_cut_does_not_matter_after_one_step_from_a_known_start() 
 def test_of_one_action_alone_every_interval_says_so(kind: str) -> None:
     frame = pd.DataFrame([(n, "s", "a", n % 2, None) for n in range(80)], columns=NAMES)
     mdp = MDP.from_transitions(frame, "1/2")
-    found = interval_of(KINDS[kind](frame, 0), mdp, "always:a")
-    assert any("only one action was ever taken" in each for each in found.assumptions)
+    interval = interval_of(KINDS[kind](frame, 0), mdp, "always:a")
+    assert any("only one action was ever taken" in each for each in interval.assumptions)
 
 
 def test_a_behaviour_in_an_array_is_one_of_probabilities(tmp_path: Path) -> None:
@@ -212,8 +212,8 @@ def test_a_behaviour_in_an_array_is_one_of_probabilities(tmp_path: Path) -> None
 
     def by(behaviour: Any) -> tuple[float, float]:
         how = OffPolicy(records=frame, rewards=(0, 1), n=10, behaviour=behaviour)
-        found = interval_of(how, mdp)
-        return found.low, found.high
+        interval = interval_of(how, mdp)
+        return interval.low, interval.high
 
     assert by(shares) == by(str(tmp_path / "behaviour.npy")) == by("random")
     with pytest.raises(ModelError):  # a Q-table
@@ -238,9 +238,9 @@ def test_what_is_cut_off_without_a_next_state_counts(limit: int) -> None:
     policy = "always:wait"
     waits, treated = (p / (1 - 0.9 * (1 - p)) for p in (0.1, 0.8))
     for by in (Robust(rewards="known"), KINDS["off-policy"](frame, 0)):
-        found = interval_of(by, mdp, policy)
-        assert found.low <= treated - waits <= found.high
-        assert any("cut off" in each for each in found.assumptions)
+        interval = interval_of(by, mdp, policy)
+        assert interval.low <= treated - waits <= interval.high
+        assert any("cut off" in each for each in interval.assumptions)
     with pytest.raises(ModelError, match="cut off in"):
         interval_of(Posterior(n=80), mdp, policy)
 
@@ -312,10 +312,10 @@ def test_at_discount_1_ends_are_worth_nothing(kind: str, end: str | None) -> Non
     by: Kind = Robust(**how)
     if kind == "off-policy":
         by = OffPolicy(records=frame, behaviour="random", n=10, **how)
-    found = interval_of(by, mdp, "always:wait")
-    assert found.low <= 2.5 <= found.high
-    assert found.high < (4 if kind == "robust" else 58)
-    least, most = found.found["optimal_value"]
+    interval = interval_of(by, mdp, "always:wait")
+    assert interval.low <= 2.5 <= interval.high
+    assert interval.high < (4 if kind == "robust" else 58)
+    least, most = interval.found["optimal_value"]
     assert -2.8 < least <= -2.5 <= most < -2.2
     best = interval_of(by, mdp, "always:treat")
     assert best.low == 0
@@ -333,8 +333,8 @@ def test_a_range_of_totals_has_room_for_what_was_seen(
     rows = [(n, "s", "ab"[n % 2], (4, 1)[n % 2], last if n % 2 else None) for n in range(40)]
     table = pd.DataFrame([(*row, row[-1] == "u") for row in rows], columns=TREAT)
     mdp, by = MDP.from_transitions(table), Robust(rewards=(1, 4), returns=returns)
-    told = pytest.raises(ModelError, match=f"a reward of {refused} was seen, after which no total")
-    with told if refused else nullcontext():
+    error = pytest.raises(ModelError, match=f"a reward of {refused} was seen, after which no total")
+    with error if refused else nullcontext():
         assert check(mdp, "always:a", confidence=0.95, by=by).interval is not None
 
 
@@ -347,11 +347,11 @@ def test_trajectories_count_up_to_the_horizon() -> None:
     frame = pd.DataFrame(rows, columns=NAMES)
     mdp = MDP.from_transitions(frame, discount="1/2")
     by = OffPolicy(records=frame, behaviour="random", rewards=(0, 32), n=10)
-    found = check(mdp, "always:x", horizon=1, confidence=0.95, by=by).interval
-    assert found is not None
+    interval = check(mdp, "always:x", horizon=1, confidence=0.95, by=by).interval
+    assert interval is not None
     # One step: x has weight 2 in the first two episodes, which earn 1 and 8; none was cut off.
-    assert found.found["ordinary"] == pytest.approx((2 * 1 + 2 * 8) / 3)
-    assert (found.found["cut_off"], found.found["effective_sample_size"]) == (0, 2.0)
+    assert interval.found["ordinary"] == pytest.approx((2 * 1 + 2 * 8) / 3)
+    assert (interval.found["cut_off"], interval.found["effective_sample_size"]) == (0, 2.0)
     two = check(mdp, "always:x", horizon=2, confidence=0.95, by=by).interval
     assert two is not None
     assert two.found["ordinary"] == pytest.approx(4 * (8 + 16 / 2) / 3)
@@ -394,22 +394,22 @@ def test_too_few_draws_show_no_upper_end(level: Any, least: int) -> None:
     with pytest.raises(ModelError, match=f"{least - 1:,} draws do not show") as caught:
         interval_of(Posterior(n=least - 1), mdp, level=F(str(level)))
     assert f"n={least})" in str(caught.value)
-    found = interval_of(Posterior(n=least), mdp, level=F(str(level)))
-    assert found.high == found.draws.max()
+    interval = interval_of(Posterior(n=least), mdp, level=F(str(level)))
+    assert interval.high == interval.draws.max()
 
 
 def test_the_probability_is_a_share_of_the_draws() -> None:
     mdp = estimated(recorded(np.random.default_rng(2), 60))
-    found = interval_of(Posterior(n=600), mdp)
-    share = found.within(F(1, 2))
-    assert share.value == np.mean(found.draws <= 0.5)
+    interval = interval_of(Posterior(n=600), mdp)
+    share = interval.within(F(1, 2))
+    assert share.value == np.mean(interval.draws <= 0.5)
     assert share.interval == pytest.approx(wilson(round(share.value * 600), 600), rel=1e-12)
     with pytest.raises(ModelError):
-        found.within(float("nan"))  # type: ignore[arg-type]
-    assert found.within(F(1000)).interval[0] < 1  # all draws agree, and some doubt is left
-    assert np.quantile(found.draws, 0.95) <= found.high <= np.quantile(found.draws, 0.98)
-    low, high = found.found["equal_tails"]
-    assert low <= np.quantile(found.draws, 0.025) < np.quantile(found.draws, 0.975) <= high
+        interval.within(float("nan"))  # type: ignore[arg-type]
+    assert interval.within(F(1000)).interval[0] < 1  # all draws agree, and some doubt is left
+    assert np.quantile(interval.draws, 0.95) <= interval.high <= np.quantile(interval.draws, 0.98)
+    low, high = interval.found["equal_tails"]
+    assert low <= np.quantile(interval.draws, 0.025) < np.quantile(interval.draws, 0.975) <= high
 
 
 # ---- off-policy --------------------------------------------------------------------------------
@@ -428,13 +428,13 @@ def test_weights_and_returns_are_those_of_the_episodes() -> None:
     returns = np.array([2.0, 12.0, 3.0])
     for records in (frame, [frame.iloc[n : n + 1] for n in range(6)]):
         by = OffPolicy(records=records, behaviour="random", rewards=(0, 16))
-        found = interval_of(by, mdp, policy).found
-        assert found["ordinary"] == pytest.approx(float((weights * returns).mean()))
-        assert found["weighted"] == pytest.approx(float(weights @ returns / weights.sum()))
-        assert (found["effective_sample_size"], found["cut_off"]) == (1.0, 1)
+        evidence = interval_of(by, mdp, policy).found
+        assert evidence["ordinary"] == pytest.approx(float((weights * returns).mean()))
+        assert evidence["weighted"] == pytest.approx(float(weights @ returns / weights.sum()))
+        assert (evidence["effective_sample_size"], evidence["cut_off"]) == (1.0, 1)
     # Estimated, the behaviour takes x in a with 3/4 and in b with 1/2.
-    found = interval_of(OffPolicy(records=frame, rewards=(0, 16)), mdp, policy).found
-    assert found["ordinary"] == pytest.approx(float(4 / 3 * 3 / 3))
+    evidence = interval_of(OffPolicy(records=frame, rewards=(0, 16)), mdp, policy).found
+    assert evidence["ordinary"] == pytest.approx(float(4 / 3 * 3 / 3))
 
 
 # ---- the gate ----------------------------------------------------------------------------------

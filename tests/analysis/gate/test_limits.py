@@ -49,8 +49,8 @@ def test_the_care_model_under_half_a_point_of_anger(tmp_path: Path) -> None:
     """The free optimum earns 61 more and fails; the best that keeps the limit passes."""
     care, limit = Scenario.load("yuan2025"), {"anger": ">= -1/2"}
     best = solve(care, subject_to=limit)
-    kept = assert_policy_optimal(care, best.policy, subject_to=limit)
-    assert (kept.value.value, len(kept.disagreements)) == (0, 0)
+    audit = assert_policy_optimal(care, best.policy, subject_to=limit)
+    assert (audit.value.value, len(audit.disagreements)) == (0, 0)
     free = check(care, "optimal", subject_to=limit)
     assert [each.passed for each in free.verdicts] == [False, True]
     assert float(free.value.value) == pytest.approx(-61.10, abs=0.01)

@@ -55,30 +55,33 @@ def checked(*words: str) -> Done:
 def test_a_page_holds_verdict_table_picture_and_how_to_rerun(nasty: Path) -> None:
     checked("--html", "p.html")
     page = (nasty / "p.html").read_text("utf-8")
-    seen, found = Seen(page), json.loads(checked("--json").out)
+    seen, content = Seen(page), json.loads(checked("--json").out)
     assert [tag for tag, _ in seen.tags].count("script") == 1
     assert not [a for _, a in seen.tags if {"src", "href", "onerror"} & set(a)]
     assert "default-src 'none'" in page
     for name in NASTY[:-1]:
         assert f"state {name}" in seen.texts  # a cell that holds the name and nothing else
     assert (
-        f"✗ failed: the regret is not zero: it is {found['regret']:.10g} (certified)" in seen.texts
+        f"✗ failed: the regret is not zero: it is {content['regret']:.10g} (certified)"
+        in seen.texts
     )
     rerun = shlex.split(next(text for text in seen.texts if text.startswith("exact-mdp")))
     assert rerun == ["exact-mdp", "check", "m.npz", "lazy.npy", "--html", "p.html"]
     cells = [a for tag, a in seen.tags if tag == "td" and a.get("class") in ("wrong", "idle", "")]
     assert len(cells) == len(NASTY)
     wrong = [a["title"] for a in cells if a["class"] == "wrong"]
-    assert len(wrong) == len(found["disagreements"]) == len(NASTY) - 1
-    for each in found["disagreements"]:
+    assert len(wrong) == len(content["disagreements"]) == len(NASTY) - 1
+    for each in content["disagreements"]:
         said = f"{each['state']}: yours {each['learned']}, optimal {each['optimal']}; "
         assert [title for title in wrong if str(title).startswith(said)]
 
 
 def test_shares_sum_to_one_and_values_lost_to_the_regret(nasty: Path) -> None:
-    found = json.loads(checked("--json").out)
-    assert sum(each["share"] for each in found["disagreements"]) == pytest.approx(1)
-    assert sum(each["cost"] for each in found["disagreements"]) == pytest.approx(found["regret"])
+    content = json.loads(checked("--json").out)
+    assert sum(each["share"] for each in content["disagreements"]) == pytest.approx(1)
+    assert sum(each["cost"] for each in content["disagreements"]) == pytest.approx(
+        content["regret"]
+    )
     text = checked().out
     assert re.search(r"state +yours +optimal +value lost +visits +share", text)
     assert "yours: what the policy does" in text
@@ -138,10 +141,10 @@ def test_a_failed_check_is_annotated_and_summed_up(
     on_github(monkeypatch, nasty / "summary.md")
     done = checked()
     assert commands(done.out) == []
-    (told,) = commands(done.err)
-    assert told.startswith("::error title=lazy.npy in m%3A failed::read as a policy")
-    assert "%0Afailed: the regret is not zero" in told
-    assert "%0A" in told
+    (annotation,) = commands(done.err)
+    assert annotation.startswith("::error title=lazy.npy in m%3A failed::read as a policy")
+    assert "%0Afailed: the regret is not zero" in annotation
+    assert "%0A" in annotation
     summary = (nasty / "summary.md").read_text("utf-8")
     assert summary.startswith("## lazy.npy in m: failed\n")
     assert "| state | yours | optimal |" in summary
@@ -159,8 +162,8 @@ def test_bad_input_is_annotated_and_summed_up(tmp_path: Path) -> None:
     words = ("check", "tea", "no``where.csv", "--junit", report)
     done = launch(*words, GITHUB_ACTIONS="true", GITHUB_STEP_SUMMARY=str(summary))
     assert done.status == 2
-    (told,) = commands(done.err)
-    assert told.startswith("::error title=exact-mdp check tea::ModelError")
+    (annotation,) = commands(done.err)
+    assert annotation.startswith("::error title=exact-mdp check tea::ModelError")
     assert "no verdict" in summary.read_text("utf-8")
     assert "<error " in report.read_text("utf-8")
 

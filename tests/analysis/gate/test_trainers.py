@@ -25,10 +25,12 @@ def often(share: int) -> Iterator[list[int]]:
 
 def test_what_is_open_passes_unless_it_has_to_be_proven() -> None:
     for prove in (False, True):
-        found = check_trainer(TWO, often(9), runs=40, share="9/10", prove=prove)
-        assert (found.proven, found.passed, len(found.audits)) == (None, not prove, 40)
+        verdict = check_trainer(TWO, often(9), runs=40, share="9/10", prove=prove)
+        assert (verdict.proven, verdict.passed, len(verdict.audits)) == (None, not prove, 40)
         what = "the share of runs within the limits is"
-        assert f"{what} not proven to be {'at least' if prove else 'below'} 0.9" in found.message()
+        assert (
+            f"{what} not proven to be {'at least' if prove else 'below'} 0.9" in verdict.message()
+        )
     assert check_trainer(TWO, often(10), runs=200, prove=True).proven
     assert check_trainer(TWO, often(9), runs=200, share="1/2", prove=True).proven
     few = check_trainer(TWO, [[1, 0]] * 3, runs=9)
@@ -45,14 +47,14 @@ def test_a_trainer_is_judged_by_its_seeds() -> None:
         seeds.append(seed)
         return [seed % 2, 0]
 
-    found = check_trainer(TWO, train, rng=0, share="9/10", alpha="1/20")
-    assert (found.proven, found.passed, list(found.names)) == (False, False, seeds)
-    assert found.frame()["passed"].tolist() == [seed % 2 == 1 for seed in seeds]
-    assert found.frame()["regret"].tolist() == [2 * (1 - seed % 2) for seed in seeds]
-    assert found.within == sum(seed % 2 for seed in seeds)
-    assert found.value == found.within / len(seeds)
-    assert "is not at least 0.9" in found.message()
-    assert f"the run that lost most, {next(s for s in seeds if s % 2 == 0)}:" in found.message()
+    verdict = check_trainer(TWO, train, rng=0, share="9/10", alpha="1/20")
+    assert (verdict.proven, verdict.passed, list(verdict.names)) == (False, False, seeds)
+    assert verdict.frame()["passed"].tolist() == [seed % 2 == 1 for seed in seeds]
+    assert verdict.frame()["regret"].tolist() == [2 * (1 - seed % 2) for seed in seeds]
+    assert verdict.within == sum(seed % 2 for seed in seeds)
+    assert verdict.value == verdict.within / len(seeds)
+    assert "is not at least 0.9" in verdict.message()
+    assert f"the run that lost most, {next(s for s in seeds if s % 2 == 0)}:" in verdict.message()
     one_less = check_trainer(TWO, [[s % 2, 0] for s in seeds[:-1]], share="9/10", alpha="1/20")
     assert one_less.proven is None  # it stops as soon as it knows
     again = list(seeds)
@@ -122,25 +124,25 @@ def test_a_training_run_is_a_policy_whatever_it_reads(columns: object) -> None:
 @pytest.fixture
 def policies(tmp_path: Path) -> list[str]:
     TWO.save(tmp_path / "two.npz")
-    found = []
+    each_policy = []
     for number, (policy, _) in enumerate(zip(often(4), range(30), strict=False)):
         path = tmp_path / f"seed-{number:02}.npy"
         np.save(path, np.array(policy))
-        found.append(str(path))
-    return found
+        each_policy.append(str(path))
+    return each_policy
 
 
 def test_check_takes_the_policies_of_many_seeds(policies: list[str], tmp_path: Path) -> None:
     model, report = str(tmp_path / "two.npz"), tmp_path / "r.xml"
     done = run("check", model, *policies, "--alpha", "1/20", "--junit", str(report), "--json")
     assert done.status == 1
-    found = done.result
+    result = done.result
     wanted = check_trainer(TWO, often(4), runs=30, alpha="1/20")
-    assert (found["passed"], found["proven"], found["claim"]) == (False, False, "estimated")
-    assert (found["runs"], found["given"]) == (len(wanted.audits), 30)
-    assert found["within"] == wanted.within
-    assert found["share_interval"] == [float(end) for end in wanted.interval]
-    assert [each["policy"] for each in found["policies"]] == policies[: found["runs"]]
+    assert (result["passed"], result["proven"], result["claim"]) == (False, False, "estimated")
+    assert (result["runs"], result["given"]) == (len(wanted.audits), 30)
+    assert result["within"] == wanted.within
+    assert result["share_interval"] == [float(end) for end in wanted.interval]
+    assert [each["policy"] for each in result["policies"]] == policies[: result["runs"]]
     failure = ElementTree.parse(report).getroot().find(".//failure")
     assert failure is not None
     assert "is not at least 0.9" in str(failure.get("message"))

@@ -177,7 +177,7 @@ def solved(mdp: MDP, pairs: list[int], earned: list[F]) -> list[F]:
 def movable(mdp: MDP, pair: int, *ways: tuple[F, list[F]]) -> F:
     """Return what half a unit in the last place of one pair's numbers moves in Σ n (r + γ V)."""
     row, rounded, earns = mdp.table.row(pair), mdp.float_probabilities, mdp.float_rewards
-    x = [sum(n * (r + mdp.discount_exact * worth[t]) for n, worth in ways) for _, t, r in row]
+    x = [sum(n * (r + mdp.discount_exact * value[t]) for n, value in ways) for _, t, r in row]
     # Errors of probabilities sum to 0: any number may be taken off, and the median is best.
     halves = [rounded * ulp(float(p)) for p, _, _ in row]
     moved = min(sum(h * abs(each - c) for h, each in zip(halves, x, strict=True)) for c in x)
@@ -227,19 +227,19 @@ def test_the_verdict_is_that_of_enumeration(mdp: MDP, data: st.DataObject) -> No
     """It passes exactly where the exact regret is at most what rounding can move."""
     every = [list(pairs) for pairs in product(*(mdp.pairs_of(s) for s in range(mdp.n_states)))]
     values = [solved(mdp, pairs, [r for _, _, r, _ in rows_of(mdp, pairs)]) for pairs in every]
-    best = [max(worth[s] for worth in values) for s in range(mdp.n_states)]
-    optimal = [all(worth[s] == best[s] for s in range(mdp.n_states)) for worth in values]
+    best = [max(value[s] for value in values) for s in range(mdp.n_states)]
+    optimal = [all(value[s] == best[s] for s in range(mdp.n_states)) for value in values]
     ideal = every[optimal.index(True)]  # product goes through the lowest actions first
     place = data.draw(st.integers(0, len(every) - 1))
-    pairs, worth = every[place], values[place]
+    pairs, value = every[place], values[place]
     perfect = solved(mdp, ideal, [movable(mdp, l, (F(1), best)) for l in ideal])
-    moved = apart(mdp, (pairs, worth), (ideal, best))
+    moved = apart(mdp, (pairs, value), (ideal, best))
     audit = check(mdp, [int(mdp.pair_action[l]) for l in pairs])
-    lost = best[0] - worth[0]
+    lost = best[0] - value[0]
     assert audit.regret.at_start.value == lost
     assert audit.passed == (lost <= moved)
     assert moved <= audit.forgiven <= moved * (1 + F(1, 10**5)) + F(1, 10**28)
-    own = solved(mdp, pairs, [movable(mdp, l, (F(1), worth)) for l in pairs])
+    own = solved(mdp, pairs, [movable(mdp, l, (F(1), value)) for l in pairs])
     assert moved <= own[0] + perfect[0]  # what both do alike moves both alike
     unlisted = audit.regret.optimal_pairs[pairs].all()
     assert audit.passed or not unlisted
@@ -321,11 +321,11 @@ def test_the_upper_bound_has_to_keep_the_limit(limits: dict[str, object], passed
         at_start=Bounded(value=450.0, error=1.6),
         optimal=Bounded(value=900.0, error=0.0),
     )
-    found = replace(audit, regret=wide)
-    assert found.passed is passed
+    changed = replace(audit, regret=wide)
+    assert changed.passed is passed
     if limits and limits != {"max_regret": 449} and not passed and "max_regret" in limits:
-        assert "do not decide" in found.message()
-        assert "--certify" in found.message()
+        assert "do not decide" in changed.message()
+        assert "--certify" in changed.message()
 
 
 def test_a_bounded_zero_is_no_zero() -> None:
@@ -333,9 +333,9 @@ def test_a_bounded_zero_is_no_zero() -> None:
     audit = check(choice(900, 450), [0, 0], exact_values=False)
     for error in (1e-3, 1e-9, 1e-300):
         narrow = replace(audit.regret, at_start=Bounded(value=0.0, error=error))
-        found = replace(audit, regret=narrow)
-        assert (found.passed, found.undecided) == (False, True)
-        assert "do not decide" in found.message()
+        changed = replace(audit, regret=narrow)
+        assert (changed.passed, changed.undecided) == (False, True)
+        assert "do not decide" in changed.message()
 
 
 @settings(max_examples=40)
@@ -354,9 +354,9 @@ def test_margins_prove_what_is_true(rows: Rows) -> None:
         if audit.claim is Claim.CERTIFIED:
             assert exact.regret.at_start.value == 0
         listed = {each.state for each in exact.disagreements}
-        found = {each.state for each in audit.disagreements}
-        assert found <= listed
-        assert len(listed - found) <= audit.unclear
+        wrong = {each.state for each in audit.disagreements}
+        assert wrong <= listed
+        assert len(listed - wrong) <= audit.unclear
 
 
 def test_an_optimum_with_margins_is_proven_without_rational_arithmetic() -> None:

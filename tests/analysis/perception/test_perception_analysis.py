@@ -49,7 +49,7 @@ def worth(mdp: MDP, matrix: np.ndarray, policy: object = POLICY) -> float:
 
 
 def test_what_one_more_misreading_costs(care: MDP) -> None:
-    found = error_costs(care, POLICY, ROUGH)
+    costs = error_costs(care, POLICY, ROUGH)
     rng = np.random.default_rng(0)
     for true, seen in rng.integers(0, 16, (12, 2)).tolist():
         step, moved = 1e-5, []
@@ -59,12 +59,12 @@ def test_what_one_more_misreading_costs(care: MDP) -> None:
             matrix[true, seen] += sign * step
             moved.append(worth(care, matrix))
         slope = (moved[1] - moved[0]) / (2 * step)
-        assert found.marginal[true, seen] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+        assert costs.marginal[true, seen] == pytest.approx(slope, rel=1e-5, abs=1e-6)
 
 
 def test_what_a_rate_is_worth(care: MDP) -> None:
-    found = error_costs(care, POLICY, ROUGH)
-    for bit, name in enumerate(found.statuses):
+    costs = error_costs(care, POLICY, ROUGH)
+    for bit, name in enumerate(costs.statuses):
         for which, (hits, clears) in enumerate(((HITS, CLEARS), (CLEARS, HITS))):
             ends = []
             for sign in (1, -1):
@@ -73,30 +73,30 @@ def test_what_a_rate_is_worth(care: MDP) -> None:
                 rates = (changed, clears) if which == 0 else (clears, changed)
                 ends.append(worth(care, independent(*rates)))
             slope = (ends[0] - ends[1]) / 2e-5
-            assert found.rates[name][which] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+            assert costs.rates[name][which] == pytest.approx(slope, rel=1e-5, abs=1e-6)
 
 
 def test_losses_add_up(care: MDP) -> None:
     for policy in (POLICY, "random", "always:directive"):
-        found = error_costs(care, policy, ROUGH)
+        costs = error_costs(care, policy, ROUGH)
         whole = evaluate(care, policy).mean - worth(care, ROUGH, policy)
-        assert found.loss.sum() == pytest.approx(whole, abs=2 * found.error)
-        parts = [part for both in found.by_status.values() for part in both]
-        assert sum(parts) == pytest.approx(whole, abs=2 * found.error)
-        assert np.diag(found.loss).tolist() == [0.0] * 16
-    assert found.loss == pytest.approx(np.zeros((16, 16)), abs=found.error)
+        assert costs.loss.sum() == pytest.approx(whole, abs=2 * costs.error)
+        parts = [part for both in costs.by_status.values() for part in both]
+        assert sum(parts) == pytest.approx(whole, abs=2 * costs.error)
+        assert np.diag(costs.loss).tolist() == [0.0] * 16
+    assert costs.loss == pytest.approx(np.zeros((16, 16)), abs=costs.error)
 
 
 def test_curves_are_the_reference_models_values() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=3).compile()
     levels = (F(1, 2), F(2, 3), F(1))
     how = {"levels": map(float, levels), "statuses": ["anger"]}
-    found = accuracy_curves(mdp, dict.fromkeys(LABELS, "directive"), **how)
-    assert np.ptp(found.values["anger"]) <= 2 * found.error  # who does not look does not mind
+    curves = accuracy_curves(mdp, dict.fromkeys(LABELS, "directive"), **how)
+    assert np.ptp(curves.values["anger"]) <= 2 * curves.error  # who does not look does not mind
     for status in ("all", "confusion"):
         how = {"levels": map(float, levels), "statuses": [status]}
-        found = accuracy_curves(mdp, POLICY, **how)
-        for x, value in zip(levels, found.values[status], strict=True):
+        curves = accuracy_curves(mdp, POLICY, **how)
+        for x, value in zip(levels, curves.values[status], strict=True):
 
             def decide(state: object, x: Fraction = x, status: str = status) -> dict:
                 assert isinstance(state, tuple)
@@ -113,7 +113,7 @@ def test_curves_are_the_reference_models_values() -> None:
                 return mixed
 
             wanted = Oracle(tasks=[1], max_trial=3).evaluate(decide, distribution=False)["mean"]
-            assert value == pytest.approx(float(wanted), abs=found.error + 1e-12 * abs(wanted))
+            assert value == pytest.approx(float(wanted), abs=curves.error + 1e-12 * abs(wanted))
 
 
 def test_models_whose_errors_have_no_price() -> None:
@@ -134,20 +134,20 @@ def test_models_whose_errors_have_no_price() -> None:
 def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
     model = ("yuan2025", "--set", "tasks=[1]", "--set", "max_trial=2")
     words = (*model, "--accuracy", "0.9")
-    found = json.loads(run("perception", *words, "--json").out)
+    content = json.loads(run("perception", *words, "--json").out)
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
     matrix = independent([0.9] * 4, [0.9] * 4)
     costs = error_costs(mdp, "optimal", matrix)
-    assert found["taken_as_true"]["value"] == pytest.approx(costs.value.value, rel=1e-12)
-    assert found["perfect"]["value"] == pytest.approx(float(certify(mdp).start_value), rel=1e-12)
-    assert found["errors"]["anger"]["by_sensitivity"] == pytest.approx(costs.rates["anger"][0])
-    assert found["claim"] == "bounded"
+    assert content["taken_as_true"]["value"] == pytest.approx(costs.value.value, rel=1e-12)
+    assert content["perfect"]["value"] == pytest.approx(float(certify(mdp).start_value), rel=1e-12)
+    assert content["errors"]["anger"]["by_sensitivity"] == pytest.approx(costs.rates["anger"][0])
+    assert content["claim"] == "bounded"
     pairs = "".join(f"{s},{s}\n" for s in LABELS)
     (tmp_path / "seen.csv").write_text(f"true,perceived\n{pairs}")
     words = (*model, "--perception", tmp_path / "seen.csv", "--prior")
-    found = json.loads(run("perception", *words, "0.1", "--draws", "50", "--json").out)
-    low, high = found["counted"]["interval"]
+    content = json.loads(run("perception", *words, "0.1", "--draws", "50", "--json").out)
+    low, high = content["counted"]["interval"]
     text = run("perception", *words, "0.1", "--draws", "50").out
     assert "taken as true" in text
     assert re.search(r"^counted +95% in \S+ to \S+ \(estimated\)$", text, re.MULTILINE)
-    assert low < found["counted"]["mean"] < high < found["perfect"]["value"]
+    assert low < content["counted"]["mean"] < high < content["perfect"]["value"]

@@ -67,20 +67,20 @@ MAINTENANCE = MDP.from_arrays(  # costs as negative rewards: wait and wear, or r
 )
 def test_a_fill_says_where_the_value_goes(model: MDP | Scenario) -> None:
     """It is the derivative's sign, where the value or the parameter is negative, too."""
-    found, low = gradient(model, exact=False), "lowers the value"
-    ax = found.plot(most=60)
+    slopes, low = gradient(model, exact=False), "lowers the value"
+    ax = slopes.plot(most=60)
     names = [label.get_text() for label in ax.get_yticklabels()]
     legend = ax.get_legend()
     assert legend is not None
     looks = {t.get_text(): p for t, p in zip(legend.get_texts(), legend.get_patches(), strict=True)}
     for name, bar in zip(names, ax.patches, strict=True):
-        each = found[name]
+        each = slopes[name]
         assert each.value is not None
         assert bar.get_width() == each.elasticity
         drawn = looks["raises the value" if each.value.value > 0 else low]
         assert (bar.get_facecolor(), bar.get_hatch()) == (drawn.get_facecolor(), drawn.get_hatch())
     if model is MAINTENANCE:
-        discount = found["discount"]
+        discount = slopes["discount"]
         assert discount.value.value < 0 < discount.elasticity
 
 
@@ -176,7 +176,7 @@ def care() -> MDP:
 
 
 @pytest.fixture(scope="module")
-def found(care: MDP) -> Any:
+def learned(care: MDP) -> Any:
     return outcomes(care, train(care, LEARNER, 12, rng=0))
 
 
@@ -223,17 +223,17 @@ def test_value_bands(ax: Axes) -> None:
     drawn(ax)
 
 
-def test_regrets(ax: Axes, found: Any) -> None:
-    plots.plot_regrets({"constant ε": found}, ax=ax)
+def test_regrets(ax: Axes, learned: Any) -> None:
+    plots.plot_regrets({"constant ε": learned}, ax=ax)
     x, y = ax.get_lines()[0].get_data()
-    assert x[-1] == found.regret.max()
+    assert x[-1] == learned.regret.max()
     assert y[-1] == 1
-    assert f"{found.regret.mean():.2f}" in ax.get_legend().get_texts()[0].get_text()
+    assert f"{learned.regret.mean():.2f}" in ax.get_legend().get_texts()[0].get_text()
     drawn(ax)
 
 
-def test_distinct(ax: Axes, found: Any) -> None:
-    plots.plot_distinct({"constant ε": found, "again": found}, ax=ax)
+def test_distinct(ax: Axes, learned: Any) -> None:
+    plots.plot_distinct({"constant ε": learned, "again": learned}, ax=ax)
     heights = [bar.get_height() for bar in ax.patches]
     assert sum(heights) == pytest.approx(2)
     drawn(ax)
@@ -243,7 +243,7 @@ def test_figures_of_one_and_two_parameters() -> None:
     from exact_mdp import plots
 
     own, x = SMALL, "assistance.directive.confusion.persistence"
-    found = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
+    switches = {x: thresholds(own, x, (0, 1)), "base.anger": thresholds(own, "base.anger")}
     bars = tornado(own, names=[x, "base.anger"], ranges={x: (0, 1)})
     surface = two_way(own, x, "base.anger", ranges={x: (0, 1)}, points=3)
     with plots.style():
@@ -251,7 +251,7 @@ def test_figures_of_one_and_two_parameters() -> None:
         assert bars.plot(axes[0, 0]) is axes[0, 0]
         assert "regret" in bars.plot(axes[0, 1], output="regret").get_xlabel()
         one_way(own, x, (0, 1), points=3).plot(axes[0, 2])
-        plots.plot_thresholds(found, ax=axes[1, 0])
+        plots.plot_thresholds(switches, ax=axes[1, 0])
         surface.plot(axes[1, 1])
         figure.savefig(io.BytesIO(), format="svg")
 

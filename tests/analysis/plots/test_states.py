@@ -43,11 +43,11 @@ def closed() -> Iterator[None]:
 
 def texts(ax: Axes) -> dict[tuple[int, int], str]:
     """Return what is written in each cell, by row and column."""
-    found = {}
+    labels = {}
     for text in ax.texts:
         x, y = text.get_position()
-        found[int(y), int(x)] = text.get_text()
-    return found
+        labels[int(y), int(x)] = text.get_text()
+    return labels
 
 
 @given(st.integers(1, 4), st.integers(2, 4))
@@ -76,9 +76,9 @@ def test_a_map_over_any_two_columns() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
     visits = evaluate(mdp, "random").plot(visits=True, down=["trial"], across=["subtask"], status=4)
     expected = evaluate(mdp, "random").visits
-    found = texts(visits)
+    labels = texts(visits)
     assert (visits.get_xlabel(), visits.get_ylabel()) == ("subtask", "trial")
-    for (trial, subtask), text in found.items():
+    for (trial, subtask), text in labels.items():
         number = float(text.rpartition("\n")[2])
         state = mdp.space.index(subtask=subtask, trial=trial, status=4)
         assert number == pytest.approx(expected[state], rel=5e-3)
@@ -136,45 +136,45 @@ def test_a_certificate_from_a_file_says_that_it_has_no_model(tmp_path: object) -
 
 def test_policies_side_by_side_have_their_exact_values() -> None:
     mdp = forest("24/25")
-    found = compare(mdp, {"wait": [0, 0, 0], "wrong": [0, 1, 1], "mixed": "random"})
-    exact = {row.policy: row.exact for row in found.frame().itertuples()}
-    assert exact["wait"] == certify(mdp).start_value == found.value.value
+    comparison = compare(mdp, {"wait": [0, 0, 0], "wrong": [0, 1, 1], "mixed": "random"})
+    exact = {row.policy: row.exact for row in comparison.frame().itertuples()}
+    assert exact["wait"] == certify(mdp).start_value == comparison.value.value
     assert exact["wrong"] == Fraction(10800, 932)
     assert float(exact["mixed"]) == pytest.approx(evaluate(mdp, "random").mean)
-    bars = [bar.get_width() for bar in found.plot().patches]
+    bars = [bar.get_width() for bar in comparison.plot().patches]
     assert bars == pytest.approx([float(value) for value in exact.values()])
 
 
 def test_a_table_leaves_out_rationals_that_are_too_long_to_read() -> None:
     mdp = MDP.from_arrays([[["2/3", "1/3"], [0, 1]]], [1, 0], "9/10")
-    found = compare(mdp.within(60), {"go": [0, 0]})
-    assert found.frame()["exact"].tolist() == [None]
-    assert len(found.frame().to_string()) < 300
-    assert found.regrets["go"].learned.value == sum(Fraction(3, 5) ** t for t in range(60))
+    comparison = compare(mdp.within(60), {"go": [0, 0]})
+    assert comparison.frame()["exact"].tolist() == [None]
+    assert len(comparison.frame().to_string()) < 300
+    assert comparison.regrets["go"].learned.value == sum(Fraction(3, 5) ** t for t in range(60))
 
 
 def test_bounds_of_a_large_comparison_hold() -> None:
     mdp = grid(15, 15)  # one cycle of 224 states
-    found = compare(mdp, {"down": "always:DOWN", "best": "optimal"})
-    assert found.claim == "bounded"
-    assert found.frame()["exact"].isna().all()
+    comparison = compare(mdp, {"down": "always:DOWN", "best": "optimal"})
+    assert comparison.claim == "bounded"
+    assert comparison.frame()["exact"].isna().all()
     exact = {"down": -10, "best": -10 * (1 - Fraction(9, 10) ** 28)}  # for ever; 28 steps
-    for name, each in found.regrets.items():
+    for name, each in comparison.regrets.items():
         low, high = each.learned.interval
         assert low <= exact[name] <= high
 
 
 def test_a_value_function_is_drawn_by_its_exact_values() -> None:
     mdp = forest("24/25")
-    found = curve(mdp, "discount", ("1/2", "9/10"), policy=[0, 1, 1])
-    ax = found.plot(n=5)
+    value_curve = curve(mdp, "discount", ("1/2", "9/10"), policy=[0, 1, 1])
+    ax = value_curve.plot(n=5)
     for line in ax.lines:
         fixed = line.get_linestyle() == "--"
         for x, y in zip(*line.get_data(), strict=True) if len(line.get_xdata()) == 5 else ():
             changed = mdp.with_(discount=x)
             best = evaluate(changed, [0, 1, 1]).mean if fixed else solve(changed).start_value
             assert y == pytest.approx(best)
-    assert [line.get_linestyle() for line in ax.lines].count(":") == len(found.pieces) - 1
+    assert [line.get_linestyle() for line in ax.lines].count(":") == len(value_curve.pieces) - 1
     assert "certified" in ax.get_ylabel()
     assert ax.get_legend().get_texts()[-1].get_text() == "today: 0.96, outside"
     inside = curve(forest("4/5"), "discount", ("1/2", "9/10")).plot()
@@ -190,7 +190,7 @@ def test_dot_holds_every_transition_and_names_are_text() -> None:
     mdp = MDP.from_outcomes([*rows, (3, 0, [(1, 3, 0)])], states=NASTY, actions=NASTY[:2])
     lines = dot(mdp, [1, 1, 1, 0]).splitlines()
     assert (lines[0], lines[-1]) == ("digraph {", "}")
-    edges = [found.groups() for found in map(LINE.match, lines) if found]
+    edges = [match.groups() for match in map(LINE.match, lines) if match]
     assert len(edges) == 6 + 12
     plain = [re.sub(r"\\(.)", r"\1", label) for _, _, label, _ in edges]
     assert set(plain[::3]) == set(NASTY[:2])

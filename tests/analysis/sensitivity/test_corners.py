@@ -39,36 +39,36 @@ def values(
 ) -> list[float]:
     """Return the policy's value at every corner."""
     mdp = family.at({})
-    held = solve(mdp).policy if policy == "optimal" else policy
+    fixed = solve(mdp).policy if policy == "optimal" else policy
     points = [dict(zip(box, each, strict=True)) for each in product(*box.values())]
-    return [evaluate(family.at(point), held).mean for point in points]
+    return [evaluate(family.at(point), fixed).mean for point in points]
 
 
 @pytest.mark.parametrize("policy", ["optimal", "always:directive", "random"])
 def test_no_corner_of_a_scenario_is_worse(policy: str) -> None:
-    found = worst_point(SMALL, policy, BOX)
+    worst = worst_point(SMALL, policy, BOX)
     every = values(parametric(SMALL), policy, BOX)
-    assert found.value.value == pytest.approx(min(every), abs=1e-9)
-    assert max(every) > found.value.value + 1
-    there = SMALL.with_(parameters=found.point).compile()
-    assert found.optimum.value == pytest.approx(solve(there).start_value, abs=1e-9)
-    assert found.optimum.value >= found.value.value - 1e-9
-    assert found.claim is Claim.ESTIMATED
+    assert worst.value.value == pytest.approx(min(every), abs=1e-9)
+    assert max(every) > worst.value.value + 1
+    there = SMALL.with_(parameters=worst.point).compile()
+    assert worst.optimum.value == pytest.approx(solve(there).start_value, abs=1e-9)
+    assert worst.optimum.value >= worst.value.value - 1e-9
+    assert worst.claim is Claim.ESTIMATED
 
 
 def test_no_corner_of_a_model_with_cycles_is_worse() -> None:
-    found = worst_point(CYCLES, "optimal", TWO)
-    assert found.value.value == pytest.approx(min(values(CYCLES, "optimal", TWO)), abs=1e-9)
-    assert found.frame()["parameter"].tolist() == ["p", "q"]
+    worst = worst_point(CYCLES, "optimal", TWO)
+    assert worst.value.value == pytest.approx(min(values(CYCLES, "optimal", TWO)), abs=1e-9)
+    assert worst.frame()["parameter"].tolist() == ["p", "q"]
 
 
 def test_a_published_model_with_a_parameter() -> None:
     forest = burning("9/10")
-    found = worst_point(forest, "optimal", {"fire": ("1/20", "3/10")})
-    assert found.point == {"fire": F(3, 10)}
+    worst = worst_point(forest, "optimal", {"fire": ("1/20", "3/10")})
+    assert worst.point == {"fire": F(3, 10)}
     right = solve(forest.at({"fire": "3/10"})).start_value  # waiting stays optimal there
-    assert found.value.value == pytest.approx(right, abs=1e-9)
-    assert found.optimum.value == pytest.approx(right, abs=1e-9)
+    assert worst.value.value == pytest.approx(right, abs=1e-9)
+    assert worst.optimum.value == pytest.approx(right, abs=1e-9)
 
 
 def test_of_costs_the_greatest_is_the_worst() -> None:

@@ -49,12 +49,12 @@ def start_of(mdp: MDP, policy: object) -> Fraction:
     return value
 
 
-def agrees(found: Any, family: Parametric, at: Fraction, policy: object) -> None:
-    mdp = family.at({found.parameter.name: at})
+def agrees(slopes: Any, family: Parametric, at: Fraction, policy: object) -> None:
+    mdp = family.at({slopes.parameter.name: at})
     certificate = certify(mdp)
-    assert found.at(at) == certificate.start_value
-    assert found.fixed_at(at) == start_of(mdp, policy)
-    for piece in found.around(at):
+    assert slopes.at(at) == certificate.start_value
+    assert slopes.fixed_at(at) == start_of(mdp, policy)
+    for piece in slopes.around(at):
         if piece.low[1] < at < piece.high[0]:
             assert (piece.optimal == certificate.optimal_pairs)[~mdp.terminal[mdp.pair_state]].all()
 
@@ -94,26 +94,31 @@ def test_random_models_with_cycles(
     family = moving(mdp, {"p": [(0, 1)]}, gains)
     if name not in [parameter.name for parameter in family.parameters]:
         return
-    found = curve(family, name, policy="random")
-    assert found.violations() == []
-    agrees(found, family, found.range.low + (found.range.high - found.range.low) * place, "random")
-    for left, right in pairwise(found.pieces):
+    value_curve = curve(family, name, policy="random")
+    assert value_curve.violations() == []
+    agrees(
+        value_curve,
+        family,
+        value_curve.range.low + (value_curve.range.high - value_curve.range.low) * place,
+        "random",
+    )
+    for left, right in pairwise(value_curve.pieces):
         assert left.high == right.low
         for end in left.high:
-            agrees(found, family, end, "random")
+            agrees(value_curve, family, end, "random")
 
 
 @pytest.mark.parametrize("name", ["base.anxiety", "reward.assist.prompt", "discount"])
 def test_scenarios(name: str) -> None:
     family = parametric(SMALL)
     span = (F(1, 10), F(9, 10)) if name != "reward.assist.prompt" else (-6, 1)
-    found = curve(SMALL, name, span, policy="always:prompt")
+    value_curve = curve(SMALL, name, span, policy="always:prompt")
     crossed = [t for t in thresholds(SMALL, name, span).found if not t.touch]
     ends = {(t.low, t.high) for t in crossed}
-    assert ends <= {piece.high for piece in found.pieces[:-1]}
-    assert len(found.frame()) == len(found.pieces) > len(ends)
+    assert ends <= {piece.high for piece in value_curve.pieces[:-1]}
+    assert len(value_curve.frame()) == len(value_curve.pieces) > len(ends)
     for k in range(5):
-        agrees(found, family, F(span[0]) + (F(span[1]) - span[0]) * F(k, 4), "always:prompt")
+        agrees(value_curve, family, F(span[0]) + (F(span[1]) - span[0]) * F(k, 4), "always:prompt")
 
 
 @settings(max_examples=25, deadline=None)
@@ -122,12 +127,12 @@ def test_where_a_policy_keeps_a_limit(
     drawn: tuple[MDP, list[int]], limit: Fraction, relative: bool
 ) -> None:
     mdp, policy = drawn[0], [0, 0, 0]
-    found = curve(mdp, "discount", (0, "19/20"), policy=policy)
-    kept = found.within(**{"max_relative_regret" if relative else "max_regret": limit})
+    value_curve = curve(mdp, "discount", (0, "19/20"), policy=policy)
+    within = value_curve.within(**{"max_relative_regret" if relative else "max_regret": limit})
     every = [F(19 * k, 20 * 24) for k in range(25)]
-    for at in [*every, *(end for each in kept for end in (*each.low, *each.high))]:
-        best, mine = found.at(at), start_of(mdp.with_(discount=at), policy)
-        inside = [each for each in kept if each.low[0] <= at <= each.high[1]]
+    for at in [*every, *(end for each in within for end in (*each.low, *each.high))]:
+        best, mine = value_curve.at(at), start_of(mdp.with_(discount=at), policy)
+        inside = [each for each in within if each.low[0] <= at <= each.high[1]]
         if all(  # not inside a bracket of an end
             (low == up or not low <= at < up) and (end == top or not end < at <= top)
             for (low, up), (end, top) in ((each.low, each.high) for each in inside)
@@ -136,29 +141,29 @@ def test_where_a_policy_keeps_a_limit(
 
 
 def test_limits_that_say_nothing_are_refused() -> None:
-    held = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
+    value_curve = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
     for call, message in (
         (lambda: curve(PUTERMAN, "discount", (0, "99/100")).within(1), "no policy"),
-        (lambda: held.within(1, 1), "two limits"),
-        (lambda: held.within(-1), "0 or more"),
-        (lambda: held.at(1), "outside the range"),
+        (lambda: value_curve.within(1, 1), "two limits"),
+        (lambda: value_curve.within(-1), "0 or more"),
+        (lambda: value_curve.at(1), "outside the range"),
     ):
         with pytest.raises(ModelError, match=message):
             call()
-    (only,) = held.within()  # optimal from 10/11 on
+    (only,) = value_curve.within()  # optimal from 10/11 on
     assert only.low[0] <= F(10, 11) <= only.low[1]
     assert only.high == (F(99, 100),) * 2
 
 
 def test_what_is_false_between_breakpoints_is_found() -> None:
     """Each claim is changed alone; samples at ends and in the middle would see few of these."""
-    found = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
-    (low, high), tiny = found.pieces, F(1, 10**9)
-    assert found.violations() == []
+    value_curve = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
+    (low, high), tiny = value_curve.pieces, F(1, 10**9)
+    assert value_curve.violations() == []
 
     def faults(first: dict[str, Any], second: dict[str, Any] | None) -> str:
         pieces = [replace(low, **first), replace(high, **(second or {}))][: 2 - (second is None)]
-        return " | ".join(replace(found, pieces=tuple(pieces)).violations())
+        return " | ".join(replace(value_curve, pieces=tuple(pieces)).violations())
 
     # The left policy is not optimal a billionth further; the right one is not so far on the left.
     for shift in (tiny, -tiny):
@@ -173,7 +178,7 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
         ({}, None, "no piece covers"),
         ({"section": replace(low.section, high=low.low[0])}, {}, "outside"),
         # One bracket that is wide, between sections, where nothing is checked, proves nothing.
-        ({}, {"low": (found.range.low, found.range.high)}, "no piece covers"),
+        ({}, {"low": (value_curve.range.low, value_curve.range.high)}, "no piece covers"),
         (
             {"high": (F(1, 2), F(98, 100))},
             {"low": (F(1, 2), F(98, 100)), "section": replace(high.section)},
@@ -187,12 +192,12 @@ def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
     words = ("curve", "tea", "--set", "tasks=[1]", "--set", "max_trial=2")
     asked = (*words, "--parameter", "base.anxiety", "--max-relative-regret", "1/100", "--json")
     result = run(*asked, "--policy", "always:prompt").result
-    found = curve(SMALL, "base.anxiety", policy="always:prompt")
-    kept = found.within(max_relative_regret="1/100")
+    value_curve = curve(SMALL, "base.anxiety", policy="always:prompt")
+    within = value_curve.within(max_relative_regret="1/100")
     brackets = [(*each["from_bracket"], *each["to_bracket"]) for each in result["within"]]
-    assert [tuple(map(F, each)) for each in brackets] == [(*e.low, *e.high) for e in kept]
+    assert [tuple(map(F, each)) for each in brackets] == [(*e.low, *e.high) for e in within]
     fixed = result["pieces"][0]["fixed"]
-    assert tuple(map(F, fixed["numerator"])) == found.pieces[0].fixed.numerator
+    assert tuple(map(F, fixed["numerator"])) == value_curve.pieces[0].fixed.numerator
     assert "keeps the limit" in run(*asked[:-1]).out  # of the optimum, unless a policy is given
     refused = run(*asked, "--max-regret", "1")
     assert (refused.status, refused.out) == (2, "")
@@ -210,10 +215,12 @@ def test_a_table_is_followed_where_nothing_is_earned_today(sense: str) -> None:
 
     family = Family(parameters=(TODAY,), build=build)
     table = np.array([[0.0, 2.0], [1.0, 3.0], [0.0, 0.0]]) * (1 if sense == "max" else -1)
-    found = curve(family, "t", (-1, 1), policy=table)
+    value_curve = curve(family, "t", (-1, 1), policy=table)
     for t in (F(-1), F(-1, 2), F(0), F(1)):
-        assert found.fixed_at(t) == t  # action 1 in state 0, and nothing after that
-    [kept] = found.within(0)  # what it earns in state 0 has to be good, and in state 1 to be bad
+        assert value_curve.fixed_at(t) == t  # action 1 in state 0, and nothing after that
+    [kept] = value_curve.within(
+        0
+    )  # what it earns in state 0 has to be good, and in state 1 to be bad
     assert (float(kept.low[0]), float(kept.high[1])) == pytest.approx((0, 0))
 
 
@@ -224,10 +231,10 @@ def test_a_policy_that_is_silent_where_it_matters_elsewhere_is_refused() -> None
         build=lambda at: MDP.from_outcomes([(0, 0, [(1, 0, at["t"])]), (0, 1, [(1, 0, 0)])], "1/2"),
     )
     for policy in ([[1.0, 2.0]], [1], {0: 1}, [[0.0, 1.0]]):
-        found = curve(family, "t", (-1, 1), policy=policy)
-        assert (found.fixed_at(-1), found.fixed_at(1)) == (0, 0)
-        assert found.within(0)[0].low[0] == -1
-        assert found.within(0)[-1].high[1] == pytest.approx(0)
+        value_curve = curve(family, "t", (-1, 1), policy=policy)
+        assert (value_curve.fixed_at(-1), value_curve.fixed_at(1)) == (0, 0)
+        assert value_curve.within(0)[0].low[0] == -1
+        assert value_curve.within(0)[-1].high[1] == pytest.approx(0)
     with pytest.raises(ModelError, match="says nothing of a state"):
         curve(family, "t", (-1, 1), policy=lambda state: 1)
 
@@ -251,8 +258,8 @@ def test_where_some_policy_never_ends_curves_are_refused(engine: Callable[..., o
 def test_where_some_policy_never_ends_derivatives_are_refused() -> None:
     with pytest.raises(ModelError, match="some policy never ends"):
         gradient(WAIT)
-    held = gradient(WAIT, policy=[1, 0, 0], names=["reward.5"])  # this one ends
-    assert held["reward.5"].value == Certified(value=F(1))
+    slopes = gradient(WAIT, policy=[1, 0, 0], names=["reward.5"])  # this one ends
+    assert slopes["reward.5"].value == Certified(value=F(1))
     assert gradient(WAIT.with_(discount="9/10"))["reward.5"].value == Certified(value=F(1))
 
 
@@ -274,9 +281,9 @@ def test_a_policy_that_never_ends_at_one_value_alone_is_found() -> None:
     ):
         with pytest.raises(ModelError, match="some policy never ends"):
             curve(family(stays), "x", wrong)
-        found = curve(family(stays), "x", right)
-        assert found.at("1/4") == 1 / (1 - stays(F(1, 4)))
-        assert found.violations() == []
+        value_curve = curve(family(stays), "x", right)
+        assert value_curve.at("1/4") == 1 / (1 - stays(F(1, 4)))
+        assert value_curve.violations() == []
 
 
 def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -> None:
@@ -299,10 +306,10 @@ def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -
 
 @pytest.mark.parametrize("name", ["base.anxiety", "reward.assist.prompt", "discount"])
 def test_slopes_of_the_curve_are_the_derivatives(name: str) -> None:
-    found = curve(SMALL, name)
+    value_curve = curve(SMALL, name)
     each = gradient(SMALL, names=[name])[name]
     sides = [None if side is None else side.value for side in (each.left, each.right)]
-    assert [*found.slope(found.parameter.value)] == sides
+    assert [*value_curve.slope(value_curve.parameter.value)] == sides
 
 
 def test_slopes_at_a_tie_are_those_of_the_policies_on_both_sides() -> None:
@@ -311,9 +318,9 @@ def test_slopes_at_a_tie_are_those_of_the_policies_on_both_sides() -> None:
         return MDP.from_outcomes(rows)
 
     family = Family(parameters=(HALF,), build=build)
-    found, each = curve(family, "p"), gradient(family)["p"]
-    assert found.slope("1/2") == (each.left.value, each.right.value) == (-1, 1)
-    assert (found.slope(0), found.slope(1)) == ((None, -1), (1, None))
+    value_curve, each = curve(family, "p"), gradient(family)["p"]
+    assert value_curve.slope("1/2") == (each.left.value, each.right.value) == (-1, 1)
+    assert (value_curve.slope(0), value_curve.slope(1)) == ((None, -1), (1, None))
 
 
 def test_components_change_no_claim() -> None:

@@ -19,17 +19,17 @@ F = Fraction
 
 
 def test_the_curve_covers_all_that_a_parameter_may_be() -> None:
-    found = curve(Scenario.load("tea").with_(tasks=[1], max_trial=2), "base.anxiety")
-    assert (found.range.low, found.range.high) == (0, 1)
-    assert found.violations() == []
-    assert found.at(0) != found.at(1)
+    value_curve = curve(Scenario.load("tea").with_(tasks=[1], max_trial=2), "base.anxiety")
+    assert (value_curve.range.low, value_curve.range.high) == (0, 1)
+    assert value_curve.violations() == []
+    assert value_curve.at(0) != value_curve.at(1)
 
 
 def test_the_command(tmp_path: object) -> None:
     words = ("curve", "tea", "--set", "tasks=[1]", "--set", "max_trial=2")
-    found = run(*words, "--parameter", "base.anxiety", "--json").result
-    assert found["claim"] == "certified"
-    pieces = found["pieces"]
+    result = run(*words, "--parameter", "base.anxiety", "--json").result
+    assert result["claim"] == "certified"
+    pieces = result["pieces"]
     assert (pieces[0]["from"], pieces[-1]["to"]) == ("0", "1")
     assert all(a["to"] == b["from"] for a, b in pairwise(pieces))
     first, at = pieces[0], F(pieces[0]["to"]) / 2
@@ -76,10 +76,10 @@ def test_howards_taxicab_at_every_discount() -> None:
 
 def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
     # pymdptoolbox src/tests/test_PolicyIteration.py: values at 0.9 and 0.96, never cut
-    found = curve(forest("1/2"), "discount", (0, "99/100"))
-    assert (found.at("9/10"), found.at("24/25")) == (F("26.244"), F("74.6496"))
-    assert found.violations() == []
-    last, before = found.pieces[-1], found.pieces[-2]
+    value_curve = curve(forest("1/2"), "discount", (0, "99/100"))
+    assert (value_curve.at("9/10"), value_curve.at("24/25")) == (F("26.244"), F("74.6496"))
+    assert value_curve.violations() == []
+    last, before = value_curve.pieces[-1], value_curve.pieces[-2]
     # Waiting in the middle is worth it from γ on where 9/10 (1 + 9/10 γ …) pays for the cut's 1:
     # 1 + γ V_0 = γ (V_0 / 10 + 9/10 V_2), with V_2 = 4 + γ (V_0 / 10 + 9/10 V_2).
     low, high = before.high

@@ -41,39 +41,39 @@ SAID = {"gain": {"distribution": "uniform", "low": 0, "high": 2}}
 
 
 @pytest.fixture(scope="module")
-def found():
+def analysis():
     return cost_effectiveness(MODEL, POLICIES, 2000, uncertain=SAID, rng=1)
 
 
-def test_costs_and_effects_are_those_of_each_draw(found) -> None:
+def test_costs_and_effects_are_those_of_each_draw(analysis) -> None:
     for d in (0, 1999):
-        mdp = MODEL.at({"gain": float(found.draws[d, 0])})
+        mdp = MODEL.at({"gain": float(analysis.draws[d, 0])})
         for n, policy in enumerate(POLICIES.values()):
             parts = evaluate(mdp, policy).components
-            assert found.effect[d, n] == pytest.approx(parts["qaly"])
-            assert found.cost[d, n] == pytest.approx(parts["cost"])
-    net = found.net_benefit(10)
-    assert net == pytest.approx(10 * found.effect - found.cost)
+            assert analysis.effect[d, n] == pytest.approx(parts["qaly"])
+            assert analysis.cost[d, n] == pytest.approx(parts["cost"])
+    net = analysis.net_benefit(10)
+    assert net == pytest.approx(10 * analysis.effect - analysis.cost)
 
 
-def test_curve_frontier_and_evpi_are_the_closed_form(found) -> None:
+def test_curve_frontier_and_evpi_are_the_closed_form(analysis) -> None:
     """At λ: waiting is worth 0, treating λ g - 5, both 2 λ g - 20, with g uniform on (0, 2)."""
     for wtp in (4.0, 10.0, 20.0):
         one, two = min(5 / wtp, 2), min(15 / wtp, 2)  # where treating, then both, become best
         exact = np.array([one, two - one, 2 - two]) / 2
-        share = found.acceptability(wtp)[0]
-        assert share == pytest.approx(exact, abs=4 / len(found.draws) ** 0.5)
+        share = analysis.acceptability(wtp)[0]
+        assert share == pytest.approx(exact, abs=4 / len(analysis.draws) ** 0.5)
         means = [0, wtp - 5, 2 * wtp - 20]
         best = int(np.argmax(means))
-        assert found.frontier(wtp) == [([*POLICIES][best], share[best])]
+        assert analysis.frontier(wtp) == [([*POLICIES][best], share[best])]
         g = np.linspace(0, 2, 200_001)
         most = np.maximum(0, np.maximum(wtp * g - 5, 2 * wtp * g - 20)).mean()
-        worth = found.evpi(wtp)
-        assert abs(worth.value - (most - means[best])) < 4 * worth.standard_error
-        known = found.evppi(wtp)["gain"]  # all that is uncertain
-        assert known.regression.value == pytest.approx(worth.value, rel=0.1)
+        evpi = analysis.evpi(wtp)
+        assert abs(evpi.value - (most - means[best])) < 4 * evpi.standard_error
+        known = analysis.evppi(wtp)["gain"]  # all that is uncertain
+        assert known.regression.value == pytest.approx(evpi.value, rel=0.1)
         assert known.regression.standard_error > 0
-    assert found.frame([4, 10])["best on average"].tolist() == ["wait", "treat"]
+    assert analysis.frame([4, 10])["best on average"].tolist() == ["wait", "treat"]
 
 
 def test_strategies_that_are_dominated_have_no_icer() -> None:
@@ -89,7 +89,7 @@ def test_strategies_that_are_dominated_have_no_icer() -> None:
     assert dear.icers().set_index("strategy").loc["treat", "status"] == "extendedly dominated"
 
 
-def test_rates_of_a_front_are_icers(found) -> None:
+def test_rates_of_a_front_are_icers(analysis) -> None:
     front = tradeoff(MODEL.at({}), ["qaly", "saved=-1*cost"])
     mean = cost_effectiveness(MODEL, POLICIES, 1, uncertain={"gain": {"sd": 1e-9}}).icers()
     assert [float(edge.rate) for edge in front.edges] == pytest.approx(mean["ICER"].tolist()[1:])
@@ -99,7 +99,7 @@ def test_the_guide_has_the_numbers_of_the_published_model() -> None:
     """Today's costs and effects of the four strategies, worked out by powers of the matrices."""
     code = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text("utf-8"), re.M | re.S)[0]
     names: dict = {}
-    exec(code.partition("found = ")[0], names)
+    exec(code.partition("analysis = ")[0], names)
     mdp = names["model"].at({})
     for policy in names["strategies"].values():
         action = mdp.action(policy.removeprefix("always:"))
@@ -112,9 +112,9 @@ def test_the_guide_has_the_numbers_of_the_published_model() -> None:
         assert list(parts.values()) == pytest.approx(total.tolist(), rel=1e-9)
 
 
-def test_several_willingnesses_to_pay_are_taken_one_by_one(found) -> None:
+def test_several_willingnesses_to_pay_are_taken_one_by_one(analysis) -> None:
     two = cost_effectiveness(MODEL, {n: POLICIES[n] for n in ("wait", "treat")}, 50, uncertain=SAID)
-    for each in (found, two):
+    for each in (analysis, two):
         for wtp in ([4.0, 10.0], [4.0, 10.0, 20.0]):
             assert each.evpi(wtp) == [each.evpi(one) for one in wtp]
             alone = [each.net_benefit(one) for one in wtp]
@@ -177,10 +177,10 @@ def test_a_tornado_shows_the_policy_that_was_given() -> None:
         bars.plot(output="fixd")
 
 
-def test_results_print_in_a_line_or_two(found) -> None:
+def test_results_print_in_a_line_or_two(analysis) -> None:
     draws = psa(MODEL, 30, uncertain=SAID)
     every = (
-        found, found.evppi(10), draws, draws.evppi(), robust(MODEL.at({})), tornado(MODEL),
+        analysis, analysis.evppi(10), draws, draws.evppi(), robust(MODEL.at({})), tornado(MODEL),
         one_way(MODEL, "gain"), sobol(MODEL, n=8, rng=0), two_way(MODEL, "gain", "price", points=2),
     )  # fmt: skip
     for each in every:

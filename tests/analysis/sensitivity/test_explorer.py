@@ -37,9 +37,9 @@ NASTY = ["</script><b>", "$x & 'y'", '"z" <img src=x>']
 
 def data_of(page: str) -> dict[str, Any]:
     """What the script of a page reads."""
-    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    data: dict[str, Any] = json.loads(found[1])
+    match = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert match is not None
+    data: dict[str, Any] = json.loads(match[1])
     return data
 
 
@@ -65,7 +65,7 @@ def check_at(data: dict[str, Any], row: int, at: Fraction, mdp: MDP, policy: str
         if low <= at <= high:
             around.append((piece, list(sets)))
     assert max(worth(piece["value"], at) for piece, _ in around) == certificate.start_value
-    held = check(mdp, policy, exact_values=True).regret.learned.value
+    value = check(mdp, policy, exact_values=True).regret.learned.value
     taken = [data["sets"][number] for number in data["taken"]]
     weights = Policy.of(mdp, policy).weights(mdp)
     chosen = [
@@ -73,7 +73,7 @@ def check_at(data: dict[str, Any], row: int, at: Fraction, mdp: MDP, policy: str
         for s in range(mdp.n_states)
     ]
     assert taken == chosen
-    assert worth(curve["fixed"][around[0][0]["fixed"]], at) == held
+    assert worth(curve["fixed"][around[0][0]["fixed"]], at) == value
     if len(around) == 1:
         for state in np.flatnonzero(~mdp.terminal).tolist():
             best = [p for p in mdp.pairs_of(state) if certificate.optimal_pairs[p]]
@@ -199,10 +199,10 @@ def use_by_keyboard(browser: Browser) -> None:
         mdp = parametric(TEA).at(dict(zip(BOTH, (at, second), strict=True)))
         best = certify(mdp).start_value
         assert F(text("exact_best")) == best
-        held = check(mdp, "random", exact_values=True).regret.learned.value
-        assert F(text("exact_held")) == held
+        value = check(mdp, "random", exact_values=True).regret.learned.value
+        assert F(text("exact_held")) == value
         assert float(text("best")) == pytest.approx(float(best), rel=1e-9)
-        assert float(text("regret")) == pytest.approx(float(best - held), rel=1e-9)
+        assert float(text("regret")) == pytest.approx(float(best - value), rel=1e-9)
 
     holds(F(-2))
     browser.press("Tab")

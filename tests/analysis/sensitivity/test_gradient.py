@@ -58,37 +58,37 @@ def difference(scenario: Scenario, name: str) -> float:
 def test_derivatives_are_the_limits_of_differences(number: int) -> None:
     own = scenario(READINGS[number])
     names = NAMES[number::4]
-    found = gradient(own, names=names)
+    slopes = gradient(own, names=names)
     for name in names:
-        each = found[name].value
+        each = slopes[name].value
         assert each is not None
-        assert found[name].left == found[name].right == each
+        assert slopes[name].left == slopes[name].right == each
         assert float(each.value) == pytest.approx(difference(own, name), abs=1e-4, rel=1e-6)
 
 
 def test_at_the_end_of_a_range_there_is_one_side() -> None:
     own = scenario({}, F(1))
-    found = gradient(own, names=["discount", "assistance.directive.confusion.onset"])
-    assert found["discount"].right is None
-    assert found["discount"].left is not None
+    slopes = gradient(own, names=["discount", "assistance.directive.confusion.onset"])
+    assert slopes["discount"].right is None
+    assert slopes["discount"].left is not None
     at = (oracle_at(own, "discount", -k * H) for k in range(3))
     v0, v1, v2 = (oracle.value(oracle.start) for oracle in at)
     expected = float((3 * v0 - 4 * v1 + v2) / (2 * H))
-    assert float(found["discount"].left.value) == pytest.approx(expected, abs=1e-4)
-    assert found["assistance.directive.confusion.onset"].left is None
+    assert float(slopes["discount"].left.value) == pytest.approx(expected, abs=1e-4)
+    assert slopes["assistance.directive.confusion.onset"].left is None
 
 
 def test_a_chance_that_is_cut_off_at_1_has_two_sides() -> None:
     own = scenario({"influence_on_present": "additive"}).with_(
         parameters={"persistence.anger": "4/5", "influence.disengagement.anger": "1/5"}
     )
-    found = gradient(own, policy="always:none", names=["persistence.anger"])
+    slopes = gradient(own, policy="always:none", names=["persistence.anger"])
 
     def value(step: Fraction) -> Fraction:
         oracle = oracle_at(own, "persistence.anger", step)
         return oracle.evaluate(unassisted, distribution=False)["mean"]
 
-    each = found["persistence.anger"]
+    each = slopes["persistence.anger"]
     assert each.left is not None
     assert each.right is not None
     assert each.value is None
@@ -118,10 +118,10 @@ def twin(p: Fraction) -> MDP:
 def test_at_a_tie_each_side_has_the_better_policy() -> None:
     p = Parameter(name="p", value=F(1, 2), low=F(0), high=F(1))
     family = Family(parameters=(p,), build=lambda at: twin(at["p"]))
-    found = gradient(family)["p"]
-    assert found.left is not None
-    assert found.right is not None
-    assert (found.left.value, found.right.value) == (-2, 2)
+    slope = gradient(family)["p"]
+    assert slope.left is not None
+    assert slope.right is not None
+    assert (slope.left.value, slope.right.value) == (-2, 2)
     with pytest.raises(ModelError, match="several actions are optimal"):
         gradient(family, exact=False)
     fixed = gradient(family, policy=np.array([0, 1, 0]))["p"]
@@ -143,7 +143,7 @@ def test_floats_agree_within_their_bounds() -> None:
 def test_published_model_with_cycles() -> None:
     """Fire in the forest: V(0) by hand, and every row that has the fire moves with it."""
     family = burning("9/10")
-    found = gradient(family)
+    slopes = gradient(family)
 
     def value(p: Fraction, g: Fraction) -> Fraction:
         # wait for ever: v2 = 4 + g (p v0 + (1 - p) v2), v1 and v0 likewise without reward
@@ -151,12 +151,12 @@ def test_published_model_with_cycles() -> None:
         return ahead**2 * 4 / ((1 - ahead) * (1 - g * p * (1 + ahead)) - g * p * ahead**2)
 
     p, g = F(1, 10), F(9, 10)
-    assert found.start_value == value(p, g)
+    assert slopes.start_value == value(p, g)
     for name, slope in (
         ("fire", (value(p + H, g) - value(p - H, g)) / (2 * H)),
         ("discount", (value(p, g + H) - value(p, g - H)) / (2 * H)),
     ):
-        each = found[name].value
+        each = slopes[name].value
         assert each is not None
         assert float(each.value) == pytest.approx(float(slope), rel=1e-5)
     floats = gradient(family, exact=False)["fire"].value
@@ -181,7 +181,7 @@ def test_derivatives_of_a_fixed_policy(readings: dict[str, str]) -> None:
     mdp = own.compile()
     weights = np.where(np.isin(mdp.pair_action, [2, 3]), 0.5, 0.0)
     weights[mdp.forced[mdp.pair_state]] = 1.0
-    found = gradient(own, policy=weights, names=names)
+    slopes = gradient(own, policy=weights, names=names)
     step = F(1, 10**5)
     for name in names:
         above, below = (
@@ -189,7 +189,7 @@ def test_derivatives_of_a_fixed_policy(readings: dict[str, str]) -> None:
             for sign in (1, -1)
         )
         slope = float((above - below) / (2 * step))
-        each = found[name].value
+        each = slopes[name].value
         assert each is not None
         assert float(each.value) == pytest.approx(slope, rel=1e-7)
 
@@ -204,8 +204,8 @@ def test_frames_say_units_and_whether_the_policy_is_fixed() -> None:
 
 def test_max_trial_moves_in_whole_steps() -> None:
     own = scenario({}, F(1))
-    found = gradient(own, names=[])
-    less, more = found.steps["max_trial"]
+    slopes = gradient(own, names=[])
+    less, more = slopes.steps["max_trial"]
     values = [
         Oracle({}, [1], trials, F(1), own.values()).value((0, 0, 1, (0, 0, 0, 0)))
         for trials in (1, 2, 3)

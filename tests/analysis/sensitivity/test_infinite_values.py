@@ -107,24 +107,24 @@ def test_other_analyses_refuse_them() -> None:
 def test_commands(kind: str, mdp: MDP, more: str, tmp_path: Path) -> None:
     """Exit status 2, with what, where and fix; no word of the range of floats."""
     mdp.save(tmp_path / "model.npz")
-    found = run(*kind.split(), tmp_path / "model.npz", *more.split())
-    assert (found.status, found.out) == (2, "")
-    assert "is infinite, so that nothing can be compared" in found.err
-    assert "where: the total at discount 1" in found.err
-    assert "fix:" in found.err
-    assert "floats" not in found.err
-    assert "warning" not in found.err
+    done = run(*kind.split(), tmp_path / "model.npz", *more.split())
+    assert (done.status, done.out) == (2, "")
+    assert "is infinite, so that nothing can be compared" in done.err
+    assert "where: the total at discount 1" in done.err
+    assert "fix:" in done.err
+    assert "floats" not in done.err
+    assert "warning" not in done.err
 
 
 def test_a_state_of_infinite_value_disturbs_nothing() -> None:
     """The optimum is 3, one action of the start is worth -∞, and every draw prefers the other."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = psa(chances(LOSES), 4, rng=0, **QUIET)
-    assert found.counts[0].tolist() == [0, 4]
-    assert np.isfinite(found.optimal).all()
-    assert found.lost.min(axis=1).tolist() == [0] * 4
-    assert (found.lost.max(axis=1) == np.inf).all()
+        analysis = psa(chances(LOSES), 4, rng=0, **QUIET)
+    assert analysis.counts[0].tolist() == [0, 4]
+    assert np.isfinite(analysis.optimal).all()
+    assert analysis.lost.min(axis=1).tolist() == [0] * 4
+    assert (analysis.lost.max(axis=1) == np.inf).all()
 
 
 def test_commands_about_one_policy_agree(tmp_path: Path) -> None:
@@ -132,10 +132,10 @@ def test_commands_about_one_policy_agree(tmp_path: Path) -> None:
     BOTH.save(tmp_path / "both.npz")
     for words in ("evaluate", "returns", "simulate --episodes 50"):
         name, *more = words.split()
-        found = run(name, tmp_path / "both.npz", "optimal", *more)
-        assert "-inf (" in found.out
-        assert "undefined: the mean is infinite" in found.out
-        assert "to -\n" not in found.out
+        done = run(name, tmp_path / "both.npz", "optimal", *more)
+        assert "-inf (" in done.out
+        assert "undefined: the mean is infinite" in done.out
+        assert "to -\n" not in done.out
         stated = loads(run(name, tmp_path / "both.npz", "optimal", *more, "--json").out)
         assert (stated["mean"], stated["sd"]) == ("-inf", None)
 

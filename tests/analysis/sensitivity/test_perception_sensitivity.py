@@ -56,35 +56,35 @@ def at(**values: object) -> MDP:
 
 def test_a_tornado_is_that_of_the_policy_held_fixed(mdp: MDP, seen: Path) -> None:
     words = (*ANGER, "--parameter", "base.confusion", "--parameter", "influence.anger.confusion")
-    found = ask("tornado", seen, *words)
+    answer = ask("tornado", seen, *words)
     policy = perceived(mdp, solve(mdp).policy, ROUGH)
-    assert found["policy_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
-    for bar in found["bars"]:
+    assert answer["policy_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
+    for bar in answer["bars"]:
         for end in ("low", "high"):
             there = at(**{bar["parameter"]: repr(bar[end])})
             value = evaluate(there, policy).mean
             assert bar[f"fixed_value_{end}"] == pytest.approx(value, rel=1e-9)
             assert bar[f"value_{end}"] == pytest.approx(solve(there).start_value, rel=1e-9)
-    swings = [bar["fixed_swing"] for bar in found["bars"]]
+    swings = [bar["fixed_swing"] for bar in answer["bars"]]
     assert swings == sorted(swings, reverse=True)
     text = run("tornado", "yuan2025", *SET, "--perception", seen, *words)
     flat = " ".join(text.out.split())
     assert "start value at both ends, policy held fixed" in flat
     assert "which the policy acts on" in flat
-    assert f"{found['bars'][0]['fixed_value_low']:.6g}" in flat
+    assert f"{answer['bars'][0]['fixed_value_low']:.6g}" in flat
 
 
 def test_a_gradient_is_that_of_the_mixed_policy_and_says_what_is_certified(
     mdp: MDP, seen: Path
 ) -> None:
-    found = ask("gradient", seen, *ANGER)
+    answer = ask("gradient", seen, *ANGER)
     policy = perceived(mdp, solve(mdp).policy, ROUGH)
-    assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
+    assert answer["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
     ends = ("49999/1000000", "50001/1000000")
     below, above = (evaluate(at(**{"base.anger": x}), policy).mean for x in ends)
-    assert found["derivatives"]["base.anger"] == pytest.approx((above - below) / 2e-6, rel=1e-6)
-    assert found["claim"] == "certified"
-    assert "as rounded to floats" in found["claim_of"]
+    assert answer["derivatives"]["base.anger"] == pytest.approx((above - below) / 2e-6, rel=1e-6)
+    assert answer["claim"] == "certified"
+    assert "as rounded to floats" in answer["claim_of"]
     text = run("gradient", "yuan2025", *SET, "--perception", seen, *ANGER).out
     assert "as rounded to floats" in " ".join(text.split())
     plain = run("gradient", "yuan2025", *SET, *ANGER, "--json").result
@@ -96,8 +96,8 @@ def test_a_gradient_is_that_of_the_mixed_policy_and_says_what_is_certified(
 def test_psa_and_sobol_hold_it(form: str, mdp: MDP, seen: Path, plan: Path) -> None:
     from exact_mdp import sobol
 
-    told, source = (plan, PLAN) if form == "plan" else (form, solve(mdp).policy)
-    words = ("--policy", told, "--n-jobs", 1, *ANGER, "--parameter", "base.confusion")
+    stated, source = (plan, PLAN) if form == "plan" else (form, solve(mdp).policy)
+    words = ("--policy", stated, "--n-jobs", 1, *ANGER, "--parameter", "base.confusion")
     policy, names = perceived(mdp, source, ROUGH), ["base.anger", "base.confusion"]
     wide = sobol(SMALL, names=names, n=8, rng=0, policy=policy)
     assert ask("sobol", seen, *words, "--samples", 8)["regret"]["mean"] == wide.regret.mean > 0
@@ -112,18 +112,18 @@ def test_the_worst_case_of_it(mdp: MDP, seen: Path) -> None:
     policy = perceived(mdp, solve(mdp).policy, ROUGH)
     value = evaluate(mdp, policy).mean
     for kind in ("interval", "absolute", "l1", "kl", "entropy"):
-        found = ask("robust", seen, "--set-kind", kind, "--radius", "0")
-        assert found["start_value"] == pytest.approx(value, rel=1e-12)
-        assert found["worst_case"]["nominal_policy"]["value"] == pytest.approx(value, rel=1e-6)
+        answer = ask("robust", seen, "--set-kind", kind, "--radius", "0")
+        assert answer["start_value"] == pytest.approx(value, rel=1e-12)
+        assert answer["worst_case"]["nominal_policy"]["value"] == pytest.approx(value, rel=1e-6)
         wide = ask("robust", seen, "--set-kind", kind, "--radius", "0.05")
         assert wide["worst_case"]["nominal_policy"]["value"] < value - 1e-3
 
 
 def test_the_worst_case_in_a_box(mdp: MDP, seen: Path) -> None:
     words = ("--set-kind", "box", "--range", "base.anger=1/25:3/50")
-    found = ask("robust", seen, *words)
+    answer = ask("robust", seen, *words)
     policy = perceived(mdp, solve(mdp).policy, ROUGH)
     worst = evaluate(at(**{"base.anger": "3/50"}), policy).mean
-    assert found["worst_case"]["point"] == {"base.anger": 0.06}
-    assert found["worst_case"]["value"] == pytest.approx(worst, rel=1e-9)
-    assert found["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)
+    assert answer["worst_case"]["point"] == {"base.anger": 0.06}
+    assert answer["worst_case"]["value"] == pytest.approx(worst, rel=1e-9)
+    assert answer["start_value"] == pytest.approx(evaluate(mdp, policy).mean, rel=1e-12)

@@ -55,17 +55,20 @@ def test_every_draw_is_solved_and_every_policy_evaluated_in_it(care: Any) -> Non
         start = solve(mdp).start
         assert abs(care.optimal[d] - start.value) <= care.error[d] + start.error
         for n, candidate in enumerate(care.candidates):
-            told = evaluate(mdp, candidate.weights)
-            assert abs(care.values[d, n] - told.mean) <= care.value_error[d, n] + told.start.error
+            evaluation = evaluate(mdp, candidate.weights)
+            assert (
+                abs(care.values[d, n] - evaluation.mean)
+                <= care.value_error[d, n] + evaluation.start.error
+            )
 
 
 def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: Any) -> None:
     assert (care.values <= (care.optimal + care.error)[:, None] + care.value_error).all()
-    worth = care.evpi()
-    assert 0 <= worth.low.value <= worth.high.value
-    assert care.evpi_of_candidates().value <= worth.high.value + 1e-9
+    evpi = care.evpi()
+    assert 0 <= evpi.low.value <= evpi.high.value
+    assert care.evpi_of_candidates().value <= evpi.high.value + 1e-9
     best = care.values.mean(axis=0).max()
-    assert worth.high.value == pytest.approx(care.optimal.mean() - best)
+    assert evpi.high.value == pytest.approx(care.optimal.mean() - best)
     for each in care.evppi().values():
         assert each.regression.value <= care.evpi_of_candidates().value + 1e-15
         assert each.reliable == (each.doubts == ())
@@ -91,13 +94,13 @@ def test_shares_of_optimal_actions_are_those_of_the_draws(care: Any) -> None:
 def test_evpi_and_evppi_of_a_wager_are_the_closed_form() -> None:
     model = moving(wager("3/10", "2/5"), {"p": [(0, 1)], "q": [(1, 1)]})
     known = uncertainty(model, {"q": {"fixed": True}}, default=8)
-    found = psa(model, 80, rng=2, uncertain=known)
-    worth = found.evpi()
+    analysis = psa(model, 80, rng=2, uncertain=known)
+    evpi = analysis.evpi()
     exact = excess(0.3, 8, 0.4) - 0.4
-    for each in (worth.low, worth.high, found.evpi_of_candidates()):
+    for each in (evpi.low, evpi.high, analysis.evpi_of_candidates()):
         assert abs(each.value - exact) < 4 * each.standard_error
-    assert worth.low.value == pytest.approx(worth.high.value)
-    partial = found.evppi({"p": ["p"]})["p"]
+    assert evpi.low.value == pytest.approx(evpi.high.value)
+    partial = analysis.evppi({"p": ["p"]})["p"]
     for each in (partial.regression, partial.lower):
         assert abs(each.value - exact) < 4 * each.standard_error
 
@@ -117,11 +120,11 @@ def test_a_policy_that_is_often_best_by_little_is_a_candidate() -> None:
         (3, 0, [(F(1), 3, F(0))]),
     ]
     moved = moving(MDP.from_outcomes(rows, 1), {"p": [(1, 3), (2, 3)]})
-    found = psa(moved, 400, rng=5, uncertain=uncertainty(moved, default=2))
-    assert len(found.candidates) == 3
-    among, most = found.evpi_of_candidates(), found.evpi().high
+    analysis = psa(moved, 400, rng=5, uncertain=uncertainty(moved, default=2))
+    assert len(analysis.candidates) == 3
+    among, most = analysis.evpi_of_candidates(), analysis.evpi().high
     assert among.value == pytest.approx(most.value, rel=1e-9)
-    known = found.evppi({"p": ["p"]})["p"].regression
+    known = analysis.evppi({"p": ["p"]})["p"].regression
     for each in (among, most, known):
         assert abs(each.value - 43 / 128) < 4 * each.standard_error
 
@@ -130,16 +133,16 @@ def test_where_weights_alone_are_uncertain_evpi_is_one_number() -> None:
     weights = uncertainty(
         parametric(YUAN), {"reward": {"relative_sd": 0.5}}, names=list_of("reward.")
     )
-    found = psa(YUAN, 3000, rng=7, uncertain=weights)
-    worth = found.evpi()
-    assert worth.low == worth.high
+    analysis = psa(YUAN, 3000, rng=7, uncertain=weights)
+    evpi = analysis.evpi()
+    assert evpi.low == evpi.high
     today = solve(YUAN.compile()).start_value
     # By linearity the best policy is today's, whose mean value over the draws is V*(mean).
-    kept = found.values[:, 0]
-    assert abs(kept.mean() - today) < 4 * kept.std() / len(kept) ** 0.5
+    fixed = analysis.values[:, 0]
+    assert abs(fixed.mean() - today) < 4 * fixed.std() / len(fixed) ** 0.5
     # The difference of pairs has the same mean as E[V*] - V*(mean), and far less noise.
-    assert worth.high.value == pytest.approx((found.optimal - kept).mean())
-    assert worth.high.standard_error < kept.std() / len(kept) ** 0.5 / 2
+    assert evpi.high.value == pytest.approx((analysis.optimal - fixed).mean())
+    assert evpi.high.standard_error < fixed.std() / len(fixed) ** 0.5 / 2
 
 
 def test_where_todays_optimum_stays_optimal_evpi_of_weights_is_nothing() -> None:
@@ -147,9 +150,9 @@ def test_where_todays_optimum_stays_optimal_evpi_of_weights_is_nothing() -> None
         parametric(SMALL), {"reward": {"relative_sd": 1e-4}}, names=["reward.trial"]
     )
     for policy in ("optimal", "always:directive"):
-        worth = psa(SMALL, 400, rng=0, uncertain=weights, policy=policy).evpi()
-        assert worth.low.value == worth.high.value == 0.0
-        assert worth.high.interval == (0.0, 0.0)
+        evpi = psa(SMALL, 400, rng=0, uncertain=weights, policy=policy).evpi()
+        assert evpi.low.value == evpi.high.value == 0.0
+        assert evpi.high.interval == (0.0, 0.0)
 
 
 def list_of(start: str) -> list[str]:
@@ -189,16 +192,16 @@ def test_processes_change_no_byte() -> None:
 
 def test_cut_off_chances_are_counted() -> None:
     sure = YUAN.with_(parameters={"base.anger": "0.9", "influence.disengagement.anger": "0.09"})
-    found = psa(sure, 2000, rng=8, effective_sample_size=10)
-    place = {name: column for column, name in enumerate(found.names)}
-    numbers = {name: found.draws[:, column] for name, column in place.items()}
-    over = np.zeros(len(found), dtype=bool)
+    analysis = psa(sure, 2000, rng=8, effective_sample_size=10)
+    place = {name: column for column, name in enumerate(analysis.names)}
+    numbers = {name: analysis.draws[:, column] for name, column in place.items()}
+    over = np.zeros(len(analysis), dtype=bool)
     statuses = YUAN.statuses
     for target in statuses:
         pushes = [numbers[f"influence.{other}.{target}"] for other in statuses if other != target]
         over |= numbers[f"base.{target}"] + np.sum(pushes, axis=0) > 1
-    assert found.clipped.value == pytest.approx(over.mean())
-    assert found.clipped.value > 0.3
+    assert analysis.clipped.value == pytest.approx(over.mean())
+    assert analysis.clipped.value > 0.3
 
 
 @pytest.mark.parametrize(
@@ -223,9 +226,9 @@ def test_what_cannot_be_drawn_is_refused(words: dict[str, object], message: str)
 
 
 def test_a_count_of_numpy_is_a_count() -> None:
-    found = psa(SMALL, np.int64(7), rng=np.uint8(0))
-    assert len(found) == 7
-    assert type(found.seed) is int
+    analysis = psa(SMALL, np.int64(7), rng=np.uint8(0))
+    assert len(analysis) == 7
+    assert type(analysis.seed) is int
 
 
 def test_a_state_that_cannot_be_reached_makes_no_action_optimal() -> None:

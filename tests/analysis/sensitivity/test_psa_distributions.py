@@ -89,16 +89,16 @@ MODEL = Family(parameters=(COST, SHARE, FREE), build=lambda at: MDP.from_arrays(
     ],
 )
 def test_what_a_parameter_may_be_decides_its_distribution(stated, kinds) -> None:
-    found = uncertainty(MODEL, stated)
-    assert {part.label: part.kind for part in found.parts} == kinds
+    distributions = uncertainty(MODEL, stated)
+    assert {part.label: part.kind for part in distributions.parts} == kinds
 
 
 def test_a_sample_of_ones_own_is_drawn_row_by_row() -> None:
     frame = pandas.DataFrame({"cost": [1.0, 2.0, 3.0], "p": [0.1, 0.2, 0.4]})
-    found = psa(MODEL, uncertain=frame)
-    assert found.draws.tolist() == frame.to_numpy().tolist()
+    analysis = psa(MODEL, uncertain=frame)
+    assert analysis.draws.tolist() == frame.to_numpy().tolist()
     assert psa(MODEL, 2, uncertain=frame).draws.tolist() == frame.to_numpy()[:2].tolist()
-    assert found.uncertainty.fixed == {"weight": "not in the sample"}
+    assert analysis.uncertainty.fixed == {"weight": "not in the sample"}
     with pytest.raises(ModelError, match="4 draws of a sample of 3"):
         psa(MODEL, 4, uncertain=frame)
     with pytest.raises(ModelError, match="unknown parameter 'price'"):
@@ -120,19 +120,19 @@ def test_a_larger_sample_begins_with_the_smaller_and_other_parts_change_nothing(
     two = uncertainty(YUAN, {"base.anger": {"fixed": True}}, default=20)
     small, large = one.draw(SeedSequence(0), 50), one.draw(SeedSequence(0), 90)
     assert np.array_equal(small, large[:50])
-    kept = [name != "base.anger" for name in one.names]
-    assert np.array_equal(two.draw(SeedSequence(0), 50), small[:, kept])
+    unchanged = [name != "base.anger" for name in one.names]
+    assert np.array_equal(two.draw(SeedSequence(0), 50), small[:, unchanged])
 
 
 def test_what_is_drawn_and_what_is_held_is_everything() -> None:
-    found = uncertainty(YUAN)
+    distributions = uncertainty(YUAN)
     names = {parameter.name for parameter in YUAN.parameters}
-    assert set(found.names) | set(found.fixed) == names
-    assert not set(found.names) & set(found.fixed)
-    assert found.fixed["persistence.anger"] == "1 today"
-    assert found.fixed["assistance.supportive.anger.onset"] == "0 today"
-    assert "reward.anger" in found.fixed
-    assert "discount" in found.fixed
+    assert set(distributions.names) | set(distributions.fixed) == names
+    assert not set(distributions.names) & set(distributions.fixed)
+    assert distributions.fixed["persistence.anger"] == "1 today"
+    assert distributions.fixed["assistance.supportive.anger.onset"] == "0 today"
+    assert "reward.anger" in distributions.fixed
+    assert "discount" in distributions.fixed
 
 
 def test_the_longest_beginning_counts(tmp_path: Path) -> None:
@@ -144,15 +144,15 @@ def test_the_longest_beginning_counts(tmp_path: Path) -> None:
         "[reward.assist]\nrelative_sd = 0.5\n"
     )
     stated, default = load_uncertainty(file)
-    found = uncertainty(YUAN, stated, default=default)
-    sizes = {part.names[0]: (part.kind, part.size) for part in found.parts}
+    distributions = uncertainty(YUAN, stated, default=default)
+    sizes = {part.names[0]: (part.kind, part.size) for part in distributions.parts}
     assert sizes["base.anger"] == ("beta", 15)
     assert sizes["base.confusion"] == ("beta", 40)
     assert sizes["persistence.confusion"] == ("beta", 200)
     assert sizes["reward.trial"] == ("gamma", pytest.approx(0.2))
     assert sizes["reward.assist.directive"] == ("normal", 0.5)
-    assert found.fixed["influence.anger.confusion"] == "stated to be fixed"
-    assert found.fixed["reward.assist.none"] == "0 today"
+    assert distributions.fixed["influence.anger.confusion"] == "stated to be fixed"
+    assert distributions.fixed["reward.assist.none"] == "0 today"
 
 
 @pytest.mark.parametrize(
@@ -267,11 +267,11 @@ def test_what_cannot_be_stated_is_refused(message: str) -> None:
     ],
 )
 def test_what_is_stated_of_a_row_holds_for_all_of_it(stated, size) -> None:
-    found = uncertainty(ROWS, stated, default=7)
-    sizes = {part.label: part.size for part in found.parts}
+    distributions = uncertainty(ROWS, stated, default=7)
+    sizes = {part.label: part.size for part in distributions.parts}
     assert (sizes.get(ROW), sizes["(state 1, 0)"]) == (size, 7.0)
-    assert {ONE, TWO} <= (set(found.names) if size else set(found.fixed))
-    assert not set(found.names) & set(found.fixed)
+    assert {ONE, TWO} <= (set(distributions.names) if size else set(distributions.fixed))
+    assert not set(distributions.names) & set(distributions.fixed)
     for names in ([ROW], [ONE, TWO]):  # drawn whole, and nothing else
         alone = uncertainty(ROWS, names=names)
         assert alone.names == (ONE, TWO)
@@ -290,9 +290,9 @@ def test_rows_of_any_model_are_dirichlet_and_stay_distributions(row: tuple[objec
     ends = [(state, 0, [(1, state, 0)]) for state in (1, 2)]
     mdp = MDP.from_outcomes([(0, 0, [(p, s, s) for s, p in enumerate(row)]), *ends], "9/10")
     family = replace(moving(mdp, {ONE: [(0, 1)], TWO: [(0, 2)]}), rows={ROW: (ONE, TWO)})
-    found = uncertainty(family)
-    assert [(part.kind, part.label) for part in found.parts] == [("dirichlet", ROW)]
-    for one, two in found.draw(SeedSequence(3), 5).tolist():
+    distributions = uncertainty(family)
+    assert [(part.kind, part.label) for part in distributions.parts] == [("dirichlet", ROW)]
+    for one, two in distributions.draw(SeedSequence(3), 5).tolist():
         chance = {s: p for p, s, _ in family.at({ONE: one, TWO: two}).table.row(0)}
         assert sum(chance.values()) == 1
         assert (float(chance[1]), float(chance[2])) == pytest.approx((one, two))

@@ -88,8 +88,8 @@ def test_what_is_left_of_a_float_row_is_what_is_there() -> None:
 def test_bars_are_values_of_an_independent_model() -> None:
     own = scenario(influence_orientation="column-to-row")
     names = ["base.confusion", "reward.anger"]
-    found = tornado(own, policy="always:directive", names=names)
-    for bar in found.bars:
+    bars = tornado(own, policy="always:directive", names=names)
+    for bar in bars.bars:
         for end in (bar.low, bar.high):
             twin = oracle_of(own, {bar.parameter.name: end.at})
             assert end.optimal.value == pytest.approx(float(twin.value(twin.start)), abs=1e-9)
@@ -97,11 +97,11 @@ def test_bars_are_values_of_an_independent_model() -> None:
             assert end.fixed.value == pytest.approx(float(fixed), abs=1e-9)
             assert end.regret.value == pytest.approx(end.optimal.value - end.fixed.value)
             assert end.regret.error >= end.optimal.error + end.fixed.error
-    assert [bar.swing for bar in found.bars] == sorted((b.swing for b in found.bars), reverse=True)
-    base = next(bar for bar in found.bars if bar.parameter.name == "base.confusion")
+    assert [bar.swing for bar in bars.bars] == sorted((b.swing for b in bars.bars), reverse=True)
+    base = next(bar for bar in bars.bars if bar.parameter.name == "base.confusion")
     assert (base.low.at, base.high.at) == (F(24, 100), F(36, 100))
-    assert found.frame()["unit"].tolist() == [
-        "probability" if bar.parameter.name.startswith("base") else "reward" for bar in found.bars
+    assert bars.frame()["unit"].tolist() == [
+        "probability" if bar.parameter.name.startswith("base") else "reward" for bar in bars.bars
     ]
 
 
@@ -135,9 +135,9 @@ def test_ranges_from_a_file(tmp_path: Path) -> None:
     family = parametric(scenario())
     file = tmp_path / "ranges.toml"
     file.write_text('"base.anger" = [0.02, "1/10"]\n[reward]\nanger = [-6, -4]\n', "utf-8")
-    found = load_ranges(family, file)
-    assert found["base.anger"] == Range(low=F(1, 50), high=F(1, 10))
-    assert set(found) == {"base.anger", "reward.anger"}
+    ranges = load_ranges(family, file)
+    assert ranges["base.anger"] == Range(low=F(1, 50), high=F(1, 10))
+    assert set(ranges) == {"base.anger", "reward.anger"}
     for text, message in (
         ('"base.angre" = [0, 1]', r"unknown parameter 'base\.angre'"),
         ('"base.anger" = [0.2, 0.1]', "empty"),
@@ -157,19 +157,19 @@ def test_ranges_from_a_file(tmp_path: Path) -> None:
 
 def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
     own, x = scenario(), "assistance.directive.confusion.persistence"
-    found = two_way(own, x, "base.confusion", ranges={x: (0, 1)}, points=5)
-    assert found.policy.shape == (5, 5)
+    grid = two_way(own, x, "base.confusion", ranges={x: (0, 1)}, points=5)
+    assert grid.policy.shape == (5, 5)
     today = thresholds(own, x, (0, 1))
-    middle = found.choices[2]  # base.confusion as it is today
+    middle = grid.choices[2]  # base.confusion as it is today
     for column in range(4):
         moved = np.flatnonzero(middle[column] != middle[column + 1]).tolist()
-        inside = [t for t in today.found if found.x_values[column] < t.value]
-        inside = [t for t in inside if t.value < found.x_values[column + 1]]
+        inside = [t for t in today.found if grid.x_values[column] < t.value]
+        inside = [t for t in inside if t.value < grid.x_values[column + 1]]
         assert set(moved) <= {switch.state for t in inside for switch in t.switches}
-    frame = found.frame()
+    frame = grid.frame()
     assert len(frame) == 25
     assert (frame["regret (reward)"] >= 0).all()
-    assert found.value[2, 0] >= found.fixed_value[2, 0] - 1e-9
+    assert grid.value[2, 0] >= grid.fixed_value[2, 0] - 1e-9
     with pytest.raises(ModelError, match="both parameters are"):
         two_way(own, x, x)
     with pytest.raises(ModelError, match=r"base\.anger has a range"):

@@ -17,14 +17,14 @@ WIDTH = F(1, 10**12)
 def test_puterman_leaves_at_ten_elevenths() -> None:
     case = two_state(F(1, 2))
     rows = [(s, a, [(p, t, r) for t, p in row.items()]) for s, a, r, row in case.pairs]
-    found = thresholds(MDP.from_outcomes(rows, F(1, 2)), "discount", (0, F(999, 1000)))
-    (one,) = found.found
+    switches = thresholds(MDP.from_outcomes(rows, F(1, 2)), "discount", (0, F(999, 1000)))
+    (one,) = switches.found
     assert one.low <= F(10, 11) <= one.high
     assert one.high - one.low <= WIDTH
     (switch,) = one.switches
     assert (switch.state, switch.before, switch.after) == (0, ("1",), ("0",))
-    assert found.stable() == (0, one.low)
-    assert found.radius == one.low - F(1, 2)
+    assert switches.stable() == (0, one.low)
+    assert switches.radius == one.low - F(1, 2)
 
 
 @pytest.mark.parametrize(
@@ -44,8 +44,8 @@ def test_puterman_leaves_at_ten_elevenths() -> None:
 def test_care_model_against_a_scan_of_an_independent_model(name, bounds, readings) -> None:
     own = Scenario.load("yuan2025").with_(readings=readings, **SMALL)
     mdp = own.compile()
-    found = thresholds(own, name, bounds)
-    low, high = found.range.low, found.range.high
+    switches = thresholds(own, name, bounds)
+    low, high = switches.range.low, switches.range.high
     labels = {state: mdp.space.label(state) for state in range(mdp.n_states)}
 
     def best(value: Fraction) -> dict[str, frozenset[str]]:
@@ -55,7 +55,7 @@ def test_care_model_against_a_scan_of_an_independent_model(name, bounds, reading
             for state in every_state(oracle)
         }
 
-    cuts = [t for t in found.found if not t.touch]
+    cuts = [t for t in switches.found if not t.touch]
     grid = [low + (high - low) * F(2 * k + 1, 12) for k in range(6)]
     answers = [best(value) for value in grid]
     for (left, one), (right, two) in pairwise(zip(grid, answers, strict=True)):
@@ -68,7 +68,7 @@ def test_care_model_against_a_scan_of_an_independent_model(name, bounds, reading
             assert set(own_switches[-1].after) == two[label]
         if not inside:
             assert one == two
-    for threshold in found.found:
+    for threshold in switches.found:
         assert threshold.high - threshold.low <= WIDTH
 
 
@@ -87,8 +87,8 @@ def every_state(oracle: Oracle):
             yield state
 
 
-def choice(p: Fraction, *worth: Fraction) -> MDP:
-    rows = [(0, action, [(1, 1, value)]) for action, value in enumerate(worth)]
+def choice(p: Fraction, *rewards: Fraction) -> MDP:
+    rows = [(0, action, [(1, 1, value)]) for action, value in enumerate(rewards)]
     return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
 
 
@@ -104,22 +104,22 @@ def lone(build, degree: int = 1, breaks=()) -> Family:
 
 def test_a_touching_root_changes_nothing_but_is_told() -> None:
     family = lone(lambda p: choice(p, F(0), -((p - F(1, 3)) ** 2)), degree=2)
-    found = thresholds(family, "p", (0, 1))
-    (touch,) = found.found
+    switches = thresholds(family, "p", (0, 1))
+    (touch,) = switches.found
     assert touch.touch
     assert touch.low <= F(1, 3) <= touch.high
-    assert found.stable() == (0, 1)
+    assert switches.stable() == (0, 1)
 
 
 def test_two_thresholds_closer_than_the_bracket_are_both_found() -> None:
     tiny = F(1, 10**15)
     family = lone(lambda p: choice(p, F(0), (p - F(1, 3)), 2 * (p - F(1, 3)) - tiny))
-    found = thresholds(family, "p", (0, 1))
-    assert [t.switches[0].before + t.switches[0].after for t in found.found] == [
+    switches = thresholds(family, "p", (0, 1))
+    assert [t.switches[0].before + t.switches[0].after for t in switches.found] == [
         ("0", "1"),
         ("1", "2"),
     ]
-    assert found.found[0].high <= F(1, 3) + tiny <= found.found[1].high
+    assert switches.found[0].high <= F(1, 3) + tiny <= switches.found[1].high
 
 
 def test_three_actions_that_cross_at_one_point() -> None:
@@ -131,11 +131,11 @@ def test_three_actions_that_cross_at_one_point() -> None:
 
 def test_a_tie_today_has_radius_zero_and_identical_actions_stay_tied() -> None:
     family = lone(lambda p: choice(p, F(1, 2), p, p))
-    found = thresholds(family, "p", (F(1, 4), F(3, 4)))
-    (one,) = found.found
+    switches = thresholds(family, "p", (F(1, 4), F(3, 4)))
+    (one,) = switches.found
     assert one.switches[0].after == ("1", "2")
-    assert found.stable() == (F(1, 2), F(1, 2))
-    assert found.radius == 0
+    assert switches.stable() == (F(1, 2), F(1, 2))
+    assert switches.radius == 0
 
 
 def test_a_switch_at_a_breakpoint() -> None:

@@ -24,49 +24,49 @@ def as_read(mdp: MDP, folder: Path, policy: object) -> Policy:
 
 def test_limits_as_json(tmp_path: Path) -> None:
     words = ("solve", "yuan2025", *SMALL, "--subject-to", "anger >= -1/10", "--json")
-    found = run(*words, "--policy-out", str(tmp_path / "p.csv")).result
+    result = run(*words, "--policy-out", str(tmp_path / "p.csv")).result
     scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     wanted = solve(scenario, subject_to={"anger": ">= -1/10"})
-    assert found["feasible"] is True
-    assert Fraction(found["exact_start_value"]) == wanted.start_value
-    assert {n: Fraction(p) for n, p in found["prices"].items()} == wanted.prices
-    assert Fraction(found["totals"]["anger"]) == Fraction(-1, 10)
-    (drawn,) = found["randomises"]
+    assert result["feasible"] is True
+    assert Fraction(result["exact_start_value"]) == wanted.start_value
+    assert {n: Fraction(p) for n, p in result["prices"].items()} == wanted.prices
+    assert Fraction(result["totals"]["anger"]) == Fraction(-1, 10)
+    (drawn,) = result["randomises"]
     assert sum(map(Fraction, drawn["actions"].values())) == 1
-    assert all(sum(map(Fraction, own.values())) == 1 for own in found["policy"].values())
-    assert found["policy"][drawn["state"]] == drawn["actions"]
+    assert all(sum(map(Fraction, own.values())) == 1 for own in result["policy"].values())
+    assert result["policy"][drawn["state"]] == drawn["actions"]
     mdp = scenario.compile()
-    for given in (tmp_path / "p.csv", as_read(mdp, tmp_path, found["policy"])):
-        assert evaluate(mdp, given).mean == pytest.approx(found["start_value"])
+    for given in (tmp_path / "p.csv", as_read(mdp, tmp_path, result["policy"])):
+        assert evaluate(mdp, given).mean == pytest.approx(result["start_value"])
         assert check(mdp, given, subject_to={"anger": ">= -1/10"}).passed
 
 
 def test_a_check_reads_the_policy_that_limits_wrote(tmp_path: Path) -> None:
     """The exact shares of the whole model do not fit in 64 bits."""
     file, limit = tmp_path / "p.csv", ("--subject-to", "anger >= -1/2", "--json")
-    found = run("solve", "yuan2025", *limit, "--policy-out", file).result
+    result = run("solve", "yuan2025", *limit, "--policy-out", file).result
     checked = run("check", "yuan2025", file, *limit)
     assert (checked.status, checked.result["passed"], checked.result["regret"]) == (0, True, 0)
-    (tmp_path / "p.json").write_text(json.dumps(found["policy"]), encoding="utf-8")
+    (tmp_path / "p.json").write_text(json.dumps(result["policy"]), encoding="utf-8")
     assert run("check", "yuan2025", tmp_path / "p.json", *limit).status == 0
 
 
 def test_a_policy_with_the_time_in_its_states(tmp_path: Path) -> None:
     words = (*TWO, *SMALL, "--horizon", "2")
-    found = run("tradeoff", "yuan2025", *words, "--json").result
+    result = run("tradeoff", "yuan2025", *words, "--json").result
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile().within(2)
     front = tradeoff(mdp, TWO)
-    for vertex, point in zip(found["vertices"], front.vertices, strict=True):
+    for vertex, point in zip(result["vertices"], front.vertices, strict=True):
         assert front.totals(as_read(mdp, tmp_path, vertex["policy"])) == point
 
 
 def test_limits_that_no_policy_keeps() -> None:
     words = ("solve", "yuan2025", *SMALL, "--subject-to", "anger >= 1/2")
-    found = run(*words, "--json")
-    assert (found.status, found.result["feasible"], found.result["closest"]) == (
+    done = run(*words, "--json")
+    assert (done.status, done.result["feasible"], done.result["closest"]) == (
         1, False, {"anger": "0"},
     )  # fmt: skip
-    assert found.result["exact_start_value"] is None
+    assert done.result["exact_start_value"] is None
     text = run(*words)
     assert (text.status, "no policy keeps them all" in text.out) == (1, True)
     for bad in (("--subject-to", "anger > 1"), ("--subject-to", "anger"), ("--method", "auto")):
@@ -78,7 +78,7 @@ def test_limits_that_no_policy_keeps() -> None:
     assert (against.status, "contradict each other" in against.out) == (1, True)
     assert "contradict" not in run(*words).out
     for key in ("start_value", "exact_start_value", "error_bound"):
-        assert found.result[key] is None
+        assert done.result[key] is None
 
 
 def test_the_picture_shows_vertices_and_policies() -> None:
@@ -110,12 +110,12 @@ def test_commands_write_proofs(tmp_path: Path) -> None:
     limit = ("--subject-to", "anger >= -1/10")
     wanted = run("solve", "yuan2025", *SMALL, *limit, "--certificate", limits, "--json").result
     assert wanted["written"] == [str(limits)]
-    for path, told in ((front, "vertices"), (limits, "start value")):
+    for path, number in ((front, "vertices"), (limits, "start value")):
         text = run("verify", path, "yuan2025", *SMALL)
-        assert (text.status, "holds (certified)" in text.out, told in text.out) == (0, True, True)
-    found = run("verify", limits, "yuan2025", *SMALL, "--json").result
+        assert (text.status, "holds (certified)" in text.out, number in text.out) == (0, True, True)
+    result = run("verify", limits, "yuan2025", *SMALL, "--json").result
     for key in ("exact_start_value", "limits", "totals", "prices", "closest"):
-        assert found[key] == wanted[key]
+        assert result[key] == wanted[key]
     assert f"{float(Fraction(wanted['prices']['anger'])):.10g}" in text.out
     vertices = run("tradeoff", "yuan2025", *TWO, *SMALL, "--json").result["vertices"]
     read = run("verify", front, "yuan2025", *SMALL, "--json").result
@@ -124,8 +124,8 @@ def test_commands_write_proofs(tmp_path: Path) -> None:
     assert f"{float(Fraction(each[0][1])):.10g}" in run("verify", front, "yuan2025", *SMALL).out
     over = ("--subject-to", "anger >= 1/10", "--certificate", limits)
     wanted = run("solve", "yuan2025", *SMALL, *over, "--json").result
-    found = run("verify", limits, "yuan2025", *SMALL, "--json").result
-    assert (found["feasible"], found["closest"]) == (False, wanted["closest"])
+    result = run("verify", limits, "yuan2025", *SMALL, "--json").result
+    assert (result["feasible"], result["closest"]) == (False, wanted["closest"])
     assert "anger >= 0" in run("verify", limits, "yuan2025", *SMALL).out
     assert run("verify", limits, "yuan2025").status == 1
     front.write_text(front.read_text().replace('"corners"', '"corner"'))

@@ -53,8 +53,10 @@ def test_two_totals_are_the_hull_of_all_policies(mdp: MDP) -> None:
     for vertex, policy in zip(front.vertices, front.policies, strict=True):
         assert front.totals(policy) == vertex
         assert front.distance(policy) == 0
-        found = evaluate(mdp, policy).components
-        assert (found["c0"], found["c1"]) == pytest.approx(tuple(map(float, vertex)), abs=1e-6)
+        components = evaluate(mdp, policy).components
+        assert (components["c0"], components["c1"]) == pytest.approx(
+            tuple(map(float, vertex)), abs=1e-6
+        )
 
 
 @settings(max_examples=40)
@@ -96,8 +98,8 @@ def test_the_front_of_the_care_model() -> None:
     assert front.distance("optimal") == 0
     assert front.distance("random") > 0
     steps = tradeoff(mdp, ["steps", "skip"])
-    found = evaluate(mdp, "random")
-    assert float(steps.totals("random")[0]) == pytest.approx(found.steps)
+    evaluation = evaluate(mdp, "random")
+    assert float(steps.totals("random")[0]) == pytest.approx(evaluation.steps)
     assert all(0 <= v[1] <= 2 for v in steps.vertices)
 
 
@@ -142,8 +144,8 @@ def test_steps_go_on_where_a_component_is_earned_for_ever(mdp: MDP) -> None:
     wanted = hull([tuple(sign * v for v in point) for point in totals(mdp, ["c0", "steps"])])
     assert front.vertices == sorted(tuple(sign * v for v in point) for point in wanted)
     assert front.violations() == []
-    found = evaluate(mdp, front.policies[0]).components
-    assert found["c0"] == pytest.approx(float(front.vertices[0][0]), abs=1e-9)
+    components = evaluate(mdp, front.policies[0]).components
+    assert components["c0"] == pytest.approx(float(front.vertices[0][0]), abs=1e-9)
 
 
 def test_an_end_that_earns_components_for_ever_has_no_finite_total_at_discount_1() -> None:
@@ -155,8 +157,8 @@ def test_an_end_that_earns_components_for_ever_has_no_finite_total_at_discount_1
             ModelError, match=f"'{'steps' if 'steps' in names else 'a'}' has no fin"
         ):
             tradeoff(mdp, names)
-    found = evaluate(mdp, [0, 0])
-    assert found.components == {"a": -math.inf, "b": math.inf, "c": 1.0, "rest": -1.0}
+    evaluation = evaluate(mdp, [0, 0])
+    assert evaluation.components == {"a": -math.inf, "b": math.inf, "c": 1.0, "rest": -1.0}
     half = evaluate(mdp.with_(discount="1/2"), [0, 0]).components
     assert half == {"a": 2.0, "b": -2.0, "c": 1.0, "rest": -1.0}
     two = MDP.from_outcomes(

@@ -25,9 +25,9 @@ def deep_sea(discount: Fraction) -> MDP:
         row, column = (a + b for a, b in zip(place, MOVES[move], strict=True))
         if not (0 <= row <= 10 and 0 <= column <= 10 and row <= [*DEPTH, 10][column]):
             row, column = place
-        found = column < 10 and row == DEPTH[column]
-        reward = {"treasure": TREASURE[column] if found else 0, "time": -1}
-        yield 1, "end" if found else (row, column), reward
+        treasure = column < 10 and row == DEPTH[column]
+        reward = {"treasure": TREASURE[column] if treasure else 0, "time": -1}
+        yield 1, "end" if treasure else (row, column), reward
 
     def actions(place: Any) -> list[str]:
         return [] if place == "end" else [*MOVES]
@@ -48,12 +48,12 @@ def test_deep_sea_treasure(discount: Fraction) -> None:
         assert front.vertices == published
     else:  # so impatient that some lie inside of the hull
         assert set(front.vertices) < set(published)
-    worth = {(w, max(a + w * b for a, b in front.vertices)) for w in (0, 1, 2)}
-    assert worth == {(w, max(a + w * b for a, b in published)) for w in (0, 1, 2)}
+    supports = {(w, max(a + w * b for a, b in front.vertices)) for w in (0, 1, 2)}
+    assert supports == {(w, max(a + w * b for a, b in published)) for w in (0, 1, 2)}
     edge = front.edges[-1]  # half-way along it, the price of the limit is that of its slope
     middle = (front.vertices[-2][0] + front.vertices[-1][0]) / 2
-    held = solve(front.mdp, subject_to={"treasure": f">= {middle}"})
-    assert (held.totals["treasure"], held.prices["treasure"]) == (middle, edge.rate - 1)
+    solution = solve(front.mdp, subject_to={"treasure": f">= {middle}"})
+    assert (solution.totals["treasure"], solution.prices["treasure"]) == (middle, edge.rate - 1)
 
 
 HOME, GOLD, GEM, ENEMIES = (4, 2), (0, 2), (1, 4), {(0, 3), (1, 2)}

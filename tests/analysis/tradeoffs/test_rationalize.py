@@ -30,12 +30,12 @@ def test_the_change_is_the_least_over_all_policies(mdp: MDP, data: Any) -> None:
     every = [[sign * v for v in point] for point in totals(mdp, names)]
     number = data.draw(st.integers(0, len(every) - 1))
     choice = list(product(*(mdp.pairs_of(s) for s in range(mdp.n_states))))[number]
-    found = rationalize(mdp, mdp.pair_action[list(choice)])
-    assert found.violations() == []
+    least_change = rationalize(mdp, mdp.pair_action[list(choice)])
+    assert least_change.violations() == []
     leads = [[a - b for a, b in zip(p, every[number], strict=True)] for p in every]
-    weights = [found.weights[name] for name in names]
+    weights = [least_change.weights[name] for name in names]
     assert all(dot(weights, lead) <= 0 for lead in leads)
-    assert max(abs(w - 1) for w in weights) == found.change <= 1
+    assert max(abs(w - 1) for w in weights) == least_change.change <= 1
     size = len(names)
     scaled = [[float(x / (max(map(abs, lead)) or 1)) for x in lead] + [0.0] for lead in leads]
     near = [[*(s * np.eye(size)[k]), -1.0] for k in range(size) for s in (1, -1)]
@@ -43,9 +43,9 @@ def test_the_change_is_the_least_over_all_policies(mdp: MDP, data: Any) -> None:
         [0.0] * size + [1.0], np.array(scaled + near),
         [0.0] * len(scaled) + [1.0, -1.0] * size, bounds=[(None, None)] * (size + 1),
     )  # fmt: skip
-    assert float(found.change) == pytest.approx(least.fun, abs=1e-7)
+    assert float(least_change.change) == pytest.approx(least.fun, abs=1e-7)
     for k, name in enumerate(names):
-        assert found.alone[name] == interval(leads, k)
+        assert least_change.alone[name] == interval(leads, k)
 
 
 def dot(left: Any, right: Any) -> F:
@@ -77,9 +77,9 @@ def test_a_mixed_policy_and_one_that_is_never_right() -> None:
 
 def test_the_checker_notices() -> None:
     scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    found = rationalize(scenario, "always:directive")
-    assert found.violations() == []
-    assert 0 < found.change < 1
+    least_change = rationalize(scenario, "always:directive")
+    assert least_change.violations() == []
+    assert 0 < least_change.change < 1
     best = rationalize(scenario, "optimal")
     place, own = next((k, own) for k, own in enumerate(best.intervals) if own.low)
     assert own.low is not None
@@ -90,12 +90,15 @@ def test_the_checker_notices() -> None:
         return replace(best, intervals=tuple(intervals))
 
     for broken in (
-        replace(found, change=found.change / 2),
-        replace(found, multipliers=(F(1),) * len(found.multipliers)),
-        replace(found, cuts=()),
-        replace(found, cuts=found.cuts[:-1]),
-        replace(found, dual=replace(found.dual, top=[v - 1 for v in found.dual.top])),
-        replace(found, flow=best.flow),
+        replace(least_change, change=least_change.change / 2),
+        replace(least_change, multipliers=(F(1),) * len(least_change.multipliers)),
+        replace(least_change, cuts=()),
+        replace(least_change, cuts=least_change.cuts[:-1]),
+        replace(
+            least_change,
+            dual=replace(least_change.dual, top=[v - 1 for v in least_change.dual.top]),
+        ),
+        replace(least_change, flow=best.flow),
         other(low=own.low / 2),
         other(low=None),
         other(cuts=()),
@@ -105,13 +108,13 @@ def test_the_checker_notices() -> None:
 
 def test_the_command() -> None:
     words = ("yuan2025", "always:directive", "--set", "tasks=[1]", "--set", "max_trial=2")
-    found = run("rationalize", *words, "--json").result
+    result = run("rationalize", *words, "--json").result
     wanted = rationalize(
         Scenario.load("yuan2025").with_(tasks=[1], max_trial=2), "always:directive"
     )
-    assert (found["possible"], Fraction(found["change"])) == (wanted.possible, wanted.change)
-    assert {n: Fraction(w) for n, w in found["weights"].items()} == wanted.weights
-    assert found["alone"].keys() == wanted.alone.keys()
+    assert (result["possible"], Fraction(result["change"])) == (wanted.possible, wanted.change)
+    assert {n: Fraction(w) for n, w in result["weights"].items()} == wanted.weights
+    assert result["alone"].keys() == wanted.alone.keys()
     best = run("rationalize", "yuan2025", "optimal", *words[2:], "--json").result
     assert best["change"] == "0"
     assert best["alone"]["task-complete"] == ["0", "inf"]

@@ -88,9 +88,9 @@ def test_storm_encloses_our_front(tmp_path: Path, mdp: MDP, names: list[str], qu
             best = max(a * x + b * y for x, y in ours)
             wide = NEAR * scale(ours) * (abs(a) + abs(b))
             assert most <= best <= most + wide if inner else most - wide <= best <= most
-    found = POINT.findall(points)
-    assert found
-    for point in found:
+    points_of_storm = POINT.findall(points)
+    assert points_of_storm
+    for point in points_of_storm:
         assert tuple(map(F, point)) in ours
 
 

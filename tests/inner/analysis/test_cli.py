@@ -44,8 +44,8 @@ GIVES_UP = SolverError(Status.NO_BOUND)
 
 
 def wrong(*words: Any, **how: Any) -> Any:
-    found = solve(*words, **how)
-    return replace(found, value=found.value + 1e-6)
+    solution = solve(*words, **how)
+    return replace(solution, value=solution.value + 1e-6)
 
 
 def program(main: Any, words: str) -> Callable[[], tuple[int, str, str]]:
@@ -194,14 +194,14 @@ def test_integers_have_all_their_digits(digits: int) -> None:
 @settings(max_examples=50)
 @given(st.floats() | st.integers() | st.text() | st.booleans() | st.none())
 def test_json_is_strict_and_exact(value: object) -> None:
-    found = strict(Report(title="", facts={"x": [value]}).json())["x"][0]
-    assert found is None if value != value or value in (inf, -inf) else found == value
+    written = strict(Report(title="", facts={"x": [value]}).json())["x"][0]
+    assert written is None if value != value or value in (inf, -inf) else written == value
 
 
 def test_json_takes_arrays_and_rationals() -> None:
-    found = {"a": np.array([1.5, nan]), 2: (np.int64(3), np.bool_(True)), "q": Fraction(1, 3)}
+    facts = {"a": np.array([1.5, nan]), 2: (np.int64(3), np.bool_(True)), "q": Fraction(1, 3)}
     expected = {"format": 2, "a": [1.5, None], "2": [3, True], "q": "1/3"}
-    assert json.loads(Report(title="", facts=found).json()) == expected
+    assert json.loads(Report(title="", facts=facts).json()) == expected
 
 
 @given(st.floats(-1e9, 1e9), st.floats(1e-15, 1e9), st.floats(0, 1e300))
@@ -283,9 +283,9 @@ def test_a_policy_by_status_is_one_that_reads_nothing_else(tmp_path: Path) -> No
     late = always.copy()
     late[mdp.space.index(trial=1, status=3)] = 0
     for numbers, by_status in ((always, True), (late, False)):
-        found = of_every_state(mdp, [mdp.actions[a] for a in numbers])
-        assert (found.keys() == {f"{n:04b}" for n in range(16)}) is by_status
-        path.write_text(json.dumps(found), encoding="utf-8")
+        names = of_every_state(mdp, [mdp.actions[a] for a in numbers])
+        assert (names.keys() == {f"{n:04b}" for n in range(16)}) is by_status
+        path.write_text(json.dumps(names), encoding="utf-8")
         wanted = Policy.from_choices(mdp, numbers).weights(mdp)
         assert (Policy.of(mdp, path).weights(mdp) == wanted).all()
 

@@ -58,10 +58,10 @@ def test_intervals_cover_or_are_doubted(case: str, noise: float) -> None:
     for _ in range(60):
         x = rng.uniform(size=(500, 1))
         ahead = gain(x) + noise * rng.normal(size=x.shape)
-        worth = evppi(np.hstack([ahead, 0 * ahead]), x, ("x",))
-        low, high = worth.regression.interval
-        covered += [low <= truth <= high] * worth.reliable
-        assert worth.regression.value <= evpi(np.hstack([ahead, 0 * ahead])).value + 1e-12
+        value = evppi(np.hstack([ahead, 0 * ahead]), x, ("x",))
+        low, high = value.regression.interval
+        covered += [low <= truth <= high] * value.reliable
+        assert value.regression.value <= evpi(np.hstack([ahead, 0 * ahead])).value + 1e-12
     assert not covered or wilson(sum(covered), len(covered))[1] >= 0.95
     if noise == 0.3 and case in ("edge 0.9", "edge 0.98", "middle"):
         assert len(covered) <= 4
@@ -73,20 +73,20 @@ def test_of_two_parameters_each_is_worth_less_than_both() -> None:
     rng = np.random.default_rng(3)
     values = np.column_stack([rng.uniform(size=20_000), rng.uniform(size=20_000)])
     one, both = evppi(values, values[:, :1], ("p",)), evppi(values, values, ("p", "q"))
-    for worth, exact in ((one.regression, 1 / 8), (one.lower, 1 / 8), (both.regression, 1 / 6)):
-        assert abs(worth.value - exact) < 4 * worth.standard_error + 1e-9
+    for value, exact in ((one.regression, 1 / 8), (one.lower, 1 / 8), (both.regression, 1 / 6)):
+        assert abs(value.value - exact) < 4 * value.standard_error + 1e-9
     assert abs(evpi(values).value - 1 / 6) < 4 * evpi(values).standard_error
 
 
-@pytest.mark.parametrize("worth", [0.0, 0.5])
-def test_evppi_is_cut_at_evpi_where_the_fit_promises_more(worth: float) -> None:
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_evppi_is_cut_at_evpi_where_the_fit_promises_more(share: float) -> None:
     """A step that loses, and seldom wins: splines swing above it where nothing is to be won."""
     known = np.linspace(-1, 1, 400)[:, None]
-    ahead = np.where(known > 0.3, -1.0, 0.0) + np.where(known > 0.99, 1 + worth, 0.0)
+    ahead = np.where(known > 0.3, -1.0, 0.0) + np.where(known > 0.99, 1 + share, 0.0)
     values = np.hstack([np.zeros_like(known), ahead])
     cut, most = evppi(values, known, ("x",)), evpi(values).value
-    assert cut.regression.value == most == pytest.approx(worth * (known > 0.99).mean())
-    assert not worth or "cut at EVPI of the candidates" in cut.doubts
+    assert cut.regression.value == most == pytest.approx(share * (known > 0.99).mean())
+    assert not share or "cut at EVPI of the candidates" in cut.doubts
 
 
 def test_the_lower_estimate_is_on_average_no_more_than_what_knowing_is_worth() -> None:
@@ -129,11 +129,11 @@ def test_intervals_of_shares_are_those_of_another_library(hits: int, count: int)
 def test_intervals_of_quantiles_end_at_order_statistics_that_cover() -> None:
     """By another library's distribution; none closer does."""
     for p in (0.5, 0.1):
-        (found,) = quantiles(np.arange(1.0, 1001.0)[::-1], [p])  # sorted, the k-th smallest is k
-        below, (low, high) = binom(1000, p).cdf, (found.low - 1, found.high - 1)
+        (interval,) = quantiles(np.arange(1.0, 1001.0)[::-1], [p])  # sorted, the k-th smallest is k
+        below, (low, high) = binom(1000, p).cdf, (interval.low - 1, interval.high - 1)
         assert below(high - 1) - below(low + 1) < below(high) - below(low)
         assert 0.95 <= below(high) - below(low) < 0.97
-        assert found.value == 999 * p + 1
+        assert interval.value == 999 * p + 1
     (least,) = quantiles(np.arange(1.0, 11.0), [0.025])
     assert (least.low, least.high) == (1, 3)
 
@@ -159,11 +159,11 @@ def test_optimal_actions_beside_infinite_states(seed: int) -> None:
             rows.append((state, action, row))
     mdp = MDP.from_outcomes(rows, sense="max" if sign > 0 else "min")
     try:
-        exact, found = certify(mdp), solve(mdp)
+        exact, solution = certify(mdp), solve(mdp)
     except ModelError:  # no optimum
         return
     if isfinite(exact.start_value):
-        gap, noise = lost_by(mdp, found)
-        doubt = found.state_error
+        gap, noise = lost_by(mdp, solution)
+        doubt = solution.state_error
         near = gap <= doubt[mdp.pair_state] + mdp.transition @ doubt + noise
         assert near.tolist() == exact.optimal_pairs.tolist()

@@ -80,14 +80,14 @@ def test_nature_may_send_a_row_where_nobody_saw_it_go(seed: int) -> None:
     sets = RowSets.of(mdp, 0.1, "known")
     value, start = rng.normal(size=4), mdp.start_distribution
     for most in (False, True):
-        sign, worth = -1.0 if most else 1.0, sets.worth(value, most=most)
-        law, p = worth.chosen[0][[0]].toarray()[0], row / row.sum()
+        sign, extreme = -1.0 if most else 1.0, sets.worth(value, most=most)
+        law, p = extreme.chosen[0][[0]].toarray()[0], row / row.sum()
         assert law.sum() == pytest.approx(1)
         assert p[p > 0] @ np.log(p[p > 0] / law[p > 0]) <= sets.radius[0] + 1e-9
-        assert abs(worth.bound[0] - value @ law / 2) < 1e-8
+        assert abs(extreme.bound[0] - value @ law / 2) < 1e-8
         begins = radius(start * float(mdp.episodes or 0), sets.share)
         for bound, wanted in (
-            (2 * worth.bound[0], least(sign * value, p, sets.radius[0])),
+            (2 * extreme.bound[0], least(sign * value, p, sets.radius[0])),
             (sets.at_start(value, most=most), least(sign * value, start, begins)),
         ):
             assert wanted - 1e-5 <= sign * bound <= wanted + 1e-6
@@ -118,10 +118,10 @@ def values(mdp: MDP, model: Model, own: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Return V* and V^π (2, S) of a policy (N, L) by time, and what both do first (2, L)."""
     (rows, reward), value = model, np.zeros((2, mdp.n_states))
     for weights in own[::-1]:
-        worth = reward + mdp.discount * value @ rows.T
-        best = np.maximum.reduceat(worth[0], mdp.pair_offsets[:-1])
-        value = np.stack([best, np.add.reduceat(weights * worth[1], mdp.pair_offsets[:-1])])
-    return value, np.stack([(worth[0] == best[mdp.pair_state]).astype(float), own[0]])
+        gains = reward + mdp.discount * value @ rows.T
+        best = np.maximum.reduceat(gains[0], mdp.pair_offsets[:-1])
+        value = np.stack([best, np.add.reduceat(weights * gains[1], mdp.pair_offsets[:-1])])
+    return value, np.stack([(gains[0] == best[mdp.pair_state]).astype(float), own[0]])
 
 
 def extreme(rng: np.random.Generator, sets: RowSets, own: np.ndarray, sign: int) -> Model:
@@ -170,9 +170,9 @@ def test_no_model_of_the_sets_has_another_regret(
         steps = own if late else np.tile(own, (300, 1))
         value = values(mdp, extreme(rng, sets, steps, sign), steps)[0] @ mdp.start_distribution
         assert low - 1e-7 <= value[0] - value[1] <= high + 1e-7
-        for whose, worth in zip((bounds.best, bounds.own), value, strict=True):
+        for whose, bound in zip((bounds.best, bounds.own), value, strict=True):
             ends = bounds.at_start(mdp, whose)
-            assert ends[0] - 1e-7 <= worth <= ends[1] + 1e-7
+            assert ends[0] - 1e-7 <= bound <= ends[1] + 1e-7
 
 
 def test_the_bound_is_narrower_than_that_by_two_models() -> None:

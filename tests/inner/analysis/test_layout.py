@@ -24,11 +24,11 @@ def closed() -> Iterator[None]:
 
 def texts(ax: Axes) -> dict[tuple[int, int], str]:
     """Return what is written in each cell, by row and column."""
-    found = {}
+    labels = {}
     for text in ax.texts:
         x, y = text.get_position()
-        found[int(y), int(x)] = text.get_text()
-    return found
+        labels[int(y), int(x)] = text.get_text()
+    return labels
 
 
 STEPS = {"left": (0, -1), "down": (1, 0), "right": (0, 1), "up": (-1, 0)}
@@ -139,10 +139,10 @@ def test_what_makes_no_map_is_listed(states: list[Hashable]) -> None:
 )
 def test_every_state_has_a_place_of_its_own(words: dict[str, list[str]]) -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
-    found = arrange(mdp, **words)
-    places = set(zip(found.row[found.shown], found.column[found.shown], strict=True))
-    assert len(places) == len(found.shown) == mdp.space.regular
-    assert len(found.rows) * len(found.columns) == mdp.space.regular
+    layout = arrange(mdp, **words)
+    places = set(zip(layout.row[layout.shown], layout.column[layout.shown], strict=True))
+    assert len(places) == len(layout.shown) == mdp.space.regular
+    assert len(layout.rows) * len(layout.columns) == mdp.space.regular
 
 
 def test_a_part_is_shown_by_its_columns() -> None:

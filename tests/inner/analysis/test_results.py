@@ -121,12 +121,12 @@ def kinds() -> dict[str, type[Result]]:
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if "kernels" not in module.name and not module.name.endswith(("plugin", "__main__")):
                 importlib.import_module(module.name)
-    waiting, found = [Result], dict[str, type[Result]]()
+    waiting, kinds = [Result], dict[str, type[Result]]()
     while waiting:
         below = waiting.pop().__subclasses__()
         waiting += below
-        found |= {kind.__name__: kind for kind in below if kind.__module__.startswith("exact_mdp")}
-    return {name: kind for name, kind in found.items() if not inspect.isabstract(kind)}
+        kinds |= {kind.__name__: kind for kind in below if kind.__module__.startswith("exact_mdp")}
+    return {name: kind for name, kind in kinds.items() if not inspect.isabstract(kind)}
 
 
 class Parsed(HTMLParser):
@@ -160,25 +160,25 @@ def test_every_kind_of_result_is_made_here_and_has_its_picture() -> None:
 
 @pytest.mark.parametrize("name", MADE)
 def test_a_result_shows_itself(name: str) -> None:
-    found = made(name)
-    assert type(found).__name__ == name
-    assert isinstance(found, Result)
-    for text in (repr(found), str(found)):
+    result = made(name)
+    assert type(result).__name__ == name
+    assert isinstance(result, Result)
+    for text in (repr(result), str(result)):
         assert 0 < len(text) <= LETTERS
         assert len(text.splitlines()) < LINES
         assert "<" not in text or " at 0x" not in text
-    frame = found.frame()
+    frame = result.frame()
     assert len(frame.columns) > 0
-    page = found._repr_html_()
+    page = result._repr_html_()
     assert page.count("<tr") <= LINES + 2
-    assert str(getattr(found, "claim", "")) in page
+    assert str(getattr(result, "claim", "")) in page
     assert set(Parsed(page).open.values()) == {0}
-    if isinstance(found, Pictured):
-        ax = found.plot()
+    if isinstance(result, Pictured):
+        ax = result.plot()
         assert isinstance(ax, Axes)
         ax.figure.canvas.draw()
         own = plt.subplots()[1]
-        assert found.plot(ax=own) is own
+        assert result.plot(ax=own) is own
 
 
 @pytest.mark.parametrize(
@@ -213,14 +213,14 @@ def test_a_table_has_names_and_decimals() -> None:
         states=["young", "old"],
     )
     proof, bounded = em.certify(mdp), em.certify(mdp, bounded=True)
-    for found in (proof, bounded, em.certify(mdp, criterion="average")):
-        table = found.frame()
+    for result in (proof, bounded, em.certify(mdp, criterion="average")):
+        table = result.frame()
         assert table["state"].tolist() == ["state young", "state old"]
         assert set(table["action"]) <= {"wait", "cut"}
     assert proof.frame()["value"].tolist() == [float(value) for value in proof.value]
     assert proof.frame()["exact"].tolist() == list(proof.value)
     assert len(str(proof.value[0])) > 40
-    for found in (proof, em.compare(mdp, {"mine": [0, 0], "best": "optimal"})):
-        page = found._repr_html_()
+    for result in (proof, em.compare(mdp, {"mine": [0, 0], "best": "optimal"})):
+        page = result._repr_html_()
         assert max(len(cell) for cell in re.findall("<td>(.*?)</td>", page)) < 25
         assert "≈" in page

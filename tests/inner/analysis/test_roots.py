@@ -105,9 +105,9 @@ def test_roots_closer_than_a_bracket_are_told_apart() -> None:
     near, below = F(1, 10**20), F(0)
     every = [F(1, 2) - near, F(1, 2), 1 - near]
     for root, true in zip(roots(product(every), F(0), F(1)), every, strict=True):
-        found = root.apart(below, F(1, 10**12))
-        assert below < found.low <= true <= found.high <= 1
-        below = found.high
+        brackets = root.apart(below, F(1, 10**12))
+        assert below < brackets.low <= true <= brackets.high <= 1
+        below = brackets.high
 
 
 def test_the_checkers_import_no_solver() -> None:

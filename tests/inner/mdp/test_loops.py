@@ -65,13 +65,13 @@ def test_what_is_reached_in_how_many_steps_and_whether_it_ends(rows: Rows, data)
         return max((1 + longest(after) for after in edges.successors(state)), default=0)
 
     assert levels is None or levels.tolist() == [longest(s) for s in range(mdp.n_states)]
-    found = termination(mdp)
-    assert found.proven == every_policy_ends(rows.n_states, rows.pairs) == proves(mdp, found.rank)
-    if found.proven:
+    end = termination(mdp)
+    assert end.proven == every_policy_ends(rows.n_states, rows.pairs) == proves(mdp, end.rank)
+    if end.proven:
         require_termination(mdp.with_(discount=1))
         return
-    chosen = [mdp.pair(s, int(a)) for s, a in enumerate(found.policy)]
-    trapped = set(found.trapped.tolist())  # where that policy stays for ever
+    chosen = [mdp.pair(s, int(a)) for s, a in enumerate(end.policy)]
+    trapped = set(end.trapped.tolist())  # where that policy stays for ever
     assert trapped
     assert not trapped & set(np.flatnonzero(mdp.terminal))
     assert all({t for _, t, _ in mdp.table.row(chosen[s])} <= trapped for s in trapped)

@@ -51,11 +51,11 @@ def test_each_way_is_right_to_its_error(way: str, seed: int) -> None:
     chain, place = sp.csr_array(parts / whole), rng.permutation(size)
     turned = sp.csr_array(chain[place][:, place])
     for order in [None] if sp.triu(chain).nnz else [None, place]:
-        found = LinearSystem(turned, float(rate), order=order).solve(constant[place], 0.0)
-        exact = exact_values(found.value)
-        for x, value, bound in zip(np.array(known)[place], exact, found.error, strict=True):
+        solution = LinearSystem(turned, float(rate), order=order).solve(constant[place], 0.0)
+        exact = exact_values(solution.value)
+        for x, value, bound in zip(np.array(known)[place], exact, solution.error, strict=True):
             assert abs(x - value) <= F(float(bound))
-        assert found.error.max() < 1e-9 * max(1, float(max(map(abs, known))))
+        assert solution.error.max() < 1e-9 * max(1, float(max(map(abs, known))))
 
 
 @pytest.mark.parametrize("wrong", [nan, inf, -inf])

@@ -43,9 +43,9 @@ def eliminated(size: int, entries: Entries, side: list[int]) -> list[F] | None:
     return [row[-1] for row in rows]
 
 
-def fractions(found: tuple[list[fmpz], fmpz]) -> list[F]:
-    assert found[1] > 0
-    return [F(int(number), int(found[1])) for number in found[0]]
+def fractions(quotients: tuple[list[fmpz], fmpz]) -> list[F]:
+    assert quotients[1] > 0
+    return [F(int(number), int(quotients[1])) for number in quotients[0]]
 
 
 @st.composite
@@ -85,17 +85,17 @@ def test_elimination_in_fractions_agrees(
                     with pytest.raises(ZeroDivisionError, match="the matrix is singular"):
                         exact_solve(each, side)
                 else:
-                    found = exact_solve(each, side)
-                    assert fractions(found) == wanted
-                    assert gcd(*map(int, found[0]), int(found[1])) == 1
+                    solution = exact_solve(each, side)
+                    assert fractions(solution) == wanted
+                    assert gcd(*map(int, solution[0]), int(solution[1])) == 1
 
 
 @pytest.mark.parametrize("bits", [900, 1100, 1300])
 def test_rows_of_very_different_length(bits: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(linear, "FEW", 1)
     entries = {(0, 0): 2**bits, (0, 1): 1, (1, 0): 1, (1, 1): 1}
-    found = exact_solve(matrix_of(2, entries), [1, -5])
-    assert fractions(found) == eliminated(2, entries, [1, -5])
+    solution = exact_solve(matrix_of(2, entries), [1, -5])
+    assert fractions(solution) == eliminated(2, entries, [1, -5])
 
 
 def ring(size: int, pivot: int, weight: int) -> Matrix:
@@ -116,9 +116,9 @@ def test_long_rings(size: int, bits: int) -> None:
     pivot, weight = 2**bits, 2**bits - 1
     matrix = ring(size, pivot, weight)
     assert fractions(exact_solve(matrix, [1] * size)) == [F(1)] * size
-    found = fractions(exact_solve(matrix, [1] + [0] * (size - 1)))
+    solution = fractions(exact_solve(matrix, [1] + [0] * (size - 1)))
     below = pivot**size - weight**size
-    assert found == [F(pivot ** (size - 1 - (-s % size)) * weight ** (-s % size), below)
+    assert solution == [F(pivot ** (size - 1 - (-s % size)) * weight ** (-s % size), below)
                      for s in range(size)]  # fmt: skip
     with pytest.raises(ZeroDivisionError, match="the matrix is singular"):
         exact_solve(ring(size, pivot, pivot), [1] * size)

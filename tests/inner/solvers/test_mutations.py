@@ -242,13 +242,13 @@ def test_no_change_of_a_proof_about_totals_is_accepted_that_makes_it_false(
             path.write_text(json.dumps(content | {key: changed}), "utf-8")
             tried += 1
             try:
-                found = replace(codec.load(KINDS, path), mdp=made.mdp)
-                wrong = found.violations()
+                forged = replace(codec.load(KINDS, path), mdp=made.mdp)
+                wrong = forged.violations()
             except ModelError:
                 refused += 1
                 continue
             refused += bool(wrong)
-            assert wrong or proven(found) == truth(found, made), (key, changed)
+            assert wrong or proven(forged) == truth(forged, made), (key, changed)
     assert refused > 0.5 * tried > 50
 
 

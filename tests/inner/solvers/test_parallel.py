@@ -30,10 +30,10 @@ def draws(seed: int, index: int) -> dict[str, Any]:
 WANTED = [draws(0, index) for index in range(12)]
 
 
-def same(found: list[dict[str, Any]], wanted: list[dict[str, Any]]) -> bool:
-    return len(found) == len(wanted) and all(
+def same(given: list[dict[str, Any]], wanted: list[dict[str, Any]]) -> bool:
+    return len(given) == len(wanted) and all(
         list(a) == list(b) and all(a[name].tobytes() == b[name].tobytes() for name in a)
-        for a, b in zip(found, wanted, strict=True)
+        for a, b in zip(given, wanted, strict=True)
     )
 
 
@@ -61,8 +61,8 @@ def test_what_is_finished_before_an_error_is_kept(tmp_path: Path, n_jobs: int) -
     work = partial(failing_last, str(tmp_path))
     with pytest.raises(ModelError, match="piece 2 cannot be done"):
         many(work, range(3), key=KEY, folder=tmp_path, n_jobs=n_jobs)
-    kept = {path.name for path in tmp_path.glob("*.npz")}
-    assert kept == {"000000.npz", "000001.npz"}
+    files = {path.name for path in tmp_path.glob("*.npz")}
+    assert files == {"000000.npz", "000001.npz"}
 
 
 def interrupted(index: int) -> dict[str, Any]:
@@ -79,9 +79,9 @@ def test_an_interruption_loses_no_finished_piece(tmp_path: Path) -> None:
 
 
 def test_a_process_that_dies_loses_no_piece(tmp_path: Path) -> None:
-    found = many(partial(draws_that_die, str(tmp_path)), range(12), key=KEY, n_jobs=2)
+    results = many(partial(draws_that_die, str(tmp_path)), range(12), key=KEY, n_jobs=2)
     assert (tmp_path / "died").exists()
-    assert same(found, WANTED)
+    assert same(results, WANTED)
 
 
 def test_a_folder_of_other_work_is_refused(tmp_path: Path) -> None:
@@ -120,10 +120,10 @@ def test_a_dask_cluster_gives_the_same_bytes(tmp_path: Path) -> None:
         distributed.Client(cluster),
         joblib.parallel_config(backend="dask"),
     ):
-        found = many(process, range(12), key=KEY, n_jobs=None)
+        results = many(process, range(12), key=KEY, n_jobs=None)
         runs = train(mdp, learner, 3, rng=0, n_jobs=None, out=tmp_path / "cluster")
-    assert os.getpid() not in {int(each.pop("process")) for each in found}
-    assert same(found, WANTED)
+    assert os.getpid() not in {int(each.pop("process")) for each in results}
+    assert same(results, WANTED)
     assert [run.q.tobytes() for run in runs] == [run.q.tobytes() for run in alone]
     one, other = (sorted((tmp_path / name).iterdir()) for name in ("alone", "cluster"))
     assert [(p.name, p.read_bytes()) for p in one] == [(p.name, p.read_bytes()) for p in other]

@@ -53,8 +53,8 @@ def compare_with_twin(mdp: MDP, learner: QLearning, seed: int) -> None:
     at = learner.snapshot_episode
     snapshots = range(at, episodes + 1, learner.episodes) if at else range(0)
     last = range(max(1, episodes + 1 - learner.last), episodes + 1)
-    kept = {*snapshots, *last}
-    twin.run(words.tolist(), epsilon, rate, learner.episodes, learner.max_steps, kept)
+    epochs = {*snapshots, *last}
+    twin.run(words.tolist(), epsilon, rate, learner.episodes, learner.max_steps, epochs)
     assert np.array_equal(run.q, twin.table(rows.space.size))
     assert (run.steps, run.cut_short) == (twin.steps, twin.cut)
     assert run.returns.tolist() == twin.returns
@@ -119,18 +119,18 @@ def test_alias_columns_are_the_exact_rows(readings: dict[str, str]) -> None:
     laid = tables(mdp, rows_of(mdp))
     for pair in range(mdp.n_pairs):
         first, last = laid.offsets[pair], laid.offsets[pair + 1]
-        found: dict[tuple[int, float], float] = {}
+        chances: dict[tuple[int, float], float] = {}
         for column in range(first, last):
             for side, share in ((0, laid.cut[column]), (1, 1 - laid.cut[column])):
                 key = (int(laid.next[2 * column + side]), float(laid.gain[2 * column + side]))
-                found[key] = found.get(key, 0.0) + share / (last - first)
+                chances[key] = chances.get(key, 0.0) + share / (last - first)
         expected: dict[tuple[int, float], Fraction] = {}
         for chance, following, gain in mdp.table.row(pair):
             key = (following, float(gain))
             expected[key] = expected.get(key, Fraction(0)) + chance
-        assert {key for key, share in found.items() if share > 1e-14} <= set(expected)
+        assert {key for key, share in chances.items() if share > 1e-14} <= set(expected)
         for key, chance in expected.items():
-            assert abs(found.get(key, 0.0) - float(chance)) < 1e-14
+            assert abs(chances.get(key, 0.0) - float(chance)) < 1e-14
 
 
 # ---- values of many policies ---------------------------------------------------------------------
@@ -145,7 +145,7 @@ def test_policy_values_of_any_model(model, seed: int) -> None:
     policies = np.array(
         [[draw.choice(np.flatnonzero(row)) for row in rows.offered] for _ in range(3)]
     )
-    found = policy_values(mdp, rows, policies)
-    for policy, value, error in zip(policies, found.value, found.error, strict=True):
+    values = policy_values(mdp, rows, policies)
+    for policy, value, error in zip(policies, values.value, values.error, strict=True):
         exact = evaluate(mdp, Policy.from_choices(mdp, policy))
         assert abs(value - exact.mean) <= error + exact.start.error

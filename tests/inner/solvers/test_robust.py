@@ -59,22 +59,24 @@ def interval_model(case: IntervalCase) -> tuple[MDP, Intervals]:
     return mdp, Intervals(lower=lower, upper=upper)
 
 
-def earned(found: RobustSolution) -> Any:
+def earned(solution: RobustSolution) -> Any:
     """What the chain that is returned earns."""
-    system = np.eye(found.mdp.n_states) - found.mdp.discount * found.transition.toarray()
-    return np.linalg.solve(system, found.reward)
+    system = np.eye(solution.mdp.n_states) - solution.mdp.discount * solution.transition.toarray()
+    return np.linalg.solve(system, solution.reward)
 
 
 @pytest.mark.parametrize("case", INTERVAL_CASES, ids=str)
 def test_published_answers(case: IntervalCase) -> None:
     mdp, intervals = interval_model(case)
     for (objective, nature), values in case.values.items():
-        found = solve_robust(mdp.with_(sense=objective), intervals, nature=nature)
-        assert found.error_bound < 1e-5
+        solution = solve_robust(mdp.with_(sense=objective), intervals, nature=nature)
+        assert solution.error_bound < 1e-5
         for state, value in values.items():
-            room = found.state_error[state] + case.tolerance
-            assert abs(found.value[state] - float(value)) <= room, (objective, nature, state)
-        assert earned(found) == pytest.approx(found.value, abs=1e-7 + 2 * found.error_bound)
+            room = solution.state_error[state] + case.tolerance
+            assert abs(solution.value[state] - float(value)) <= room, (objective, nature, state)
+        assert earned(solution) == pytest.approx(
+            solution.value, abs=1e-7 + 2 * solution.error_bound
+        )
 
 
 def test_an_infinite_total_is_refused() -> None:
@@ -127,9 +129,9 @@ def test_intervals_and_balls_against_a_linear_program(row: Any, kind: str, radiu
         b_ub=np.concatenate([p, -p, [most]]),
         bounds=[*bounds, *[(0, None)] * n],
     )
-    found = solve_robust(mdp, ambiguity, nature=nature).start
-    assert abs(found.value - sign * size * done.fun) <= found.error + 1e-7 * size
-    assert found.error <= 1e-7 * size
+    start = solve_robust(mdp, ambiguity, nature=nature).start
+    assert abs(start.value - sign * size * done.fun) <= start.error + 1e-7 * size
+    assert start.error <= 1e-7 * size
 
 
 def forward(p: np.ndarray, q: np.ndarray) -> float:
@@ -154,9 +156,9 @@ def test_divergence_sets_hold_what_they_return_and_no_member_beats_the_bound(
     kind: Any, divergence: Callable[..., float], row: Any, radius: float, seed: int
 ) -> None:
     mdp, p, gains, nature = row
-    found, n = solve_robust(mdp, kind(radius=radius), nature=nature), len(p)
-    low, high = found.start.interval
-    q = found.transition.toarray()[0, 1 : n + 1]
+    solution, n = solve_robust(mdp, kind(radius=radius), nature=nature), len(p)
+    low, high = solution.start.interval
+    q = solution.transition.toarray()[0, 1 : n + 1]
     q = q / q.sum()
     if not (q == 0).any() or kind is RelativeEntropy:
         assert divergence(p, q) <= radius + 1e-13
@@ -172,16 +174,16 @@ def test_divergence_sets_hold_what_they_return_and_no_member_beats_the_bound(
             middle = (near + far) / 2
             inside = divergence(p, p + middle * (other - p)) <= radius - 1e-14
             near, far = (middle, far) if inside else (near, middle)
-        worth = (p + near * (other - p)) @ gains
-        assert worth >= low - room if nature == "worst" else worth <= high + room
+        earned = (p + near * (other - p)) @ gains
+        assert earned >= low - room if nature == "worst" else earned <= high + room
 
 
 def test_two_outcomes_have_closed_forms() -> None:
     mdp = row_model([1, 1], [0.0, 1.0])
     for radius in (1e-6, 1e-3, 0.1, 0.5, 2.0):
-        found = solve_robust(mdp, Likelihood(radius=radius)).start
+        start = solve_robust(mdp, Likelihood(radius=radius)).start
         right = (1 - sqrt(1 - exp(-2 * radius))) / 2  # 4 q (1 - q) = e^-2β
-        assert abs(found.value - right) <= found.error < 1e-9
+        assert abs(start.value - right) <= start.error < 1e-9
     entropy = solve_robust(mdp, RelativeEntropy(radius=1.0))  # above log 2
     assert entropy.transition.toarray()[0].tolist() == [0, 1, 0]
     assert abs(entropy.start_value) <= entropy.start.error < 1e-12
@@ -217,19 +219,19 @@ def exact_values(
     value = [F(0)] * mdp.n_states
     least, choose = (nature == "worst") == (mdp.sense == "max"), max if mdp.sense == "max" else min
     for state in np.flatnonzero(~mdp.terminal)[::-1].tolist():
-        worth = []
+        values = []
         for pair in mdp.pairs_of(state):
             outcomes = [(p, g + mdp.discount_exact * value[t]) for p, t, g in mdp.table.row(pair)]
             left, total = share, F(0)
             for p, x in sorted(outcomes, key=lambda each: each[1], reverse=not least):
                 more = min(left, min(p * (1 + share), F(1)) - p * (1 - share))
                 left, total = left - more, total + (p * (1 - share) + more) * x
-            worth.append(total)
+            values.append(total)
         if weights is None:
-            value[state] = choose(worth)
+            value[state] = choose(values)
         else:
             chosen = weights[list(mdp.pairs_of(state))].tolist()
-            value[state] = sum((F(w) * x for w, x in zip(chosen, worth, strict=True)), F(0))
+            value[state] = sum((F(w) * x for w, x in zip(chosen, values, strict=True)), F(0))
     return value
 
 
@@ -242,10 +244,10 @@ def test_the_care_model_in_rationals(objective: str, nature: Any, share: Fractio
         weights = None if policy is None else evaluate(mdp, policy).chain.weights
         right = exact_values(mdp, share, nature, weights)
         intervals = Intervals.relative(mdp, share)
-        found = solve_robust(mdp, intervals, nature=nature, policy=policy)
-        each = zip(found.value.tolist(), right, found.state_error.tolist(), strict=True)
+        solution = solve_robust(mdp, intervals, nature=nature, policy=policy)
+        each = zip(solution.value.tolist(), right, solution.state_error.tolist(), strict=True)
         assert all(abs(F(value) - exact) <= F(error) for value, exact, error in each)
-        assert found.error_bound < 1e-9
+        assert solution.error_bound < 1e-9
 
 
 def sets(mdp: MDP, share: Fraction) -> list[Any]:
@@ -275,10 +277,10 @@ def test_order_of_values(rows: Rows, share: Fraction) -> None:
         room = worst.state_error + best.state_error + nominal.state_error
         assert (worst.value <= nominal.value + room).all()
         assert (nominal.value <= best.value + room).all()
-        held, own = solved(mdp, kind, policy=nominal), solved(mdp, kind, policy=worst.policy)
-        assert held is not None
+        fixed, own = solved(mdp, kind, policy=nominal), solved(mdp, kind, policy=worst.policy)
+        assert fixed is not None
         assert own is not None
-        assert (held.value <= worst.value + held.state_error + worst.state_error).all()
+        assert (fixed.value <= worst.value + fixed.state_error + worst.state_error).all()
         assert (np.abs(own.value - worst.value) <= own.state_error + worst.state_error).all()
         if share == 0:
             assert (np.abs(worst.value - nominal.value) <= room + 1e-9 * np.abs(worst.value)).all()
@@ -291,9 +293,9 @@ def test_discount_near_1_ends_with_honest_bounds() -> None:
         matrix[action, state, rng.choice(60, 5, replace=False)] = rng.dirichlet(np.ones(5))
     mdp = MDP.from_arrays(list(matrix), rng.normal(size=(60, 3)), "9999/10000")
     for kind in sets(mdp, F(1, 10)):
-        found = solve_robust(mdp, kind)
-        assert np.abs(earned(found) - found.value).max() <= 3 * found.error_bound + 1e-6
-        assert found.iterations < 30
+        solution = solve_robust(mdp, kind)
+        assert np.abs(earned(solution) - solution.value).max() <= 3 * solution.error_bound + 1e-6
+        assert solution.iterations < 30
 
 
 def test_a_way_out_that_nature_can_close() -> None:
@@ -324,14 +326,14 @@ RISKY = MDP.from_outcomes(
 
 
 def test_the_price_of_robustness() -> None:
-    found = robust(RISKY, Intervals.relative(RISKY, "1/2"))
-    assert found.value.value == 1.5
-    assert (found.price.value, found.gain.value) == pytest.approx((0.5, 0.25))
-    assert found.changed.tolist() == [0]
-    taken = found.mdp.pair_action[found.robust.pairs[found.changed]]
-    assert [found.mdp.actions[action] for action in taken] == ["safe"]
+    cases = robust(RISKY, Intervals.relative(RISKY, "1/2"))
+    assert cases.value.value == 1.5
+    assert (cases.price.value, cases.gain.value) == pytest.approx((0.5, 0.25))
+    assert cases.changed.tolist() == [0]
+    taken = cases.mdp.pair_action[cases.robust.pairs[cases.changed]]
+    assert [cases.mdp.actions[action] for action in taken] == ["safe"]
     values = [1.5, 0.75, 2.25, 1, 1, 1, 2.25]
-    assert found.frame()["value (reward)"].tolist() == pytest.approx(values)
+    assert cases.frame()["value (reward)"].tolist() == pytest.approx(values)
     costs = robust(RISKY.with_(sense="min"), Intervals.relative(RISKY, "1/2"))
     assert (costs.value.value, costs.worst.value) == (1, 1)
 
@@ -339,10 +341,10 @@ def test_the_price_of_robustness() -> None:
 @pytest.mark.parametrize("kind", SETS)
 def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
     mdp = SMALL.compile()
-    found = robust(mdp, ambiguity_of(mdp, kind, "1/20"), policy="always:directive")
-    assert found.worst.value < found.value.value < found.best.value
-    assert found.value.value == pytest.approx(evaluate(mdp, "always:directive").mean)
-    assert found.gain.value > 0
+    cases = robust(mdp, ambiguity_of(mdp, kind, "1/20"), policy="always:directive")
+    assert cases.worst.value < cases.value.value < cases.best.value
+    assert cases.value.value == pytest.approx(evaluate(mdp, "always:directive").mean)
+    assert cases.gain.value > 0
 
 
 def test_a_box_needs_a_parameter_that_moves(tmp_path: Path) -> None:

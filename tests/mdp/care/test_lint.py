@@ -63,10 +63,10 @@ def test_nothing_is_said_of_shipped_scenarios(name: str) -> None:
 def test_each_fault(old: str, new: str, what: str, fix: str) -> None:
     assert old in TEMPLATE
     before, after = TEMPLATE.split(old, 1)
-    (found,) = [each for each in lint(before + new + after) if what in each["what"]]
+    (problem,) = [each for each in lint(before + new + after) if what in each["what"]]
     fault = before.count("\n") + 1 + new.count("\n")
-    assert (found["line"], found["severity"]) == (fault, "error")
-    assert fix in found["fix"]
+    assert (problem["line"], problem["severity"]) == (fault, "error")
+    assert fix in problem["fix"]
 
 
 MORE = [  # names, numbers that are missing, tables
@@ -165,9 +165,9 @@ def test_an_error_is_found_exactly_where_the_reader_refuses(data: st.DataObject,
     for _ in range(data.draw(st.integers(1, 4))):
         place, cut = data.draw(st.integers(0, len(text))), data.draw(st.integers(0, 6))
         text = text[:place] + data.draw(EDITS) + text[place + cut :]
-    found = [each for each in lint(text) if each["severity"] == "error"]
-    assert bool(found) == refused(text), found
-    for each in found:
+    errors = [each for each in lint(text) if each["severity"] == "error"]
+    assert bool(errors) == refused(text), errors
+    for each in errors:
         assert each["what"]
         assert each["fix"]
         assert each["line"] is None or 1 <= each["line"] <= len(text.split("\n"))
@@ -181,9 +181,9 @@ def test_unsafe_names_are_problems_among_others(name: str, odd: str, tmp_path: P
     path.write_text(text, encoding="utf-8")
     done = run("lint", path, "--json")
     assert done.status == 1
-    told = [each["what"] for each in done.result["problems"]]
-    assert any(each.startswith("the name of a") for each in told)
-    assert "the number reward.timestep is missing" in told
+    problems = [each["what"] for each in done.result["problems"]]
+    assert any(each.startswith("the name of a") for each in problems)
+    assert "the number reward.timestep is missing" in problems
     assert refused(text)
 
 

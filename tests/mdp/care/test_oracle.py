@@ -27,17 +27,17 @@ def test_an_optimal_policy_earns_the_optimal_value(discount: Fraction) -> None:
     best, choices = oracle.optimal()
     assert best[END] == 0
     assert choices[END] == frozenset()
-    found = oracle.evaluate(lambda state: {min(choices[state]): Fraction(1)})
-    assert found["mean"] == sum(found["components"].values()) == best[oracle.start]
-    assert (found["distribution"] is None) == (discount < 1)
+    evaluation = oracle.evaluate(lambda state: {min(choices[state]): Fraction(1)})
+    assert evaluation["mean"] == sum(evaluation["components"].values()) == best[oracle.start]
+    assert (evaluation["distribution"] is None) == (discount < 1)
     for state in best:
         for action in oracle.actions(state):
-            worth = sum(
+            value = sum(
                 p * (sum(rewards.values()) + discount * best[nxt])
                 for p, nxt, rewards, _ in oracle.outcomes(state, action)
             )
-            assert worth <= best[state]
-            assert (worth == best[state]) == (action in choices[state])
+            assert value <= best[state]
+            assert (value == best[state]) == (action in choices[state])
 
 
 # One subtask, one trial, from status 0000. The base chances are .3, .3, .05 and .2.
@@ -78,10 +78,10 @@ def test_one_trial_by_hand(action: str) -> None:
     ],
 )
 def test_readings_on_one_trial_by_hand(readings: dict[str, str], mean: str) -> None:
-    found = Oracle(readings, tasks=[1], max_trial=1).evaluate(always("none"))
-    assert found["mean"] == Fraction(mean)
-    assert found["skip_probability"] == Fraction("0.6276")
-    assert found["steps"] == Fraction("1.6276" if "skip_timestep" in readings else "1")
+    evaluation = Oracle(readings, tasks=[1], max_trial=1).evaluate(always("none"))
+    assert evaluation["mean"] == Fraction(mean)
+    assert evaluation["skip_probability"] == Fraction("0.6276")
+    assert evaluation["steps"] == Fraction("1.6276" if "skip_timestep" in readings else "1")
 
 
 @pytest.mark.parametrize(
@@ -92,19 +92,19 @@ def test_second_trial_by_hand(orientation: str, skip: str) -> None:
     # D clears with .01 and anger stays away with 1 - .05 - .20 (row D, column A), or with
     # 1 - .05 - .10 (row A, column D): .19 * (1 - .01 * .75) or .19 * (1 - .01 * .85), and .05
     readings = {"influence_orientation": orientation, "max_trial_rule": "after"}
-    found = Oracle(readings, tasks=[1], max_trial=1).evaluate(always("directive"))
-    assert found["skip_probability"] == Fraction(skip)
-    assert found["steps"] == Fraction("1.24")
+    evaluation = Oracle(readings, tasks=[1], max_trial=1).evaluate(always("directive"))
+    assert evaluation["skip_probability"] == Fraction(skip)
+    assert evaluation["steps"] == Fraction("1.24")
 
 
 def test_discounting_by_hand() -> None:
     # As above, at 1/2, every trial completing with 0 later: only the timestep is not free here.
     free = {f"reward.{name}": Fraction(0) for name in COMPONENTS if name != "timestep"}
     oracle = Oracle(tasks=[1], max_trial=2, discount=Fraction(1, 2), parameters=free)
-    found = oracle.evaluate(always("directive"))
-    assert found["mean"] == -1 - Fraction("0.24") / 2
-    assert found["variance"] == Fraction("0.24") * Fraction("0.76") / 4
-    assert found["steps"] == Fraction("1.24")
+    evaluation = oracle.evaluate(always("directive"))
+    assert evaluation["mean"] == -1 - Fraction("0.24") / 2
+    assert evaluation["variance"] == Fraction("0.24") * Fraction("0.76") / 4
+    assert evaluation["steps"] == Fraction("1.24")
 
 
 @pytest.mark.parametrize(
@@ -123,8 +123,8 @@ def test_discounting_by_hand() -> None:
 @pytest.mark.parametrize("timestep", ["same", "own"])
 def test_task_bonus_by_hand(tasks: list[int], bonus: str, mean: str, timestep: str) -> None:
     readings = {"task_bonus": bonus, "skip_onset": "reset", "skip_timestep": timestep}
-    found = Oracle(readings, tasks, max_trial=1).evaluate(always("directive"))
-    assert found["components"]["task-complete"] == Fraction(mean)
+    evaluation = Oracle(readings, tasks, max_trial=1).evaluate(always("directive"))
+    assert evaluation["components"]["task-complete"] == Fraction(mean)
 
 
 def percent(*values: int) -> list[Fraction]:

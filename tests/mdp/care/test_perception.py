@@ -98,11 +98,11 @@ def test_the_value_is_that_of_the_reference_model(tmp_path: Path, exact_rows) ->
         return mixed
 
     wanted = Oracle(tasks=[2], max_trial=3).evaluate(acting, distribution=False)
-    found = evaluated(as_csv(tmp_path / "seen.csv", exact_rows))
-    assert found["mean"] == pytest.approx(float(wanted["mean"]), rel=1e-12)
-    assert found["sd"] == pytest.approx(sqrt(wanted["variance"]), rel=1e-10)
-    assert found["steps"] == pytest.approx(float(wanted["steps"]), rel=1e-12)
-    assert found["skip_probability"] == pytest.approx(float(wanted["skip_probability"]), rel=1e-12)
+    facts = evaluated(as_csv(tmp_path / "seen.csv", exact_rows))
+    assert facts["mean"] == pytest.approx(float(wanted["mean"]), rel=1e-12)
+    assert facts["sd"] == pytest.approx(sqrt(wanted["variance"]), rel=1e-10)
+    assert facts["steps"] == pytest.approx(float(wanted["steps"]), rel=1e-12)
+    assert facts["skip_probability"] == pytest.approx(float(wanted["skip_probability"]), rel=1e-12)
 
 
 def test_rates_and_matrix_say_the_same(care: MDP, tmp_path: Path, exact_rows) -> None:
@@ -213,9 +213,9 @@ def test_every_form_gives_the_same_counts_and_draws(care: MDP, tmp_path: Path) -
     drawn = [evaluate(care, perceived(care, PLAN, matrix)).mean for matrix in matrices]
     for name in ("a.csv", "a.jsonl", "b.jsonl"):
         assert evaluated(tmp_path / name)["mean"] == pytest.approx(mean, rel=1e-12)
-        found = with_prior(tmp_path / name)["counted"]
-        assert found["mean"] == pytest.approx(np.mean(drawn), rel=1e-12)
-        assert found["interval"] == pytest.approx(np.quantile(drawn, [0.025, 0.975]), rel=1e-9)
+        counts = with_prior(tmp_path / name)["counted"]
+        assert counts["mean"] == pytest.approx(np.mean(drawn), rel=1e-12)
+        assert counts["interval"] == pytest.approx(np.quantile(drawn, [0.025, 0.975]), rel=1e-9)
     assert np.array_equal(counted(pairs, size=16).counts, table)
     assert np.array_equal(counted(table, size=16).counts, table)
     assert not counted(table, size=16).counts.flags.writeable
@@ -223,12 +223,12 @@ def test_every_form_gives_the_same_counts_and_draws(care: MDP, tmp_path: Path) -
 
 def test_a_last_line_without_its_newline(tmp_path: Path) -> None:
     line, path = '{"status": "0000", "perceived": "0001"}', tmp_path / "a.jsonl"
-    told = []
+    messages = []
     for end in ("", "\n", '\n{"status": "0000", "perceived": "00'):
         path.write_text(f"{line}\n{line}{end}")
-        told.append(with_prior(path)["counted"])
+        messages.append(with_prior(path)["counted"])
     path.write_text(line)
-    assert told[0] == told[1] == told[2] != with_prior(path)["counted"]
+    assert messages[0] == messages[1] == messages[2] != with_prior(path)["counted"]
     path.write_text(f'{line}\n{{"status"\n{line}')
     assert "broken JSON" in run("perception", *MODEL, "--perception", path).err
 
@@ -255,10 +255,10 @@ def test_a_prior_is_so_many_examples(care: MDP) -> None:
 
 
 def test_draws_are_of_the_posterior() -> None:
-    found = counted(examples(), size=16, prior=0.5)
-    drawn = found.samples(np.random.default_rng(1), 20_000)
+    counts = counted(examples(), size=16, prior=0.5)
+    drawn = counts.samples(np.random.default_rng(1), 20_000)
     assert drawn.sum(axis=2) == pytest.approx(1)
-    row = found.counts[3] + 0.5
+    row = counts.counts[3] + 0.5
     error = np.sqrt(dirichlet.var(row) / 20_000)
     assert (abs(drawn[:, 3].mean(axis=0) - dirichlet.mean(row)) < 5 * error).all()
     share = beta(row[3], row.sum() - row[3])
@@ -267,14 +267,14 @@ def test_draws_are_of_the_posterior() -> None:
 
 
 def test_rates_are_of_single_statuses() -> None:
-    found = counted([("10", "11"), ("10", "00"), ("01", "01"), ("00", "10")], size=4)
-    rates = found.rates(["anger", "confusion"])
-    told = {
+    counts = counted([("10", "11"), ("10", "00"), ("01", "01"), ("00", "10")], size=4)
+    rates = counts.rates(["anger", "confusion"])
+    stated = {
         (name, what): (rate.right, rate.total)
         for name, both in rates.items()
         for what, rate in both.items()
     }
-    assert told == {
+    assert stated == {
         ("anger", "sensitivity"): (1, 2),
         ("anger", "specificity"): (1, 2),
         ("confusion", "sensitivity"): (1, 1),

@@ -29,24 +29,24 @@ def small(**readings: str) -> Scenario:
     return Scenario.load("yuan2025").with_(readings=readings, **SMALL)
 
 
-def told(work) -> list[str]:
+def messages(work) -> list[str]:
     """Return the warnings of some work, every one of them."""
-    with warnings.catch_warnings(record=True) as found:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         work()
-    assert all(each.category is ScenarioWarning for each in found)
-    assert all(each.filename != warnings.__file__ for each in found)
-    return [str(each.message) for each in found]
+    assert all(each.category is ScenarioWarning for each in caught)
+    assert all(each.filename != warnings.__file__ for each in caught)
+    return [str(each.message) for each in caught]
 
 
 def test_the_default_reading_warns_of_nothing() -> None:
     """Some sums are exactly 1 there, and none is more."""
     own = small()
-    assert told(own.compile) == []
+    assert messages(own.compile) == []
 
 
 def test_compiling_names_the_state_and_the_numbers() -> None:
-    (said,) = told(small(**ADDITIVE).compile)
+    (said,) = messages(small(**ADDITIVE).compile)
     assert "a chance of 1.34 is cut off at 1: anger in status 1111 under none" in said
     assert "persistence.anger 1 + influence.forgetfulness.anger 0.06" in said
     assert "\n" not in said
@@ -75,7 +75,7 @@ def test_a_warning_is_an_error_where_python_is_told_so() -> None:
 )
 def test_an_analysis_says_it_once(analysis) -> None:
     """However many models it makes, and in how many of them chances pass 1."""
-    (said,) = told(lambda: analysis(small()))
+    (said,) = messages(lambda: analysis(small()))
     assert "is cut off at 1" in said
 
 

@@ -217,10 +217,10 @@ def test_where_episodes_were_cut_off_is_no_end(
         assert counts == {("a", "x"): 4, ("a", "y"): 1, ("b", "y"): 1, ("new", "x"): 1}
         assert mdp.episodes == 6
     model = tmp_path / "m.npz"
-    told = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2", "--json").result
-    assert (told["cut_off"], told["n_never_taken"]) == (5, 2)
-    assert told["cut_off_states"] == ["state trap", "cut off"]
-    assert told["never_taken"] == ["state b: x", "state new: y"]
+    result = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2", "--json").result
+    assert (result["cut_off"], result["n_never_taken"]) == (5, 2)
+    assert result["cut_off_states"] == ["state trap", "cut off"]
+    assert result["never_taken"] == ["state b: x", "state new: y"]
     plain = run("data", tmp_path / "log.csv", "--out", model, "--discount=1/2")
     assert "no medical advice" in plain.out
     assert "nobody knows what follows where episodes were cut off" in plain.err

@@ -54,10 +54,10 @@ def test_values_are_those_of_the_environments_table(name: str) -> None:
     mdp = MDP.from_gymnasium(env, 0.9)
     table = env.unwrapped.P
     wanted, _ = values_of(table, 0.9, 400)
-    found = solve_by_sweeps(mdp, 400)[: len(table)]
+    values = solve_by_sweeps(mdp, 400)[: len(table)]
     ends = mdp.terminal[: len(table)]
-    assert found[~ends] == pytest.approx(wanted[~ends], abs=1e-12)
-    assert (found[ends] == 0).all()
+    assert values[~ends] == pytest.approx(wanted[~ends], abs=1e-12)
+    assert (values[ends] == 0).all()
     start = env.unwrapped.initial_state_distrib
     assert mdp.start_distribution[: len(table)] == pytest.approx(np.asarray(start))
     assert mdp.name == (name if name in IDS else "FrozenLake-v1")
@@ -160,13 +160,13 @@ def test_any_table_keeps_its_values(given: tuple[Table, list[float]]) -> None:
     table, start = given
     mdp = MDP.from_gymnasium(Env(table, start), 0.5)
     wanted, _ = values_of(table, 0.5, 60)
-    found = solve_by_sweeps(mdp, 60)
-    kept = {state for state in table if not mdp.terminal[state]}
-    for state in kept:
-        assert found[state] == pytest.approx(wanted[state], abs=1e-12)
+    values = solve_by_sweeps(mdp, 60)
+    going_on = {state for state in table if not mdp.terminal[state]}
+    for state in going_on:
+        assert values[state] == pytest.approx(wanted[state], abs=1e-12)
     starts = {state for state, weight in enumerate(start) if weight > 0}
     for state in starts:
-        assert found[state] == pytest.approx(wanted[state], abs=1e-12)
+        assert values[state] == pytest.approx(wanted[state], abs=1e-12)
     # a state that was made an end is one that no episode is alive in
     reached = set(starts)
     while True:
@@ -181,7 +181,7 @@ def test_any_table_keeps_its_values(given: tuple[Table, list[float]]) -> None:
             break
         reached |= more
     for state in reached:
-        assert found[state] == pytest.approx(wanted[state], abs=1e-12)
+        assert values[state] == pytest.approx(wanted[state], abs=1e-12)
     assert mdp.n_states in (len(table), len(table) + 1)
     assert mdp.start_distribution[: len(table)] == pytest.approx(start)
 
@@ -301,10 +301,10 @@ def test_matrices_of_dynamics_are_a_model() -> None:
     assert np.flatnonzero(mdp.terminal).tolist() == [2, 3, 4]
     bare = MDP.from_arrays(*map(env.dynamics.get, ("tx_mat", "r_mat")), start=env.dynamics["d_0"])
     for policy, kind in (("random", "auto"), (random, "policy")):
-        found, long = (evaluate(model, policy, kind=kind) for model in (mdp, bare))
+        short, long = (evaluate(model, policy, kind=kind) for model in (mdp, bare))
         # from state 1 survival has 3/8; from state 0, x = x/4 + 3/8 · 3/8 + 1/4
-        assert found.mean == pytest.approx(0.75 * (0.25 + 0.375 * 0.375) / 0.75 + 0.25 * 0.375)
-        assert (found.mean, found.steps + 1) == pytest.approx((long.mean, long.steps))
+        assert short.mean == pytest.approx(0.75 * (0.25 + 0.375 * 0.375) / 0.75 + 0.25 * 0.375)
+        assert (short.mean, short.steps + 1) == pytest.approx((long.mean, long.steps))
     assert solve(mdp).value[1] == 0.5
     admissible = MDP.from_gymnasium(Ward("raise_exception"))
     assert solve(admissible).value[1] == 0.25
@@ -428,8 +428,8 @@ def test_a_wrapper_that_changes_rewards_is_refused() -> None:
     assert MDP.from_gymnasium(ten.unwrapped).n_states == 16
 
 
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_wrapper_may_number_actions_as_the_matrices_do(kept: bool) -> None:
+@pytest.mark.parametrize("same_numbers", [True, False])
+def test_a_wrapper_may_number_actions_as_the_matrices_do(same_numbers: bool) -> None:
     """As that of ICU-Sepsis does, which has five doses of two drugs; another order is refused."""
 
     class Doses(gymnasium.Env):
@@ -441,9 +441,9 @@ def test_a_wrapper_may_number_actions_as_the_matrices_do(kept: bool) -> None:
         action_space = gymnasium.spaces.Discrete(2)
 
         def action(self, action: int) -> tuple[int, int]:
-            return 0, action if kept else 1 - action
+            return 0, action if same_numbers else 1 - action
 
-    if kept:
+    if same_numbers:
         assert MDP.from_gymnasium(Flat(Doses())).n_actions == 2
         return
     with pytest.raises(ModelError, match="Flat changes the environment"):

@@ -20,9 +20,9 @@ SMALL = ["tasks=[1]", "max_trial=1"]
 
 
 def test_a_shipped_scenario() -> None:
-    found = load("yuan2025", sets=SMALL)
-    assert found.name == "yuan2025"
-    assert_same(found, Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile())
+    loaded = load("yuan2025", sets=SMALL)
+    assert loaded.name == "yuan2025"
+    assert_same(loaded, Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile())
 
 
 def test_settings_apply_in_order_and_the_discount_last() -> None:
@@ -41,25 +41,25 @@ def test_a_scenario_file(tmp_path: Path) -> None:
     for name in ("my tea.toml", "TEA.TOML"):
         path = tmp_path / name
         path.write_text(text.replace('name = "tea"\n', ""), encoding="utf-8")
-        found = load(path, sets=["tasks=[2]"])
-        assert found.name == path.stem
-        assert found.discount_exact == Fraction(99, 100)
-        assert found.n_states == 2 * 4 * 8 + 1
+        loaded = load(path, sets=["tasks=[2]"])
+        assert loaded.name == path.stem
+        assert loaded.discount_exact == Fraction(99, 100)
+        assert loaded.n_states == 2 * 4 * 8 + 1
 
 
 @pytest.mark.parametrize("name", ["model.npz", "model.umb", "MODEL.NPZ"])
 def test_a_saved_model(tmp_path: Path, name: str) -> None:
     mdp = load("yuan2025", sets=SMALL)
     save(mdp, tmp_path / name)
-    found = load(tmp_path / name)
-    assert found.name == "yuan2025"
-    assert found.reward.tolist() == mdp.reward.tolist()
-    assert sorted(found.table.row(5)) == sorted(mdp.table.row(5))
+    loaded = load(tmp_path / name)
+    assert loaded.name == "yuan2025"
+    assert loaded.reward.tolist() == mdp.reward.tolist()
+    assert sorted(loaded.table.row(5)) == sorted(mdp.table.row(5))
     assert load(str(tmp_path / name), discount="1/3").discount_exact == Fraction(1, 3)
     if name.endswith("npz"):
-        kept = tmp_path / "kept.npz"
-        save(mdp.with_(discount="1/2"), kept)
-        assert load(kept).discount_exact == Fraction(1, 2)
+        saved = tmp_path / "kept.npz"
+        save(mdp.with_(discount="1/2"), saved)
+        assert load(saved).discount_exact == Fraction(1, 2)
 
 
 def test_a_nameless_model_goes_by_its_file(tmp_path: Path) -> None:
@@ -139,9 +139,9 @@ def test_convert_keeps_labels_and_refuses_other_endings(tmp_path: Path) -> None:
         words = ("convert", tmp_path / source, tmp_path / target, "--json")
         assert run(*words).result["written"] == str(tmp_path / target)
     names = ("a.npz", "b.umb", "c.npz")
-    found = [run("info", tmp_path / name, "--json").result for name in names]
-    assert {each["model_hash"] for each in found} == {found[0]["model_hash"]}
-    assert found[2]["labels"] == {"half way": 2, "goal": 1}
+    infos = [run("info", tmp_path / name, "--json").result for name in names]
+    assert {each["model_hash"] for each in infos} == {infos[0]["model_hash"]}
+    assert infos[2]["labels"] == {"half way": 2, "goal": 1}
     failed = run("convert", tmp_path / "a.npz", tmp_path / "m.drn")
     assert (failed.status, failed.out) == (2, "")
 

@@ -51,7 +51,7 @@ def test_counts_are_those_of_a_dictionary(rows: list[tuple[Any, ...]], size: int
     )
     assert mdp.observations is not None
     assert mdp.counts is not None
-    found = 0
+    pairs = 0
     for pair in range(mdp.n_pairs):
         label = mdp.space.label(int(mdp.pair_state[pair])).removeprefix("state ")
         counts = seen.get((label, mdp.actions[mdp.pair_action[pair]]))
@@ -60,15 +60,15 @@ def test_counts_are_those_of_a_dictionary(rows: list[tuple[Any, ...]], size: int
             assert mdp.terminal[mdp.pair_state[pair]]
             assert mdp.counts[[pair]].sum() == 0
             continue
-        found += 1
+        pairs += 1
         total = counts.total()
         assert mdp.observations[pair] == mdp.counts[[pair]].sum() == total
-        told = [
+        listed = [
             (mdp.space.label(then).removeprefix("state "), reward, chance)
             for chance, then, reward in mdp.table.row(pair)
         ]
-        assert sorted(told) == sorted((*key, F(n, total)) for key, n in counts.items())
-    assert found == len(seen)
+        assert sorted(listed) == sorted((*key, F(n, total)) for key, n in counts.items())
+    assert pairs == len(seen)
     told_starts = {mdp.space.label(s).removeprefix("state "): p for s, p in mdp.start}
     assert told_starts == {s: F(n, starts.total()) for s, n in starts.items()}
 
@@ -81,20 +81,23 @@ def test_a_file_gives_the_same_model_and_keeps_its_decimals(tmp_path: Path) -> N
         (8, "home", "go", 0.1, None),
     ]
     table(rows).to_csv(tmp_path / "log.csv", index=False)
-    written, held = MDP.from_transitions(tmp_path / "log.csv"), MDP.from_transitions(table(rows))
-    home = [mdp.pair(mdp.space.column("state").parse("home"), "go") for mdp in (written, held)]
+    written, estimated = (
+        MDP.from_transitions(tmp_path / "log.csv"),
+        MDP.from_transitions(table(rows)),
+    )
+    home = [mdp.pair(mdp.space.column("state").parse("home"), "go") for mdp in (written, estimated)]
     assert {row[2] for row in written.table.row(home[0])} == {F(1, 10)}
-    assert {row[2] for row in held.table.row(home[1])} == {F(0.1)}
-    assert written.observations.tolist() == held.observations.tolist()  # type: ignore[union-attr]
+    assert {row[2] for row in estimated.table.row(home[1])} == {F(0.1)}
+    assert written.observations.tolist() == estimated.observations.tolist()  # type: ignore[union-attr]
     save(written, tmp_path / "model.npz")
     again = load(tmp_path / "model.npz")
     assert (again.counts != written.counts).nnz == 0
     assert fingerprint(again) == fingerprint(written)
     table(rows).to_parquet(tmp_path / "log.parquet")
-    assert fingerprint(MDP.from_transitions(tmp_path / "log.parquet")) == fingerprint(held)
+    assert fingerprint(MDP.from_transitions(tmp_path / "log.parquet")) == fingerprint(estimated)
     renamed = table(rows).rename(columns={"episode": "stay", "state": "s t"})
     other = MDP.from_transitions(renamed, columns={"episode": "stay", "state": "s t"})
-    assert fingerprint(other) == fingerprint(held)
+    assert fingerprint(other) == fingerprint(estimated)
 
 
 def test_numbered_states_stand_in_order() -> None:
@@ -155,9 +158,9 @@ def test_a_bad_row_is_named(what: str, tmp_path: Path) -> None:
         MDP.from_transitions(table(BAD[what]))
     assert error.value.where == f"transitions, row {last}"
     table(BAD[what]).to_csv(tmp_path / "log.csv", index=False)
-    found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz")
-    assert found.status == 2
-    assert f"log.csv, line {last + 2}" in found.err
+    done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz")
+    assert done.status == 2
+    assert f"log.csv, line {last + 2}" in done.err
     assert not (tmp_path / "m.npz").exists()
 
 
@@ -178,8 +181,8 @@ def test_truth_values_are_no_numbers() -> None:
         MDP.from_transitions(table([(1, True, "x", 0, None), (2, 1, "x", 0, None)]))
     mdp = MDP.from_transitions(table([(1, 1, "x", 0, True), (2, 1, "x", 0, True)]))
     assert mdp.space.labels(range(2)) == ["state 1", "state True"]
-    kept = MDP.from_transitions(table([(1, True, "x", 0, False), (2, False, "x", 0, pd.NA)]))
-    assert kept.space.labels(range(3)) == ["state False", "state True", "end"]
+    estimated = MDP.from_transitions(table([(1, True, "x", 0, False), (2, False, "x", 0, pd.NA)]))
+    assert estimated.space.labels(range(3)) == ["state False", "state True", "end"]
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
@@ -191,9 +194,9 @@ def test_a_column_that_may_say_how_episodes_stop_is_named(
 ) -> None:
     frame, path = table([GOOD]).assign(**{name: True}), tmp_path / f"log.{ending}"
     frame.to_csv(path, index=False) if ending == "csv" else frame.to_parquet(path)
-    told = run("data", path, "--out", tmp_path / "m.npz")
-    assert told.status == 0
-    assert (f"'{name}' is not used" in " ".join(told.err.split())) == (name != "note")
+    done = run("data", path, "--out", tmp_path / "m.npz")
+    assert done.status == 0
+    assert (f"'{name}' is not used" in " ".join(done.err.split())) == (name != "note")
     if name != "note":
         used = run("data", path, "--out", tmp_path / "m.npz", "--column", f"truncated={name}")
         assert "is not used" not in used.err
@@ -237,8 +240,8 @@ def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
     (tmp_path / "log.parquet").write_bytes(b"PAR1")
     with pytest.raises(ModelError, match="no Parquet"):
         MDP.from_transitions(tmp_path / "log.parquet")
-    found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
-    assert (found.status, "--out" in found.err) == (2, True)
+    done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
+    assert (done.status, "--out" in done.err) == (2, True)
 
 
 def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
@@ -264,20 +267,25 @@ def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
 def test_a_text_in_another_encoding_is_refused(encoding: str, tmp_path: Path) -> None:
     table([(1, "ä", "x", 0, "b")]).to_csv(tmp_path / "log.csv", index=False, encoding=encoding)
-    found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz")
-    assert (found.status, found.out) == (2, "")
-    assert "UTF-8" in found.err
+    done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz")
+    assert (done.status, done.out) == (2, "")
+    assert "UTF-8" in done.err
 
 
 def test_the_command(tmp_path: Path) -> None:
     rows = [(n, "a", "x", "0.5", "b") for n in range(7)] + [(7, "a", "y", "1", "a")]
     table(rows).to_csv(tmp_path / "log.csv", index=False)
-    found = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz", "--json")
-    told = json.loads(found.out)
-    assert [told[key] for key in ("episodes", "transitions", "states", "actions")] == [8, 8, 2, 2]
-    assert told["written"] == str(tmp_path / "m.npz")
-    assert told["rare"] == [{"state": "state a", "action": "y", "observations": 1}]
-    assert told["ends"] == ["state b"]
+    done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz", "--json")
+    content = json.loads(done.out)
+    assert [content[key] for key in ("episodes", "transitions", "states", "actions")] == [
+        8,
+        8,
+        2,
+        2,
+    ]
+    assert content["written"] == str(tmp_path / "m.npz")
+    assert content["rare"] == [{"state": "state a", "action": "y", "observations": 1}]
+    assert content["ends"] == ["state b"]
     mdp = load(tmp_path / "m.npz")
     assert mdp.counts is not None
     assert mdp.episodes == 8

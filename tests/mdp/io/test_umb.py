@@ -29,31 +29,31 @@ def test_umbi_itself_reads_ours(tmp_path: Path) -> None:
     """The format's own library finds the same chances, expected rewards, labels and columns."""
     mdp, path = CARE, tmp_path / "care.umb"
     save(mdp, path)
-    found = read_by_umbi(path)
-    system = found.index.transition_system
+    theirs = read_by_umbi(path)
+    system = theirs.index.transition_system
     assert (system.time, system.num_players) == ("discrete", 1)
     assert (system.num_states, system.num_choices) == (mdp.n_states, mdp.n_pairs)
-    offsets, rewards = found.choice_to_branches, found.annotations["rewards"]
+    offsets, rewards = theirs.choice_to_branches, theirs.annotations["rewards"]
     for pair in range(mdp.n_pairs):
         span = slice(offsets[pair], offsets[pair + 1])
         law = list(
-            zip(found.branch_to_probability[span], found.branch_to_target[span], strict=True)
+            zip(theirs.branch_to_probability[span], theirs.branch_to_target[span], strict=True)
         )
         assert law == [(p, n) for p, n, _ in mdp.table.row(pair)]
         assert all(isinstance(p, Fraction) for p, _ in law)
         mean = sum(p * r for p, _, r in mdp.table.row(pair))
         assert rewards["reward"]["choices"][pair] == mean
-    described = {d.description: key for key, d in found.index.annotations["rewards"].items()}
-    aliases = {d.alias for d in found.index.annotations["rewards"].values()}
+    described = {d.description: key for key, d in theirs.index.annotations["rewards"].items()}
+    aliases = {d.alias for d in theirs.index.annotations["rewards"].values()}
     assert {"subtask_complete", "assist_non_directive", "anger"} <= aliases
     for name in mdp.component_names:
         values = rewards[described[name]]["choices"]
         top, bottom = mdp.component(name)
         assert values == [Fraction(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
-    assert found.annotations["aps"]["terminal"]["states"] == mdp.terminal.tolist()
-    assert found.state_is_initial == [state == 0 for state in range(mdp.n_states)]
-    assert found.choice_action_to_string == list(mdp.actions)
-    variables = found.index.valuations["states"].classes[0].attributes
+    assert theirs.annotations["aps"]["terminal"]["states"] == mdp.terminal.tolist()
+    assert theirs.state_is_initial == [state == 0 for state in range(mdp.n_states)]
+    assert theirs.choice_action_to_string == list(mdp.actions)
+    variables = theirs.index.valuations["states"].classes[0].attributes
     assert [(v.name, v.sized_type.size_bits) for v in variables] == [
         (name, 32) for name in mdp.space.names
     ]

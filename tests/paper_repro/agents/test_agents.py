@@ -72,23 +72,23 @@ def test_every_component_is_in_the_prompt_in_the_papers_order() -> None:
 
 
 def test_prompts_hold_what_they_are_given() -> None:
-    told = {name: text(request) for name, request in requests().items()}
+    prompts = {name: text(request) for name, request in requests().items()}
     for sign in ("PAST WORDS", "PAST ANSWER", "oat flakes", "attempt 3 of at most 5"):
-        assert sign in told["behaviour"]
-        assert sign in told["execution"]
-        assert sign not in told["perception"]
-    assert encode(STATUS) in told["behaviour"]
-    assert "decided on: directive" in told["execution"]
-    assert "NOW SAID" in told["perception"]
-    assert encode(STATUS) not in told["perception"]  # nobody tells it the status
+        assert sign in prompts["behaviour"]
+        assert sign in prompts["execution"]
+        assert sign not in prompts["perception"]
+    assert encode(STATUS) in prompts["behaviour"]
+    assert "decided on: directive" in prompts["execution"]
+    assert "NOW SAID" in prompts["perception"]
+    assert encode(STATUS) not in prompts["perception"]  # nobody tells it the status
     assert set(requests()["perception"].facts) == {"nonverbal", "verbal"}
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_four_variants(variant: str) -> None:
-    detailed, told = VARIANTS[variant]
+    detailed, brief = VARIANTS[variant]
     request = requests(variant)["execution"]
-    assert ("<status>" in text(request)) == told == ("status" in request.facts)
+    assert ("<status>" in text(request)) == brief == ("status" in request.facts)
     assert ("You are doing well, take all the time you need." in text(request)) == detailed
 
 
@@ -243,9 +243,9 @@ def test_a_failure_loses_the_running_step_alone(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         talk(backend=Failing(noise=0.1)).hold(tmp_path)
-    kept = log.read(tmp_path / NAME)
-    assert kept is not None
-    assert 0 < len(kept.steps) < 4
+    steps = log.read(tmp_path / NAME)
+    assert steps is not None
+    assert 0 < len(steps.steps) < 4
     assert "Timestep 0" in (tmp_path / "conversation.txt").read_text("utf-8")
     again = talk().hold(tmp_path, resume=True)
     assert again.end == talk().hold(tmp_path / "whole").end

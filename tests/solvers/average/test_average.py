@@ -12,9 +12,9 @@ from exact_mdp import MDP, Certificate, certify
 
 
 def proven(mdp: MDP) -> Certificate:
-    found = certify(mdp, criterion="average")
-    assert found.violations() == []
-    return found
+    optimum = certify(mdp, criterion="average")
+    assert optimum.violations() == []
+    return optimum
 
 
 # model, gain of each state, and who published it
@@ -42,9 +42,9 @@ def test_published_gains(name: str) -> None:
 def test_howards_taxicab() -> None:
     """Howard (1960), chapter 4: 13.34 a trip, at the stand in every town."""
     case = BY_NAME["howard-taxicab"]
-    found = proven(Rows(n_states=3, pairs=case.pairs, discount=case.discount).model())
-    assert found.policy.tolist() == [1, 1, 1]
-    assert float(found.value[0]) == pytest.approx(13.34454, abs=5e-6)
+    optimum = proven(Rows(n_states=3, pairs=case.pairs, discount=case.discount).model())
+    assert optimum.policy.tolist() == [1, 1, 1]
+    assert float(optimum.value[0]) == pytest.approx(13.34454, abs=5e-6)
 
 
 def test_tijms_maintenance() -> None:
@@ -58,21 +58,21 @@ def test_tijms_maintenance() -> None:
     rows = [(s, 0, [(p, t, 0) for t, p in row.items()]) for s, row in enumerate(wear)]
     rows += [(s, 1, [(1, 0, cost)]) for s, cost in ((1, 7), (2, 7), (3, 5))]
     rows += [(4, 2, [(1, 5, 10)]), (5, 2, [(1, 0, 0)])]
-    found = certify(MDP.from_outcomes(sorted(rows), sense="min"), criterion="average")
-    assert found.violations() == []
-    assert found.policy.tolist() == [0, 0, 0, 1, 2, 2]
-    assert [float(g) for g in found.value] == pytest.approx([0.4338] * 6, abs=5e-5)
-    relative = [float(h - found.bias[5]) for h in found.bias]
+    optimum = certify(MDP.from_outcomes(sorted(rows), sense="min"), criterion="average")
+    assert optimum.violations() == []
+    assert optimum.policy.tolist() == [0, 0, 0, 1, 2, 2]
+    assert [float(g) for g in optimum.value] == pytest.approx([0.4338] * 6, abs=5e-5)
+    relative = [float(h - optimum.bias[5]) for h in optimum.bias]
     assert relative == pytest.approx([0.4338, 4.7717, 6.5982, 5, 9.5662, 0], abs=5e-5)
 
 
 def test_gain_and_bias_of_putermans_two_classes() -> None:
     """Puterman, example 8.2.2, pages 345 and 346: its recurrent states."""
     rows = [[1, 0, 0], [0, F(2, 5), F(3, 5)], [0, F(7, 10), F(3, 10)]]
-    found = proven(MDP.from_arrays([rows], [[2], [5], [4]]))
-    assert found.value.tolist() == [2, F(59, 13), F(59, 13)]  # 4.538
-    assert found.bias.tolist() == [0, F(60, 169), F(-70, 169)]  # 0.354 and -0.416 from 4.538
-    assert [float(x) for x in found.bias] == pytest.approx([0, 0.354, -0.416], abs=2e-3)
+    optimum = proven(MDP.from_arrays([rows], [[2], [5], [4]]))
+    assert optimum.value.tolist() == [2, F(59, 13), F(59, 13)]  # 4.538
+    assert optimum.bias.tolist() == [0, F(60, 169), F(-70, 169)]  # 0.354 and -0.416 from 4.538
+    assert [float(x) for x in optimum.bias] == pytest.approx([0, 0.354, -0.416], abs=2e-3)
 
 
 def test_rows_of_floats_mean_what_was_written() -> None:
@@ -96,8 +96,8 @@ def test_a_policy_of_less_bias_is_found() -> None:
     """Both ways to the end earn its gain; one of them earns 5 on the way."""
     mdp = MDP.from_outcomes([(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 1)])])
     good, worse = proven(mdp), proven(mdp.with_(table=mdp.table.of_pairs(np.array([0, 0, 2]))))
-    found = replace(worse, model=good.model, mdp=mdp)
-    assert found.violations()[0] == "state 0, action 1: its h is more than is claimed"
+    changed = replace(worse, model=good.model, mdp=mdp)
+    assert changed.violations()[0] == "state 0, action 1: its h is more than is claimed"
     assert good.bias.tolist() == [4, 0]
     assert good.losses[1].tolist() == [5, 0, 0]
 
@@ -108,6 +108,6 @@ def test_a_policy_of_the_same_relative_values_and_less_bias_is_found() -> None:
     good = proven(mdp)
     assert good.bias.tolist() == [F(1, 2), F(-1, 2)]
     worse = proven(mdp.with_(table=mdp.table.of_pairs(np.array([0, 0, 2]))))
-    found = replace(worse, model=good.model, mdp=mdp)
-    assert found.violations()[0] == "state 0, action 1: its w is more than is claimed"
+    changed = replace(worse, model=good.model, mdp=mdp)
+    assert changed.violations()[0] == "state 0, action 1: its w is more than is claimed"
     assert worse.bias.tolist() == [0, -1]

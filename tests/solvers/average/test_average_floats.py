@@ -23,9 +23,9 @@ from exact_mdp import (
 SMALL = models(discounts=[F(1, 2)])
 
 
-def off(found: np.ndarray, exact: object) -> np.ndarray:
+def off(floats: np.ndarray, exact: object) -> np.ndarray:
     """How far floats are from exact numbers, rounded up."""
-    return np.array([float(abs(F(x) - y)) for x, y in zip(found.tolist(), exact, strict=True)])  # type: ignore[call-overload]
+    return np.array([float(abs(F(x) - y)) for x, y in zip(floats.tolist(), exact, strict=True)])  # type: ignore[call-overload]
 
 
 def mixed(rows: Rows, chances: dict[tuple[int, int], F]) -> list[Row]:
@@ -57,22 +57,24 @@ def test_evaluations_are_within_their_bounds(rows: Rows, data: st.DataObject) ->
     given_as = np.array(
         [float(chances[row[:2]]) for row in sorted(rows.pairs, key=lambda r: r[:2])]
     )
-    found = evaluate(mdp, given_as, criterion="average")
+    evaluation = evaluate(mdp, given_as, criterion="average")
     chain = mixed(rows, chances)
     # what a float cannot say exactly moves the numbers by little more
     gain, bias = gain_and_bias(chain)
     slack = (
-        1e-9 * (1 + float(max(map(abs, bias)))) * (found.weights != np.rint(found.weights)).any()
+        1e-9
+        * (1 + float(max(map(abs, bias))))
+        * (evaluation.weights != np.rint(evaluation.weights)).any()
     )
-    assert (off(found.value, gain) <= found.error + slack).all()
-    assert (off(found.bias, bias) <= found.bias_error + 1e3 * slack).all()
+    assert (off(evaluation.value, gain) <= evaluation.error + slack).all()
+    assert (off(evaluation.bias, bias) <= evaluation.bias_error + 1e3 * slack).all()
     times = [
         gain_and_bias([(s, a, F(s == t), p) for s, a, _, p in chain])[0][-1]
         for t in range(rows.n_states)
     ]
-    assert (off(found.share.value, times) <= found.share.error + slack).all()
-    total = found.components["reward"]
-    assert abs(total.value - found.start.value) <= total.error + found.start.error
+    assert (off(evaluation.share.value, times) <= evaluation.share.error + slack).all()
+    total = evaluation.components["reward"]
+    assert abs(total.value - evaluation.start.value) <= total.error + evaluation.start.error
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -90,9 +92,9 @@ def test_gains_that_are_equal_but_for_rounding_do_not_hide_what_is_better(seed: 
     ends = set(rng.integers(0, 30, 2).tolist())
     rows = [row for row in rows if row[0] not in ends] + [(s, 0, [(1, s, 0)]) for s in ends]
     mdp = MDP.from_outcomes(rows)
-    found, best = solve(mdp, criterion="average"), certify(mdp, criterion="average")
-    assert (off(found.value, best.value) <= found.state_error).all()
-    assert found.error_bound < 1e-9
+    solution, best = solve(mdp, criterion="average"), certify(mdp, criterion="average")
+    assert (off(solution.value, best.value) <= solution.state_error).all()
+    assert solution.error_bound < 1e-9
 
 
 def test_a_reset_chain_of_low_gain_is_solved() -> None:
@@ -112,26 +114,26 @@ def test_a_reset_chain_of_low_gain_is_solved() -> None:
     mdp = MDP.from_outcomes(rows)
     exact = certify(mdp, criterion="average").start_value
     assert exact == F(1, 2**40)
-    found = solve(mdp, criterion="average")
-    assert abs(F(found.start_value) - exact) <= found.start.error
-    assert found.start.error <= 1e-14
+    solution = solve(mdp, criterion="average")
+    assert abs(F(solution.start_value) - exact) <= solution.start.error
+    assert solution.start.error <= 1e-14
 
 
 def test_components_of_rows_that_are_divided_by_their_sums_add_up() -> None:
     rows = [(0, 0, [(0.1, 0, 1.5), (0.9 + 1e-10, 1, 2.0)]), (1, 0, [(0.3, 0, 1.0), (0.7, 1, 0.1)])]
     mdp = MDP.from_outcomes(rows).with_(components={"first": [1.25, 0], "second": ["1/3", "1/7"]})
-    found = evaluate(mdp, [0, 0], criterion="average")
-    total = sum(number.value for number in found.components.values())
-    assert list(found.components) == ["first", "second", "rest"]
-    assert total == pytest.approx(found.start_value, rel=1e-12)
-    assert found.components["first"].value == pytest.approx(1.25 / 4 / (1 + 1e-10), rel=1e-9)
+    evaluation = evaluate(mdp, [0, 0], criterion="average")
+    total = sum(number.value for number in evaluation.components.values())
+    assert list(evaluation.components) == ["first", "second", "rest"]
+    assert total == pytest.approx(evaluation.start_value, rel=1e-12)
+    assert evaluation.components["first"].value == pytest.approx(1.25 / 4 / (1 + 1e-10), rel=1e-9)
 
 
 def test_the_random_policy_of_the_forest() -> None:
-    found = evaluate(forest("9/10"), "random", criterion="average")
-    assert found.start.interval[0] <= 117 / 160 <= found.start.interval[1]
-    assert found.read_as == "policy"
-    assert found.frame().columns[:3].tolist() == ["state", "gain", "gain error"]
+    evaluation = evaluate(forest("9/10"), "random", criterion="average")
+    assert evaluation.start.interval[0] <= 117 / 160 <= evaluation.start.interval[1]
+    assert evaluation.read_as == "policy"
+    assert evaluation.frame().columns[:3].tolist() == ["state", "gain", "gain error"]
     assert evaluate(forest("9/10"), "optimal", criterion="average").start_value == pytest.approx(
         3.24
     )
@@ -143,6 +145,6 @@ def test_settings() -> None:
         assert solve(mdp, tol=1e-300, criterion="average").error_bound < 1e-12
     with pytest.raises(SolverError, match="after 3 iterations"):
         solve(mdp, ValueIteration(max_iterations=3), criterion="average")
-    found = solve(mdp, criterion="average")
-    assert repr(found).startswith("AverageSolution(policy-iteration: start value 3.24")
-    assert found.q[found.pairs] == pytest.approx(found.bias)
+    solution = solve(mdp, criterion="average")
+    assert repr(solution).startswith("AverageSolution(policy-iteration: start value 3.24")
+    assert solution.q[solution.pairs] == pytest.approx(solution.bias)

@@ -19,9 +19,11 @@ def test_values_of_policies(model: Pairs, data: st.DataObject) -> None:
     mdp = model_of(size, pairs, F(1))
     chosen = data.draw(st.sampled_from(list(policies(pairs))[:20]))
     value = total(chosen)
-    found = evaluate(mdp, np.array([action for _, action, _, _ in chosen]))
-    assert found.mean == value[0] or abs(F(found.mean) - value[0]) <= F(found.start.error)
-    for number, exact in zip(found.value, value, strict=True):
+    evaluation = evaluate(mdp, np.array([action for _, action, _, _ in chosen]))
+    assert evaluation.mean == value[0] or abs(F(evaluation.mean) - value[0]) <= F(
+        evaluation.start.error
+    )
+    for number, exact in zip(evaluation.value, value, strict=True):
         assert isnan(number) or number == exact or abs(number - exact) < 1e-9
 
 
@@ -34,10 +36,10 @@ def resting() -> MDP:
 
 def test_a_policy_comes_to_rest() -> None:
     mdp = resting()
-    found = evaluate(mdp, [0, 0, 0])
-    assert found.mean == pytest.approx(2)
-    assert found.sd == pytest.approx(2**0.5)
-    assert (found.ends, found.steps, found.quantiles[0.5]) == (False, inf, 1)
+    evaluation = evaluate(mdp, [0, 0, 0])
+    assert evaluation.mean == pytest.approx(2)
+    assert evaluation.sd == pytest.approx(2**0.5)
+    assert (evaluation.ends, evaluation.steps, evaluation.quantiles[0.5]) == (False, inf, 1)
     listed = return_distribution(mdp, [0, 0, 0])
     assert listed.cdf(3) == pytest.approx(7 / 8)
     assert listed.remaining < 1e-11
@@ -48,11 +50,11 @@ def test_a_policy_comes_to_rest() -> None:
 @pytest.mark.parametrize(("action", "mean"), [(1, -inf), (2, inf)])
 def test_a_policy_goes_on_for_ever(action: int, mean: float) -> None:
     mdp, policy = resting(), [0, 0, action]
-    found = evaluate(mdp, policy)
-    assert found.mean == mean
-    assert found.components == {"reward": mean}
-    assert isnan(found.sd)
-    assert {*found.quantiles.values()} == {mean}
+    evaluation = evaluate(mdp, policy)
+    assert evaluation.mean == mean
+    assert evaluation.components == {"reward": mean}
+    assert isnan(evaluation.sd)
+    assert {*evaluation.quantiles.values()} == {mean}
     assert return_distribution(mdp, policy).unending.keys() == {mean}
     drawn = simulate(mdp, policy, n=3, rng=0)
     assert (drawn.mean, drawn.never_ends) == (mean, 1)
@@ -90,15 +92,15 @@ def test_what_is_lost_adds_up_where_it_is_lost(model: Pairs, data: st.DataObject
     chosen = [data.draw(st.sampled_from([a for t, a, *_ in pairs if t == s])) for s in range(size)]
     for tried in (mdp, floats):
         try:
-            found = check(tried, np.array(chosen))
+            audit = check(tried, np.array(chosen))
         except ModelError as error:
             assert "nothing can be compared" in str(error)  # noqa: PT017
             continue
-        lost = found.regret.at_start.value
+        lost = audit.regret.at_start.value
         assert lost >= 0
-        if np.isfinite(float(found.regret.optimal.value)):
+        if np.isfinite(float(audit.regret.optimal.value)):
             assert check(tried, "optimal").regret.at_start.value == 0
-        costs = [each.cost for each in found.disagreements]
+        costs = [each.cost for each in audit.disagreements]
         if lost == 0 or not np.isfinite(float(lost)):
             continue
         assert sum(costs) == pytest.approx(float(lost), rel=1e-9)
@@ -119,8 +121,8 @@ def test_rows_that_do_not_quite_sum_to_1_mean_the_same_to_the_optimum_and_to_the
     assert (only.learned, only.optimal) == ("bad", ("good",))  # waiting earns nothing
     assert only.cost == pytest.approx(float(audit.regret.at_start.value))
     best = certify(mdp).start_value
-    for found in (evaluate(mdp, "optimal"), evaluate(mdp, {0: "good"})):
-        assert abs(F(found.mean) - best) <= F(found.start.error)
+    for evaluation in (evaluate(mdp, "optimal"), evaluate(mdp, {0: "good"})):
+        assert abs(F(evaluation.mean) - best) <= F(evaluation.start.error)
 
 
 def test_who_waits_is_blamed_where_the_way_out_is() -> None:

@@ -22,39 +22,39 @@ from exact_mdp import (
 )
 
 
-def close(mdp: MDP, value: list, found) -> None:
-    for exact, number, error in zip(value, found.value, found.state_error, strict=True):
+def close(mdp: MDP, value: list, solution) -> None:
+    for exact, number, error in zip(value, solution.value, solution.state_error, strict=True):
         assert number == exact or abs(F(float(number)) - exact) <= F(float(error))
-    assert found.error_bound < 1e-6
+    assert solution.error_bound < 1e-6
 
 
 @given(
-    model=any_models(5), worth=st.sampled_from([inf, -inf]), sense=st.sampled_from(["max", "min"])
+    model=any_models(5), missed=st.sampled_from([inf, -inf]), sense=st.sampled_from(["max", "min"])
 )
-def test_a_goal_that_is_missed(model: Pairs, worth: float, sense: str) -> None:
+def test_a_goal_that_is_missed(model: Pairs, missed: float, sense: str) -> None:
     size, pairs = model
     pairs = ((0, 0, F(0), {0: F(1)}), *(row for row in pairs if row[0]))
     mdp = model_of(size, pairs, F(1))
     goal = np.arange(size) == 0
-    mdp = replace(mdp, goal=goal, unreached=worth, sense=sense)
+    mdp = replace(mdp, goal=goal, unreached=missed, sense=sense)
     sign = 1 if sense == "max" else -1
-    value = reaching(pairs, worth, sign)
+    value = reaching(pairs, missed, sign)
     try:
-        found = certify(mdp)
+        optimum = certify(mdp)
     except ModelError as error:
         assert "fall without end before the goal" in str(error)  # noqa: PT017
         assert rising(pairs, value, sign)[0] > sign * value[0]
         return
-    assert found.violations() == []
-    if worth == -sign * inf:  # no policy has a bound that is not attained, and all come close
+    assert optimum.violations() == []
+    if missed == -sign * inf:  # no policy has a bound that is not attained, and all come close
         most = rising(pairs, value, sign)
-        for s, x in enumerate(found.value.tolist()):
+        for s, x in enumerate(optimum.value.tolist()):
             if x == sign * inf:
                 assert most[s] > sign * value[s]
                 value[s] = x
-            elif value[s] != worth:
+            elif value[s] != missed:
                 assert most[s] <= sign * value[s] + 1e-9
-    assert found.value.tolist() == value
+    assert optimum.value.tolist() == value
     close(mdp, value, solve(mdp))
 
 
@@ -95,14 +95,14 @@ def test_costs_that_fall_elsewhere_leave_the_start_its_value() -> None:
     rows = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, -1)]), (2, 1, [(1, 1, 0)])]
     flags = {"home": [False, True, False]}
     mdp = MDP.from_outcomes(rows, labels=flags, sense="min").until("home")
-    found = certify(mdp)
-    assert (found.start_value, found.value.tolist()) == (1, [1, 0, -inf])
-    assert found.violations() == []
+    optimum = certify(mdp)
+    assert (optimum.start_value, optimum.value.tolist()) == (1, [1, 0, -inf])
+    assert optimum.violations() == []
     assert solve(mdp).value.tolist() == [1, 0, -inf]
     for infinite in ([0, 0, 0], [1, 0, 1], [0, 0, -1]):
-        assert replace(found, infinite=np.array(infinite)).violations()
+        assert replace(optimum, infinite=np.array(infinite)).violations()
     shut = MDP.from_outcomes([*rows[:3], (2, 1, [(1, 2, 0)])], labels=flags, sense="min")
-    assert replace(found, model=certify(shut.until("home")).model).violations(shut.until("home"))
+    assert replace(optimum, model=certify(shut.until("home")).model).violations(shut.until("home"))
     assert certify(shut.until("home")).value.tolist() == [1, 0, inf]
     for asked in (certify, solve):
         with pytest.raises(ModelError, match="fall without end before the goal"):
@@ -124,11 +124,11 @@ def test_a_bandit_with_dead_ends() -> None:
                 after = [word[:place] + letter + word[place + 1 :] for letter in "abc"]
                 rows.append((s, place, [(F(1, 3), number[each], -1) for each in after]))
     mdp = MDP.from_outcomes(rows, start={number["abc"]: 1}, states=states)
-    found, floats = certify(mdp), solve(mdp)
+    optimum, floats = certify(mdp), solve(mdp)
     known = {"abc": F(-9, 2), "bab": -3, "ccb": -3, "bbb": 0, "aaa": -inf, "aab": -inf}
-    assert {word: found.value[number[word]] for word in known} == known
-    assert found.violations() == []
-    close(mdp, found.value, floats)
+    assert {word: optimum.value[number[word]] for word in known} == known
+    assert optimum.violations() == []
+    close(mdp, optimum.value, floats)
 
 
 @pytest.mark.slow
@@ -137,8 +137,8 @@ def test_a_chain_that_falls_back_again_and_again_is_solved(solver: str) -> None:
     case = BY_NAME["reset-chain-20-1/2-goal"]
     mdp = model_of(case.n_states, case.pairs, case.discount, start=case.start)
     with pytest.warns(PrecisionWarning):
-        found = solve(mdp, solver)
-    assert abs(found.start_value - 0.5) <= found.start.error < 1e-8
+        solution = solve(mdp, solver)
+    assert abs(solution.start_value - 0.5) <= solution.start.error < 1e-8
 
 
 @pytest.mark.parametrize(
@@ -147,8 +147,8 @@ def test_a_chain_that_falls_back_again_and_again_is_solved(solver: str) -> None:
 def test_mazes_of_gymnasium(name: str, value: float) -> None:
     pytest.importorskip("gymnasium")
     mdp = MDP.from_gymnasium(name)
-    found, proof = solve(mdp), certify(mdp)
-    assert found.start_value == pytest.approx(value, abs=1e-9)
+    solution, proof = solve(mdp), certify(mdp)
+    assert solution.start_value == pytest.approx(value, abs=1e-9)
     assert float(proof.start_value) == pytest.approx(value, abs=1e-12)
     assert proof.violations() == []
 
@@ -161,14 +161,14 @@ def test_mazes_of_gymnasium(name: str, value: float) -> None:
 def test_altered_claims_are_refused_without_a_crash(model: Pairs, data: st.DataObject) -> None:
     """Levels at random: the checker answers, whatever it is given."""
     size, pairs = model
-    found = certify(model_of(size, pairs, F(1)))
-    assume(found.g is not None)
+    optimum = certify(model_of(size, pairs, F(1)))
+    assume(optimum.g is not None)
     numbers = st.lists(st.integers(-1, 1), min_size=size, max_size=size)
     planted = replace(
-        found, **{name: replace(found.h, top=data.draw(numbers)) for name in ("g", "h")}
+        optimum, **{name: replace(optimum.h, top=data.draw(numbers)) for name in ("g", "h")}
     )
     if planted.violations() == []:
-        assert planted.value.tolist() == found.value.tolist()
+        assert planted.value.tolist() == optimum.value.tolist()
 
 
 def test_a_warning_names_the_line_that_asked() -> None:
@@ -183,9 +183,9 @@ def test_a_warning_names_the_line_that_asked() -> None:
     mdp = MDP.from_outcomes([*rows, home])
     waiting = MDP.from_outcomes([*rows, home, (last + 2, 1, [(1, 0, 0)])])
     for model in (mdp, waiting):
-        with pytest.warns(PrecisionWarning) as told:
+        with pytest.warns(PrecisionWarning) as caught:
             solve(model)
-        assert {each.filename for each in told} == {__file__}
+        assert {each.filename for each in caught} == {__file__}
     with pytest.warns(PrecisionWarning):
         exec("solve(mdp)", {"solve": solve, "mdp": mdp})  # where nothing has a name
     with pytest.raises(ModelError, match="need every policy to end") as caught:

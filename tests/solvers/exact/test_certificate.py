@@ -27,22 +27,22 @@ from exact_mdp import (
 )
 
 
-def check(found: Certificate, mdp: MDP) -> None:
+def check(proof: Certificate, mdp: MDP) -> None:
     """Everything that a certificate claims, computed anew from the model's own rational table."""
-    assert found.violations() == []
-    value = list(found.value)
+    assert proof.violations() == []
+    value = list(proof.value)
     gains = exact_gains(mdp, value)
     best = [[a for a in mdp.pairs_of(s) if gains[a] == 0] for s in range(mdp.n_states)]
     for s in range(mdp.n_states):
         if mdp.terminal[s]:
             assert value[s] == 0
-            assert found.optimal_pairs[list(mdp.pairs_of(s))].all()
+            assert proof.optimal_pairs[list(mdp.pairs_of(s))].all()
             continue
         losses = [-gains[a] for a in mdp.pairs_of(s)]
         assert min(losses) == 0
-        assert found.optimal_pairs[list(mdp.pairs_of(s))].tolist() == [x == 0 for x in losses]
-        assert found.gaps[s] == min((x for x in losses if x), default=None)
-        assert mdp.pair(s, int(found.policy[s])) == best[s][0]
+        assert proof.optimal_pairs[list(mdp.pairs_of(s))].tolist() == [x == 0 for x in losses]
+        assert proof.gaps[s] == min((x for x in losses if x), default=None)
+        assert mdp.pair(s, int(proof.policy[s])) == best[s][0]
     todo = [s for s, weight in mdp.start if weight]
     reached = set(todo)
     while todo:
@@ -50,32 +50,32 @@ def check(found: Certificate, mdp: MDP) -> None:
         new = {t for a in best[s] for _, t, _ in mdp.table.row(a)} - reached
         reached |= new
         todo += new
-    assert found.unique == all(len(best[s]) == 1 for s in reached if not mdp.terminal[s])
-    assert found.start_value == sum(weight * value[s] for s, weight in mdp.start)
-    assert found.value_float.tolist() == [float(x) for x in value]
+    assert proof.unique == all(len(best[s]) == 1 for s in reached if not mdp.terminal[s])
+    assert proof.start_value == sum(weight * value[s] for s, weight in mdp.start)
+    assert proof.value_float.tolist() == [float(x) for x in value]
 
 
-def check_reference(rows: Rows, found: Certificate, mdp: MDP) -> None:
+def check_reference(rows: Rows, proof: Certificate, mdp: MDP) -> None:
     value, optimal = solve_exact(rows.n_states, rows.pairs, rows.discount)
-    assert list(found.value) == value
+    assert list(proof.value) == value
     for s in range(rows.n_states):
-        chosen = [a for a in mdp.pairs_of(s) if found.optimal_pairs[a]]
+        chosen = [a for a in mdp.pairs_of(s) if proof.optimal_pairs[a]]
         assert {int(mdp.pair_action[a]) for a in chosen} == set(optimal[s])
 
 
-def exact_policy_values(mdp: MDP, found: BoundedCertificate) -> list[F]:
+def exact_policy_values(mdp: MDP, proof: BoundedCertificate) -> list[F]:
     """The values of the policy, from the certificate of the model that offers it alone."""
-    pairs = [mdp.pair(s, int(a)) for s, a in enumerate(found.policy)]
+    pairs = [mdp.pair(s, int(a)) for s, a in enumerate(proof.policy)]
     rows = [(s, 0, mdp.table.row(pair)) for s, pair in enumerate(pairs)]
     only = MDP.from_outcomes(rows, mdp.discount_exact)
     return list(certify(only).value)
 
 
-def check_bounds(mdp: MDP, found: BoundedCertificate) -> None:
-    assert found.violations() == []
-    best, taken = list(certify(mdp).value), exact_policy_values(mdp, found)
-    lower, upper, middle = map(exact_values, (found.lower, found.upper, found.value))
-    error = F(found.error_bound)
+def check_bounds(mdp: MDP, proof: BoundedCertificate) -> None:
+    assert proof.violations() == []
+    best, taken = list(certify(mdp).value), exact_policy_values(mdp, proof)
+    lower, upper, middle = map(exact_values, (proof.lower, proof.upper, proof.value))
+    error = F(proof.error_bound)
     for s in range(mdp.n_states):
         assert lower[s] <= taken[s] <= best[s] <= upper[s]
         assert abs(middle[s] - best[s]) <= error
@@ -89,20 +89,20 @@ def check_bounds(mdp: MDP, found: BoundedCertificate) -> None:
 @given(models())
 def test_random_models_are_solved_exactly(rows: Rows) -> None:
     mdp = rows.model(floats=False)
-    found = certify(mdp)
-    check(found, mdp)
+    optimum = certify(mdp)
+    check(optimum, mdp)
     check_bounds(mdp, certify(mdp, bounded=True))
-    check_reference(rows, found, mdp)
+    check_reference(rows, optimum, mdp)
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_published_models(case: Case) -> None:
     mdp = model_of(case.n_states, case.pairs, case.discount, start=case.start)
-    found = certify(mdp)
-    assert found.violations() == []
+    optimum = certify(mdp)
+    assert optimum.violations() == []
     assert case.values
     for state, value in case.values.items():
-        exact = found.value[state]
+        exact = optimum.value[state]
         near = 0 if isinstance(value, F) else case.tolerance
         assert exact == value or abs(exact - value) <= near, state
     assert case.proper == (case.discount < 1 or every_policy_ends(case.n_states, case.pairs))
@@ -111,13 +111,13 @@ def test_published_models(case: Case) -> None:
             certify(mdp, bounded=True)
         return
     for state, actions in case.optimal.items():
-        best = [a for a in mdp.pairs_of(state) if found.optimal_pairs[a]]
+        best = [a for a in mdp.pairs_of(state) if optimum.optimal_pairs[a]]
         assert {int(mdp.pair_action[a]) for a in best} == set(actions)
     for state, action in case.policy.items():
-        assert found.optimal_pairs[mdp.pair(state, action)]
-    check(found, mdp)
+        assert optimum.optimal_pairs[mdp.pair(state, action)]
+    check(optimum, mdp)
     check_reference(
-        Rows(n_states=case.n_states, pairs=case.pairs, discount=case.discount), found, mdp
+        Rows(n_states=case.n_states, pairs=case.pairs, discount=case.discount), optimum, mdp
     )
     try:
         check_bounds(mdp, certify(mdp, bounded=True))
@@ -128,10 +128,10 @@ def test_published_models(case: Case) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_models_of_every_kind(name: str) -> None:
     check(certified(name), MODELS[name])
-    found = certify(MODELS[name], bounded=True)
-    check_bounds(MODELS[name], found)
-    assert found.claim is Claim.BOUNDED
-    assert found.error_bound < 1e-9 * np.abs(found.value).max()
+    optimum = certify(MODELS[name], bounded=True)
+    check_bounds(MODELS[name], optimum)
+    assert optimum.claim is Claim.BOUNDED
+    assert optimum.error_bound < 1e-9 * np.abs(optimum.value).max()
 
 
 @pytest.mark.parametrize(
@@ -140,14 +140,14 @@ def test_models_of_every_kind(name: str) -> None:
 def test_care_model(readings: dict[str, str]) -> None:
     scenario = Scenario.load("yuan2025").with_(readings=readings)
     mdp, oracle = scenario.compile(), Oracle(readings)
-    found = certify(mdp)
-    assert found.violations() == []
-    assert found.unique
-    assert found.start_value == oracle.value(oracle.start)
+    optimum = certify(mdp)
+    assert optimum.violations() == []
+    assert optimum.unique
+    assert optimum.start_value == oracle.value(oracle.start)
     for state in oracle.reachable():
         number = mdp.n_states - 1 if state == END else _number(mdp, state)
-        assert found.value[number] == oracle.value(state)
-        pairs = [pair for pair in mdp.pairs_of(number) if found.optimal_pairs[pair]]
+        assert optimum.value[number] == oracle.value(state)
+        pairs = [pair for pair in mdp.pairs_of(number) if optimum.optimal_pairs[pair]]
         if len(mdp.pairs_of(number)) > 1:
             names = {mdp.actions[mdp.pair_action[pair]] for pair in pairs}
             assert names == oracle.optimal_actions(state)
@@ -161,12 +161,12 @@ def _number(mdp: MDP, state: Any) -> int:
 
 
 def primes(first: int, count: int) -> list[int]:
-    found: list[int] = []
-    while len(found) < count:
+    numbers: list[int] = []
+    while len(numbers) < count:
         if all(first % divisor for divisor in range(2, int(first**0.5) + 1)):
-            found.append(first)
+            numbers.append(first)
         first += 1
-    return found
+    return numbers
 
 
 @pytest.mark.parametrize("waiting", [False, True])
@@ -187,18 +187,18 @@ def test_denominators_without_common_factors(width: int, depth: int, waiting: bo
             rows.append((s, a, F(draw.randrange(-9, 9), next(bottoms)), following))
     rows.sort(key=lambda row: row[:2])
     mdp = model_of(last + 1, rows, F(1))
-    found = certify(mdp)
-    check(found, mdp)
-    check_reference(Rows(n_states=last + 1, pairs=tuple(rows), discount=F(1)), found, mdp)
-    lengths = [below.bit_length() for below in found.h.each_below]
-    assert max(lengths) < 3 * max(int(x.denominator).bit_length() for x in found.value)
+    optimum = certify(mdp)
+    check(optimum, mdp)
+    check_reference(Rows(n_states=last + 1, pairs=tuple(rows), discount=F(1)), optimum, mdp)
+    lengths = [below.bit_length() for below in optimum.h.each_below]
+    assert max(lengths) < 3 * max(int(x.denominator).bit_length() for x in optimum.value)
 
 
 def test_denominators_stay_short_where_values_do() -> None:
     chain = [(s, 0, F(1, 10), {s + 1: F(1)}) for s in range(200)]
-    found = certify(model_of(201, [*chain, (200, 0, F(0), {200: F(1)})], F(1)))
-    assert found.start_value == 20
-    assert max(found.h.below) == 10
+    optimum = certify(model_of(201, [*chain, (200, 0, F(0), {200: F(1)})], F(1)))
+    assert optimum.start_value == 20
+    assert max(optimum.h.below) == 10
 
 
 @pytest.mark.parametrize("scale", [F(10) ** 300, F(1, 10**300)])
@@ -206,18 +206,18 @@ def test_numbers_beyond_floats(scale: F) -> None:
     """Floats overflow or underflow while they seek the first policy; the answer is exact still."""
     pairs = [(s, a, r * scale, row) for s, a, r, row in CYCLE]
     mdp = model_of(4, pairs, F(999_999_999_999, 10**12))
-    found = certify(mdp)
-    check(found, mdp)
+    optimum = certify(mdp)
+    check(optimum, mdp)
     plain = certify(model_of(4, CYCLE, F(999_999_999_999, 10**12)))
-    assert list(found.value) == [x * scale for x in plain.value]
+    assert list(optimum.value) == [x * scale for x in plain.value]
 
 
 def test_where_all_that_remains_is_to_stop() -> None:
     mdp = model_of(2, [(s, a, F(0), {s: F(1)}) for s in range(2) for a in range(2)], F(1))
-    found = certify(mdp)
-    check(found, mdp)
-    assert found.unique
-    assert found.gaps.tolist() == [None, None]
+    optimum = certify(mdp)
+    check(optimum, mdp)
+    assert optimum.unique
+    assert optimum.gaps.tolist() == [None, None]
 
 
 @pytest.mark.parametrize("tiny", [F(1, 10**20), F(1, 10**400), F(1, 2**1100)])
@@ -233,9 +233,9 @@ def test_tiny_probabilities_do_not_vanish(tiny: F, around: bool) -> None:
         ],
         1,
     )
-    found = certify(mdp)
-    assert found.value[0] == (1 - tiny) / tiny
-    assert found.violations() == []
+    optimum = certify(mdp)
+    assert optimum.value[0] == (1 - tiny) / tiny
+    assert optimum.violations() == []
 
 
 # ---- bounds --------------------------------------------------------------------------------------
@@ -244,9 +244,9 @@ def test_tiny_probabilities_do_not_vanish(tiny: F, around: bool) -> None:
 def test_bounds_around_a_poor_solution_are_wide_and_hold() -> None:
     mdp = MODELS["cycle, discounted"]
     poor = replace(solve(mdp), value=np.array([5.0, -3.0, 4.0, 0.0]))
-    found = certify(mdp, bounded=True, solution=poor)
-    check_bounds(mdp, found)
-    assert found.error_bound > 1
+    optimum = certify(mdp, bounded=True, solution=poor)
+    check_bounds(mdp, optimum)
+    assert optimum.error_bound > 1
 
 
 def test_tolerance() -> None:
@@ -258,10 +258,10 @@ def test_tolerance() -> None:
 
 def test_many_states() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[400]).compile()
-    found = certify(mdp, bounded=True)
-    assert found.violations() == []
-    assert found.error_bound < 1e-7
-    assert 16_000 < found.lower[0] <= found.upper[0] < 18_000
+    optimum = certify(mdp, bounded=True)
+    assert optimum.violations() == []
+    assert optimum.error_bound < 1e-7
+    assert 16_000 < optimum.lower[0] <= optimum.upper[0] < 18_000
 
 
 # ---- what has no answer --------------------------------------------------------------------------
@@ -273,28 +273,29 @@ def test_a_state_that_is_hardly_ever_left_has_an_exact_value(stay: float, leave:
     """1.0 to stay and 1e-20 to leave: floats cannot bound the value; no division by zero."""
     for rows in ([[stay, leave], [0, 1]], [[stay, leave, 0], [0.5, 0, 0.5], [0, 0, 1]]):
         mdp = MDP.from_arrays([rows], [1.0, *[0.0] * (len(rows) - 1)], 1)
-        found = certify(mdp)
-        assert found.violations() == []
-        assert found.value[0] == (1 / F(leave) if len(rows) == 2 else 2 / F(leave))
+        optimum = certify(mdp)
+        assert optimum.violations() == []
+        assert optimum.value[0] == (1 / F(leave) if len(rows) == 2 else 2 / F(leave))
         for attempt in (solve, lambda mdp: certify(mdp, bounded=True)):
             with pytest.raises(SolverError):
                 attempt(mdp)
-        found = certify(mdp.with_(discount=0.5))
-        assert found.violations() == []
+        optimum = certify(mdp.with_(discount=0.5))
+        assert optimum.violations() == []
 
 
 # ---- the certificate itself ----------------------------------------------------------------------
 
 
 def test_a_certificate_states_its_claim() -> None:
-    found = certified("acyclic")
-    assert found.claim is Claim.CERTIFIED
-    assert found.start.value == found.start_value == found.value[0]
+    optimum = certified("acyclic")
+    assert optimum.claim is Claim.CERTIFIED
+    assert optimum.start.value == optimum.start_value == optimum.value[0]
     assert (
-        repr(found) == "Certificate(5 states, start value ≈ 5.14285714286, the only optimal policy)"
+        repr(optimum)
+        == "Certificate(5 states, start value ≈ 5.14285714286, the only optimal policy)"
     )
     with pytest.raises(ValueError, match="read-only"):
-        found.policy[0] = 1
+        optimum.policy[0] = 1
     bounded = certify(MODELS["cycle"], bounded=True)
     assert repr(bounded).startswith("BoundedCertificate(4 states, error ≤ ")
     with pytest.raises(ValueError, match="read-only"):
@@ -302,6 +303,6 @@ def test_a_certificate_states_its_claim() -> None:
 
 
 def test_another_model_is_another_model() -> None:
-    found = certified("cycle, discounted")
-    assert found.violations(MODELS["cycle, discounted"].with_(name="other")) == []
-    assert found.violations(MODELS["cycle"]) == ["the certificate is of another model"]
+    optimum = certified("cycle, discounted")
+    assert optimum.violations(MODELS["cycle, discounted"].with_(name="other")) == []
+    assert optimum.violations(MODELS["cycle"]) == ["the certificate is of another model"]

@@ -46,16 +46,16 @@ def test_what_is_saved_is_read(name: str, tmp_path: Path) -> None:
 def test_the_file_is_what_is_documented(tmp_path: Path) -> None:
     """Read as any program would, by the description of the format alone."""
     path = tmp_path / "proof.json"
-    found, mdp = certified("cycle"), MODELS["cycle"]
-    found.save(path)
+    optimum, mdp = certified("cycle"), MODELS["cycle"]
+    optimum.save(path)
     data = json.loads(path.read_text("utf-8"))
     assert data["model"] == fingerprint(mdp)
     level = data["h"]
     below = [int(level["below"][group], 16) for group in level["group"]]
     value = [F(int(a, 16), b) for a, b in zip(level["top"], below, strict=True)]
-    assert value == list(found.value)
-    assert F(*(int(part, 16) for part in data["start_value"].split("/"))) == found.start_value
-    assert (data["policy"], data["unique"]) == (found.policy.tolist(), found.unique)
+    assert value == list(optimum.value)
+    assert F(*(int(part, 16) for part in data["start_value"].split("/"))) == optimum.start_value
+    assert (data["policy"], data["unique"]) == (optimum.policy.tolist(), optimum.unique)
     assert [data[key] for key in ("g", "w", "infinite", "order")] == [None] * 4
 
 
@@ -63,15 +63,15 @@ def test_integers_of_more_digits_than_python_prints(tmp_path: Path) -> None:
     """Python neither reads nor writes more than 4,300 decimal digits."""
     reward = F(10**6000 + 1, 7**7000)
     mdp = model_of(2, [(0, 0, reward, {1: F(1)}), (1, 0, F(0), {1: F(1)})], F(1))
-    found = certify(mdp)
-    assert found.start_value == reward
-    assert found.violations() == []
+    optimum = certify(mdp)
+    assert optimum.start_value == reward
+    assert optimum.violations() == []
     with pytest.raises(ValueError, match=str(sys.get_int_max_str_digits())):
-        str(found.h.top[0])
+        str(optimum.h.top[0])
     path = tmp_path / "proof.json"
-    found.save(path)
+    optimum.save(path)
     read = Certificate.load(path)
-    same(read, found)
+    same(read, optimum)
     assert read.violations(mdp) == []
     assert read.value[0] == reward
     assert "start value" in repr(read)

@@ -20,7 +20,7 @@ from exact_mdp import MDP, certify
     st.data(),
 )
 def test_cycles_that_earn_nothing(
-    size: int, worth: tuple[object, object], data: st.DataObject
+    size: int, amounts: tuple[object, object], data: st.DataObject
 ) -> None:
     """What they lead to decides: all attain the greatest value ahead, or not (brute force)."""
     ends, rows = (size, size + 1), []
@@ -28,13 +28,13 @@ def test_cycles_that_earn_nothing(
         for a in range(data.draw(st.integers(1, 2))):
             to, out = data.draw(st.integers(0, size - 1)), data.draw(st.sampled_from(ends))
             rows.append((s, a, [("5/7", to, 0), ("2/7", out, 0)]))
-    rows += [(end, 0, [(1, size + 2, value)]) for end, value in zip(ends, worth, strict=True)]
+    rows += [(end, 0, [(1, size + 2, value)]) for end, value in zip(ends, amounts, strict=True)]
     mdp = MDP.from_outcomes([*rows, (size + 2, 0, [(1, size + 2, 0)])])
-    found = certify(mdp)
-    assert found.violations() == []
+    optimum = certify(mdp)
+    assert optimum.violations() == []
     best = [F(-10)] * size
     for pairs in product(*(mdp.pairs_of(s) for s in range(size))):
-        value = dict(zip(ends, map(F, worth), strict=True))
+        value = dict(zip(ends, map(F, amounts), strict=True))
         matrix = fmpq_mat(size, size, [fmpq(int(i == j)) for i in range(size) for j in range(size)])
         right = fmpq_mat(size, 1)
         for s, pair in enumerate(pairs):
@@ -46,7 +46,7 @@ def test_cycles_that_earn_nothing(
                     right[s, 0] += share * fmpq(value[t].numerator, value[t].denominator)
         for s, number in enumerate(matrix.solve(right).entries()):
             best[s] = max(best[s], F(int(number.p), int(number.q)))
-    assert found.value[:size].tolist() == best
+    assert optimum.value[:size].tolist() == best
 
 
 @settings(max_examples=60, deadline=None)
@@ -64,9 +64,9 @@ def test_one_value_everywhere(size: int, top: int, bottom: int, data: st.DataObj
             reached = [(out, size, 0), (1 - out, to, 0)][: 1 + (out < 1)]
             rows.append((s, a, [(p, t, value * out - less) for p, t, _ in reached]))
     mdp = MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])])
-    found = certify(mdp)
-    assert found.violations() == []
-    assert found.value[:size].tolist() == [value] * size
+    optimum = certify(mdp)
+    assert optimum.violations() == []
+    assert optimum.value[:size].tolist() == [value] * size
     more = mdp.pairs_of(data.draw(st.integers(0, size - 1)))[0]
     gained = rows[more][2]
     rows[more] = (*rows[more][:2], [(p, t, r + 1) for p, t, r in gained])
@@ -78,13 +78,13 @@ def test_one_value_everywhere(size: int, top: int, bottom: int, data: st.DataObj
 def test_gridworld() -> None:
     """One cycle of 399 states: symmetric values, and both ways along the diagonal."""
     mdp = gridworld(20)
-    found = certify(mdp)
-    assert found.violations() == []
-    assert max(found.h.below).bit_length() > 1000
-    assert not found.unique
-    square = found.value.reshape(20, 20)
+    optimum = certify(mdp)
+    assert optimum.violations() == []
+    assert max(optimum.h.below).bit_length() > 1000
+    assert not optimum.unique
+    square = optimum.value.reshape(20, 20)
     assert (square == square.T).all()
-    diagonal = [found.optimal_pairs[list(mdp.pairs_of(21 * i))] for i in range(19)]
+    diagonal = [optimum.optimal_pairs[list(mdp.pairs_of(21 * i))] for i in range(19)]
     assert all(marks.tolist() == [True, True, False, False] for marks in diagonal)
 
 
@@ -97,8 +97,8 @@ def test_what_floats_cannot_tell_apart_is_chosen_exactly(bits: int) -> None:
         for s in range(size)
         for a in (0, 1)
     ]
-    found = certify(MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])]))
-    assert found.start_value == size * (1 + more)
-    assert found.policy[:-1].tolist() == [s % 2 for s in range(size)]
-    assert set(found.gaps[:-1]) == {more}
-    assert found.violations() == []
+    optimum = certify(MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])]))
+    assert optimum.start_value == size * (1 + more)
+    assert optimum.policy[:-1].tolist() == [s % 2 for s in range(size)]
+    assert set(optimum.gaps[:-1]) == {more}
+    assert optimum.violations() == []

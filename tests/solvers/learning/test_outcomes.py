@@ -38,23 +38,23 @@ def runs(care: MDP) -> list[TrainingRun]:
 
 
 def test_outcomes_are_exact_values_of_what_was_learned(care: MDP, runs: list[TrainingRun]) -> None:
-    found = outcomes(care, runs)
+    learned = outcomes(care, runs)
     best = solve(care).start_value
-    for run, regret, final in zip(runs, found.regret, found.final, strict=True):
-        assert np.array_equal(found.policies[final], run.final)
+    for run, regret, final in zip(runs, learned.regret, learned.final, strict=True):
+        assert np.array_equal(learned.policies[final], run.final)
         greedy = Policy.of(care, run.q, kind="q")
         assert np.array_equal(greedy.table.argmax(axis=1), run.final)
         assert regret == pytest.approx(best - evaluate(care, greedy).mean, abs=1e-9)
-    assert found.counts.sum() == len(runs)
-    assert (np.diff(found.counts[found.counts > 0]) <= 0).all()
+    assert learned.counts.sum() == len(runs)
+    assert (np.diff(learned.counts[learned.counts > 0]) <= 0).all()
     for row in range(16):
         taken = [run.final[row] for run in runs]
-        assert found.choices(row).tolist() == [taken.count(action) for action in range(4)]
+        assert learned.choices(row).tolist() == [taken.count(action) for action in range(4)]
 
 
 def test_the_last_episodes_are_counted(care: MDP, runs: list[TrainingRun]) -> None:
-    found = outcomes(care, runs)
-    for run, distinct, changed in zip(runs, found.distinct, found.changed, strict=True):
+    learned = outcomes(care, runs)
+    for run, distinct, changed in zip(runs, learned.distinct, learned.changed, strict=True):
         recent = {tuple(run.policies[number]) for number in run.last}
         assert len(recent) == distinct
         columns = list(zip(*recent, strict=True))
@@ -64,8 +64,8 @@ def test_the_last_episodes_are_counted(care: MDP, runs: list[TrainingRun]) -> No
 def test_the_selected_policy_is_the_best_of_the_five_most_frequent(
     care: MDP, runs: list[TrainingRun]
 ) -> None:
-    found = outcomes(care, runs)
-    for run, number in zip(runs, found.selected, strict=True):
+    learned = outcomes(care, runs)
+    for run, number in zip(runs, learned.selected, strict=True):
         counts = sorted(run.last_counts().values(), reverse=True)
         assert sum(counts) == SHORT.last
         times = {i: int((run.last == i).sum()) for i in set(run.last.tolist())}
@@ -74,31 +74,31 @@ def test_the_selected_policy_is_the_best_of_the_five_most_frequent(
         values = {
             i: evaluate(care, Policy.by(care, ("status",), run.policies[i])).mean for i in times
         }
-        assert found.value[number] >= max(values[i] for i in always or [run.last[-1]]) - 1e-9
-        assert any(abs(found.value[number] - value) < 1e-9 for value in values.values())
+        assert learned.value[number] >= max(values[i] for i in always or [run.last[-1]]) - 1e-9
+        assert any(abs(learned.value[number] - value) < 1e-9 for value in values.values())
 
 
 def test_an_optimal_policy_has_no_regret() -> None:
     """Two actions that are equally good: whatever is learned is optimal."""
     rows = [(0, a, [("1/3", 1, 3), ("2/3", 1, 0)]) for a in range(2)]
     mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
-    found = outcomes(mdp, train(mdp, QLearning(epochs=10), 10, rng=0))
-    assert found.regret.tolist() == [0.0] * 10
-    assert found.optimal_fraction == found.best_fraction == 1.0
-    assert found.best is None
-    assert found.regret_interval == (0.0, 0.0)
+    learned = outcomes(mdp, train(mdp, QLearning(epochs=10), 10, rng=0))
+    assert learned.regret.tolist() == [0.0] * 10
+    assert learned.optimal_fraction == learned.best_fraction == 1.0
+    assert learned.best is None
+    assert learned.regret_interval == (0.0, 0.0)
 
 
 def test_reading_less_is_told_from_learning_badly() -> None:
     """One action for all states cannot be optimal; the learner is not to blame for that."""
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 2, 0)]), (1, 1, [(1, 2, 3)])]
     mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
-    found = outcomes(mdp, train(mdp, QLearning(epochs=50, columns=()), 10, rng=0))
-    assert found.optimum.value == 4
-    assert found.best_value.value == 3
-    assert found.regret.tolist() == [1.0] * 10
-    assert found.learning_error.tolist() == [0.0] * 10
-    assert (found.optimal_fraction, found.best_fraction) == (0.0, 1.0)
+    learned = outcomes(mdp, train(mdp, QLearning(epochs=50, columns=()), 10, rng=0))
+    assert learned.optimum.value == 4
+    assert learned.best_value.value == 3
+    assert learned.regret.tolist() == [1.0] * 10
+    assert learned.learning_error.tolist() == [0.0] * 10
+    assert (learned.optimal_fraction, learned.best_fraction) == (0.0, 1.0)
 
 
 # ---- curves --------------------------------------------------------------------------------------
@@ -135,9 +135,9 @@ def learn_alone(
 
     def law(state: care_oracle.State, action: str) -> tuple[list, list[float]]:
         if (state, action) not in laws:
-            found = care.outcomes(state, action)
-            results = [(nxt, float(sum(earned.values()))) for _, nxt, earned, _ in found]
-            laws[state, action] = (results, [float(chance) for chance, *_ in found])
+            followed = care.outcomes(state, action)
+            results = [(nxt, float(sum(earned.values()))) for _, nxt, earned, _ in followed]
+            laws[state, action] = (results, [float(chance) for chance, *_ in followed])
         return laws[state, action]
 
     def options(state: care_oracle.State) -> list:
@@ -193,10 +193,10 @@ def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, s
     others = np.array([[np.mean(returns[half]) for half in halves] for _, returns in theirs])
     assert (np.abs(z(mine, others)) < 4).all()
     values = np.array([run.q[0, :4] for run in ours])
-    assert (np.abs(z(values, np.array([found[1] for found, _ in theirs]))) < 4).all()
+    assert (np.abs(z(values, np.array([learned[1] for learned, _ in theirs]))) < 4).all()
     for action in range(4):
         share = np.array([run.final[0] == action for run in ours]).mean()
-        other = np.mean([found[0][0] == action for found, _ in theirs])
+        other = np.mean([learned[0][0] == action for learned, _ in theirs])
         pooled = (share * 8 + other) / 9
         assert abs(share - other) < 4 * sqrt(pooled * (1 - pooled) * (9 / 8) / count) + 1e-9
 
@@ -205,8 +205,10 @@ def test_outcomes_of_costs_are_those_of_rewards_times_minus_one() -> None:
     rows, costs = [[[0, 1], [0, 1]], [[0, 1], [0, 1]]], np.array([[1, 3], [0, 0]])
     paid = MDP.from_arrays(rows, costs, layout="ass", sense="min")
     earned = MDP.from_arrays(rows, -costs, layout="ass")
-    found = [outcomes(each, train(each, QLearning(epochs=2), 12, rng=1)) for each in (paid, earned)]
+    learned = [
+        outcomes(each, train(each, QLearning(epochs=2), 12, rng=1)) for each in (paid, earned)
+    ]
     for name in ("regret", "selected_regret", "learning_error"):
-        assert getattr(found[0], name).tolist() == getattr(found[1], name).tolist()
-        assert getattr(found[0], name).min() >= 0
-    assert found[0].optimal_fraction == found[1].optimal_fraction
+        assert getattr(learned[0], name).tolist() == getattr(learned[1], name).tolist()
+        assert getattr(learned[0], name).min() >= 0
+    assert learned[0].optimal_fraction == learned[1].optimal_fraction

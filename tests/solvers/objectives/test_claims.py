@@ -53,9 +53,9 @@ def test_weights_are_those_of_all_components() -> None:
 
 
 def test_limits_on_one_name_keep_their_own_closest_bounds() -> None:
-    found = solve(TWO, subject_to={"gain": [">= 9", "<= 4"]})
-    assert found.closest == {"gain >= 9": F(6), "gain <= 4": F(7)}
-    assert found.frame()["closest"].tolist() == [F(6), F(7)]
+    solution = solve(TWO, subject_to={"gain": [">= 9", "<= 4"]})
+    assert solution.closest == {"gain >= 9": F(6), "gain <= 4": F(7)}
+    assert solution.frame()["closest"].tolist() == [F(6), F(7)]
 
 
 def test_a_component_may_be_called_return() -> None:

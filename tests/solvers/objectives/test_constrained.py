@@ -24,12 +24,12 @@ SENSES = {">=": 1, "<=": -1}
 
 def mixed_optimum(points: list[tuple[F, F]], bound: F) -> F | None:
     """The greatest first coordinate of mixtures whose second is at least the bound: by pairs."""
-    kept = [p[0] for p in points if p[1] >= bound]
+    allowed = [p[0] for p in points if p[1] >= bound]
     for a, b in combinations(points, 2):
         if (a[1] - bound) * (b[1] - bound) < 0:
             share = (bound - b[1]) / (a[1] - b[1])
-            kept.append(share * a[0] + (1 - share) * b[0])
-    return max(kept, default=None)
+            allowed.append(share * a[0] + (1 - share) * b[0])
+    return max(allowed, default=None)
 
 
 def test_actions_are_drawn_where_the_first_ones_alone_do_not_lead() -> None:
@@ -43,9 +43,9 @@ def test_actions_are_drawn_where_the_first_ones_alone_do_not_lead() -> None:
     ]
     mdp = MDP.from_outcomes(rows, components={"cost": [1, 0, 0, 1, 0, 1, 0]})
     for bound in ("3/2", "5/4"):
-        found = solve(mdp, subject_to={"cost": f"<= {bound}"})
-        sound(found, 1)
-        assert found.start_value == F(bound)
+        solution = solve(mdp, subject_to={"cost": f"<= {bound}"})
+        sound(solution, 1)
+        assert solution.start_value == F(bound)
 
 
 @settings(max_examples=60)
@@ -55,17 +55,17 @@ def test_one_limit_is_the_best_mixture_of_two_policies(mdp: MDP, sense: str, bou
     every = totals(mdp, [*mdp.component_names])
     points = [(best * sum(p, F(0)), SENSES[sense] * p[0]) for p in every]
     wanted = mixed_optimum(points, SENSES[sense] * bound)
-    found = solve(mdp, subject_to={"c0": f"{sense} {bound}"})
-    sound(found, 1)
-    assert found.feasible is (wanted is not None)
+    solution = solve(mdp, subject_to={"c0": f"{sense} {bound}"})
+    sound(solution, 1)
+    assert solution.feasible is (wanted is not None)
     if wanted is not None:
-        assert found.start_value == best * wanted
-        assert found.closest == {"c0": bound}
-        if found.totals["c0"] != bound:  # a limit that does not bind is free
-            assert found.prices == {"c0": 0}
+        assert solution.start_value == best * wanted
+        assert solution.closest == {"c0": bound}
+        if solution.totals["c0"] != bound:  # a limit that does not bind is free
+            assert solution.prices == {"c0": 0}
     else:
-        assert (found.start_value, found.start) == (None, None)
-        assert found.closest == {"c0": SENSES[sense] * max(p[1] for p in points)}
+        assert (solution.start_value, solution.start) == (None, None)
+        assert solution.closest == {"c0": SENSES[sense] * max(p[1] for p in points)}
 
 
 @pytest.mark.parametrize("floats", [True, False])
@@ -85,14 +85,17 @@ def test_two_limits_are_the_best_mixture_of_policies(
     with pytest.MonkeyPatch.context() as patch:
         if not floats:
             patch.setattr("exact_mdp.solvers.objectives.limits._Program._proposed", lambda *_: None)
-        found = solve(mdp, subject_to={"c0": f">= {bounds[0]}", "c1": f"<= {bounds[1]}"})
-    sound(found, 2)
-    assert (found.feasible, found.start_value) == (optimum(*bounds) is not None, optimum(*bounds))
-    if not found.feasible:
-        low, high = found.closest["c0"], found.closest["c1"]
-        assert bounds[0] - low == high - bounds[1] == found.shift > 0
+        solution = solve(mdp, subject_to={"c0": f">= {bounds[0]}", "c1": f"<= {bounds[1]}"})
+    sound(solution, 2)
+    assert (solution.feasible, solution.start_value) == (
+        optimum(*bounds) is not None,
+        optimum(*bounds),
+    )
+    if not solution.feasible:
+        low, high = solution.closest["c0"], solution.closest["c1"]
+        assert bounds[0] - low == high - bounds[1] == solution.shift > 0
         assert optimum(low, high) is not None
-        assert optimum(low + found.shift / 9, high - found.shift / 9) is None
+        assert optimum(low + solution.shift / 9, high - solution.shift / 9) is None
 
 
 def test_holding_anger_to_half_a_point() -> None:
@@ -102,11 +105,11 @@ def test_holding_anger_to_half_a_point() -> None:
     assert free.start_value == certify(scenario).start_value
     assert free.prices == {"anger": 0}
     assert not free.randomises
-    held = solve(scenario, subject_to={"anger": ">= -1/3", "skip": "<= 9/10"})
-    assert held.totals["anger"] == F(-1, 3)
-    assert held.violations() == []
-    assert held.prices["anger"] > 0
-    assert len(held.randomises) == 1
+    solution = solve(scenario, subject_to={"anger": ">= -1/3", "skip": "<= 9/10"})
+    assert solution.totals["anger"] == F(-1, 3)
+    assert solution.violations() == []
+    assert solution.prices["anger"] > 0
+    assert len(solution.randomises) == 1
     none = solve(scenario, subject_to={"anger": ">= 1/2"})
     assert (none.feasible, none.closest) == (False, {"anger": F(0)})
 
@@ -114,8 +117,8 @@ def test_holding_anger_to_half_a_point() -> None:
 def test_limits_on_steps_and_with_a_horizon() -> None:
     walk = [[["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]]
     mdp = MDP.from_arrays(walk, [[2, 1], [0, 0]])
-    found = solve(mdp, subject_to={"steps": "<= 3/2"})
-    assert (found.start_value, found.prices) == (F(5, 2), {"steps": F(3)})
+    solution = solve(mdp, subject_to={"steps": "<= 3/2"})
+    assert (solution.start_value, solution.prices) == (F(5, 2), {"steps": F(3)})
     both = solve(mdp, horizon=2, subject_to={"steps": ["<= 4/3", ">= 4/3"]})
     assert both.totals == {"steps": F(4, 3)}
     assert both.violations() == []
@@ -144,26 +147,26 @@ def ring(constant: bool = False) -> MDP:
 def test_states_on_a_cycle(limits: Any, draws: int | None, constant: bool) -> None:
     """Also where all policies have the same return."""
     mdp = ring(constant)
-    found = solve(mdp, subject_to=limits)
-    assert found.violations() == []
-    assert found.feasible is (draws is not None)
-    assert len(found.randomises) <= (draws or 2)
+    solution = solve(mdp, subject_to=limits)
+    assert solution.violations() == []
+    assert solution.feasible is (draws is not None)
+    assert len(solution.randomises) <= (draws or 2)
     if constant and draws:
-        assert set(found.prices.values()) == {F(0)}
+        assert set(solution.prices.values()) == {F(0)}
 
 
 def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
     """Names in a file may stand for any sum: the reward is checked, and sums are written out."""
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows, "1/2", components={"help": [0, 4, 0], "calm": [5, 0, 0]})
-    held = solve(mdp, subject_to={"calm=2*calm": ">= 5"})
-    held.save(path := tmp_path / "held.json")
+    solution = solve(mdp, subject_to={"calm=2*calm": ">= 5"})
+    solution.save(path := tmp_path / "held.json")
     mdp.save(tmp_path / "model.npz")
-    found = run("verify", path, tmp_path / "model.npz", "--json").result
-    assert (found["holds"], found["limits"]) == (True, ["calm=2*calm >= 5"])
-    twice = replace(held, objectives=("return=2*reward", *held.objectives[1:]))
-    dual = replace(held.dual, top=[2 * v for v in held.dual.top])
-    assert replace(twice, dual=dual, price=(2 * held.price[0],)).violations() == [
+    result = run("verify", path, tmp_path / "model.npz", "--json").result
+    assert (result["holds"], result["limits"]) == (True, ["calm=2*calm >= 5"])
+    twice = replace(solution, objectives=("return=2*reward", *solution.objectives[1:]))
+    dual = replace(solution.dual, top=[2 * v for v in solution.dual.top])
+    assert replace(twice, dual=dual, price=(2 * solution.price[0],)).violations() == [
         "what is maximised is not the reward"
     ]
 
@@ -173,29 +176,29 @@ def test_a_file_may_say_that_nothing_is_visited(bound: int, tmp_path: Path) -> N
     """All has ended at the start."""
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows, "1/2", components={"a": [1, 4, 0]}, start=1)
-    held = solve(mdp, subject_to={"a": f">= {bound}"})
-    assert held.violations() == []
-    held.save(path := tmp_path / "held.json")
+    solution = solve(mdp, subject_to={"a": f">= {bound}"})
+    assert solution.violations() == []
+    solution.save(path := tmp_path / "held.json")
     mdp.save(tmp_path / "model.npz")
-    found = run("verify", path, tmp_path / "model.npz", "--json").result
-    assert (found["holds"], found["feasible"]) == (True, not bound)
+    result = run("verify", path, tmp_path / "model.npz", "--json").result
+    assert (result["holds"], result["feasible"]) == (True, not bound)
 
 
 def test_the_checker_notices() -> None:
     scenario = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-    held = solve(scenario, subject_to={"anger": ">= -1/10"})
+    solution = solve(scenario, subject_to={"anger": ">= -1/10"})
     none = solve(scenario, subject_to={"anger": ">= 1/3"})
-    visits = held.flow.visits
+    visits = solution.flow.visits
     more = replace(visits, top=[visits.top[0] + 1, *visits.top[1:]])
-    assert held.violations() == none.violations() == []
+    assert solution.violations() == none.violations() == []
     for broken in (
-        replace(held, price=(held.price[0] + 1,)),
-        replace(held, price=(-held.price[0],)),
-        replace(held, flow=replace(held.flow, visits=more)),
-        replace(held, flow=solve(scenario, subject_to={"anger": ">= -9"}).flow),
-        replace(held, dual=replace(held.dual, top=[v - 1 for v in held.dual.top])),
-        replace(held, feasible=False),
-        replace(held, shift=F(1)),
+        replace(solution, price=(solution.price[0] + 1,)),
+        replace(solution, price=(-solution.price[0],)),
+        replace(solution, flow=replace(solution.flow, visits=more)),
+        replace(solution, flow=solve(scenario, subject_to={"anger": ">= -9"}).flow),
+        replace(solution, dual=replace(solution.dual, top=[v - 1 for v in solution.dual.top])),
+        replace(solution, feasible=False),
+        replace(solution, shift=F(1)),
         replace(none, feasible=True, shift=F(0)),
         replace(none, shift=none.shift / 2),
         replace(none, price=(F(0),)),

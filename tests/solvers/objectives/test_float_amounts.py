@@ -26,12 +26,12 @@ def test_the_optimum_under_limits_is_one_of_the_reward(first: str) -> None:
     assert sum(map(F, (0.1, 0.2, 0.3))) != F(REWARD[0])
     free = solve(mdp, subject_to={first: "<= 9"})
     assert (free.start_value, free.violations()) == (certify(mdp).start_value, [])
-    found = solve(mdp, subject_to={first: "<= 1/2"})
+    solution = solve(mdp, subject_to={first: "<= 1/2"})
     share = (F(1, 2) - F(0.1)) / (F(0.7) - F(0.1))
-    assert found.start_value == (1 - share) * F(REWARD[0]) + share * F(0.7)
-    assert found.violations() == []
+    assert solution.start_value == (1 - share) * F(REWARD[0]) + share * F(0.7)
+    assert solution.violations() == []
     audit = check(mdp, [0, 0], subject_to={first: "<= 1/2"})
-    assert audit.regret.at_start.value == found.start_value - F(REWARD[0])
+    assert audit.regret.at_start.value == solution.start_value - F(REWARD[0])
 
 
 def test_fronts_and_weights_are_of_the_amounts_as_given() -> None:
@@ -39,7 +39,7 @@ def test_fronts_and_weights_are_of_the_amounts_as_given() -> None:
     front = tradeoff(mdp, ["a", "reward"])
     assert front.violations() == []
     assert front.vertices == [(F(0.7), F(0.7))]
-    found = rationalize(mdp, [0, 0])
-    assert found.violations() == []
-    assert found.possible
+    least_change = rationalize(mdp, [0, 0])
+    assert least_change.violations() == []
+    assert least_change.possible
     assert rationalize(mdp, [1, 0]).change == 0

@@ -51,14 +51,14 @@ def distributions(rows: Rows, state: int) -> set[Distribution]:
     """Every distribution of the return that some policy has, whatever it remembers."""
     if state == 0:
         return {((F(0), F(1)),)}
-    found = set[Distribution]()
+    laws = set[Distribution]()
     for s, _, outcomes in rows:
         if s == state:
             each = [sorted(distributions(rows, to)) for _, to, _ in outcomes]
             for after in product(*each):
                 own = zip(outcomes, after, strict=True)
-                found.add(mixed([(p, gain, rest) for (p, _, gain), rest in own]))
-    return found
+                laws.add(mixed([(p, gain, rest) for (p, _, gain), rest in own]))
+    return laws
 
 
 def mean(of: Distribution) -> Fraction:
@@ -84,20 +84,20 @@ levels = st.sampled_from([F(1, 10), F(1, 3), F(1, 2), F(9, 10), F(1)])
 def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight: Fraction) -> None:
     every = distributions(rows, max(s for s, *_ in rows))
     most = max((1 - weight) * worst(of, level) + weight * mean(of) for of in every)
-    found = best_cvar(model(rows), level, weight=weight)
-    assert (1 - weight) * found.value + weight * found.mean == most
-    own = tuple(found.distribution().items())
+    optimum = best_cvar(model(rows), level, weight=weight)
+    assert (1 - weight) * optimum.value + weight * optimum.mean == most
+    own = tuple(optimum.distribution().items())
     assert own in every
-    assert (worst(own, level), mean(own)) == (found.value, found.mean)
-    assert found.violations() == []
-    proof = found.certificate
+    assert (worst(own, level), mean(own)) == (optimum.value, optimum.mean)
+    assert optimum.violations() == []
+    proof = optimum.certificate
     assert proof.mdp is not None
     assert certify(proof.mdp).value.tolist() == proof.value.tolist()
     costs = [(s, a, [(p, to, -gain) for p, to, gain in each]) for s, a, each in rows]
     turned = best_cvar(model(costs, "min"), level, weight=weight)
-    assert (turned.value, turned.mean) == (-found.value, -found.mean)
+    assert (turned.value, turned.mean) == (-optimum.value, -optimum.mean)
     assert turned.violations() == []
-    assert {-value: p for value, p in turned.distribution().items()} == found.distribution()
+    assert {-value: p for value, p in turned.distribution().items()} == optimum.distribution()
 
 
 def test_a_bet_by_hand() -> None:
@@ -108,12 +108,12 @@ def test_a_bet_by_hand() -> None:
     assert (once.value, once.action(0)) == (0, "0")
     twice = [(0, 0, [(F(1, 2), 2, F(3)), (F(1, 2), 2, F(-2))]), (2, 0, safe), (2, 1, bold), end]
     mdp = MDP.from_outcomes(twice)
-    found = best_cvar(mdp, "3/4")
-    own = {found.action(2, gain) for gain in (3, -2)}
-    assert found.value == max(worst(each, F(3, 4)) for each in hand())
+    optimum = best_cvar(mdp, "3/4")
+    own = {optimum.action(2, gain) for gain in (3, -2)}
+    assert optimum.value == max(worst(each, F(3, 4)) for each in hand())
     assert own <= {"0", "1"}
     with pytest.raises(ModelError, match="multiples of 1"):
-        found.action(2, "1/2")
+        optimum.action(2, "1/2")
 
 
 def hand() -> Iterator[Distribution]:
@@ -126,8 +126,8 @@ def hand() -> Iterator[Distribution]:
 
 def test_what_is_false_is_found() -> None:
     rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
-    found = best_cvar(MDP.from_outcomes(rows), "1/2")
-    assert found.violations() == []
+    optimum = best_cvar(MDP.from_outcomes(rows), "1/2")
+    assert optimum.violations() == []
     for change in (
         {"value": F(5)},
         {"mean": F(5)},
@@ -135,17 +135,17 @@ def test_what_is_false_is_found() -> None:
         {"threshold": F(10)},
         {"threshold": F(1, 2)},
     ):
-        assert replace(found, **change).violations()
-    more = replace(found.values, top=[top + 1 for top in found.values.top])
-    for change in ({"values": more}, {"pairs": np.zeros_like(found.pairs)}):
-        assert replace(found, **change).violations()
+        assert replace(optimum, **change).violations()
+    more = replace(optimum.values, top=[top + 1 for top in optimum.values.top])
+    for change in ({"values": more}, {"pairs": np.zeros_like(optimum.pairs)}):
+        assert replace(optimum, **change).violations()
 
 
 def test_huge_rewards_that_differ_by_little() -> None:
     rows = [(0, 0, [("1/2", 1, 10**30), ("1/2", 1, 10**30 + 3)]), (0, 1, [(1, 1, 10**30 + 1)])]
     rows = [*rows, (1, 0, [(1, 1, 0)])]
-    found = best_cvar(MDP.from_outcomes(rows), "3/4")
-    assert (found.value, found.violations()) == (10**30 + 1, [])
+    optimum = best_cvar(MDP.from_outcomes(rows), "3/4")
+    assert (optimum.value, optimum.violations()) == (10**30 + 1, [])
 
 
 def test_the_model_of_the_paper() -> None:
@@ -153,20 +153,20 @@ def test_the_model_of_the_paper() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
     best = certify(mdp).start_value
     assert best_cvar(mdp, 1).value == best
-    found = mean_cvar(mdp, "1/10", policies={"optimal": "optimal", "random": "random"})
-    average, value = found.policies["optimal"]
+    points = mean_cvar(mdp, "1/10", policies={"optimal": "optimal", "random": "random"})
+    average, value = points.policies["optimal"]
     assert average == best
-    assert found.optima[0].value >= value > found.policies["random"][1]
-    assert found.optima[0].violations() == []
-    assert found.optima[0].value < best
-    assert len(found.frame()) == 7
+    assert points.optima[0].value >= value > points.policies["random"][1]
+    assert points.optima[0].violations() == []
+    assert points.optima[0].value < best
+    assert len(points.frame()) == 7
 
 
 def test_with_a_horizon_cycles_are_no_matter() -> None:
     rows = [(0, 0, [("1/2", 0, 1), ("1/2", 0, -1)]), (0, 1, [(1, 0, 0)])]
     mdp = MDP.from_outcomes(rows)
-    found = best_cvar(mdp, "1/2", horizon=3)
-    assert found.value == found.mean == 0
+    optimum = best_cvar(mdp, "1/2", horizon=3)
+    assert optimum.value == optimum.mean == 0
 
 
 def test_the_policy_for_the_worst_episodes_is_written(tmp_path: Path) -> None:
@@ -175,10 +175,10 @@ def test_the_policy_for_the_worst_episodes_is_written(tmp_path: Path) -> None:
     rows += [(1, 1, [("1/2", 2, 3), ("1/2", 2, -3)]), (2, 0, [(1, 2, 0)])]
     MDP.from_outcomes(rows).save(tmp_path / "m.npz")
     words = ("risk", tmp_path / "m.npz", "--cvar", "1/3", "--policy-out")
-    found = run(*words, tmp_path / "p.csv", "--json").result
+    result = run(*words, tmp_path / "p.csv", "--json").result
     with (tmp_path / "p.csv").open(encoding="utf-8") as file:
         written = [*csv.DictReader(file)]
-    assert written == found["policy"]
+    assert written == result["policy"]
     assert written == json.loads(_written(words, tmp_path / "p.json"))
     met = {
         so_far: [r["action"] for r in written if F(r["from"]) <= so_far <= F(r["to"])]
@@ -186,7 +186,7 @@ def test_the_policy_for_the_worst_episodes_is_written(tmp_path: Path) -> None:
     }
     took = {so_far: action for so_far, (action,) in met.items()}
     parts = [(F(1, 2), so_far, BOLD if took[so_far] == "1" else SAFE) for so_far in took]
-    assert {str(z): str(p) for z, p in mixed(parts)} == found["distribution"]
+    assert {str(z): str(p) for z, p in mixed(parts)} == result["distribution"]
     text = run(*words[:-1]).out
     assert "by state and reward so far" in text
 
@@ -208,11 +208,11 @@ def _written(words: tuple[object, ...], path: Path) -> str:
 
 def test_the_command() -> None:
     words = ("risk", "yuan2025", "--set", "tasks=[1]", "--set", "max_trial=2", "--json")
-    found = run(*words, "--cvar", "1/10", "--policy", "random").result
-    assert found["claim"] == "certified"
-    assert found["points"][0]["weight"] == "0"
-    assert F(found["value"]) >= F(found["policies"][0]["cvar"])
-    assert sum(map(F, found["distribution"].values())) == 1
+    result = run(*words, "--cvar", "1/10", "--policy", "random").result
+    assert result["claim"] == "certified"
+    assert result["points"][0]["weight"] == "0"
+    assert F(result["value"]) >= F(result["policies"][0]["cvar"])
+    assert sum(map(F, result["distribution"].values())) == 1
 
 
 @pytest.mark.parametrize(

@@ -32,8 +32,8 @@ SAMPLE = [
 ]
 
 
-def within(found: Bounded, exact: F) -> bool:
-    return abs(F(found.value) - exact) <= F(found.error)
+def within(bounded: Bounded, exact: F) -> bool:
+    return abs(F(bounded.value) - exact) <= F(bounded.error)
 
 
 @settings(deadline=None)
@@ -45,15 +45,15 @@ def test_every_number_lies_within_its_error_bound(case: Case) -> None:
             assert not unending.ends
             assert unending.steps == inf
         return
-    found = evaluate(case.model, case.weights)
+    evaluation = evaluate(case.model, case.weights)
     for s in range(case.n_states):
         if s in case.live or s in case.terminal:
-            assert abs(F(found.value[s]) - case.value[s]) <= F(found.error[s])
+            assert abs(F(evaluation.value[s]) - case.value[s]) <= F(evaluation.error[s])
         else:
             with suppress(ModelError):  # no limit
                 alone = evaluate(case.model.with_(start=s), case.weights).mean
-                assert np.isnan(found.value[s]) or found.value[s] == pytest.approx(alone)
-    numbers = found.numbers
+                assert np.isnan(evaluation.value[s]) or evaluation.value[s] == pytest.approx(alone)
+    numbers = evaluation.numbers
     assert within(numbers["mean"], case.mean(case.value))
     assert within(numbers["variance"], case.total_variance)
     least, most = numbers["sd"].interval
@@ -61,15 +61,17 @@ def test_every_number_lies_within_its_error_bound(case: Case) -> None:
     assert within(numbers["event.hit"], case.hit)
     assert numbers["event.miss"].value == 0.0
     assert numbers["event.miss"].error < 1e-200
-    assert found.ends == case.ends
+    assert evaluation.ends == case.ends
     if case.ends:
         assert within(numbers["steps"], case.steps)
     else:
-        assert found.steps == inf
+        assert evaluation.steps == inf
     # The bounds mean something: they are near what double precision can do.
     size = max(abs(r) for row in case.rows.values() for _, _, r, _ in row)
     longest = 1 + sum(abs(x) for x in case.value) + size
-    assert found.start.error <= 1e-9 * longest * max(1, found.steps if case.ends else 10_000)
+    assert evaluation.start.error <= 1e-9 * longest * max(
+        1, evaluation.steps if case.ends else 10_000
+    )
 
 
 @settings(deadline=None, max_examples=50)
@@ -79,24 +81,24 @@ def test_visits_are_the_references(case: Case) -> None:
         with pytest.raises(ModelError, match="discount 1"):
             evaluate(case.model, case.weights)
         return
-    mdp, found = case.model, evaluate(case.model, case.weights)
+    mdp, evaluation = case.model, evaluate(case.model, case.weights)
     discounted = case.visits(case.discount, case.live)
     wanted = np.array([float(discounted[s]) for s in range(case.n_states)])
     rest = 0.0 if case.discount == 1 else float(1 / (1 - case.discount))
     wanted[sorted(case.terminal)] *= rest
     np.testing.assert_allclose(
-        np.add.reduceat(found.occupancy, mdp.pair_offsets[:-1]), wanted, rtol=1e-7, atol=1e-9
+        np.add.reduceat(evaluation.occupancy, mdp.pair_offsets[:-1]), wanted, rtol=1e-7, atol=1e-9
     )
     if case.discount < 1 and not case.floats:
-        assert found.occupancy.sum() == pytest.approx(float(1 / (1 - case.discount)))
+        assert evaluation.occupancy.sum() == pytest.approx(float(1 / (1 - case.discount)))
     if case.ends:
         exact = case.visits(F(1), case.ending - case.terminal)
         own = [float(exact[s]) for s in range(case.n_states)]
-        np.testing.assert_allclose(found.visits, own, rtol=1e-7, atol=1e-9)
-        assert found.visits[mdp.terminal].sum() == pytest.approx(1)
-        assert found.visits[~mdp.terminal].sum() == pytest.approx(found.steps)
+        np.testing.assert_allclose(evaluation.visits, own, rtol=1e-7, atol=1e-9)
+        assert evaluation.visits[mdp.terminal].sum() == pytest.approx(1)
+        assert evaluation.visits[~mdp.terminal].sum() == pytest.approx(evaluation.steps)
     else:
-        assert found.visits.tolist() == found._discounted.value.tolist()
+        assert evaluation.visits.tolist() == evaluation._discounted.value.tolist()
 
 
 @pytest.mark.parametrize("discount", [F(1), F(19, 20)])
@@ -104,27 +106,27 @@ def test_visits_are_the_references(case: Case) -> None:
 def test_the_care_model_is_the_oracles(number: int, discount: F) -> None:
     readings, policy = SAMPLE[number], POLICIES[number % 3]
     mdp, oracle = care(readings, [1, 1], discount)
-    found, wanted = evaluate(mdp, policy_of(mdp, policy)), oracle.evaluate(policy, False)
-    numbers = found.numbers
+    evaluation, wanted = evaluate(mdp, policy_of(mdp, policy)), oracle.evaluate(policy, False)
+    numbers = evaluation.numbers
     for name in ("mean", "variance", "steps"):
         assert within(numbers[name], wanted[name]), name
     assert within(numbers["event.skip"], wanted["skip_probability"])
-    assert found.skip_probability == found.event_probability["skip"]
-    assert list(found.components) == list(wanted["components"])
+    assert evaluation.skip_probability == evaluation.event_probability["skip"]
+    assert list(evaluation.components) == list(wanted["components"])
     for name, exact in wanted["components"].items():
         # The model's component of a pair is itself rounded once.
         assert within(numbers[f"component.{name}"], exact), name
-    assert sum(found.components.values()) == pytest.approx(found.mean, abs=1e-10)
-    assert found.claim is Claim.BOUNDED
-    assert found.start.error < 1e-10
+    assert sum(evaluation.components.values()) == pytest.approx(evaluation.mean, abs=1e-10)
+    assert evaluation.claim is Claim.BOUNDED
+    assert evaluation.start.error < 1e-10
 
 
 def test_quantiles_are_the_oracles() -> None:
     mdp, oracle = care({}, [1, 1], max_trial=3)
-    found, wanted = evaluate(mdp, "always:directive"), oracle.evaluate(directive)
+    evaluation, wanted = evaluate(mdp, "always:directive"), oracle.evaluate(directive)
     spread = sorted(wanted["distribution"].items())
-    assert found.quantiles is not None
-    for share, value in found.quantiles.items():
+    assert evaluation.quantiles is not None
+    for share, value in evaluation.quantiles.items():
         least = next(
             x for i, (x, _) in enumerate(spread) if sum(p for _, p in spread[: i + 1]) >= F(share)
         )
@@ -143,36 +145,43 @@ def test_a_large_mean_does_not_drown_a_small_spread() -> None:
         (1, 0, [("1/2", 2, "1/1000"), ("1/2", 2, "-1/1000")]),
         (2, 0, [(1, 2, 0)]),
     ]
-    found = evaluate(MDP.from_outcomes(rows), "random")
-    assert found.sd == pytest.approx(1e-3, rel=1e-3)
+    evaluation = evaluate(MDP.from_outcomes(rows), "random")
+    assert evaluation.sd == pytest.approx(1e-3, rel=1e-3)
 
 
 def test_parts_of_what_is_earned_for_ever_are_infinite_or_finite() -> None:
     """Each part is a total of its own: 1 - 1 + 1 - … is worth 1/2."""
     rows = [(0, 0, [(1, 1, 5)]), (1, 0, [(1, 2, -1)]), (2, 0, [(1, 1, 0)])]
     parts = {"once": [5, 0, 0], "turns": [0, 1, -1]}
-    found = evaluate(MDP.from_outcomes(rows, components=parts), [0, 0, 0])
-    assert (found.mean, found.components["once"], found.components["rest"]) == (-inf, 5, -inf)
-    assert found.components["turns"] == 0.5
-    assert np.isnan(found.variance).all()
-    assert solve(found.mdp).gap_table.tolist() == [[0.0], [0.0], [0.0]]
+    evaluation = evaluate(MDP.from_outcomes(rows, components=parts), [0, 0, 0])
+    assert (evaluation.mean, evaluation.components["once"], evaluation.components["rest"]) == (
+        -inf,
+        5,
+        -inf,
+    )
+    assert evaluation.components["turns"] == 0.5
+    assert np.isnan(evaluation.variance).all()
+    assert solve(evaluation.mdp).gap_table.tolist() == [[0.0], [0.0], [0.0]]
 
 
 def test_quantiles_say_why_they_are_missing() -> None:
-    found = evaluate(two_rewards().with_(discount="9/10"), "random")
-    assert found.quantiles is None
-    assert "9/10" in found.quantiles_missing
-    found = evaluate(two_rewards(), "random")
-    assert found.quantiles == {0.05: -1.0, 0.25: -1.0, 0.5: -1.0, 0.75: 0.5, 0.95: 0.5}
-    assert found.quantiles_missing == ""
+    evaluation = evaluate(two_rewards().with_(discount="9/10"), "random")
+    assert evaluation.quantiles is None
+    assert "9/10" in evaluation.quantiles_missing
+    evaluation = evaluate(two_rewards(), "random")
+    assert evaluation.quantiles == {0.05: -1.0, 0.25: -1.0, 0.5: -1.0, 0.75: 0.5, 0.95: 0.5}
+    assert evaluation.quantiles_missing == ""
 
 
 def test_large_models_with_cycles_agree_with_the_solvers() -> None:
     mdp = gridworld(25).with_(discount=1)  # over 500 states: solved by iteration
-    found = evaluate(mdp, "random")
-    assert found.chain.order is None
-    assert abs(found.mean + found.steps) <= found.start.error + found.numbers["steps"].error
-    assert found.start.error < 1e-6
+    evaluation = evaluate(mdp, "random")
+    assert evaluation.chain.order is None
+    assert (
+        abs(evaluation.mean + evaluation.steps)
+        <= evaluation.start.error + evaluation.numbers["steps"].error
+    )
+    assert evaluation.start.error < 1e-6
     solution = solve(mdp.with_(discount="9/10"))
     again = evaluate(solution.mdp, solution)
     assert (np.abs(again.value - solution.value) <= again.error + solution.state_error).all()

@@ -26,9 +26,13 @@ def late(chance: F | str) -> MDP:
 
 def test_steps_of_a_policy_that_never_ends_are_infinite() -> None:
     """Below discount 1 the mean is finite, and everything else is given as well."""
-    found = evaluate(MDP.from_arrays([[[1.0]]], [[3.0]], "1/2"), [0])
-    assert (found.mean, found.steps, found.sd) == (6.0, inf, pytest.approx(0, abs=1e-7))
-    assert found.numbers["steps"].value == inf
+    evaluation = evaluate(MDP.from_arrays([[[1.0]]], [[3.0]], "1/2"), [0])
+    assert (evaluation.mean, evaluation.steps, evaluation.sd) == (
+        6.0,
+        inf,
+        pytest.approx(0, abs=1e-7),
+    )
+    assert evaluation.numbers["steps"].value == inf
     done = run("evaluate", "gymnasium:CliffWalking-v1", "always:0", "--discount", "0.9", "--json")
     assert strict(done.out)["steps"] == "inf"
 
@@ -43,9 +47,9 @@ def test_sampled_runs_that_never_end_have_no_number_of_steps(
     mdp = MDP.from_outcomes(rows, labels={"home": [False, False, True, False]})
     mdp.save(path := tmp_path / "m.npz")
     mdp = mdp.until("home") if asks else mdp
-    found = simulate(mdp, "random", 100, 0)
-    assert 30 < found.endless < 70
-    assert found.mean_steps == evaluate(mdp, "random").steps == inf
+    sample = simulate(mdp, "random", 100, 0)
+    assert 30 < sample.endless < 70
+    assert sample.mean_steps == evaluate(mdp, "random").steps == inf
     words = ["simulate", path, "random", "--episodes", 20, *(["--until", "home"] * asks)]
     assert strict(run(*words, "--json").out)["steps"] == "inf"
     assert "inf: some never end" in run(*words).out
@@ -56,27 +60,27 @@ def test_sampled_runs_that_never_end_have_no_number_of_steps(
 @pytest.mark.parametrize("chance", [F(1, 10**20), F(1, 10**300), F(1, 10**400)])
 def test_an_end_beyond_the_floats_leaves_the_rest(chance: F) -> None:
     """The mean, the spread and the events stand, and so does a number of steps that is a float."""
-    found = evaluate(late(chance), [0, 0])
-    assert found.mean == pytest.approx(2)
-    assert found.ends
-    assert found.sd < 1e-5
+    evaluation = evaluate(late(chance), [0, 0])
+    assert evaluation.mean == pytest.approx(2)
+    assert evaluation.ends
+    assert evaluation.sd < 1e-5
     if 1 / chance < 10**308:
-        assert found.steps == float(1 / chance)
+        assert evaluation.steps == float(1 / chance)
     else:
-        assert isnan(found.steps)
-        assert found.numbers["steps"].error == inf
+        assert isnan(evaluation.steps)
+        assert evaluation.numbers["steps"].error == inf
 
 
 @pytest.mark.parametrize("size", [1e308, 1e200, 1.0, 1e-200, 1e-308])
 @pytest.mark.parametrize("discount", [0, "1/2", 1])
 def test_spreads_are_right_at_any_scale(size: float, discount: object) -> None:
     """A fair bet of ± size: its sd is the size, whether or not the variance is a float."""
-    found = evaluate(bet(size).with_(discount=discount), [0, 0])
-    assert found.sd == pytest.approx(size, rel=1e-12)
-    spread = found.numbers["sd"]
+    evaluation = evaluate(bet(size).with_(discount=discount), [0, 0])
+    assert evaluation.sd == pytest.approx(size, rel=1e-12)
+    spread = evaluation.numbers["sd"]
     assert abs(F(spread.value) - F(size)) <= F(spread.error)
-    assert found.start_variance == (inf if size > 1e160 else pytest.approx(size * size))
-    assert found.variance[0] == found.start_variance
+    assert evaluation.start_variance == (inf if size > 1e160 else pytest.approx(size * size))
+    assert evaluation.variance[0] == evaluation.start_variance
 
 
 def test_spreads_between_starts_are_right_at_any_scale() -> None:
@@ -88,36 +92,41 @@ def test_spreads_between_starts_are_right_at_any_scale() -> None:
 def test_nothing_earned_is_exactly_nothing() -> None:
     """Without rewards the mean is 0 at any discount, however near to 1."""
     rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 0, 0)])]
-    found = evaluate(MDP.from_outcomes(rows, F(10**16 - 1, 10**16)), [0, 0])
-    assert (found.mean, found.start.error, found.sd, found.steps) == (0, 0, 0, inf)
+    evaluation = evaluate(MDP.from_outcomes(rows, F(10**16 - 1, 10**16)), [0, 0])
+    assert (evaluation.mean, evaluation.start.error, evaluation.sd, evaluation.steps) == (
+        0,
+        0,
+        0,
+        inf,
+    )
 
 
 def test_the_command_tells_what_is_unknown(tmp_path: Path) -> None:
     path = tmp_path / "late.npz"
     save(late(F(1, 10**400)), path)
-    found = run("evaluate", path, "random", "--json").result
-    assert (found["steps"], found["error_bounds"]["steps"]) == (None, "inf")
-    assert found["mean"] == pytest.approx(2)
+    result = run("evaluate", path, "random", "--json").result
+    assert (result["steps"], result["error_bounds"]["steps"]) == (None, "inf")
+    assert result["mean"] == pytest.approx(2)
     assert "cannot bound" in run("evaluate", path, "random").out
 
 
 def test_two_outcomes_give_the_spread_of_a_recursion() -> None:
     """The scaled equation is the one of Sobel: Var = E[(r + γ V' - V)²] + γ² E[Var']."""
     rows = [(0, 0, [("1/2", 0, 1e300), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])]
-    found = evaluate(MDP.from_outcomes(rows, "1/2"), [0, 0])
+    evaluation = evaluate(MDP.from_outcomes(rows, "1/2"), [0, 0])
     mean = 0.5 / (1 - 0.25)
     spread = (0.5 * (1 + 0.5 * mean - mean) ** 2 + 0.5 * mean**2) / (1 - 0.125)
-    assert found.sd / 1e300 == pytest.approx(sqrt(spread))
-    assert np.isfinite(found.mean)
+    assert evaluation.sd / 1e300 == pytest.approx(sqrt(spread))
+    assert np.isfinite(evaluation.mean)
 
 
 @pytest.mark.parametrize("size", [1.7e308, 1e-308])
 def test_sampled_and_listed_returns_of_any_scale(size: float) -> None:
     """Mean and sd of simulations and of distributions neither overflow nor vanish."""
     mdp = bet(size)
-    found = simulate(mdp, [0, 0], 400, rng=3)
-    assert found.sd == pytest.approx(size, rel=0.02)
-    assert abs(found.mean) < 4 * found.standard_error
+    sample = simulate(mdp, [0, 0], 400, rng=3)
+    assert sample.sd == pytest.approx(size, rel=0.02)
+    assert abs(sample.mean) < 4 * sample.standard_error
     listed = return_distribution(mdp, [0, 0])
     assert (listed.mean, listed.sd) == (0, pytest.approx(size))
 
@@ -126,8 +135,8 @@ def test_returns_beyond_the_floats_are_infinite() -> None:
     """Two losses of 1e308 make one that no float holds; its quantile is -inf, the rest stands."""
     rows = [(0, 0, [(1, 1, -1e308)]), (1, 0, [(0.5, 2, -1e308), (0.5, 2, 1e308)])]
     mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
-    found = evaluate(mdp, [0, 0, 0])
-    assert found.quantiles is not None
-    assert (found.quantiles[0.05], found.quantiles[0.95]) == (-inf, 0)
-    assert (found.mean, found.sd) == (-1e308, pytest.approx(1e308))
+    evaluation = evaluate(mdp, [0, 0, 0])
+    assert evaluation.quantiles is not None
+    assert (evaluation.quantiles[0.05], evaluation.quantiles[0.95]) == (-inf, 0)
+    assert (evaluation.mean, evaluation.sd) == (-1e308, pytest.approx(1e308))
     assert return_distribution(mdp, [0, 0, 0]).sd == pytest.approx(1e308)

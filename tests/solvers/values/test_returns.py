@@ -63,16 +63,16 @@ def law_of(case: Case) -> ReturnDistribution:
     return return_distribution(case.model, case.weights)
 
 
-def check_law(case: Case, found: ReturnDistribution) -> None:
+def check_law(case: Case, returned: ReturnDistribution) -> None:
     steps = case.n_states if is_acyclic(case) else CYCLIC_STEPS
     wanted, rest = brute_force(case, steps)
-    law = found.as_dict()
+    law = returned.as_dict()
     assert list(law) == sorted(law)
     assert rest or set(law) == set(wanted)
-    for value, error in zip(found.values, found.error, strict=True):
+    for value, error in zip(returned.values, returned.error, strict=True):
         low = wanted.get(value, F(0))
         assert low - F(error) <= F(law[value]) <= low + rest + F(error)
-    assert all(mass <= F(found.remaining) for x, mass in wanted.items() if x not in law)
+    assert all(mass <= F(returned.remaining) for x, mass in wanted.items() if x not in law)
 
 
 @settings(deadline=None, max_examples=40)
@@ -82,26 +82,26 @@ def test_the_law_is_that_of_brute_force(case: Case) -> None:
     for widest in (8, 0):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("exact_mdp.solvers.values.return_mass.DENSE", widest)
-            found = law_of(case)
-        check_law(case, found)
-        assert found.claim is Claim.BOUNDED
-        assert found.remaining <= 1.01e-12
+            law = law_of(case)
+        check_law(case, law)
+        assert law.claim is Claim.BOUNDED
+        assert law.remaining <= 1.01e-12
         if is_acyclic(case):
-            assert found.remaining == 0
+            assert law.remaining == 0
         total = sum(brute_force(case, case.n_states)[0].values()) if is_acyclic(case) else 1
-        assert found.probabilities.sum() == pytest.approx(float(total), abs=3e-9)
+        assert law.probabilities.sum() == pytest.approx(float(total), abs=3e-9)
     wanted = evaluate(case.model, case.weights)
-    assert found.mean == pytest.approx(wanted.mean, rel=1e-8, abs=1e-7)
-    assert found.sd == pytest.approx(wanted.sd, rel=1e-5, abs=1e-4)
+    assert law.mean == pytest.approx(wanted.mean, rel=1e-8, abs=1e-7)
+    assert law.sd == pytest.approx(wanted.sd, rel=1e-5, abs=1e-4)
 
 
 def test_a_loop_is_followed_until_little_is_left(kind: str) -> None:
-    found = return_distribution(geometric("1/2"), "random")
-    assert found.values[-1] == 0
-    steps = [-int(value) for value in found.values]
-    assert found.probabilities.tolist() == [0.5 ** (step + 1) for step in steps]
-    assert 0 < found.remaining <= 1e-12
-    assert found.probabilities.sum() + found.remaining == pytest.approx(1, abs=1e-15)
+    law = return_distribution(geometric("1/2"), "random")
+    assert law.values[-1] == 0
+    steps = [-int(value) for value in law.values]
+    assert law.probabilities.tolist() == [0.5 ** (step + 1) for step in steps]
+    assert 0 < law.remaining <= 1e-12
+    assert law.probabilities.sum() + law.remaining == pytest.approx(1, abs=1e-15)
     assert max(steps) == 39  # 2^-40 < 10^-12
 
 
@@ -118,9 +118,9 @@ def test_ways_too_rare_for_floats_are_followed_exactly(kind: str) -> None:
     exact = return_distribution(mdp, "random", exact=True)
     assert exact.values == (0, 3, 7)
     assert exact.exact == ((1 - rare) ** 2, rare * (1 - rare), rare)
-    found = return_distribution(mdp, "random")
-    assert found.values == (0,)
-    assert found.remaining < 1e-280
+    law = return_distribution(mdp, "random")
+    assert law.values == (0,)
+    assert law.remaining < 1e-280
 
 
 def test_too_many_returns_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,11 +138,11 @@ def test_too_many_returns_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_exact_law_is_exact(case: Case) -> None:
     assume(case.ends)
     if is_acyclic(case):
-        found = return_distribution(case.model, case.weights, exact=True)
+        law = return_distribution(case.model, case.weights, exact=True)
         wanted = brute_force(case, case.n_states)[0]
-        assert dict(zip(found.values, found.exact or (), strict=True)) == wanted
-        assert found.probabilities.tolist() == [float(wanted[x]) for x in found.values]
-        assert case.floats or sum(found.exact or ()) == 1
+        assert dict(zip(law.values, law.exact or (), strict=True)) == wanted
+        assert law.probabilities.tolist() == [float(wanted[x]) for x in law.values]
+        assert case.floats or sum(law.exact or ()) == 1
     elif any(t == s for s in case.reached for _, t, *_ in case.outcomes[s] if s in case.live):
         with pytest.raises(ModelError, match="lead back"):
             return_distribution(case.model, case.weights, exact=True)
@@ -156,39 +156,37 @@ def test_the_care_model_is_the_oracles(number: int) -> None:
     chosen = policy_of(mdp, policy)
     exact = return_distribution(mdp, chosen, exact=True)
     assert dict(zip(exact.values, exact.exact or (), strict=True)) == wanted
-    found = return_distribution(mdp, chosen)
-    assert found.values == exact.values
-    for probability, error, value in zip(
-        found.probabilities, found.error, found.values, strict=True
-    ):
+    law = return_distribution(mdp, chosen)
+    assert law.values == exact.values
+    for probability, error, value in zip(law.probabilities, law.error, law.values, strict=True):
         assert abs(F(probability) - wanted[value]) <= F(error)
-    assert found.relative_error < 1e-12
-    assert found.remaining == 0.0
+    assert law.relative_error < 1e-12
+    assert law.remaining == 0.0
 
 
 def test_a_hundred_subtasks_take_seconds() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[100]).compile()
-    found, wanted = return_distribution(mdp, "always:directive"), evaluate(mdp, "always:directive")
-    assert len(found.values) > 9_000
-    assert found.probabilities.sum() == pytest.approx(1, abs=1e-13)
-    assert found.mean == pytest.approx(wanted.mean, abs=1e-9)
-    assert found.sd == pytest.approx(wanted.sd, rel=1e-12)
+    law, wanted = return_distribution(mdp, "always:directive"), evaluate(mdp, "always:directive")
+    assert len(law.values) > 9_000
+    assert law.probabilities.sum() == pytest.approx(1, abs=1e-13)
+    assert law.mean == pytest.approx(wanted.mean, abs=1e-9)
+    assert law.sd == pytest.approx(wanted.sd, rel=1e-12)
 
 
 def test_few_returns_on_a_fine_lattice_are_found() -> None:
-    found = return_distribution(coin(10**9, F(1, 10**9), ways=3), "random")
-    assert found.probabilities.tolist() == [0.125, 0.375, 0.375, 0.125]
-    assert found.values[1] == 10**9 + F(2, 10**9)
-    assert found.multiples.dtype == np.int64 or found.multiples.dtype == object
+    law = return_distribution(coin(10**9, F(1, 10**9), ways=3), "random")
+    assert law.probabilities.tolist() == [0.125, 0.375, 0.375, 0.125]
+    assert law.values[1] == 10**9 + F(2, 10**9)
+    assert law.multiples.dtype == np.int64 or law.multiples.dtype == object
     huge = return_distribution(coin(F(10) ** 30, F(1, 7) ** 30), "random")
     assert huge.values == (F(1, 7) ** 30, F(10) ** 30)
     assert huge.cdf(1) == 0.5
 
 
 def test_cdf_and_quantiles() -> None:
-    found = return_distribution(coin(0, 1), "random")
-    assert [found.cdf(x) for x in (-1, "-1/10", 0, 0.5, 1, 2)] == [0, 0, 0.5, 0.5, 1, 1]
-    assert [found.quantile(p) for p in (0, 0.2, 0.5, 0.51, 1)] == [0, 0, 0, 1, 1]
+    law = return_distribution(coin(0, 1), "random")
+    assert [law.cdf(x) for x in (-1, "-1/10", 0, 0.5, 1, 2)] == [0, 0, 0.5, 0.5, 1, 1]
+    assert [law.quantile(p) for p in (0, 0.2, 0.5, 0.51, 1)] == [0, 0, 0, 1, 1]
     # Ten times a tenth is 1 - 10^-16 in floats, and reaches the median all the same.
     tenths = return_distribution(coin(*range(10)), "random")
     assert [tenths.quantile(p / 10) for p in range(1, 11)] == list(range(10))
@@ -217,11 +215,11 @@ def test_runs_without_end_are_a_return_of_their_own(model: Pairs) -> None:
         with pytest.raises(ModelError, match="the mean return has no value"):
             return_distribution(mdp, [0] * size)
         return
-    found = return_distribution(mdp, [0] * size)
-    if found.unending:
-        assert found.mean == (inf if whole > 0 else -inf)
-    assert found.unending.keys() == {sign for sign, p in lost.items() if p}
-    for sign, number in found.unending.items():
+    endless = return_distribution(mdp, [0] * size)
+    if endless.unending:
+        assert endless.mean == (inf if whole > 0 else -inf)
+    assert endless.unending.keys() == {sign for sign, p in lost.items() if p}
+    for sign, number in endless.unending.items():
         assert abs(F(float(number.value)) - lost[sign]) <= F(number.error)
     moving: dict[tuple[int, F], F] = {(0, F(0)): F(1)}
     for _ in range(12):
@@ -231,16 +229,16 @@ def test_runs_without_end_are_a_return_of_their_own(model: Pairs) -> None:
                 following[t, total + (reward[s] if s not in over else 0)] += mass * p
         moving = following
     resting = {s for s in over if not reward[s] and not any(star[s][t] * reward[t] for t in over)}
-    law, left = found.as_dict(), sum((p for (s, _), p in moving.items() if s not in over), F(0))
-    for value, error in zip(found.values, found.error, strict=True):
+    law, left = endless.as_dict(), sum((p for (s, _), p in moving.items() if s not in over), F(0))
+    for value, error in zip(endless.values, endless.error, strict=True):
         low = sum((p for (s, total), p in moving.items() if s in resting and total == value), F(0))
         assert low - F(error) <= F(law[value]) <= low + left + F(error)
     assert sum(law.values()) == pytest.approx(1, abs=1e-9)
-    if found.unending:
-        assert found.mean == evaluate(mdp, [0] * size).mean
+    if endless.unending:
+        assert endless.mean == evaluate(mdp, [0] * size).mean
         sampled = simulate(mdp, [0] * size, 400, 0)
-        assert sampled.never_ends == pytest.approx(found.never_ends, abs=0.15)
-        assert sampled.mean == found.mean or not sampled.never_ends
+        assert sampled.never_ends == pytest.approx(endless.never_ends, abs=0.15)
+        assert sampled.mean == endless.mean or not sampled.never_ends
 
 
 @pytest.mark.parametrize(("gain", "loss", "mean"), [(1, 2, -inf), (2, 1, inf), (1, 1, None)])
@@ -259,9 +257,9 @@ def test_runs_of_both_infinities_have_one_mean(gain: int, loss: int, mean: float
             with pytest.raises(ModelError, match="the mean return has no value"):
                 ask()
             continue
-        found = ask()
-        assert (found.mean, isnan(found.sd)) == (mean, True)
-        assert f"mean {mean}" in repr(found)
+        answer = ask()
+        assert (answer.mean, isnan(answer.sd)) == (mean, True)
+        assert f"mean {mean}" in repr(answer)
     if mean is not None:
         assert "2 returns, " in repr(return_distribution(mdp, "random"))
 
@@ -270,14 +268,14 @@ def test_runs_that_miss_a_goal() -> None:
     rows = [(0, 0, [("1/4", 1, 3), ("3/4", 2, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(rows, labels={"home": [False, True, False]})
     for sense in ("max", "min"):
-        found = return_distribution(mdp.with_(sense=sense).until("home"), "random", exact=True)
-        assert found.as_dict() == {F(3): 0.25, inf: 0.75}
-        assert found.unending[inf].value == F(3, 4)
-        assert (found.mean, found.never_ends, isnan(found.sd)) == (inf, 0.75, True)
-        assert [found.quantile(q) for q in (0.2, 0.25, 0.3, 1)] == [3, 3, inf, inf]
-        assert found.cdf(10) == 0.25
-        assert found.frame()["probability"].sum() == 1
-        assert "never ends" in found.plot().get_title(loc="left")
+        law = return_distribution(mdp.with_(sense=sense).until("home"), "random", exact=True)
+        assert law.as_dict() == {F(3): 0.25, inf: 0.75}
+        assert law.unending[inf].value == F(3, 4)
+        assert (law.mean, law.never_ends, isnan(law.sd)) == (inf, 0.75, True)
+        assert [law.quantile(q) for q in (0.2, 0.25, 0.3, 1)] == [3, 3, inf, inf]
+        assert law.cdf(10) == 0.25
+        assert law.frame()["probability"].sum() == 1
+        assert "never ends" in law.plot().get_title(loc="left")
     lost = MDP.from_outcomes([(0, 0, [(1, 0, -1)])])
-    found = return_distribution(lost, "random")
-    assert (found.as_dict(), found.quantile(1), found.mean) == ({-inf: 1.0}, -inf, -inf)
+    law = return_distribution(lost, "random")
+    assert (law.as_dict(), law.quantile(1), law.mean) == ({-inf: 1.0}, -inf, -inf)

@@ -22,46 +22,46 @@ from exact_mdp import (
 EPISODES = 100_000
 
 
-def check(found: Simulation, mdp: MDP, policy: object) -> None:
+def check(sample: Simulation, mdp: MDP, policy: object) -> None:
     """Mean, spread, steps and events are within four standard errors of the exact ones."""
     wanted = evaluate(mdp, policy)
-    assert abs(found.mean - wanted.mean) < 4 * found.standard_error + found.truncation_error
-    assert found.sd == pytest.approx(wanted.sd, rel=0.03)
-    if wanted.ends and not found.truncated:
-        spread = found.steps.std() / sqrt(found.episodes)
-        assert abs(found.steps.mean() - wanted.steps) <= 4 * spread
-    for name, share in found.events.items():
+    assert abs(sample.mean - wanted.mean) < 4 * sample.standard_error + sample.truncation_error
+    assert sample.sd == pytest.approx(wanted.sd, rel=0.03)
+    if wanted.ends and not sample.truncated:
+        spread = sample.steps.std() / sqrt(sample.episodes)
+        assert abs(sample.steps.mean() - wanted.steps) <= 4 * spread
+    for name, share in sample.events.items():
         p = wanted.event_probability[name]
-        assert abs(share - p) <= 4 * sqrt(p * (1 - p) / found.episodes)
+        assert abs(share - p) <= 4 * sqrt(p * (1 - p) / sample.episodes)
 
 
 @pytest.mark.parametrize("discount", [F(1), F(19, 20)])
 @pytest.mark.parametrize("policy", ["random", "always:none", "always:directive"])
 def test_the_papers_model(policy: str, discount: F) -> None:
     mdp = Scenario.load("yuan2025").compile().with_(discount=discount)
-    found = simulate(mdp, policy, EPISODES, rng=1)
-    check(found, mdp, policy)
-    assert found.claim is Claim.ESTIMATED
-    assert found.value.value == found.mean
-    assert (found.truncated, found.truncation_error) == (0, 0.0)
-    assert list(found.events) == ["skip"]
+    sample = simulate(mdp, policy, EPISODES, rng=1)
+    check(sample, mdp, policy)
+    assert sample.claim is Claim.ESTIMATED
+    assert sample.value.value == sample.mean
+    assert (sample.truncated, sample.truncation_error) == (0, 0.0)
+    assert list(sample.events) == ["skip"]
 
 
 def test_other_readings_and_a_mixed_policy() -> None:
     readings = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped", "skip_onset": "base"}
     mdp, oracle = care(readings, [2, 1])
     policy = policy_of(mdp, careful)
-    found = simulate(mdp, policy, EPISODES, rng=2)
-    check(found, mdp, policy)
+    sample = simulate(mdp, policy, EPISODES, rng=2)
+    check(sample, mdp, policy)
     wanted = oracle.evaluate(careful, distribution=False)
-    assert abs(found.mean - float(wanted["mean"])) < 4 * found.standard_error
+    assert abs(sample.mean - float(wanted["mean"])) < 4 * sample.standard_error
 
 
 def test_every_return_comes_as_often_as_it_should() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
     exact = return_distribution(mdp, "random")
-    found = simulate(mdp, "random", EPISODES, rng=3)
-    values, counts = np.unique(found.returns, return_counts=True)
+    sample = simulate(mdp, "random", EPISODES, rng=3)
+    values, counts = np.unique(sample.returns, return_counts=True)
     law = {float(value): p for value, p in exact.as_dict().items()}
     assert set(values.tolist()) <= set(law)
     shares = dict(zip(values.tolist(), (counts / EPISODES).tolist(), strict=True))
@@ -80,18 +80,18 @@ LOOP = [
 @pytest.mark.parametrize("discount", ["1", "19/20", "1/2", "0"])
 def test_cycles_and_several_starts(discount: str) -> None:
     mdp = MDP.from_outcomes(LOOP, discount, start={0: "1/3", 1: "1/3", 2: "1/3"})
-    found = simulate(mdp, "random", EPISODES, rng=4)
-    check(found, mdp, "random")
-    assert found.steps.min() == 0
+    sample = simulate(mdp, "random", EPISODES, rng=4)
+    check(sample, mdp, "random")
+    assert sample.steps.min() == 0
 
 
 def test_an_endless_process_is_cut_off_where_nothing_is_lost() -> None:
     mdp = MDP.from_outcomes(LOOP, "9/10")
-    found = simulate(mdp, [0, 0, 0], 20_000, rng=5)
-    check(found, mdp, [0, 0, 0])
-    assert found.truncated == found.episodes
-    assert set(found.steps.tolist()) == {263}
-    assert 0 < found.truncation_error <= 1e-12 * 3 / 0.1
+    sample = simulate(mdp, [0, 0, 0], 20_000, rng=5)
+    check(sample, mdp, [0, 0, 0])
+    assert sample.truncated == sample.episodes
+    assert set(sample.steps.tolist()) == {263}
+    assert 0 < sample.truncation_error <= 1e-12 * 3 / 0.1
     short = simulate(mdp, [0, 0, 0], 20_000, rng=5, max_steps=10)
     assert short.truncation_error == pytest.approx(0.9**10 * 3 / 0.1)
     wanted = evaluate(mdp, [0, 0, 0]).mean
@@ -104,9 +104,9 @@ def test_an_endless_process_is_cut_off_where_nothing_is_lost() -> None:
 def test_what_is_cut_off_is_part_of_the_error() -> None:
     """Every episode earns 1 a step: the first three show no spread, and the rest is missing."""
     mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)])], "9/10")
-    found = simulate(mdp, [0], 5, rng=0, max_steps=3)
-    assert (found.mean, found.standard_error) == (pytest.approx(2.71), 0)
-    low, high = found.value.interval
+    sample = simulate(mdp, [0], 5, rng=0, max_steps=3)
+    assert (sample.mean, sample.standard_error) == (pytest.approx(2.71), 0)
+    low, high = sample.value.interval
     assert low <= 10 <= high
     assert high - 10 < 1e-4
     ended = simulate(mdp, [0], 5, rng=0, horizon=3)
@@ -126,12 +126,12 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 
 def test_one_episode_says_nothing_of_the_spread() -> None:
-    found = simulate(MDP.from_outcomes(LOOP), "random", 1, rng=0)
-    assert found.episodes == 1
-    assert found.standard_error == inf
+    sample = simulate(MDP.from_outcomes(LOOP), "random", 1, rng=0)
+    assert sample.episodes == 1
+    assert sample.standard_error == inf
 
 
 def test_results_are_read_only() -> None:
-    found = simulate(MDP.from_outcomes(LOOP), "random", 10, rng=0)
+    sample = simulate(MDP.from_outcomes(LOOP), "random", 10, rng=0)
     with pytest.raises(ValueError, match="read-only"):
-        found.returns[0] = 0
+        sample.returns[0] = 0

@@ -62,34 +62,36 @@ CHAINS = {
 
 @pytest.mark.parametrize("rows", CHAINS.values(), ids=CHAINS)
 def test_shares_of_time_have_all_their_digits(rows) -> None:
-    found = evaluate(
+    evaluation = evaluate(
         MDP.from_arrays([rows], [[k] for k in range(len(rows))]),
         [0] * len(rows),
         criterion="average",
     )
     exact = stationary(rows)
-    for share, error, right in zip(found.share.value, found.share.error, exact, strict=True):
+    for share, error, right in zip(
+        evaluation.share.value, evaluation.share.error, exact, strict=True
+    ):
         assert abs(F(share) - right) <= F(error)
         assert error <= 1e-14
     mean = sum(k * share for k, share in enumerate(exact))
-    assert abs(F(found.mean) - mean) <= F(found.start.error) <= F("1e-12") * mean
-    assert found.components["reward"].value == pytest.approx(float(mean))
+    assert abs(F(evaluation.mean) - mean) <= F(evaluation.start.error) <= F("1e-12") * mean
+    assert evaluation.components["reward"].value == pytest.approx(float(mean))
 
 
 def test_the_rarest_states_of_a_slow_chain_are_known_to_all_digits() -> None:
     rows = CHAINS["27 players"]
-    found = evaluate(MDP.from_arrays([rows], [[0]] * 28), [0] * 28, criterion="average")
-    assert found.visits == pytest.approx([float(x) for x in stationary(rows)], rel=1e-15)
+    evaluation = evaluate(MDP.from_arrays([rows], [[0]] * 28), [0] * 28, criterion="average")
+    assert evaluation.visits == pytest.approx([float(x) for x in stationary(rows)], rel=1e-15)
 
 
 def test_transient_states_and_two_classes_under_a_mixed_policy() -> None:
     eps = F("1e-25")
     slow = [[1 - 3 * eps, eps, 2 * eps], [0, 1, 0], [0, 0, 1]]
     mdp = MDP.from_arrays([slow, slow], [[0, 0], [3, 3], [6, 6]])
-    found = evaluate(mdp, [[F(1, 3), F(2, 3)]] * 3, kind="policy", criterion="average")
-    assert found.share.value == pytest.approx([0, 1 / 3, 2 / 3], rel=1e-15)
-    assert found.value == pytest.approx([5, 3, 6], rel=1e-15)
-    assert found.visits[0] == pytest.approx(1 / (3e-25), rel=1e-15)
+    evaluation = evaluate(mdp, [[F(1, 3), F(2, 3)]] * 3, kind="policy", criterion="average")
+    assert evaluation.share.value == pytest.approx([0, 1 / 3, 2 / 3], rel=1e-15)
+    assert evaluation.value == pytest.approx([5, 3, 6], rel=1e-15)
+    assert evaluation.visits[0] == pytest.approx(1 / (3e-25), rel=1e-15)
 
 
 @pytest.mark.parametrize("discount", [1, 1 - F("1e-30")])
@@ -99,10 +101,10 @@ def test_an_end_that_hardly_comes(discount) -> None:
     rows += [(1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
     mdp = MDP.from_outcomes(rows, discount=discount)
     mean = 2 / (1 - discount * (1 - 3 * eps))
-    found = evaluate(mdp, [0, 0, 0])
-    assert abs(F(found.mean) - mean) <= F(found.start.error) <= mean * F("1e-14")
-    assert found.steps == pytest.approx(1e30 / 3, rel=1e-15)
-    ends = found.visits if discount == 1 else evaluate(mdp.undiscounted, [0, 0, 0]).visits
+    evaluation = evaluate(mdp, [0, 0, 0])
+    assert abs(F(evaluation.mean) - mean) <= F(evaluation.start.error) <= mean * F("1e-14")
+    assert evaluation.steps == pytest.approx(1e30 / 3, rel=1e-15)
+    ends = evaluation.visits if discount == 1 else evaluate(mdp.undiscounted, [0, 0, 0]).visits
     assert ends.tolist() == pytest.approx([1e30 / 3, 1 / 3, 2 / 3], rel=1e-15)
     assert check(mdp, [0, 0, 0]).passed
 

@@ -72,8 +72,8 @@ class OffPolicy:
     >>> table = pd.DataFrame(rows, columns=names)
     >>> mdp = MDP.from_transitions(table, discount="1/2")
     >>> by = OffPolicy(records=table, behaviour="random", rewards="known", returns=(0, 1))
-    >>> found = by.interval(mdp, PolicyChain.of(mdp, "always:wait"), Fraction(19, 20))
-    >>> found.found["effective_sample_size"], found.low > 0.7, round(found.high, 9)
+    >>> interval = by.interval(mdp, PolicyChain.of(mdp, "always:wait"), Fraction(19, 20))
+    >>> interval.found["effective_sample_size"], interval.low > 0.7, round(interval.high, 9)
     (1000.0, True, 1.0)
     """
 

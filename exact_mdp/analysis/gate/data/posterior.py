@@ -120,8 +120,8 @@ class Posterior:
     >>> rows += [(n + 40, "ill", "treat", n % 4 > 0, None) for n in range(40)]
     >>> mdp = MDP.from_transitions(pd.DataFrame(rows, columns=names), discount="1/2")
     >>> chain = PolicyChain.of(mdp, "always:treat")
-    >>> found = Posterior(n=500).interval(mdp, chain, Fraction(19, 20))
-    >>> found.low, found.high < 0.1, found.within(Fraction(0)).value > 0.95
+    >>> interval = Posterior(n=500).interval(mdp, chain, Fraction(19, 20))
+    >>> interval.low, interval.high < 0.1, interval.within(Fraction(0)).value > 0.95
     (0.0, True, True)
     """
 

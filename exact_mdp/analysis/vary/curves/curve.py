@@ -175,8 +175,8 @@ class ValueFunction(Pictured):
         --------
         >>> rows = [(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])]
         >>> mdp = MDP.from_outcomes(rows, "1/2")  # max(5, 1 / (1 - γ)) from the start
-        >>> found = curve(mdp, "discount", (0, "99/100"), policy=[1, 0])
-        >>> [(str(each.low[0]), str(each.high[1])) for each in found.within(5)]
+        >>> value_curve = curve(mdp, "discount", (0, "99/100"), policy=[1, 0])
+        >>> [(str(each.low[0]), str(each.high[1])) for each in value_curve.within(5)]
         [('0', '9/10')]
         """
         where = f"curve of {self.parameter.name}"
@@ -386,8 +386,8 @@ def curve(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
-    >>> found = curve(MDP.from_outcomes(rows, "1/2"), "discount", (0, "99/100"))
-    >>> len(found.pieces), found.at("1/2"), found.at("19/20")  # Puterman (1994), section 3.1
+    >>> line = curve(MDP.from_outcomes(rows, "1/2"), "discount", (0, "99/100"))
+    >>> len(line.pieces), line.at("1/2"), line.at("19/20")  # Puterman (1994), section 3.1
     (2, Fraction(9, 1), Fraction(-60, 7))
     """
     family = parametric(model)

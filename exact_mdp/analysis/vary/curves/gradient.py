@@ -291,8 +291,8 @@ def gradient(
     --------
     >>> from exact_mdp.mdp.parametric import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    >>> found = gradient(moving(mdp, {"stay": [(0, 0)]}), names=["stay"])
-    >>> print(found["stay"].value, found["stay"].elasticity)
+    >>> slopes = gradient(moving(mdp, {"stay": [(0, 0)]}), names=["stay"])
+    >>> print(slopes["stay"].value, slopes["stay"].elasticity)
     4 (certified) 1.0
     """
     family = parametric(model)

@@ -297,8 +297,8 @@ def thresholds(
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
-    >>> found = thresholds(MDP.from_outcomes(rows, "1/2"), "discount", ("1/10", "99/100"))
-    >>> [threshold.value for threshold in found.found]  # 10/11: Puterman (1994), section 3.1
+    >>> switches = thresholds(MDP.from_outcomes(rows, "1/2"), "discount", ("1/10", "99/100"))
+    >>> [threshold.value for threshold in switches.found]  # 10/11: Puterman (1994), section 3.1
     [0.90909090909...]
     """
     family = parametric(model)
