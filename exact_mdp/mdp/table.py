@@ -206,22 +206,29 @@ class OutcomeTable:
         return list(zip(map(exact, chances), self.next[here].tolist(), gains, strict=True))
 
 
-def settle_rows(weight: Floats, offsets: Integers) -> None:
-    """Do what `mdp.forms.rows.settle` does, in compiled loops where there are many numbers."""
+def settle_rows(weight: Floats, offsets: Integers) -> bool:
+    """Do what `mdp.forms.rows.settle` does, in compiled loops where there are many numbers.
+
+    Return whether these have found that all rows are distributions of positive numbers.
+    """
     fits = len(offsets) > 1 and offsets[0] == 0 and offsets[-1] == len(weight) == weight.size
     if not (fits and np.diff(offsets).min() > 0):
-        return  # it is refused for that
+        return False  # it is refused for that
     longest = int(np.diff(offsets).max())
     if len(weight) < COMPILED or longest >= LONG:
         with np.errstate(all="ignore"):
             settle(weight, offsets)
-        return
+        return False
     from exact_mdp.mdp.forms import loops
 
-    run_blocks(
-        block_ends(offsets),
-        lambda _, first, last: loops.settle(first, last, offsets, weight, fine_unit(longest)),
-    )
+    ends, bits, fine = block_ends(offsets), weight.view(np.int64), fine_unit(longest)
+    sound = [False] * (len(ends) - 1)
+
+    def work(number: int, first: int, last: int) -> None:
+        sound[number] = loops.settle(first, last, offsets, weight, bits, fine)
+
+    run_blocks(ends, work)
+    return all(sound)
 
 
 def merged(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Numbers]:

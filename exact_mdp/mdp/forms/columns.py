@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.forms.numbers import chances, grouped, has_floats, joined
+from exact_mdp.mdp.forms.rows import LONG, fine_unit
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.table import (
     COMPILED,
@@ -68,7 +69,7 @@ def table_of(
     else:
         weight = integers(map(int, chance))
     earned = grouped(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
-    if weight.dtype == np.float64:
+    if weight.dtype == np.float64 and taken is None:
         settle_rows(weight, offsets)
     table = OutcomeTable(
         offsets=offsets,
@@ -94,7 +95,7 @@ def _rises(offsets: Integers, following: Numbers) -> bool:
 def _taken(
     offsets: Integers, following: Numbers, chance: Numbers, size: int, *, own: bool
 ) -> tuple[Numbers, Floats] | None:
-    """Return next states in rising order and probabilities (N,), copied in one pass.
+    """Return next states in rising order and settled probabilities (N,), copied in one pass.
 
     Where they are the table's `own`, next states rise already, and nothing is copied.
 
@@ -102,17 +103,20 @@ def _taken(
     """
     if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
         return None
+    if own:
+        return (following, chance) if settle_rows(chance, offsets) else None
     from exact_mdp.mdp.forms import loops
 
-    columns, weights = following, chance
-    if not own:
-        columns, weights = np.empty_like(following), np.empty_like(chance)
+    columns, weights = np.empty_like(following), np.empty_like(chance)
+    longest = int(np.diff(offsets).max(initial=0))
+    if longest >= LONG:
+        return None
+    made = columns, weights, weights.view(np.int64), fine_unit(longest)
     ends = block_ends(offsets)
     sound = [False] * (len(ends) - 1)
 
     def work(number: int, first: int, last: int) -> None:
-        given = (first, last, size, offsets, following, chance)
-        sound[number] = loops.taken(*given, columns, weights)
+        sound[number] = loops.taken(first, last, size, offsets, following, chance, *made)
 
     run_blocks(ends, work)
     return (columns, weights) if all(sound) else None

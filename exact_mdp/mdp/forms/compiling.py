@@ -22,9 +22,9 @@ def compiled(function: Callable[..., Any], **options: Any) -> Any:
         return _njit(**OPTIONS, **options)(function)
 
 
-def inlined(function: Callable[..., Any]) -> Any:
+def inlined(function: Callable[..., Any], **options: Any) -> Any:
     """Compile as a part of whatever calls it."""
-    return _njit(forceinline=True, **OPTIONS)(function)
+    return _njit(forceinline=True, **OPTIONS, **options)(function)
 
 
 # Python's indices may be negative, and each look-up asks; of unsigned numbers it need not, which

@@ -1,10 +1,10 @@
 """Compiled loops over rows: those of a sparse matrix taken over, floats settled.
 
 A row of a model is a distribution over states, each named once. While a row is in the cache its
-numbers are looked at and added up, and it is copied; where its columns are in no order, each entry
-goes to the place that the number of smaller ones says. That takes a comparison for each two entries
-of a row, but no decision that the processor would have to guess. Longer rows out of order, and rows
-of which anything is wrong, are left to `mdp.build`.
+numbers are looked at, added up exactly and settled, and it is copied; where its columns are in no
+order, each entry goes to the place that the number of smaller ones says. That takes a comparison
+for each two entries of a row, but no decision that the processor would have to guess. Longer rows
+out of order, and rows of which anything is wrong, are left to `mdp.build`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from exact_mdp.mdp.forms.rows import (
 )
 
 COMPARED = 128  # entries of a row at most that are compared each with each
-NEAR = 5e-10  # how far from 1 the sum of a row that is taken as it is may be
+TWO = int(np.float64(2).view(np.int64))
+WIDE = 24  # entries from which those of a row are added up several at a time
 
 
 @inlined
@@ -39,44 +40,115 @@ def parted(share: float, scale: float) -> tuple[Any, Any]:
     return np.int64(coarse), np.int64(np.rint((share - coarse * COARSE) * scale))
 
 
+@inlined
+def float_of(bits: Any) -> Any:
+    """Return the float of these bits."""
+    return np.int64(bits).view(np.float64)
+
+
 @compiled
-def settle(first: int, last: int, offsets: Integers, weight: Floats, fine: float) -> None:
-    """Do for rows first … last-1 what `mdp.forms.rows.settle` does."""
+def passes(begin: int, end: int, weight: Floats, fine: float) -> bool:
+    """Do for one row what `mdp.forms.rows.settle` does; return whether it is a distribution."""
     scale = 1 / fine
+    while True:
+        sound, most, count, whole, rest = True, 0.0, 0, np.int64(0), np.int64(0)
+        for i in span(begin, end):
+            share = weight[i]
+            sound &= (share > 0) & (share < 2)
+            coarse, left = parted(share, scale)
+            whole, rest = whole + coarse, rest + left
+            count = 1 if share > most else count + (share == most)
+            most = max(most, share)
+        excess = (whole - 2**40) * COARSE + rest * fine
+        if not (sound and abs(excess) <= FLOAT_ROW_TOLERANCE):
+            return False
+        written, total = True, 0.0
+        for i in range(begin, end):
+            top = np.rint(weight[at(i)] * WHOLE)
+            total += top
+            if abs(top / WHOLE - weight[at(i)]) > NEXT * weight[at(i)]:
+                written = False
+                break
+        if written and total == WHOLE:
+            for i in span(begin, end):
+                weight[i] = np.rint(weight[i] * WHOLE) / WHOLE
+            return True
+        given = most - excess / count
+        if given == most:
+            return True
+        for i in span(begin, end):
+            if weight[i] == most:
+                weight[i] = given
+
+
+@partial(inlined, fastmath={"reassoc"})  # sums of whole numbers that are exact in any order
+def settled(begin: int, end: int, weight: Floats, bits: Integers, fine: float) -> bool:
+    """Do what `passes` does, in one pass where the smallest number of a row is no short fraction.
+
+    Such a row means its floats, but for the largest. Positive floats have the order of their bits.
+    """
+    scale, low, high = 1 / fine, np.int64(TWO), np.int64(0)
+    whole, rest = np.int64(0), np.int64(0)
+    if end - begin < WIDE:
+        for i in span(begin, end):
+            low, high = min(low, bits[i]), max(high, bits[i])
+            coarse, left = parted(weight[i], scale)
+            whole, rest = whole + coarse, rest + left
+    else:  # many numbers at a time, which integers of 64 bits do not go into
+        total, upper, lower = 0.0, 0.0, 0.0
+        for i in span(begin, end):
+            low, high = min(low, bits[i]), max(high, bits[i])
+            top = np.rint(weight[i] / COARSE)
+            more = np.rint((weight[i] - top * COARSE) * scale)
+            part = np.rint(more * 2.0**-26)
+            total, upper = total + top, upper + part
+            lower += np.rint(more - part * 2.0**26)
+        whole, rest = np.int64(total), np.int64(upper) * 2**26 + np.int64(lower)
+    if not (low > 0 and high < TWO):
+        return False
+    least, most = float_of(low), float_of(high)
+    near = abs(np.rint(least * WHOLE) / WHOLE - least) <= NEXT * least
+    if near or low == high:
+        return bool(passes(begin, end, weight, fine))
+    whole -= 2**40
+    excess = whole * COARSE + rest * fine
+    if not abs(excess) <= FLOAT_ROW_TOLERANCE:
+        return False
+    if most - excess == most:
+        return True
+    count, second = np.int64(0), np.int64(0)
+    for i in span(begin, end):
+        count += np.int64(bits[i] == high)
+        second = max(second, bits[i] if bits[i] < high else np.int64(0))
+    given = most
+    while True:
+        before, given = given, given - excess / count
+        if given == before or given <= float_of(second):
+            break
+        (first, more), (old, less) = parted(given, scale), parted(before, scale)
+        whole, rest = whole + count * (first - old), rest + count * (more - less)
+        excess = whole * COARSE + rest * fine
+    for i in span(begin, end):
+        if weight[i] == most:
+            weight[i] = given
+    return given == before or bool(passes(begin, end, weight, fine))
+
+
+@compiled
+def settle(
+    first: int, last: int, offsets: Integers, weight: Floats, bits: Integers, fine: float
+) -> bool:
+    """Do for rows first … last-1 what `mdp.forms.rows.settle` does.
+
+    Return whether all are distributions of positive numbers.
+    """
+    sound = True
     for row in range(first, last):
-        begin, end = offsets[row], offsets[row + 1]
-        while True:
-            sound, most, count, whole, rest = True, 0.0, 0, np.int64(0), np.int64(0)
-            for i in span(begin, end):
-                share = weight[i]
-                sound &= (share > 0) & (share < 2)
-                coarse, left = parted(share, scale)
-                whole, rest = whole + coarse, rest + left
-                count = 1 if share > most else count + (share == most)
-                most = max(most, share)
-            excess = (whole - 2**40) * COARSE + rest * fine
-            if not (sound and abs(excess) <= FLOAT_ROW_TOLERANCE):
-                break
-            written, total = True, 0.0
-            for i in range(begin, end):
-                top = np.rint(weight[at(i)] * WHOLE)
-                total += top
-                if abs(top / WHOLE - weight[at(i)]) > NEXT * weight[at(i)]:
-                    written = False
-                    break
-            if written and total == WHOLE:
-                for i in span(begin, end):
-                    weight[i] = np.rint(weight[i] * WHOLE) / WHOLE
-                break
-            given = most - excess / count
-            if given == most:
-                break
-            for i in span(begin, end):
-                if weight[i] == most:
-                    weight[i] = given
+        sound &= settled(offsets[row], offsets[row + 1], weight, bits, fine)
+    return sound
 
 
-@partial(compiled, fastmath={"reassoc"})  # in any order: the sum is only held against `NEAR`
+@compiled
 def taken(
     first: int,
     last: int,
@@ -85,38 +157,38 @@ def taken(
     indices: Numbers,
     data: Floats,
     columns: Numbers,
-    weights: Floats,
+    weight: Floats,
+    bits: Integers,
+    fine: float,
 ) -> bool:
-    """Copy rows first … last-1 into `columns` and `weights` (N,), columns rising in each.
+    """Copy rows first … last-1 into `columns` and `weight` (N,), columns rising, and settle them.
 
-    Return whether each row is one of positive numbers, of different states, with sum 1, and in
-    order or short.
+    Return whether each row is a distribution over different states, in order or short.
     """
     for row in range(first, last):
         begin, end = offsets[row], offsets[row + 1]
-        sound, falls, total = begin < end, np.int64(0), 0.0
+        sound, falls = begin < end, np.int64(0)
         for i in span(begin, end):
-            weights[i] = data[i]
-            sound &= (data[i] > 0) & (data[i] < 2)
-            total += data[i]
+            weight[i] = data[i]
         for i in span(begin, end):
             columns[i] = indices[i]
             sound &= (indices[i] >= 0) & (indices[i] < states)
-        if not (sound and abs(total - 1) <= NEAR):
+        if not sound:
             return False
         for i in range(begin + 1, end):
             falls += np.int64(indices[at(i)] <= indices[at(i - 1)])
-        if falls == 0:
-            continue
-        if end - begin > COMPARED:
-            return False
-        places = np.int64(0)
-        for i in span(begin, end):
-            column, smaller = indices[i], np.int64(0)
-            for k in span(begin, end):
-                smaller += indices[k] < column
-            columns[at(begin + smaller)], weights[at(begin + smaller)] = column, data[i]
-            places += smaller
-        if 2 * places < (end - begin) * (end - begin - 1):  # two entries have one place
+        if falls > 0:
+            if end - begin > COMPARED:
+                return False
+            places = np.int64(0)
+            for i in span(begin, end):
+                column, smaller = indices[i], np.int64(0)
+                for k in span(begin, end):
+                    smaller += indices[k] < column
+                columns[at(begin + smaller)], weight[at(begin + smaller)] = column, data[i]
+                places += smaller
+            if 2 * places < (end - begin) * (end - begin - 1):  # two entries have one place
+                return False
+        if not settled(begin, end, weight, bits, fine):
             return False
     return True

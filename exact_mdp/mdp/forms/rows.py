@@ -91,19 +91,28 @@ def settle(weight: Floats, offsets: Integers) -> None:
     [0.3, 0.7, 0.3, 0.7, 0.5]
     """
     lengths, begins = np.diff(offsets), offsets[:-1]
-    sound = (np.minimum.reduceat(weight, begins) > 0) & (np.maximum.reduceat(weight, begins) < 2)
-    while True:
-        top, read = _read(weight, offsets, WHOLE)
-        largest, most = _largest(weight, offsets)
-        excess = _excess(weight, offsets)
-        share = most - excess / np.add.reduceat(largest, begins, dtype=np.int64)
-        sound &= np.abs(excess) <= FLOAT_ROW_TOLERANCE
-        given = np.where(largest, np.repeat(share, lengths), weight)
-        given = np.where(np.repeat(read, lengths), top / WHOLE, given)
-        given = np.where(np.repeat(sound, lengths), given, weight)
-        if np.array_equal(given, weight, equal_nan=True):
-            return
-        weight[:] = given  # another one may be the largest now
+    bits = weight.view(np.int64)  # which have the order of positive floats, and are compared faster
+    changed = True
+    while changed:  # another one may be the largest then
+        least, most = (each.reduceat(bits, begins) for each in (np.minimum, np.maximum))
+        largest = bits == np.repeat(most, lengths)
+        least, most = least.view(np.float64), most.view(np.float64)
+        excess, count = _excess(weight, offsets), np.add.reduceat(largest, begins, dtype=np.int64)
+        sound = (least > 0) & (most < 2) & (np.abs(excess) <= FLOAT_ROW_TOLERANCE)
+        share = most - excess / count
+        moved = sound & (share != most)
+        changed = False
+        # A least number that is no fraction, and not changed for being the largest, says no.
+        near = np.abs(np.rint(least * WHOLE) / WHOLE - least) <= NEXT * least
+        if (sound & (near | (least == most)) & (least != 1)).any():
+            top, read = _read(weight, offsets, WHOLE)
+            moved &= ~read
+            written = np.where(np.repeat(read & sound, lengths), top / WHOLE, weight)
+            changed = bool((written.view(np.int64) != bits).any())  # a NaN is not itself
+            weight[:] = written
+        if moved.any():
+            np.copyto(weight, np.repeat(share, lengths), where=largest & np.repeat(moved, lengths))
+            changed = True
 
 
 def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
