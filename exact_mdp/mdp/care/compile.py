@@ -28,15 +28,15 @@ from __future__ import annotations
 
 from dataclasses import fields
 from math import lcm
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.care.laws import ExactChances, Laws
-from exact_mdp.mdp.care.rules import FINAL, Rules
-from exact_mdp.mdp.care.tables import SKIP, Tables
+from exact_mdp.mdp.care.laws import Laws
+from exact_mdp.mdp.care.rules import COMPLETE, FAIL, FINAL, SKIPPED
+from exact_mdp.mdp.care.tables import SKIP
 from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
@@ -59,157 +59,150 @@ Rows = dict[str, NDArray[Any]]
 """Rows of a block: lengths, next, weight, denominator, gain, event; components amount / below."""
 
 
+class Branches(NamedTuple):
+    """Outcomes of a step for next vectors of one kind: by vector, or as their skip scatters them.
+
+    Outcome c has the probability Σ_{s'} K(s, s') M(s', c) over the next vectors `chosen`.
+    """
+
+    event: int  # the bit of the model's event
+    chosen: Integers  # (m,) next vectors
+    gain: Numbers  # (1 or A, k)
+    state: Integers  # (k,) counted from the block's start
+    scatter: Numbers | None = None  # (m, k) weights M over `scale`, or each vector by itself
+
+
 class Block:
     """Works out the rows of a subtask at its place."""
 
-    def __init__(self, rules: Rules, laws: Laws) -> None:
-        self.rules, self.laws = rules, laws
-        shape = rules.vectors, 1
-        self.skip_bottom = np.broadcast_to(integers([laws.skip_denominator]), shape)
+    def __init__(self, laws: Laws) -> None:
+        self.laws, rules = laws, laws.rules
+        shape = rules.vectors, rules.assistive
+        step, bottom = laws.law(rules.step.reshape(-1, rules.step.shape[2]))
+        self.step, self.bottom = step.reshape(*shape, -1), bottom.reshape(shape)
+        skip, bottoms = laws.law(rules.skip)
+        self.scale = lcm(*bottoms.tolist())  # of the law of a skip (2^n, 2^n)
+        # As wide as its denominator, below which every sum of a row's weights stays.
+        shared = integers([self.scale // each for each in bottoms.tolist()])
+        self.skip = multiply(skip, shared[:, None]).astype(integers([self.scale]).dtype)
+        self.present, self.following = rules.now * laws.cost, rules.next * laws.cost
+
+    def gain(self, event: int, place: int, flag: int = 0) -> Any:
+        """Return what an event earns, but for the action's own reward and the statuses'."""
+        return self.laws.gain[self.laws.rules.gains[event, place, flag]]
 
     def rows(self, place: int) -> Rows:
         """Return all rows of a subtask, by trial, flag, status and action."""
-        rules, parts = self.rules, []
+        rules, parts = self.laws.rules, list[Rows]()
         layer = rules.flags * rules.vectors
-        trying = [self._trial(flag, place) for flag in range(rules.flags)]
+        first = [each for flag in range(rules.flags) for each in self._step(place, flag)]
         for trial in range(rules.trials - (not rules.own)):
-            for rows in trying:  # the same rows, further on
+            for rows in first:  # the same rows, further on
                 shift = np.where(rows["next"] < rules.size, trial * layer, 0)
                 parts.append(rows | {"next": rows["next"] + shift})
-        if rules.own:
-            parts += [self._skip(place)] * rules.flags
-        else:
-            parts += [rows for flag in range(rules.flags) for rows in self._last(flag, place)]
+        for flag in range(rules.flags):
+            parts += self._step(place, 1 if rules.own else flag, tries=not rules.own, skips=True)
         return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
-    def _done(self, flag: int, place: int) -> tuple[Integers, Numbers]:
-        """Return where completing leads, (1,), and what it earns under each action, (A, 1)."""
-        rules = self.rules
-        gain = rules.gain("complete", place, flag) + rules.assist[:, None]
-        return rules.after(flag, place)[:1], gain
+    def _outcomes(self, place: int, flag: int, *, tries: bool, skips: bool) -> list[Branches]:
+        """Return the outcomes of a step that tries, that ends in a skip if it fails, or both."""
+        rules = self.laws.rules
+        others = np.arange(int(tries), rules.vectors)
+        gain = self.following[others]
+        outcomes = []
+        if tries:
+            done = self.gain(COMPLETE, place, flag) + self.laws.assist[:, None]
+            home = rules.after(flag, place)[:1]
+            outcomes.append(Branches(0, np.array([0]), done, home))
+            gain = gain + self.gain(FAIL, place)
+        if not skips:  # the next trial
+            layer = (rules.flags + flag) * rules.vectors
+            return [*outcomes, Branches(0, others, gain[None], layer + others)]
+        gain, ends = gain + self.gain(SKIPPED, place, 1), rules.after(1, place)
+        if not tries and place != FINAL:
+            return [Branches(1, others, gain[None], ends)]
+        for amount in sorted(set(gain.tolist())):
+            chosen, there = others[gain == amount], np.array([0])
+            scatter = np.full((len(chosen), 1), self.scale if tries else 1, self.skip.dtype)
+            if place != FINAL:  # else it does not matter what a skip makes of the vector
+                there = np.flatnonzero((self.skip[chosen] != 0).any(axis=0))
+                scatter = self.skip[chosen][:, there]
+            gains = np.full((1, len(there)), amount, dtype=gain.dtype)
+            outcomes.append(Branches(1, chosen, gains, ends[there], scatter))
+        return outcomes
 
-    def _trial(self, flag: int, place: int) -> Rows:
-        """Return the rows of the first trial, which another one follows, or a skip of its own."""
-        rules, laws = self.rules, self.laws
-        home, done = self._done(flag, place)
-        failed = rules.gain("fail") + rules.following[None, 1:]
-        gain = np.concatenate([done, np.repeat(failed, len(done), axis=0)], axis=1)
-        success = laws.step[:, :, 0]
-        shares = {"complete": success, "fail": laws.step_denominator - success}
-        return _rows(
-            np.append(home, (rules.flags + flag) * rules.vectors + np.arange(1, rules.vectors)),
-            laws.step,
-            laws.step_denominator,
-            gain + rules.present[:, None, None],
-            np.zeros(rules.vectors, dtype=np.uint8),
-            self._components(laws.step, laws.step_denominator, shares, flag, place),
-        )
-
-    def _last(self, flag: int, place: int) -> list[Rows]:
-        """Return the rows of a trial that ends in a skip where it fails.
+    def _step(
+        self, place: int, flag: int, *, tries: bool = True, skips: bool = False
+    ) -> list[Rows]:
+        """Return the rows of a step, outcomes sorted by next state, zeros left out.
 
         A row may have as many outcomes as status vectors times costs: a few present vectors at a
         time, and of each product only the columns in which it can be positive.
         """
-        rules, laws = self.rules, self.laws
-        home, done = self._done(flag, place)
-        nexts, skip = rules.after(1, place), laws.skip
-        if place == FINAL:  # it does not matter what a skip makes of the vector
-            nexts, skip = nexts[:1], np.asarray(self.skip_bottom)
-        failed = rules.gain("fail") + rules.gain("skip", place, 1) + rules.following
-        groups = []
-        for gain in sorted(set(failed[1:].tolist())):
-            chosen = 1 + np.flatnonzero(failed[1:] == gain)
-            ends = np.flatnonzero((skip[chosen] != 0).any(axis=0))
-            groups.append((gain, chosen, ends, skip[chosen][:, ends]))
-        columns = np.concatenate([home, *(nexts[ends] for _, _, ends, _ in groups)])
-        gains = rules.gains([gain for gain, _, ends, _ in groups for _ in ends])
-        gains = np.concatenate([done, np.repeat(gains[None], len(done), axis=0)], axis=1)
-        event = np.ones(len(columns), dtype=np.uint8)
-        event[0] = 0
-        bottom = multiply(laws.step_denominator, integers([laws.skip_denominator]))
-        success = laws.step[:, :, 0]
-        failure = laws.step_denominator - success
-        shares = {"complete": success, "fail": failure, "skip": failure}
-        components = self._components(laws.step, laws.step_denominator, shares, flag, place)
-        each = max(1, ENTRIES // (rules.assistive * len(columns)))
+        outcomes = self._outcomes(place, flag, tries=tries, skips=skips)
+        laws, bottom = self.step, self.bottom
+        if not tries:
+            laws = self.skip[:, None]
+            bottom = np.broadcast_to(integers([self.scale]), laws.shape[:2])
+        actions, scale = bottom.shape[1], integers([self.scale if tries and skips else 1])
+        below, states = multiply(bottom, scale), np.concatenate([each.state for each in outcomes])
+        order = np.argsort(states, kind="stable")
+        kind = np.repeat([each.event for each in outcomes], [len(o.state) for o in outcomes])
+        gains = [np.broadcast_to(o.gain, (actions, len(o.state))) for o in outcomes]
+        gain, event = np.concatenate(gains, axis=1)[:, order], kind[order].astype(np.uint8)
+        each = max(1, ENTRIES // (actions * len(states)))
         parts = []
-        for begin in range(0, rules.vectors, each):
+        for begin in range(0, len(laws), each):
             some = slice(begin, begin + each)
-            step = laws.step[some]
-            weight = [multiply(step[:, :, :1], integers([laws.skip_denominator]))]
-            weight += [_matmul(step[:, :, chosen], law) for _, chosen, _, law in groups]
+            law = laws[some]
+            weight = [
+                multiply(law[:, :, o.chosen], scale)
+                if o.scatter is None
+                else _matmul(law[:, :, o.chosen], o.scatter)
+                for o in outcomes
+            ]
             # As wide as the row's denominator, below which sums stay.
-            law = np.concatenate([part.astype(bottom.dtype) for part in weight], axis=2)
-            gain = gains + rules.present[some, None, None]
-            own = components[0][some], components[1][some]
-            parts.append(_rows(columns, law, bottom[some], gain, event, own))
+            joined = np.concatenate([w.astype(below.dtype) for w in weight], axis=2)[:, :, order]
+            positive, shape = np.array(joined != 0, dtype=bool), joined.shape
+            amount = self._components(some, law, bottom[some], place, flag, tries, skips)
+            parts.append(
+                {
+                    "lengths": positive.sum(axis=2).reshape(-1),
+                    "next": np.broadcast_to(states[order], shape)[positive],
+                    "weight": joined[positive],
+                    "denominator": below[some].reshape(-1),
+                    "gain": (gain + self.present[some, None, None])[positive],
+                    "event": np.broadcast_to(event, shape)[positive],
+                    "amount": amount.reshape(-1, amount.shape[2]),
+                    "below": multiply(bottom[some].reshape(-1), integers([self.laws.scale])),
+                }
+            )
         return parts
-
-    def _skip(self, place: int) -> Rows:
-        """Return the rows in which *skip* is the only action and takes its own timestep."""
-        rules, law = self.rules, self.laws.skip[:, None, :]
-        nexts, gain = rules.after(1, place), rules.gain("skip", place, 1) + rules.following
-        shares = {"skip": self.skip_bottom}
-        components = self._components(law, self.skip_bottom, shares, 1, place)
-        if place == FINAL:
-            gain, which = np.unique(gain, return_inverse=True)
-            same = [law[:, :, which == number].sum(axis=2) for number in range(len(gain))]
-            law, nexts = np.stack(same, axis=2), nexts[: len(gain)]
-        gain = gain + rules.present[:, None, None]
-        event = np.ones(len(nexts), dtype=np.uint8)
-        return _rows(nexts, law, np.asarray(self.skip_bottom), gain, event, components)
 
     def _components(
         self,
+        some: slice,
         law: Numbers,
         bottom: Numbers,
-        shares: dict[str, Numbers],
-        flag: int,
         place: int,
-    ) -> tuple[Numbers, Numbers]:
-        """Return expected reward components (2^n, A, C) over (2^n, A).
-
-        They come from the `shares` (2^n, A) of events, and are integers.
-        """
-        rules = self.rules
-        counts = np.zeros((*bottom.shape, len(rules.names)), dtype=bottom.dtype)
-        for event, share in shares.items():
-            for name in rules.charged(event, place, 1 if event == "skip" else flag):
-                counts[:, :, rules.names.index(name)] += share
+        flag: int,
+        tries: bool,
+        skips: bool,
+    ) -> Numbers:
+        """Return expected reward components (m, A, C) of some vectors: integers, as the law is."""
+        rules, reward = self.laws.rules, self.laws.reward
+        counts = np.zeros((*bottom.shape, len(rules.weights)), dtype=bottom.dtype)
         for i, on in enumerate(rules.bits.T):
-            counts[:, :, i] = rules.now * on[:, None] * bottom
+            counts[:, :, i] = rules.now * on[some, None] * bottom
             counts[:, :, i] += rules.next * law[:, :, on == 1].sum(axis=2)
-        if "complete" in shares:
+        failed = bottom - law[:, :, 0] if tries else bottom
+        shares = [(COMPLETE, law[:, :, 0], flag), (FAIL, failed, 0)] if tries else []
+        for event, share, of in shares + [(SKIPPED, failed, 1)] * skips:
+            counts += share[:, :, None] * rules.charged[rules.gains[event, place, of]]
+        if tries:
             own = np.eye(rules.assistive, dtype=np.int64)
-            counts[:, :, -rules.assistive :] = shares["complete"][:, :, None] * own
-        amounts = multiply(counts, integers([rules.worth[name] for name in rules.names]))
-        full = multiply(np.asarray(bottom), integers([rules.scale]))
-        return amounts, np.broadcast_to(full, amounts.shape[:2])
-
-
-def _rows(
-    following: Integers,
-    weight: Numbers,
-    denominator: Numbers,
-    gain: Numbers,
-    event: NDArray[np.uint8],
-    components: tuple[Numbers, Numbers],
-) -> Rows:
-    """Flatten (2^n, A, outcomes) arrays to rows, outcomes sorted by next state, zeros left out."""
-    order = np.argsort(following, kind="stable")
-    weight, gain = weight[:, :, order], gain[:, :, order]
-    positive, shape = np.array(weight != 0, dtype=bool), weight.shape
-    return {
-        "lengths": positive.sum(axis=2).reshape(-1),
-        "next": np.broadcast_to(following[order], shape)[positive],
-        "weight": weight[positive],
-        "denominator": denominator.reshape(-1),
-        "gain": np.broadcast_to(gain, shape)[positive],
-        "event": np.broadcast_to(event[order], shape)[positive],
-        "amount": components[0].reshape(-1, components[0].shape[2]),
-        "below": components[1].reshape(-1),
-    }
+            counts[:, :, -rules.assistive :] += law[:, :, 0, None] * own
+        return multiply(counts, reward[rules.weights])
 
 
 def _matmul(left: Numbers, right: Numbers) -> Numbers:
@@ -220,60 +213,59 @@ def _matmul(left: Numbers, right: Numbers) -> Numbers:
     return np.asarray(left.astype(object) @ right.astype(object))
 
 
-def check_explicit(scenario: Tables) -> tuple[Rules, ExactChances]:
-    """Return rules and chances, or raise ModelError where an explicit model would be too large."""
-    rules, exact = Rules(scenario), ExactChances(scenario)
-    outcomes, denominator = size(rules, exact)
+def check_explicit(laws: Laws) -> None:
+    """Raise ModelError where an explicit model would be too large."""
+    rules = laws.rules
+    outcomes, denominator = size(laws)
     each = NARROW if denominator < EXACT_IN_INT64 else WIDE
     if outcomes * each > MOST_BYTES:
         states = len(rules.places) * rules.trials * rules.vectors
         raise ModelError(
             f"the explicit model would have {states:,} states and up to {outcomes:,} outcomes of "
             f"{each} bytes each, more than {MOST_BYTES / 1e9:g} GB",
-            where=f"scenario {scenario.name}",
+            where=f"scenario {laws.scenario.name}",
             fix="use fewer subtasks, trials or statuses",
         )
-    return rules, exact
 
 
-def size(rules: Rules, exact: ExactChances) -> tuple[int, int]:
+def size(laws: Laws) -> tuple[int, int]:
     """Return the most outcomes, and the greatest denominator of one before anything cancels.
 
     Examples
     --------
     >>> from exact_mdp import Scenario
     >>> scenario = Scenario.load("yuan2025")
-    >>> size(Rules(scenario), ExactChances(scenario))[0], len(scenario.compile().table.next)
+    >>> size(scenario.laws)[0], len(scenario.compile().table.next)
     (16481, 11005)
     """
-    found, vectors = exact.found, rules.vectors
-    rows = found.step.reshape(-1, found.step.shape[2])
-    steps, skips = int(exact.reach(rows).sum()), exact.reach(found.skip).tolist()
+    rules, following = laws.rules, (laws.rules.next * laws.cost).tolist()
+    rows = rules.step.reshape(-1, rules.step.shape[2])
+    unsure = np.asarray((laws.top > 0) & (laws.top < laws.bottom), dtype=bool)
+    steps, skips = (2 ** unsure[each].sum(axis=-1) for each in (rows, rules.skip))
     failed: dict[int, int] = {}
-    for cost, ends in list(zip(rules.following.tolist(), skips, strict=True))[1:]:
-        failed[cost] = min(vectors, failed.get(cost, 0) + ends)
-    trying = (rules.trials - (not rules.own)) * steps
+    for cost, ends in list(zip(following, skips.tolist(), strict=True))[1:]:
+        failed[cost] = min(rules.vectors, failed.get(cost, 0) + ends)
+    trying = (rules.trials - (not rules.own)) * int(steps.sum())
     if rules.own:
-        skipping, ending = sum(skips), vectors * len(set(rules.following.tolist()))
+        skipping, ending = int(skips.sum()), rules.vectors * len(set(following))
     else:
         skipping, ending = len(rows) * (1 + sum(failed.values())), len(rows) * (1 + len(failed))
     subtasks = len(rules.places)
     outcomes = rules.flags * (subtasks * trying + (subtasks - 1) * skipping + ending) + 1
-    bottoms = exact.denominators(rows), exact.denominators(found.skip)
-    return outcomes, max(bottoms[0]) * lcm(*bottoms[1])
+    return outcomes, max(laws.denominators(rows)) * lcm(*laws.denominators(rules.skip))
 
 
-def compile_scenario(scenario: Tables) -> MDP:
+def compile_scenario(laws: Laws) -> MDP:
     """Return the explicit model of a scenario, without a warning; see `Scenario.compile`."""
-    rules, exact = check_explicit(scenario)
-    used, order = np.unique(rules.places, return_inverse=True)
-    small = _model(scenario, rules, exact.laws(), used)  # one block of each kind is itself a model
-    return small if np.array_equal(rules.places, used) else _repeated(rules, small, order)
+    check_explicit(laws)
+    used, order = np.unique(laws.rules.places, return_inverse=True)
+    small = _model(laws, used)  # one block of each kind is itself a model
+    return small if np.array_equal(laws.rules.places, used) else _repeated(laws, small, order)
 
 
-def _model(scenario: Tables, rules: Rules, laws: Laws, places: Integers) -> MDP:
+def _model(laws: Laws, places: Integers) -> MDP:
     """Return the checked model of a block at each of `places` (K,), one after the other."""
-    block = Block(rules, laws)
+    scenario, rules, block = laws.scenario, laws.rules, Block(laws)
     blocks = [block.rows(place) for place in places.tolist()]
     end = len(blocks) * rules.size
 
@@ -290,10 +282,10 @@ def _model(scenario: Tables, rules: Rules, laws: Laws, places: Integers) -> MDP:
         weight=joined("weight", 1),
         denominator=joined("denominator", 1),
         gain=joined("gain", 0),
-        gain_denominator=_same(rules.scale, len(lengths)),
+        gain_denominator=_same(laws.scale, len(lengths)),
         event=joined("event", 0).astype(np.uint8),
     )
-    nothing = np.zeros((1, len(rules.names)), dtype=np.int64)
+    nothing = np.zeros((1, len(rules.components)), dtype=np.int64)
     components = ComponentTable(
         amount=np.concatenate([*(rows["amount"] for rows in blocks), nothing]),
         denominator=joined("below", 1),
@@ -305,7 +297,7 @@ def _model(scenario: Tables, rules: Rules, laws: Laws, places: Integers) -> MDP:
         space=rules.space(len(blocks)),
         actions=rules.actions,
         discount_exact=scenario.discount,
-        component_names=rules.names,
+        component_names=rules.components,
         component_table=components,
         events=(SKIP,),
         name=scenario.name,
@@ -314,12 +306,13 @@ def _model(scenario: Tables, rules: Rules, laws: Laws, places: Integers) -> MDP:
     )
 
 
-def _repeated(rules: Rules, small: MDP, order: Integers) -> MDP:
+def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
     """Return the model of the blocks of `small` in the given order (K,), each a number there.
 
     Its rows are those of `small`, which were checked there, at other places.
     """
-    count, size, table, matrix = len(order), rules.size, small.table, small.transition
+    rules, table, matrix = laws.rules, small.table, small.transition
+    count, size = len(order), rules.size
     known = small.component_table
     end = count * size
     starts = np.append(np.arange(order.max() + 1) * size, small.n_states - 1)
@@ -362,7 +355,7 @@ def _repeated(rules: Rules, small: MDP, order: Integers) -> MDP:
             weight=lay(table.weight, outcomes),
             denominator=lay(table.denominator, rows),
             gain=lay(table.gain, outcomes),
-            gain_denominator=_same(rules.scale, len(indptr) - 1),
+            gain_denominator=_same(laws.scale, len(indptr) - 1),
             event=None if table.event is None else lay(table.event, outcomes),
         ),
         "space": rules.space(count),

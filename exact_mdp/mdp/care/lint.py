@@ -58,7 +58,7 @@ def lint(text: str, name: str) -> list[dict[str, Any]]:
             words = "a reward is negative" if sign > 0 else "a cost is positive"
             what = f"{parameter.name} is {shown(parameter.value)}: {words}"
             add(parameter.name, what, f"did you mean {shown(-parameter.value)}?", "warning")
-    if scenario and (above := excess(scenario)):
+    if scenario and (above := excess(scenario.laws)):
         first = re.findall(r"(?:base|persistence|influence|skip)\.\S+", above)[0]
         add(first, above, "lower one of these numbers until they sum to 1", "warning")
     return sorted(problems, key=lambda problem: problem["line"] or len(text))

@@ -1,8 +1,14 @@
-"""The rules of a care scenario, stated once: when a trial counts, what is charged, what follows.
+"""The rules of a care scenario, stated once: what is likely, what is charged, what follows.
 
 A state is (k, t, f, s): subtask k, t trials of it failed so far, f = 1 if a subtask of this task
-was skipped (kept only where the bonus asks for it), status vector s. Under an action a the next
-statuses follow the law K_a(s, ·), on a skip Z(s, ·). A subtask ends in one of two events:
+was skipped (kept only where the bonus asks for it), status vector s. The next statuses are
+independent, each with a chance that is a sum of parameters, cut off at 1:
+
+    p_i(s, a) = min(1, Σ of the parameters in terms[step[s, a, i]])       under action a,
+    z_i(s)    = min(1, Σ of the parameters in terms[skip[s, i]])          when a subtask is skipped.
+
+Under an action a they follow the law K_a(s, ·), on a skip Z(s, ·). A subtask ends in one of two
+events, `complete` and `skip`:
 
     event      when                             charges, in weights              leads to
     complete   s' = 0 under K_a                 timestep, subtask-complete,      k + 1, flag f
@@ -21,15 +27,15 @@ statuses follow the law K_a(s, ·), on a skip Z(s, ·). A subtask ends in one of
                  its present one (`status_cost`); the vector 0 costs nothing
     flag         a new task starts with f = 0; behind the last subtask of all is the end
 
-`CHARGES`, `BONUS` and `STATUS_COST` are this table as data, `Rules` is what it says of a scenario.
-The explicit matrix (`mdp.care.compile`) and batches of parameter draws (`solvers.care`) read it
-there. Every gain is a sum of weights, each at most once, as an integer over one common `scale`.
-Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
+`CHARGES`, `BONUS` and `STATUS_COST` are this table as data, `Rules` is what it says of a scenario,
+in positions of its parameters; `mdp.care.laws` puts in their numbers.
+Source: Yuan et al. (2025), Equation 1, Table 4 and Sections 2.1 and 3.2.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -37,30 +43,30 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.care.tables import SKIP, Tables, bits_of
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import EXACT_IN_INT64, Floats, Integers, Numbers, common, divide, integers
+from exact_mdp.mdp.table import Integers
 
-INSIDE, LAST, FINAL = 0, 1, 2
+INSIDE, LAST, FINAL = range(3)
 """Places of a subtask: inside a task, last of one, last of all."""
 
-PLACES = (INSIDE, LAST, FINAL)
+COMPLETE, FAIL, SKIPPED = range(3)
 
 # Event, the weight that it charges, and the reading under which it does.
-CHARGES: tuple[tuple[str, str, tuple[str, str] | None], ...] = (
-    ("complete", "timestep", None),
-    ("complete", "subtask-complete", None),
-    ("complete", "trial", ("trial_cost", "every-trial")),
-    ("fail", "timestep", None),
-    ("fail", "trial", None),
-    ("skip", "subtask-skip", None),
-    ("skip", "timestep", ("skip_timestep", "own")),
+CHARGES: tuple[tuple[int, str, tuple[str, str] | None], ...] = (
+    (COMPLETE, "timestep", None),
+    (COMPLETE, "subtask-complete", None),
+    (COMPLETE, "trial", ("trial_cost", "every-trial")),
+    (FAIL, "timestep", None),
+    (FAIL, "trial", None),
+    (SKIPPED, "subtask-skip", None),
+    (SKIPPED, "timestep", ("skip_timestep", "own")),
 )
 
 # After which events, with which flag, the end of a task is rewarded.
-BONUS: Mapping[str, tuple[tuple[str, int], ...]] = MappingProxyType(
+BONUS: Mapping[str, tuple[tuple[int, int], ...]] = MappingProxyType(
     {
-        "always": (("complete", 0), ("complete", 1), ("skip", 1)),
-        "last-subtask-completed": (("complete", 0), ("complete", 1)),
-        "no-subtask-skipped": (("complete", 0),),
+        "always": ((COMPLETE, 0), (COMPLETE, 1), (SKIPPED, 1)),
+        "last-subtask-completed": ((COMPLETE, 0), (COMPLETE, 1)),
+        "no-subtask-skipped": ((COMPLETE, 0),),
     }
 )
 
@@ -69,7 +75,10 @@ STATUS_COST: Mapping[str, tuple[int, int]] = MappingProxyType({"next": (0, 1), "
 
 
 class Rules:
-    """The rules of one scenario, and the layout of a subtask: trials × flags × status vectors.
+    """The rules of all scenarios that differ in nothing but their numbers.
+
+    Positions are those of parameters, and P for none. A subtask is laid out by trial, flag and
+    status vector.
 
     Attributes
     ----------
@@ -78,82 +87,121 @@ class Rules:
     trials, flags, vectors, size : int
         Trials with a choice, M; 2 flags where the bonus depends on them, else 1; 2^n status
         vectors; states of a subtask.
-    kept : (3, 2) ints
-        The flag that the next subtask starts with, by place and flag: each task begins anew.
     bits : (2^n, n)
         The status vectors; the first status is the most significant digit.
-    names : tuple of str
-        The reward weights; `worth` has their values over `scale`.
+    terms : (U, n)
+        Positions of the terms of each of U chances; `step` (2^n, A, n) and `skip` (2^n, n) say
+        which chance a status has under an action and on a skip.
+    components : tuple of str
+        The reward weights; `weights` (C,) are their positions, those of statuses first, those of
+        actions last.
+    charges : (G, …)
+        Positions of the weights that add up to each of G gains; `gains` (3, 3, 2) says which one
+        an event earns, by place of the subtask and flag: that of the state, or 1 for a skip;
+        `charged` (G, C) is 1 where a gain has a component.
     now, next : int
         Whether a step charges the statuses of its present and of its next vector.
-    present, following : (2^n,) ints
-        What that comes to.
-    assist : (A,) ints
-        What an action adds where the subtask is completed.
-    places : (K,) ints
+    places : (K,)
         The place of each subtask.
+    kept : (3, 2)
+        The flag that the next subtask starts with, by place and flag.
     """
 
-    def __init__(self, scenario: Tables) -> None:
-        self.readings = dict(scenario.readings)  # a dictionary, as views cannot be pickled
-        self.paid = BONUS[self.readings["task_bonus"]]
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        statuses: tuple[str, ...],
+        actions: tuple[str, ...],
+        others: tuple[tuple[str, str], ...],
+        components: tuple[str, ...],
+        tasks: tuple[int, ...],
+        trials: int,
+        readings: tuple[tuple[str, str], ...],
+    ) -> None:
+        self.names, self.statuses, self.trials = names, statuses, trials
+        self.components, self.readings = components, dict(readings)
         self.now, self.next = STATUS_COST[self.readings["status_cost"]]
         self.own = self.readings["skip_timestep"] == "own"
-        self.statuses = scenario.statuses
-        self.assistive = len(scenario.actions)
-        self.actions = (*scenario.actions, SKIP) if self.own else scenario.actions
-        complete = {flag for event, flag in self.paid if event == "complete"}
-        self.flags = 2 if len(complete) == 1 else 1  # the bonus depends on whether one was skipped
+        self.assistive = len(actions)
+        self.actions = (*actions, SKIP) if self.own else actions
+        paid = BONUS[self.readings["task_bonus"]]
+        self.flags = 2 if (COMPLETE, 0) in paid and (COMPLETE, 1) not in paid else 1
         self.kept = np.zeros((3, 2), dtype=np.int64)
         self.kept[INSIDE, 1] = self.flags - 1
-        self.trials = scenario.trials
-        self.bits = bits_of(len(scenario.statuses))
+        self.bits = bits_of(len(statuses))
         self.vectors = len(self.bits)
-        self.size = (self.trials + self.own) * self.flags * self.vectors
-        self.places = np.full(sum(scenario.tasks), INSIDE)
-        self.places[np.cumsum(scenario.tasks) - 1] = LAST
+        self.size = (trials + self.own) * self.flags * self.vectors
+        self.places = np.full(sum(tasks), INSIDE)
+        self.places[np.cumsum(tasks) - 1] = LAST
         self.places[-1] = FINAL
-        self.names = scenario.components
-        numbers, self.scale = common([scenario[f"reward.{name}"] for name in self.names])
-        self.worth = dict(zip(self.names, numbers, strict=True))
-        # A gain adds up weights, each at most once: this is the type that holds every such sum.
-        largest = sum(abs(number) for number in numbers)
-        self.kind = np.dtype(np.int64 if largest < EXACT_IN_INT64 else object)
-        self.assist = self.gains([self.worth[f"assist.{a}"] for a in scenario.actions])
-        weights = [self.worth[scenario.weights[status]] for status in scenario.statuses]
-        cost = (self.bits.astype(self.kind) * self.gains(weights)).sum(axis=1)
-        self.present, self.following = self.now * cost, self.next * cost
+        self.position = {name: place for place, name in enumerate(names)}
+        self.weights = np.array([self.position[f"reward.{name}"] for name in components])
+        rows: dict[tuple[int, ...], int] = {}
+        self.gains = np.zeros((3, 3, 2), dtype=np.int64)
+        for event, place, flag in np.ndindex(self.gains.shape):
+            charged = [
+                weight
+                for of, weight, reading in CHARGES
+                if of == event and (reading is None or self.readings[reading[0]] == reading[1])
+            ]
+            charged += ["task-complete"] * (place != INSIDE and (event, flag) in paid)
+            row = tuple(self.position[f"reward.{weight}"] for weight in charged)
+            self.gains[event, place, flag] = rows.setdefault(row, len(rows))
+        widest = max(map(len, rows))
+        self.charges = np.array([[*row, *[len(names)] * (widest - len(row))] for row in rows])
+        self.charged = (self.charges[:, :, None] == self.weights).any(axis=1).astype(np.int64)
+        self._add_chances(actions, dict(others))
 
-    def charged(self, event: str, place: int = INSIDE, flag: int = 0) -> tuple[str, ...]:
-        """Return the weights that an event charges, beside the action's own and the statuses'.
+    def _add_chances(self, actions: tuple[str, ...], others: Mapping[str, str]) -> None:
+        """Set `terms`, `step` and `skip`."""
+        position, none, count = self.position, len(self.names), len(self.statuses)
+        present, onset = self.bits.astype(bool), self.readings["skip_onset"]
+        pushing = self.readings["influence_on_present"] == "additive"
+        self.step = np.empty((self.vectors, len(actions), count), dtype=np.int64)
+        self.skip = np.empty((self.vectors, count), dtype=np.int64)
+        terms: list[Integers] = []
 
-        `flag` is that of the state, or 1 for a skip, which sets it.
-        """
-        charges = [
-            weight
-            for of, weight, reading in CHARGES
-            if of == event and (reading is None or self.readings[reading[0]] == reading[1])
-        ]
-        bonus = place != INSIDE and (event, flag) in self.paid
-        return (*charges, "task-complete") if bonus else tuple(charges)
+        def add(rows: Integers) -> int:
+            """Add rows of terms (k, n), and return the number of the first."""
+            terms.append(rows)
+            return sum(map(len, terms)) - len(rows)
 
-    def gain(self, event: str, place: int = INSIDE, flag: int = 0) -> int:
-        """Return the sum of the weights `charged`, an integer over `scale`."""
-        return sum(self.worth[name] for name in self.charged(event, place, flag))
+        def alone(place: int) -> int:
+            """Return the number of the chance that is one parameter, or 0."""
+            return add(np.array([[place, *[none] * (count - 1)]]))
+
+        nothing = alone(none)
+        for i, status in enumerate(self.statuses):
+            here, (stays, comes) = present[:, i], (f"persistence.{status}", f"base.{status}")
+            free = np.full((self.vectors, count), none)
+            free[:, 0] = np.where(here, position[stays], position[comes])
+            for column, j in enumerate((j for j in range(count) if j != i), start=1):
+                name = influence(self.readings["influence_orientation"], self.statuses[j], status)
+                free[present[:, j] & (~here | pushing), column] = position[name]
+            # Where nothing is added to it, the persistence is one chance for all vectors.
+            kinds = np.arange(self.vectors)
+            kinds[here & (free[:, 1:] == none).all(axis=1)] = 1 << (count - 1 - i)
+            used, which = np.unique(kinds, return_inverse=True)
+            which = which + add(free[used])
+            for number, action in enumerate(actions):
+                self.step[:, number, i] = which
+                for rule, where in (("persistence", here), ("onset", ~here)):
+                    if (name := f"assistance.{action}.{status}.{rule}") in position:
+                        self.step[where, number, i] = alone(position[name])
+            self.skip[:, i] = which if onset == "base" else nothing
+            if onset == "reset":
+                continue
+            both = present[:, self.statuses.index(others.get(status, status))]
+            rules = ("with-other", "alone") if status in others else ("persistence",)
+            for rule, where in zip(rules, (both, ~both), strict=False):
+                self.skip[here & where, i] = alone(position[f"skip.{status}.{rule}"])
+        self.terms = np.concatenate(terms)
 
     def after(self, flag: int, place: int) -> Integers:
         """Return (2^n,) the states that follow a subtask, counted from its own first state."""
         if place == FINAL:
             return np.full(self.vectors, self.size)
         return self.size + int(self.kept[place, flag]) * self.vectors + np.arange(self.vectors)
-
-    def gains(self, values: list[int]) -> Numbers:
-        """Return integers of the type that holds every gain."""
-        return np.array(values, dtype=self.kind)
-
-    def rounded(self, values: Numbers) -> Floats:
-        """Return sums of weights as floats, each rounded once."""
-        return divide(values, np.broadcast_to(integers([self.scale]), values.shape))
 
     def pairs(self) -> tuple[Integers, Integers]:
         """Return state and action of each row of a subtask, states counted from its first."""
@@ -188,3 +236,26 @@ class Rules:
         if self.flags == 2:
             skipped |= space.values("skipped") == 1
         return {"end": end, "skipped": skipped, **dict(zip(self.statuses, on.T, strict=True))}
+
+
+_rules = lru_cache(maxsize=16)(Rules)
+
+
+def rules_of(scenario: Tables) -> Rules:
+    """Return the rules of a scenario, made once for all that differ in nothing but numbers."""
+    return _rules(
+        scenario.names,
+        scenario.statuses,
+        scenario.actions,
+        tuple(scenario.others.items()),
+        scenario.components,
+        scenario.tasks,
+        scenario.trials,
+        tuple(scenario.readings.items()),
+    )
+
+
+def influence(orientation: str, origin: str, target: str) -> str:
+    """Return the parameter by which one status pushes another."""
+    first, second = (origin, target) if orientation == "row-to-column" else (target, origin)
+    return f"influence.{first}.{second}"

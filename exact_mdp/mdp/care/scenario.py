@@ -21,7 +21,8 @@ from pathlib import Path
 
 from exact_mdp.mdp.care import toml
 from exact_mdp.mdp.care.compile import compile_scenario
-from exact_mdp.mdp.care.laws import excess, influence, warn_of_excess
+from exact_mdp.mdp.care.laws import Laws, excess, warn_of_excess
+from exact_mdp.mdp.care.rules import influence
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -67,6 +68,11 @@ class Scenario(Tables):
         """
         return toml.load(name, cls)
 
+    @cached_property
+    def laws(self) -> Laws:
+        """Its chances and weights by the rules, exact."""
+        return Laws.of(self)
+
     def compile(self) -> MDP:
         """Return the explicit model: one exact row for every state and action.
 
@@ -80,8 +86,8 @@ class Scenario(Tables):
         ScenarioWarning
             Where numbers that add up to a chance pass 1, which is then cut off at 1.
         """
-        mdp = compile_scenario(self)
-        warn_of_excess(self)
+        mdp = compile_scenario(self.laws)
+        warn_of_excess(self.laws)
         return mdp
 
     def parametric(self) -> ScenarioFamily:
@@ -131,7 +137,7 @@ class ScenarioFamily:
         return self._compiled(self.scenario) if self.base is None else self.base
 
     def _compiled(self, there: Scenario, where: str = "") -> MDP:
-        mdp = compile_scenario(there)
+        mdp = compile_scenario(there.laws)
         self._tell(there, where)
         return mdp
 
@@ -144,13 +150,13 @@ class ScenarioFamily:
         self._tell(self.scenario.with_(parameters=placed(self, values)), where)
 
     def _tell(self, there: Scenario, where: str = "") -> None:
-        if self.told or excess(there) is None:
+        if self.told or excess(there.laws) is None:
             return
         self.told.append(there.name)
         # Today's values where they are enough, so that the words are those of `compile`.
-        if excess(self.scenario) is not None:
+        if excess(self.scenario.laws) is not None:
             there, where = self.scenario, ""
-        warn_of_excess(there, where=where, stacklevel=4)
+        warn_of_excess(there.laws, where=where, stacklevel=4)
 
     def __getstate__(self) -> dict[str, object]:
         return {"scenario": self.scenario, "told": [self.scenario.name]}

@@ -158,7 +158,7 @@ def test_the_size_of_a_table_is_known_beforehand(option: str, tasks: list[int]) 
     for chosen in product(*(READINGS[name] for name in others)):
         readings = dict(zip(others, chosen, strict=True)) | {"skip_timestep": option}
         scenario = Scenario.load("yuan2025").with_(tasks=tasks, max_trial=2, readings=readings)
-        (outcomes, denominator), table = size(*check_explicit(scenario)), scenario.compile().table
+        (outcomes, denominator), table = size(scenario.laws), scenario.compile().table
         assert len(table.next) <= outcomes <= 3 * len(table.next)
         assert max(int(bottom) for bottom in table.denominator) <= denominator
 
@@ -180,7 +180,7 @@ def test_last_trials_of_statuses_with_weights_of_their_own(
     statuses: int, same: bool, base: F, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = weighted(statuses, same=same, base=base)
-    table, (outcomes, denominator) = scenario.compile().table, size(*check_explicit(scenario))
+    table, (outcomes, denominator) = scenario.compile().table, size(scenario.laws)
     assert (table.weight.dtype == object) == (base != F(1, 3))
     assert (denominator >= 2**62) == (base != F(1, 3))
     check_own(scenario, range(0, table.pairs - 1, 1 if statuses == 3 else 37))
@@ -199,7 +199,7 @@ def test_what_is_too_large_to_build_is_refused_for_a_reason_that_is_true() -> No
     with pytest.raises(ModelError, match=r"^11 statuses, more than 10"):
         scenario_of(own_text(11, 2))
     # 9 statuses have as many transitions either way, but not as many outcomes.
-    check_explicit(weighted(9, same=True, subtasks=4))
+    check_explicit(weighted(9, same=True, subtasks=4).laws)
     with pytest.raises(ModelError, match=r"2,048 states and up to [\d,]+ outcomes of 230 bytes"):
-        check_explicit(weighted(9, same=False, subtasks=4))
-    check_explicit(weighted(9, same=False, subtasks=4, base=F(1, 3)))
+        check_explicit(weighted(9, same=False, subtasks=4).laws)
+    check_explicit(weighted(9, same=False, subtasks=4, base=F(1, 3)).laws)
