@@ -27,7 +27,7 @@ from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import closing
 from fractions import Fraction
-from itertools import accumulate, islice
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -39,7 +39,7 @@ from exact_mdp.mdp.errors import ModelError, extra, of_type, suggest
 from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import Integers, OutcomeTable, exact
+from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
 
 if TYPE_CHECKING:
@@ -62,8 +62,6 @@ NO_NAMES = frozenset(
 )
 OVER, NOWHERE = -1, -2  # the next state of a row that has none: the end, or cut off
 ROWS = 2**14  # of a chunk
-TOGETHER = 2**9  # rows that are lists at once: each is short-lived work for Python's collector
-BREAK = re.compile(r"\r\n|\r|\n")
 LARGEST_FILE = 2**40
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
 END, UNSEEN = "end", "unseen"
@@ -244,18 +242,23 @@ class Record:
         text = io.TextIOWrapper(file, "utf-8-sig", newline="")
         lines = csv.reader(text, strict=True)
         try:
-            header, last = next(lines, []), None
-            while last is None or last:
-                columns, begins = [list[str]() for _ in header], list[int]()
-                while len(begins) < ROWS and last != []:
-                    first = lines.line_num + 1
-                    last = list(islice(lines, min(TOGETHER, ROWS - len(begins))))
-                    begins += self._begins(last, first, lines.line_num, len(header))
-                    parts = zip(*filter(None, last), strict=True)  # nothing, if all are blank
-                    for column, values in zip(columns, parts, strict=False):
-                        column += values
-                named = dict(enumerate(columns))
-                yield pandas.DataFrame(named, begins, dtype=object).set_axis(header, axis=1)
+            header, more = next(lines, []), True
+            while more:
+                words, begins, more, line = list[str](), list[int](), False, lines.line_num
+                for row in islice(lines, ROWS):
+                    if len(row) == len(header):
+                        words += row
+                        begins.append(line + 1)
+                    elif row:
+                        raise ModelError(
+                            f"{len(row)} values under {len(header)} headings",
+                            where=f"{self.where}, line {line + 1}",
+                            fix="correct the line; where an episode is over, leave next_state "
+                            "empty after its comma",
+                        )
+                    more, line = True, lines.line_num
+                values = np.array(words, dtype=object).reshape(len(begins), len(header))
+                yield pandas.DataFrame(values, begins, header, dtype=object)
         except UnicodeError as error:
             raise ModelError(
                 "the file is not UTF-8 text", where=self.where, fix="save it as UTF-8 text"
@@ -268,22 +271,6 @@ class Record:
             ) from error
         finally:
             text.detach()
-
-    def _begins(self, rows: list[list[str]], first: int, last: int, width: int) -> list[int]:
-        """Return the line in which each row begins that is not blank; raise where one is ragged."""
-        lines = [*range(first, last + 1)]
-        if len(rows) != len(lines):  # some values have several lines
-            sizes = [1 + sum(len(BREAK.findall(value)) for value in row) for row in rows]
-            lines = [*accumulate(sizes[:-1], initial=first)]
-        for row, line in zip(rows, lines, strict=True):
-            if row and len(row) != width:
-                raise ModelError(
-                    f"{len(row)} values under {width} headings",
-                    where=f"{self.where}, line {line}",
-                    fix="correct the line; where an episode is over, leave next_state empty "
-                    "after its comma",
-                )
-        return [line for row, line in zip(rows, lines, strict=True) if row]
 
     def _parquet(self, file: Any) -> Generator[DataFrame]:
         with extra("models"):
@@ -574,9 +561,15 @@ def _like_cut(name: object) -> bool:
 
 def _sums(keys: Integers, count: Integers) -> tuple[Integers, Integers]:
     """Return the different rows of `keys`, and the sum of the counts of each."""
-    order = np.lexsort(keys.T[::-1])
-    keys, count = keys[order], count[order]
-    first = np.flatnonzero(np.append(True, (keys[1:] != keys[:-1]).any(axis=1)))
+    code, size = np.zeros(len(keys), dtype=np.int64), 1  # one number for each row, in their order
+    for column in keys.T:
+        least, width = column.min(), int(np.ptp(column)) + 1
+        if size * width >= EXACT_IN_INT64:
+            code, size = np.unique(code, return_inverse=True)[1], len(keys)
+        code, size = code * width + (column - least), size * width
+    order = np.argsort(code)
+    keys, count, code = keys[order], count[order], code[order]
+    first = np.flatnonzero(np.append(True, code[1:] != code[:-1]))
     return keys[first], np.add.reduceat(count, first)
 
 

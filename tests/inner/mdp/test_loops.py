@@ -27,6 +27,7 @@ from exact_mdp.mdp.graph import (
     termination,
     topological_levels,
 )
+from exact_mdp.mdp.io import transitions
 
 
 def proves(mdp: MDP, rank: np.ndarray) -> bool:
@@ -196,3 +197,15 @@ def test_work_on_threads_raises_and_ignores_as_its_caller_does() -> None:
     assert np.isinf(seen).all()
     with pytest.raises(ValueError, match=r"^\d+ \d+$"):
         threads.run_blocks([0, 1, 2, 3], fails)
+
+
+def test_counts_of_keys_beyond_64_bits_are_those_of_a_dictionary() -> None:
+    rng = np.random.default_rng(0)
+    keys = rng.choice([-2, 0, 1, 2**20, 2**31], size=(500, 4))
+    sums: dict[tuple[int, ...], int] = {}
+    for number, key in enumerate(map(tuple, keys.tolist())):
+        sums[key] = sums.get(key, 0) + number
+    rows, counts = transitions._sums(keys, np.arange(500))
+    assert list(zip(map(tuple, rows.tolist()), counts.tolist(), strict=True)) == sorted(
+        sums.items()
+    )
