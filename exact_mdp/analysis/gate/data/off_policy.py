@@ -5,11 +5,9 @@ w = Π π(a_t | s_t) / b(a_t | s_t):
 
     E_b[w G] = V^π   (ordinary importance sampling),    V^π ≈ Σ w G / Σ w   (weighted),
 
-of effective sample size (Σ w)² / Σ w² (Precup, Sutton and Singh, ICML 2000). A bound that holds at
-a stated confidence, for any weights, is that of Thomas, Theocharous and Ghavamzadeh (AAAI 2015,
-theorem 1): of n independent X ≥ 0, here X = w (G - least return), with Y = min(X, c) and its sample
-variance s², the mean of X is at least mean Y - √(2 s² log(2/δ) / n) - 7 c log(2/δ) / (3 (n - 1)).
-The first twentieth of the episodes chooses c. From above likewise, by X = w (greatest return - G).
+of effective sample size (Σ w)² / Σ w² (Precup, Sutton and Singh, ICML 2000). The mean of
+X = w (G - least return) ≥ 0 is bounded from below at a stated confidence, for any weights, by
+`mean_at_least`, and V^π from above likewise, by X = w (greatest return - G).
 An episode that was cut off may go on with any return in its range. V* is bounded by the sets of
 `analysis.gate.data.bounds` at half the doubt, and V^π by its trajectories at the other half.
 """
@@ -19,16 +17,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from math import log
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy import special
 
 from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, cut_off, observations_of
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
-from exact_mdp.analysis.vary.intervals import mean_of
+from exact_mdp.analysis.vary.intervals import bootstrap, mean_at_least, mean_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.model import MDP
@@ -39,9 +35,6 @@ from exact_mdp.mdp.validate import RNG, Flags, counted, seed_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 DRAWS = 2000
-HELD_OUT = 20  # one part in so many chooses the threshold
-FEWEST = 60  # episodes: fewer leave the bound at the end of the range
-THRESHOLDS = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,58 +196,6 @@ class _Trajectories(NamedTuple):
             min(least + mean_at_least(self.weight * (low - least), doubt), most),
             max(most - mean_at_least(self.weight * (most - high), doubt), least),
         )
-
-
-def mean_at_least(sample: Floats, doubt: float) -> float:
-    """Return what the mean of independent numbers from 0 up is at least, but for some doubt."""
-    first, rest = np.split(sample, [len(sample) // HELD_OUT])
-    if len(sample) < FEWEST or not sample.any():
-        return 0.0
-    largest = float(first.max())
-    if not largest > 0:
-        return 0.0
-    grid = largest * np.geomspace(1e-4, 2.0, THRESHOLDS)
-    promised = [_bernstein(np.minimum(first, c), c, doubt, len(rest)) for c in grid]
-    threshold = float(grid[int(np.argmax(promised))])
-    bound = _bernstein(np.minimum(rest, threshold), threshold, doubt, len(rest))
-    return max(bound, 0.0)
-
-
-def _bernstein(sample: Floats, most: float, doubt: float, n: int) -> float:
-    """Return the bound that n numbers up to `most` give that vary as a sample does."""
-    spread = 2 * float(sample.var(ddof=1)) * log(2 / doubt) / n
-    return float(sample.mean() - spread**0.5 - 7 * most * log(2 / doubt) / (3 * (n - 1)))
-
-
-def bootstrap(
-    weight: Floats, returns: Floats, confidence: float, ends: Ends, n: int, seed: int
-) -> Ends:
-    """Return the BCa interval (Efron, JASA 82, 1987, section 4) of Σ w G / Σ w, by episodes.
-
-    It is right in the limit of many episodes, and too narrow where few carry most of the weight, so
-    that no check rests on it. `ends` stand for draws in which all episodes have the weight 0.
-    """
-    total, earned = float(weight.sum()), weight * returns
-    if not total > 0:
-        return ends
-    rng, drawn = np.random.default_rng(seed), np.empty((n, 2))
-    for draw in range(n):
-        chosen = rng.integers(len(weight), size=len(weight))
-        drawn[draw] = weight[chosen].sum(), earned[chosen].sum()
-    some = drawn[:, 0] > 0
-    value = np.divide(drawn[:, 1], drawn[:, 0], out=np.zeros(n), where=some)
-    low, high = (np.where(some, value, end) for end in ends)
-    mean, left = float(earned.sum()) / total, total - weight
-    alone = np.divide(earned.sum() - earned, left, out=np.full(len(left), mean), where=left > 0)
-    apart = alone.mean() - alone
-    size = 6 * float(np.square(apart).sum()) ** 1.5
-    a = float((apart**3).sum()) / size if size > 0 else 0.0
-    below = ((low < mean).mean() + (low <= mean).mean()) / 2
-    z, u = special.ndtri([np.clip(below, 0.5 / n, 1 - 0.5 / n), (1 + confidence) / 2])
-    shares = []
-    for v in (z - u, z + u):  # beyond the pole of the correction an end is the farthest draw
-        shares.append(special.ndtr(z + v / (1 - a * v)) if a * v < 1 else float(v > z))
-    return float(np.quantile(low, shares[0])), float(np.quantile(high, shares[1]))
 
 
 def _trajectories(
