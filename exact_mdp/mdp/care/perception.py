@@ -17,12 +17,11 @@ row. Intervals of rates are those of Clopper and Pearson (Biometrika 26, 1934).
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +32,7 @@ from exact_mdp.mdp.care.tables import known
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.io.files import SMALL, read_text
-from exact_mdp.mdp.io.structured import toml_of
+from exact_mdp.mdp.io.structured import csv_of, toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike
 from exact_mdp.mdp.space import Column
@@ -397,20 +396,14 @@ def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
     return _tally(pairs, status_size(model), prior)
 
 
-def _csv_rows(text: str, where: str, header: list[str], fix: str) -> list[list[str]]:
-    """Return the place and the words of each row below a header, all of the header's length."""
-    try:
-        lines = [line for line in csv.reader(io.StringIO(text), strict=True) if line]
-    except csv.Error as error:
-        raise ModelError(f"broken CSV: {error}", where=where, fix="correct that line") from error
-    rows = [[word.strip() for word in line] for line in lines]
-    if not rows or rows[0] != header:
+def _csv_rows(text: str, where: str, header: list[str], fix: str) -> Iterator[list[str]]:
+    """Yield the place and the words of each row below a header."""
+    rows = (
+        [f"{where}, line {n}", *map(str.strip, row)] for n, row in csv_of(StringIO(text), where)
+    )
+    if next(rows, [""])[1:] != header:
         raise ModelError(f"the header is not {','.join(header)}", where=where, fix=fix)
-    placed = [[f"{where}, line {number}", *row] for number, row in enumerate(rows[1:], start=2)]
-    for place, *row in placed:
-        if len(row) != len(header):
-            raise ModelError(f"{len(row)} values in a row", where=place, fix="correct the line")
-    return placed
+    yield from rows
 
 
 def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, object, object]]:

@@ -1,4 +1,4 @@
-"""TOML and JSON that come from outside: read within limits, and against the shape they must have.
+"""TOML, JSON and CSV from outside: read within limits, and against the shape that they must have.
 
 A number of over 4,000 digits, tables nested more than 100 deep and what the syntax does not allow
 are refused here, by name, so that nothing behind the door meets them: Python converts no integer of
@@ -7,10 +7,11 @@ over 4,300 digits to text, and ends a recursion after about a thousand calls.
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from math import inf
 from typing import Any, NoReturn
@@ -74,6 +75,29 @@ def _too_deep(where: str) -> ModelError:
     return ModelError(
         f"tables or lists are nested more than {DEEPEST} deep", where=where, fix="use fewer levels"
     )
+
+
+def csv_of(
+    lines: Iterable[str], where: str = "", *, fix: str = "correct the line"
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of a CSV text that are not blank, each with its line; the header is the first.
+
+    Raises ModelError, with a `fix`, where a row has not as many values as the header.
+    """
+    reader, line, width = csv.reader(lines, strict=True), 0, 0
+    begin = f"{where}, " if where else ""
+    try:
+        for row in reader:
+            if row:
+                width = width or len(row)
+                if len(row) != width:
+                    what = f"{len(row)} values under {width} headings"
+                    raise ModelError(what, where=f"{begin}line {line + 1}", fix=fix)
+                yield line + 1, row
+            line = reader.line_num
+    except csv.Error as error:
+        place = f"{begin}line {reader.line_num}"
+        raise ModelError(f"broken CSV: {error}", where=place, fix="correct that line") from error
 
 
 # ---- the shape that JSON must have ---------------------------------------------------------------

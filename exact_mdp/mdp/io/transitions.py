@@ -20,7 +20,6 @@ outcome (s, a, s', r). Round rewards that hardly ever repeat first.
 
 from __future__ import annotations
 
-import csv
 import io
 import re
 from collections import Counter
@@ -38,6 +37,7 @@ from exact_mdp.mdp.build import FromArrays
 from exact_mdp.mdp.errors import ModelError, extra, of_type, suggest
 from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
+from exact_mdp.mdp.io.structured import csv_of
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import EXACT_IN_INT64, Integers, OutcomeTable, exact
 from exact_mdp.mdp.validate import Flags, as_discount, as_start, check_options
@@ -240,34 +240,22 @@ class Record:
         import pandas
 
         text = io.TextIOWrapper(file, "utf-8-sig", newline="")
-        lines = csv.reader(text, strict=True)
+        fix = "correct the line; where an episode is over, leave next_state empty after its comma"
+        rows = csv_of(text, self.where, fix=fix)
         try:
-            header, more = next(lines, []), True
-            while more:
-                words, begins, more, line = list[str](), list[int](), False, lines.line_num
-                for row in islice(lines, ROWS):
-                    if len(row) == len(header):
-                        words += row
-                        begins.append(line + 1)
-                    elif row:
-                        raise ModelError(
-                            f"{len(row)} values under {len(header)} headings",
-                            where=f"{self.where}, line {line + 1}",
-                            fix="correct the line; where an episode is over, leave next_state "
-                            "empty after its comma",
-                        )
-                    more, line = True, lines.line_num
-                values = np.array(words, dtype=object).reshape(len(begins), len(header))
-                yield pandas.DataFrame(values, begins, header, dtype=object)
+            _, header = next(rows, (0, []))
+            while True:
+                words, lines = list[str](), list[int]()
+                for line, row in islice(rows, ROWS):
+                    words += row
+                    lines.append(line)
+                values = np.array(words, dtype=object).reshape(len(lines), len(header))
+                yield pandas.DataFrame(values, lines, header, dtype=object)
+                if not lines:
+                    return
         except UnicodeError as error:
             raise ModelError(
                 "the file is not UTF-8 text", where=self.where, fix="save it as UTF-8 text"
-            ) from error
-        except csv.Error as error:
-            raise ModelError(
-                f"the file is no table: {error}",
-                where=f"{self.where}, line {lines.line_num}",
-                fix="give CSV with a header and the same columns in every line",
             ) from error
         finally:
             text.detach()

@@ -23,7 +23,7 @@ from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, sugge
 from exact_mdp.mdp.forms.names import is_number, whole_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.files import STANDARD_INPUT, read_text, write_atomically
-from exact_mdp.mdp.io.structured import json_of
+from exact_mdp.mdp.io.structured import csv_of, json_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.arrays import Parts, numbers_of, policy_of_array, rows_read, too_small
 from exact_mdp.mdp.space import TIME, StateSpace
@@ -257,11 +257,9 @@ def _digits(text: str) -> Any:
 
 
 def _of_csv(model: MDP, text: str) -> Parts:
-    try:
-        lines = list(csv.reader(io.StringIO(text), strict=True))
-    except csv.Error as error:
-        raise ModelError(f"broken CSV: {error}", fix="correct that line") from error
-    header = [name.strip() for name in lines[0]] if lines else []
+    rows = csv_of(io.StringIO(text))
+    _, given = next(rows, (0, []))
+    header = [name.strip() for name in given]
     columns = [name for name in header if name not in ("action", "probability")]
     by_state = columns == ["state"] and "state" not in model.space.names
     known = [*(columns if by_state else model.space.names), "action", "probability"]
@@ -282,29 +280,22 @@ def _of_csv(model: MDP, text: str) -> Parts:
         space = StateSpace(columns=tuple(model.space.column(name) for name in columns))
     by_name = by_state or (len(columns) == 1 and bool(space.columns[0].words))
     chances: Chances = {}
-    for number, line in enumerate(lines[1:], start=2):
+    for number, row in rows:
         with located(f"line {number}"):
-            if line and len(line) != len(header):
-                raise ModelError(
-                    f"{len(line)} values under {len(header)} headings", fix="correct the line"
-                )
-            entry = dict(zip(header, line, strict=False))
-            if by_name and line:
+            entry = dict(zip(header, row, strict=True))
+            if by_name:
                 key = space.number(_digits(entry[columns[0]]))
-            elif line:
-                values = {each.name: each.parse(entry[each.name]) for each in space.columns}
-                key = space.index(**values)
             else:
-                continue
+                key = space.index(**{c.name: c.parse(entry[c.name]) for c in space.columns})
             word = entry["action"] if entry["action"] in model.actions else entry["action"].strip()
             action = model.action_names.number(word)
-            row = chances.setdefault(key, {})
-            if action in row or (row and "probability" not in header):
+            taken = chances.setdefault(key, {})
+            if action in taken or (taken and "probability" not in header):
                 raise ModelError(
                     f"{space.label(key)} appears twice",
                     fix="keep one of them, or add a column probability",
                 )
-            row[action] = _probability(entry.get("probability", "1").strip())
+            taken[action] = _probability(entry.get("probability", "1").strip())
     return _of_chances(model, space, chances)
 
 

@@ -232,7 +232,7 @@ def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
     for text, what in (
         ("", "no transitions"),
         (f"{head}1,a,x,0,b,9,9\n", "7 values under 5 headings"),
-        (f'{head}1,a,x,0,"b', "no table"),
+        (f'{head}1,a,x,0,"b', "broken CSV"),
     ):
         (tmp_path / "log.csv").write_text(text)
         with pytest.raises(ModelError, match=what):
