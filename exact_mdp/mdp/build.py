@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from itertools import pairwise
 from operator import index
 from typing import Any, Self
 
@@ -307,14 +308,25 @@ def _amounts(
     parted = [gain if isinstance(gain, Mapping) else {} for gain in gains]
     given = [as_given(amount) for amounts in parted for amount in amounts.values()]
     names.setdefault("float_rewards", any(isinstance(amount, float) for amount in given))
-    expected: dict[str, list[Fraction]] = {str(name): [] for part in parted for name in part}
-    for first, last in zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True):
-        row = list(map(exact, meant([as_given(p) for p in chances[first:last]])))
-        each = [{str(name): exact(x) for name, x in part.items()} for part in parted[first:last]]
-        for name, amounts in expected.items():
-            terms = (p * part.get(name, 0) for p, part in zip(row, each, strict=True))
-            amounts.append(sum(terms, Fraction(0)))
-    return {name: np.array(amounts, dtype=object) for name, amounts in expected.items()}
+    columns = {str(name): [Fraction(0)] * len(parted) for part in parted for name in part}
+    for place, part in enumerate(parted):
+        for name, amount in part.items():
+            columns[str(name)][place] = exact(amount)
+    return {name: expected(chances, amounts, offsets) for name, amounts in columns.items()}
+
+
+def expected(chances: Sequence[Any], amounts: Sequence[Any], offsets: Integers) -> Any:
+    """Return the expected amount (L,) of outcomes (N,), as it is where all of a row are equal."""
+    total = np.empty(len(offsets) - 1, dtype=object)
+    for pair, (first, last) in enumerate(pairwise(offsets.tolist())):
+        each = amounts[first:last]
+        if len(set(each)) == 1:
+            total[pair] = each[0]
+            continue
+        row = map(exact, meant([as_given(p) for p in chances[first:last]]))
+        terms = (p * exact(amount) for p, amount in zip(row, each, strict=True))
+        total[pair] = sum(terms, Fraction(0))
+    return total
 
 
 # ---- layouts of arrays ---------------------------------------------------------------------------

@@ -112,7 +112,7 @@ class Batch:
             which=np.concatenate([step, rules.skip]).T.copy(),
             gains=rules.gains,
             places=rules.places,
-            kept=rules.kept,
+            flag_after=rules.flag_after,
             trials=rules.trials,
             flags=rules.flags,
             own=rules.own,

@@ -111,7 +111,7 @@ def held_at(family: Parametric, name: str, value: Fraction) -> Parametric:
         return replace(family, family=held_at(family.family, name, value))
     if isinstance(family, ScenarioFamily):
         scenario = family.scenario.with_(parameters={name: value})
-        return ScenarioFamily(scenario=scenario, told=family.told)
+        return ScenarioFamily(scenario=scenario, warned=family.warned)
     if isinstance(family, Family):
         moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
         return replace(family, parameters=tuple(moved))

@@ -8,19 +8,7 @@ skip after the last failed trial is one matrix product:
     P(z, gain g | s, a) = Σ_{s' ≠ 0, gain(s') = g} K_a(s, s') Z(s', z).
 
 All subtasks share a few blocks (inside a task, last of its task, last of all), laid down one after
-the other. States are numbered so that every transition leads to a higher number; the end comes
-last. A model with one block of each kind is built and checked row by row; where blocks repeat, the
-whole model is laid out from the rows of that one.
-
-How large the model would be is known before any of it is built. A row of a trial has as many
-outcomes as there are next status vectors s' of positive chance. Where a failed trial ends in a skip
-there are at most
-
-    1 + Σ over gains g of  min(2^n, Σ over s' ≠ 0 of gain g of the number of z that s' leads to).
-
-An outcome takes 41 bytes at the peak of compilation (the published scenario with 10,000 subtasks),
-and 231 where probabilities have no 64-bit denominators (8 statuses with distinct weights, 2
-subtasks): Python's integers, and rows to merge.
+the other. Every transition leads to a state of a higher number, and the end comes last.
 Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
 """
 
@@ -230,6 +218,11 @@ def check_explicit(laws: Laws) -> None:
 
 def size(laws: Laws) -> tuple[int, int]:
     """Return the most outcomes, and the greatest denominator of one before anything cancels.
+
+    A row of a trial has as many outcomes as there are next vectors s' of positive chance. Where a
+    failed trial ends in a skip there are at most
+
+        1 + Σ over gains g of  min(2^n, Σ over s' ≠ 0 of gain g of the number of z it leads to).
 
     Examples
     --------

@@ -103,7 +103,7 @@ class Rules:
         Whether a step charges the statuses of its present and of its next vector.
     places : (K,)
         The place of each subtask.
-    kept : (3, 2)
+    flag_after : (3, 2)
         The flag that the next subtask starts with, by place and flag.
     """
 
@@ -126,8 +126,8 @@ class Rules:
         self.actions = (*actions, SKIP) if self.own else actions
         paid = BONUS[self.readings["task_bonus"]]
         self.flags = 2 if (COMPLETE, 0) in paid and (COMPLETE, 1) not in paid else 1
-        self.kept = np.zeros((3, 2), dtype=np.int64)
-        self.kept[INSIDE, 1] = self.flags - 1
+        self.flag_after = np.zeros((3, 2), dtype=np.int64)
+        self.flag_after[INSIDE, 1] = self.flags - 1
         self.bits = bits_of(len(statuses))
         self.vectors = len(self.bits)
         self.size = (trials + self.own) * self.flags * self.vectors
@@ -157,6 +157,7 @@ class Rules:
         position, none, count = self.position, len(self.names), len(self.statuses)
         present, onset = self.bits.astype(bool), self.readings["skip_onset"]
         pushing = self.readings["influence_on_present"] == "additive"
+        by_row = self.readings["influence_orientation"] == "row-to-column"
         self.step = np.empty((self.vectors, len(actions), count), dtype=np.int64)
         self.skip = np.empty((self.vectors, count), dtype=np.int64)
         terms: list[Integers] = []
@@ -175,9 +176,12 @@ class Rules:
             here, (stays, comes) = present[:, i], (f"persistence.{status}", f"base.{status}")
             free = np.full((self.vectors, count), none)
             free[:, 0] = np.where(here, position[stays], position[comes])
-            for column, j in enumerate((j for j in range(count) if j != i), start=1):
-                name = influence(self.readings["influence_orientation"], self.statuses[j], status)
-                free[present[:, j] & (~here | pushing), column] = position[name]
+            for term, j in enumerate((j for j in range(count) if j != i), start=1):
+                pair = self.statuses[j], status
+                row, column = pair if by_row else pair[::-1]
+                free[present[:, j] & (~here | pushing), term] = position[
+                    f"influence.{row}.{column}"
+                ]
             # Where nothing is added to it, the persistence is one chance for all vectors.
             kinds = np.arange(self.vectors)
             kinds[here & (free[:, 1:] == none).all(axis=1)] = 1 << (count - 1 - i)
@@ -201,7 +205,9 @@ class Rules:
         """Return (2^n,) the states that follow a subtask, counted from its own first state."""
         if place == FINAL:
             return np.full(self.vectors, self.size)
-        return self.size + int(self.kept[place, flag]) * self.vectors + np.arange(self.vectors)
+        return (
+            self.size + int(self.flag_after[place, flag]) * self.vectors + np.arange(self.vectors)
+        )
 
     def pairs(self) -> tuple[Integers, Integers]:
         """Return state and action of each row of a subtask, states counted from its first."""
@@ -253,9 +259,3 @@ def rules_of(scenario: Tables) -> Rules:
         scenario.trials,
         tuple(scenario.readings.items()),
     )
-
-
-def influence(orientation: str, origin: str, target: str) -> str:
-    """Return the parameter by which one status pushes another."""
-    first, second = (origin, target) if orientation == "row-to-column" else (target, origin)
-    return f"influence.{first}.{second}"

@@ -12,17 +12,15 @@ for some set J of other statuses (Yuan et al., 2025, Section 2.1).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 
 from exact_mdp.mdp.care import toml
 from exact_mdp.mdp.care.compile import compile_scenario
 from exact_mdp.mdp.care.laws import Laws, excess, warn_of_excess
-from exact_mdp.mdp.care.rules import influence
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
@@ -107,7 +105,7 @@ class ScenarioFamily:
     """
 
     scenario: Scenario
-    told: list[str] = field(default_factory=list, compare=False, repr=False)
+    warned: list[str] = field(default_factory=list, compare=False, repr=False)
     base: MDP | None = field(default=None, compare=False, repr=False)  # the compiled scenario
 
     @property
@@ -150,16 +148,16 @@ class ScenarioFamily:
         self._tell(self.scenario.with_(parameters=placed(self, values)), where)
 
     def _tell(self, there: Scenario, where: str = "") -> None:
-        if self.told or excess(there.laws) is None:
+        if self.warned or excess(there.laws) is None:
             return
-        self.told.append(there.name)
+        self.warned.append(there.name)
         # Today's values where they are enough, so that the words are those of `compile`.
         if excess(self.scenario.laws) is not None:
             there, where = self.scenario, ""
         warn_of_excess(there.laws, where=where, stacklevel=4)
 
     def __getstate__(self) -> dict[str, object]:
-        return {"scenario": self.scenario, "told": [self.scenario.name]}
+        return {"scenario": self.scenario, "warned": [self.scenario.name]}
 
     def degree(self, name: str) -> int:
         """See `Parametric.degree`."""
@@ -170,35 +168,17 @@ class ScenarioFamily:
 
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
         """See `Parametric.breakpoints`."""
-        parameter_of(self, name)
-        return tuple(sorted({point for point in self._cuts(name) if 0 < point < 1}))
+        value, laws = parameter_of(self, name).value, self.scenario.laws
+        place = laws.rules.position.get(name, -1)
+        sums = laws.sums[(laws.rules.terms == place).any(axis=1)].tolist()
+        points = {1 - (Fraction(total, laws.one) - value) for total in sums}
+        return tuple(sorted(point for point in points if 0 < point < 1))
 
     def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
         """Return the scenarios with one trial less and one trial more."""
 
         def beside(trials: int) -> ScenarioFamily:
-            return ScenarioFamily(scenario=self.scenario.with_(max_trial=trials), told=self.told)
+            return replace(self, scenario=self.scenario.with_(max_trial=trials), base=None)
 
         trials = self.scenario.max_trial
         return {"max_trial": (beside(trials - 1) if trials > 1 else None, beside(trials + 1))}
-
-    def _cuts(self, name: str) -> Iterator[Fraction]:
-        scenario, readings = self.scenario, self.scenario.readings
-        starts = (
-            ("base", "persistence") if readings["influence_on_present"] == "additive" else ("base",)
-        )
-        for target in scenario.statuses:
-            added = [
-                influence(readings["influence_orientation"], origin, target)
-                for origin in scenario.statuses
-                if origin != target
-            ]
-            for alone in (f"{start}.{target}" for start in starts):
-                if name not in (alone, *added):
-                    continue
-                for count in range(len(added) + 1):
-                    for present in combinations(added, count):
-                        terms = (alone, *present)
-                        if name in terms:
-                            others = (scenario[term] for term in terms if term != name)
-                            yield 1 - sum(others, Fraction(0))

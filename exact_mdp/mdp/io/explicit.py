@@ -11,18 +11,17 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.build import expected
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbers import as_given, exact_sum
-from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.mdp.table import Integers
 from exact_mdp.mdp.validate import Flags
 
 REWARD = "reward"
@@ -96,7 +95,10 @@ def model_of(
             names = ", ".join(others)
             warn(f"the rewards {names} are added up; name the one that counts (--reward, reward=)")
         parts["component_names"] = tuple(others)
-        parts["components"] = {name: _expected(given, each) for name, each in others.items()}
+        parts["components"] = {
+            name: expected(given.probability, each, given.choice_to_branches)
+            for name, each in others.items()
+        }
     zeros = [Fraction(0)] * len(given.target)
     amounts = earned[chosen] if chosen is not None else zeros
     for each in earned.values() if chosen is None else ():
@@ -186,17 +188,3 @@ def _plus(left: Sequence[Any], right: Sequence[Any]) -> list[Any]:
     """Return exact sums; a number to which 0 is added stays what it is."""
     pairs = zip(left, right, strict=True)
     return [a if not b else b if not a else exact_sum(as_given(a), as_given(b)) for a, b in pairs]
-
-
-def _expected(explicit: Explicit, amounts: Sequence[Any]) -> list[Any]:
-    """Return the expected amount (C,) of each choice."""
-    offsets, expected = explicit.choice_to_branches.tolist(), list[Any]()
-    for begin, end in pairwise(offsets):
-        each = amounts[begin:end]
-        if len(set(each)) == 1:
-            expected.append(each[0])
-            continue
-        chances = map(exact, meant([as_given(p) for p in explicit.probability[begin:end]]))
-        terms = [p * exact(r) for p, r in zip(chances, each, strict=True)]
-        expected.append(sum(terms, Fraction(0)))
-    return expected

@@ -26,7 +26,7 @@ class Layout(NamedTuple):
     which: Numbers  # (n, (A+1)·V) which chance each status has in each row
     gains: Numbers  # (3, 3, 2)
     places: Numbers  # (K,)
-    kept: Numbers  # (3, 2)
+    flag_after: Numbers  # (3, 2)
     trials: int
     flags: int
     own: bool
@@ -79,7 +79,7 @@ def beyond(layout: Layout, draws: Draws, d: int, room: Room, at: int) -> None:
     """Write what failing the last trial of a subtask with vector s' earns and leads to."""
     vectors, gain, discount = room.law.shape[0], draws.gain[d], draws.discount[d]
     present, following = draws.present[d], draws.following[d]
-    law, to, mean = room.law, layout.kept[at, 1], room.vector[BEYOND]
+    law, to, mean = room.law, layout.flag_after[at, 1], room.vector[BEYOND]
     skip, earned = len(room.q), gain[layout.gains[SKIPPED, at, 1]]
     for s in range(vectors):
         mean[s] = 0.0
@@ -175,7 +175,7 @@ def values(
                 beyond(layout, draws, d, room, at)
                 failed = gain[layout.gains[FAIL, at, 0]]
                 for f in range(layout.flags):
-                    later = discount * room.ahead[layout.kept[at, f], 0]
+                    later = discount * room.ahead[layout.flag_after[at, f], 0]
                     done = gain[layout.gains[COMPLETE, at, f]] + later
                     for t in range(layout.trials - 1, -1, -1):
                         for s in range(vectors):
