@@ -246,7 +246,7 @@ def read_piece(path: Path) -> Arrays | None:
     if not path.exists():
         return None
     try:
-        arrays = read_arrays(path, names=len, check=lambda *_: None, ratio=MOST)
+        arrays = read_arrays(path, ratio=MOST)
         stated = arrays.pop(DIGEST).tobytes()
     except (ModelError, KeyError) as error:
         raise damaged(path) from error

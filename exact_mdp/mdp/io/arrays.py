@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -30,7 +29,6 @@ HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
-Check = Callable[[str, "np.dtype[Any]", tuple[int, ...]], None]
 
 
 def read_array(path: str | Path, *, called: str) -> Numbers:
@@ -43,45 +41,37 @@ def read_array(path: str | Path, *, called: str) -> Numbers:
     with opened(path, most=LARGEST) as file, _named(where):
         begin = file.read(len(NPY))
         if begin == NPY:
-            return _array(begin + file.read(), where, _real_numbers)
-        if not begin.startswith(ZIP):
-            raise ModelError("not a readable NumPy array", fix="save it again with numpy.save")
-        with _archive(file, RATIO) as members:
-            if len(members) != 1 and called not in members:
+            name, arrays = where, {where: _array(begin + file.read(), where)}
+        elif begin.startswith(ZIP):
+            arrays = _members(file, RATIO)
+            if len(arrays) != 1 and called not in arrays:
                 raise ModelError(
-                    f"the archive holds {', '.join(members)[:200] or 'nothing'}",
+                    f"the archive holds {', '.join(arrays)[:200] or 'nothing'}",
                     fix=f"save one array, or call it {called}",
                 )
-            name = called if called in members else next(iter(members))
-            return _array(members[name](), name, _real_numbers)
+            name = called if called in arrays else next(iter(arrays))
+        else:
+            raise ModelError("not a readable NumPy array", fix="save it again with numpy.save")
+        if arrays[name].dtype.kind not in "fiu":
+            what = f"an array of type {arrays[name].dtype}"
+            raise ModelError(what, where=name, fix="save real numbers")
+        return arrays[name]
 
 
-def read_arrays(
-    source: str | Path | bytes,
-    *,
-    names: Callable[[Collection[str]], object],
-    check: Check,
-    ratio: int = RATIO,
-) -> dict[str, Numbers]:
+def read_arrays(source: str | Path | bytes, *, ratio: int = RATIO) -> dict[str, Numbers]:
     """Return all arrays of an `.npz` file, or of its bytes, by name, as `read_array` does.
 
-    `names` takes the names of all arrays, `check` the name, type and shape of each; they raise
-    ModelError for what should not be. A compressed archive may claim `ratio` times its own size.
+    A compressed archive may claim `ratio` times its own size.
     """
-    where = "" if isinstance(source, bytes) else str(source)
-    with (
-        io.BytesIO(source) if isinstance(source, bytes) else opened(source, most=LARGEST) as file,
-        _named(where),
-        _archive(file, ratio, names) as members,
-    ):
-        return {name: _array(read(), name, check) for name, read in members.items()}
+    if isinstance(source, bytes):
+        with _named(""):
+            return _members(io.BytesIO(source), ratio)
+    with opened(source, most=LARGEST) as file, _named(str(source)):
+        return _members(file, ratio)
 
 
-@contextmanager
-def _archive(
-    file: BinaryIO, ratio: int, names: Callable[[Collection[str]], object] = len
-) -> Iterator[dict[str, Callable[[], bytes]]]:
-    """Open an archive: what reads each array, by name; ModelError unless it can be what it claims.
+def _members(file: BinaryIO, ratio: int) -> dict[str, Numbers]:
+    """Return the arrays of an archive; raises ModelError unless it can be what it claims.
 
     A checksum is compared as a member is read.
     """
@@ -94,7 +84,6 @@ def _archive(
             raise ModelError(
                 f"the archive holds {twins[:200]}, one of them twice", fix="save it again"
             )
-        names(members.keys())
         methods = {member.compress_type for member in listed}
         encrypted = any(member.flag_bits & 1 for member in listed)
         if encrypted or not methods <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
@@ -107,35 +96,27 @@ def _archive(
                 f"the archive of {size:,} bytes claims to hold {claimed:,}",
                 fix="save it again, uncompressed",
             )
-        yield {name: partial(archive.read, member) for name, member in members.items()}
+        return {name: _array(archive.read(member), name) for name, member in members.items()}
 
 
-def _array(data: bytes, where: str, check: Check) -> Numbers:
+def _array(data: bytes, where: str) -> Numbers:
     """Return the array that a `.npy` file's bytes hold, after its header has been looked at."""
     stream = io.BytesIO(data)
     try:
-        version = np.lib.format.read_magic(stream)
-        shape, fortran, kind = HEADERS[version](stream) if version in HEADERS else ((), False, None)
+        shape, fortran, kind = HEADERS[np.lib.format.read_magic(stream)](stream)
     except Exception as error:  # NumPy raises many kinds; its words advise to trust the file
         raise ModelError(
             "not a readable NumPy array: its header is damaged", where=where, fix="save it again"
         ) from error
-    if kind is None:
-        raise ModelError(
-            f"array format {version[0]}.{version[1]}", where=where, fix="save it again"
-        )
-    if min(shape, default=0) < 0:
-        raise ModelError(f"an array of shape {shape}", where=where, fix="save it again")
     if kind.hasobject:
         raise ModelError(
             "an array of type object, which could run any program when read",
             where=where,
             fix="save numbers alone",
         )
-    check(where, kind, shape)
     begin = stream.tell()
     wanted = begin + prod(shape) * kind.itemsize
-    if wanted != len(data):
+    if min(shape, default=0) < 0 or wanted != len(data):
         raise ModelError(
             f"an array of shape {shape} and type {kind} in {len(data):,} bytes, not {wanted:,}",
             where=where,
@@ -144,11 +125,6 @@ def _array(data: bytes, where: str, check: Check) -> Numbers:
     flat = np.frombuffer(data, kind, prod(shape), begin) if prod(shape) else np.empty(0, kind)
     array = flat.reshape(shape, order="F" if fortran else "C")
     return array.astype(kind.newbyteorder("="), copy=True)
-
-
-def _real_numbers(where: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> None:
-    if kind.kind not in "fiu":
-        raise ModelError(f"an array of type {kind}", where=where, fix="save real numbers")
 
 
 @contextmanager

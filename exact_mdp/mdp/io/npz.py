@@ -38,7 +38,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -190,7 +190,8 @@ def load(path: str | Path) -> MDP:
 
 def unpacked(source: str | Path | bytes) -> MDP:
     """Return the model of an archive, or of its bytes."""
-    arrays = read_arrays(source, names=_check_names, check=_check_array)
+    arrays = read_arrays(source)
+    _check_arrays(arrays)
     state, flags = arrays["pair_state"], [*arrays.get("labels", ())]
     with located("header"):
         given = json_of(arrays["header"].tobytes(), "header")
@@ -272,27 +273,24 @@ def _components(arrays: dict[str, Numbers], parts: int) -> ComponentTable | None
     return ComponentTable(amount=amount, denominator=_as_integers(arrays["component_denominator"]))
 
 
-def _check_names(names: Collection[str]) -> None:
-    """Raise ModelError unless an archive holds the arrays of a model, by their names."""
-    if not ARRAYS.keys() - {*MAY_LACK} <= set(names) <= ARRAYS.keys():
+def _check_arrays(arrays: dict[str, Numbers]) -> None:
+    """Raise ModelError unless arrays are those of a model, of types and shapes that it allows."""
+    if not ARRAYS.keys() - {*MAY_LACK} <= arrays.keys() <= ARRAYS.keys():
         raise ModelError(
-            f"the archive holds {', '.join(names)[:200] or 'nothing'}",
+            f"the archive holds {', '.join(arrays)[:200] or 'nothing'}",
             fix="give a model that exact-mdp wrote; a Q-table is a policy, not a model",
         )
-
-
-def _check_array(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
-    """Raise ModelError unless an array has a type and a shape that the format allows."""
-    kinds, kind = ARRAYS[name], str(dtype.newbyteorder("="))
-    bytewise = kind == "uint8" and len(kinds) > 1
-    dimensions = 2 if bytewise or name in ("components", "labels") else 1
-    narrow = bytewise and shape[1:] < (WIDTH,)
-    if kind not in kinds or len(shape) != dimensions or min(shape) < 1 or narrow:
-        raise ModelError(
-            f"an array of type {dtype} and shape {shape}",
-            where=name,
-            fix=f"give {' or '.join(kinds)}, as the format says",
-        )
+    for name, array in arrays.items():
+        kinds, kind, shape = ARRAYS[name], str(array.dtype), array.shape
+        bytewise = kind == "uint8" and len(kinds) > 1
+        dimensions = 2 if bytewise or name in ("components", "labels") else 1
+        narrow = bytewise and shape[1:] < (WIDTH,)
+        if kind not in kinds or len(shape) != dimensions or min(shape) < 1 or narrow:
+            raise ModelError(
+                f"an array of type {kind} and shape {shape}",
+                where=name,
+                fix=f"give {' or '.join(kinds)}, as the format says",
+            )
 
 
 def _as_bytes(array: Numbers) -> Numbers:
