@@ -93,8 +93,6 @@ CASES = (
         "test_PolicyIteration.py, test_PolicyIteration_small",
     ),
     small(
-        F(24, 25),
-        "100.67873303167413 94.45701357466055",
-        "test_PolicyIteration.py, its last test",
+        F(24, 25), "100.67873303167413 94.45701357466055", "test_PolicyIteration.py, its last test"
     ),
 )

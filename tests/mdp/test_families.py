@@ -322,8 +322,7 @@ def test_an_elasticity_beyond_floats_is_infinite_not_an_error() -> None:
     """The value is 1e-320, the parameter 1 and the derivative 1: 1e320 per cent."""
     tiny = F(1, 10**320)
     family = Family(
-        parameters=(Parameter(name="p", value=F(1)),),
-        build=lambda at: earning(at["p"] - 1 + tiny),
+        parameters=(Parameter(name="p", value=F(1)),), build=lambda at: earning(at["p"] - 1 + tiny)
     )
     assert gradient(family)["p"].elasticity == np.inf
 

@@ -13,14 +13,7 @@ from hypothesis import strategies as st
 from oracle import rows_of as oracle_rows
 from oracle import solve_exact
 
-from exact_mdp import (
-    MDP,
-    DistributionError,
-    certify,
-    fingerprint,
-    load,
-    save,
-)
+from exact_mdp import MDP, DistributionError, certify, fingerprint, load, save
 
 Law = tuple[int, int, list[tuple[F, int, F]]]
 

@@ -198,10 +198,7 @@ PERMUTED = MDP.from_arrays([np.eye(4)] * 2, [[1, 0]] * 4, "1/2", states=["3", "1
 
 def walk(actions: list[Any], best: list[Any], states: list[Any]) -> MDP:
     """The states in a row; the best action of each earns 1."""
-    after, right = (
-        dict(pairwise(states)),
-        dict(zip(states, best, strict=False)),
-    )
+    after, right = (dict(pairwise(states)), dict(zip(states, best, strict=False)))
 
     def outcomes(state: Any, action: Any) -> list[tuple[int, Any, int]]:
         return [(1, after[state], int(action == right[state]))]

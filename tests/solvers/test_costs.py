@@ -7,16 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from exact_mdp import (
-    MDP,
-    SOLVERS,
-    ModelError,
-    Policy,
-    best_policy,
-    certify,
-    check,
-    evaluate,
-)
+from exact_mdp import MDP, SOLVERS, ModelError, Policy, best_policy, certify, check, evaluate
 
 F = Fraction
 COSTS = MDP.from_arrays(

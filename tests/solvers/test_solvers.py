@@ -243,31 +243,6 @@ def test_rewards_below_the_range_of_floats_are_allowed_for(row: Any, joint: bool
     assert exact or not solution.state_error.any()
 
 
-@pytest.mark.parametrize("states", [300, 3000])  # below and above the size that is compiled
-def test_values_of_a_model_without_cycles_do_not_depend_on_its_numbers(states: int) -> None:
-    rng = np.random.default_rng(states)
-    after = rng.integers(np.arange(states)[:, None] + 1, states + 1, size=(states, 8))
-    number = rng.permutation(states + 1)
-    values: list[Any] = []
-    errors: list[Any] = []
-    for place in (np.arange(states + 1), number):
-        rows = np.repeat(place[:-1], 2)
-        order = np.argsort(np.append(rows, place[-1]), kind="stable")
-        pairs = np.arange(2 * states)
-        chance = sp.csr_array(
-            (np.full(8 * states, 0.25), (pairs.repeat(4), place[after].ravel())),
-            shape=(2 * states + 1, states + 1),
-        ).tolil()
-        chance[2 * states, place[-1]] = 1.0
-        reward = np.append(pairs % 7, 0.0)[order]
-        state, action = np.append(rows, place[-1])[order], np.append(pairs % 2, 0)[order]
-        mdp = MDP.from_pairs(state, action, chance.tocsr()[order], reward, discount=1)
-        solution = solve(mdp, BackwardInduction())
-        values.append(solution.value[place])
-        errors.append(solution.state_error[place])
-    assert (np.abs(values[0] - values[1]) <= sum(errors)).all()
-
-
 @pytest.mark.parametrize("name", ["backward-induction", "policy-iteration"])
 def test_rewards_that_cancel_are_known_no_better_than_their_sum(name: str) -> None:
     """Floats add up to 0 here, where the exact expected reward is 1/180 or so."""

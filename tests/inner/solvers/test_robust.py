@@ -199,8 +199,7 @@ def test_a_radius_for_each_pair() -> None:
 
 @pytest.mark.parametrize("kind", [L1Ball, Likelihood, RelativeEntropy])
 @pytest.mark.parametrize(
-    "radius",
-    [-0.1, nan, inf, "much", True, [0.1], [0.1, -1.0], [0.1, nan], [0.1, True], 10**400],
+    "radius", [-0.1, nan, inf, "much", True, [0.1], [0.1, -1.0], [0.1, nan], [0.1, True], 10**400]
 )
 def test_what_is_no_set_of_laws_is_refused(kind: Any, radius: Any) -> None:
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])

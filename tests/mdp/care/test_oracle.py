@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 import pytest
-from care_oracle import ACTIONS, COMPONENTS, END, READINGS, Oracle, Policy
+from care_oracle import ACTIONS, COMPONENTS, READINGS, Oracle, Policy
 
 ALL_READINGS: list[dict[str, str]] = [
     dict(zip(READINGS, options, strict=True)) for options in product(*READINGS.values())
@@ -19,25 +19,6 @@ CLEAR = (0, 0, 0, 0)
 
 def always(action: str) -> Policy:
     return lambda state: {action: Fraction(1)}
-
-
-@pytest.mark.parametrize("discount", [Fraction(1), Fraction(19, 20)])
-def test_an_optimal_policy_earns_the_optimal_value(discount: Fraction) -> None:
-    oracle = Oracle(SAMPLE[3], tasks=[1, 1], max_trial=3, discount=discount)
-    best, choices = oracle.optimal()
-    assert best[END] == 0
-    assert choices[END] == frozenset()
-    evaluation = oracle.evaluate(lambda state: {min(choices[state]): Fraction(1)})
-    assert evaluation["mean"] == sum(evaluation["components"].values()) == best[oracle.start]
-    assert (evaluation["distribution"] is None) == (discount < 1)
-    for state in best:
-        for action in oracle.actions(state):
-            value = sum(
-                p * (sum(rewards.values()) + discount * best[nxt])
-                for p, nxt, rewards, _ in oracle.outcomes(state, action)
-            )
-            assert value <= best[state]
-            assert (value == best[state]) == (action in choices[state])
 
 
 # One subtask, one trial, from status 0000. The base chances are .3, .3, .05 and .2.

@@ -81,8 +81,7 @@ def test_rewards_of_states_choices_and_branches_add_up(tmp_path: Path) -> None:
     third, half = Fraction(1, 3), Fraction(1, 2)
     values = {"states": [half, 0], "choices": [10, 20, 0], "branches": [100, 200, 300, 0]}
     content = foreign_umb(
-        [[[(0, third), (1, 1 - third)], [(1, Fraction(1))]], [[(1, Fraction(1))]]],
-        {"cost": values},
+        [[[(0, third), (1, 1 - third)], [(1, Fraction(1))]], [[(1, Fraction(1))]]], {"cost": values}
     )
     act(content, [1, 0, 0], ["go", "wait"])
     mdp = load(written(content, tmp_path), discount=1)

@@ -10,15 +10,7 @@ from made_models import forest
 from oracle import gain_and_bias
 from strategies import Row, Rows, models
 
-from exact_mdp import (
-    MDP,
-    PrecisionWarning,
-    SolverError,
-    ValueIteration,
-    certify,
-    evaluate,
-    solve,
-)
+from exact_mdp import MDP, PrecisionWarning, SolverError, ValueIteration, certify, evaluate, solve
 
 SMALL = models(discounts=[F(1, 2)])
 

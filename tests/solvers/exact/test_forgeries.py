@@ -138,12 +138,7 @@ def test_a_forged_certificate_is_refused(
 
 @pytest.mark.parametrize(
     "change",
-    [
-        {"unreached": "5"},
-        {"goal": None, "unreached": "5"},
-        {"goal": [0]},
-        {"discount": "1/2"},
-    ],
+    [{"unreached": "5"}, {"goal": None, "unreached": "5"}, {"goal": [0]}, {"discount": "1/2"}],
     ids=str,
 )
 def test_a_goal_that_is_none_is_not_read(change: dict[str, Any], tmp_path: Path) -> None:

@@ -1,15 +1,12 @@
 """What learning ends with: exact values, curves, intervals, and an implementation of its own."""
 
 from math import sqrt
-from random import Random
 
-import care_oracle
 import numpy as np
 import pytest
 
 from exact_mdp import (
     MDP,
-    Exponential,
     Policy,
     QLearning,
     Scenario,
@@ -119,86 +116,6 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
 
 
 # ---- an implementation of its own ----------------------------------------------------------------
-
-
-def learn_alone(
-    care: care_oracle.Oracle, settings: QLearning, seed: int
-) -> tuple[list, list[float]]:
-    """Q-learning on the independent implementation of the care model, by its own random numbers."""
-    draw = Random(seed)
-    laws: dict = {}
-    q = {(s, a): 0.0 for s in range(16) for a in (*range(4), "skip")}
-    returns = []
-
-    def number(state: care_oracle.State) -> int:
-        return 0 if state == care_oracle.END else int("".join(map(str, state[3])), 2)
-
-    def law(state: care_oracle.State, action: str) -> tuple[list, list[float]]:
-        if (state, action) not in laws:
-            followed = care.outcomes(state, action)
-            results = [(nxt, float(sum(earned.values()))) for _, nxt, earned, _ in followed]
-            laws[state, action] = (results, [float(chance) for chance, *_ in followed])
-        return laws[state, action]
-
-    def options(state: care_oracle.State) -> list:
-        names = care.actions(state)
-        return ["skip"] if names == ("skip",) else list(range(4))
-
-    for epsilon in settings.exploration.values(settings.epochs):
-        total = 0.0
-        for _ in range(settings.episodes):
-            state = care.start
-            while state != care_oracle.END:
-                row, offered = number(state), options(state)
-                if draw.random() < epsilon:
-                    action = draw.choice(offered)
-                else:
-                    action = max(offered, key=lambda a: q[row, a])
-                name = "skip" if action == "skip" else care_oracle.ACTIONS[action]
-                results, chances = law(state, name)
-                state, reward = draw.choices(results, chances)[0]
-                total += reward
-                ahead = 0.0
-                if state != care_oracle.END:
-                    ahead = max(q[number(state), a] for a in options(state))
-                q[row, action] += 0.05 * (reward + 0.95 * ahead - q[row, action])
-        returns.append(total / settings.episodes)
-    greedy = [max(range(4), key=lambda a: q[s, a]) for s in range(16)]
-    return [greedy, [q[0, a] for a in range(4)]], returns
-
-
-@pytest.mark.parametrize(
-    "readings",
-    [
-        {"influence_orientation": "column-to-row", "trial_cost": "failed-trials"},
-        {"skip_timestep": "own", "task_bonus": "no-subtask-skipped", "skip_onset": "base"},
-    ],
-    ids=str,
-)
-def test_training_agrees_with_an_implementation_of_its_own(readings: dict[str, str]) -> None:
-    """On seeds and readings used nowhere else: returns, values and policies, in distribution."""
-    learner = QLearning(epochs=40, exploration=Exponential(minimum=0.05, decay=0.1))
-    count = 24
-    scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=[1, 1])
-    ours = train(scenario.compile(), learner, 8 * count, rng=90210)
-    care = care_oracle.Oracle(readings, tasks=[1, 1])
-    theirs = [learn_alone(care, learner, 77_000 + number) for number in range(count)]
-
-    def z(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-        spread = ours.var(axis=0, ddof=1) / len(ours) + theirs.var(axis=0, ddof=1) / len(theirs)
-        return (ours.mean(axis=0) - theirs.mean(axis=0)) / np.sqrt(spread + 1e-12)
-
-    halves = (slice(0, 20), slice(20, 40))
-    mine = np.array([[run.returns[half].mean() for half in halves] for run in ours])
-    others = np.array([[np.mean(returns[half]) for half in halves] for _, returns in theirs])
-    assert (np.abs(z(mine, others)) < 4).all()
-    values = np.array([run.q[0, :4] for run in ours])
-    assert (np.abs(z(values, np.array([learned[1] for learned, _ in theirs]))) < 4).all()
-    for action in range(4):
-        share = np.array([run.final[0] == action for run in ours]).mean()
-        other = np.mean([learned[0][0] == action for learned, _ in theirs])
-        pooled = (share * 8 + other) / 9
-        assert abs(share - other) < 4 * sqrt(pooled * (1 - pooled) * (9 / 8) / count) + 1e-9
 
 
 def test_outcomes_of_costs_are_those_of_rewards_times_minus_one() -> None:

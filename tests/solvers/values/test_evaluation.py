@@ -16,14 +16,7 @@ from hypothesis import given, settings
 from made_models import gridworld
 from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
 
-from exact_mdp import (
-    MDP,
-    Bounded,
-    Claim,
-    ModelError,
-    evaluate,
-    solve,
-)
+from exact_mdp import MDP, Bounded, Claim, ModelError, evaluate, solve
 
 POLICIES = (careful, uniform, directive)
 SAMPLE = [

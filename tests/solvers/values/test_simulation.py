@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 from policy_cases import care, careful, policy_of
 
-from exact_mdp import (
-    MDP,
-    Claim,
-    Scenario,
-    Simulation,
-    evaluate,
-    return_distribution,
-    simulate,
-)
+from exact_mdp import MDP, Claim, Scenario, Simulation, evaluate, return_distribution, simulate
 
 EPISODES = 100_000
 
