@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import known
 from exact_mdp.mdp.graph import reachable, ways_out
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
@@ -296,8 +296,7 @@ def optimum(
     >>> round(best.start.value, 9), best.start.claim.value, best.optimal.tolist()
     (1.5, 'bounded', [True, True])
     """
-    if method not in (known := [*SOLVERS, "auto"]):
-        raise ModelError(f"unknown method {method!r}", where="method", fix=suggest(method, known))
+    known(method, [*SOLVERS, "auto"], "method", "method")
     check_tolerance("tol", tol)
     solution = None
     try:

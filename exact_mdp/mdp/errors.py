@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import wraps
@@ -197,6 +197,13 @@ def suggest(name: str, known: Iterable[str]) -> str:
     if len(options) <= 12:
         return f"choose one of {', '.join(options)}"
     return f"choose one of the {len(options)} known names, such as {', '.join(options[:4])}"
+
+
+def known(name: object, options: Collection[str], what: str, where: str = "") -> str:
+    """Return a name that is one of the options; raises ModelError with the nearest for another."""
+    if not isinstance(name, str) or name not in options:
+        raise ModelError(f"unknown {what} {name!r}", where=where, fix=suggest(str(name), options))
+    return name
 
 
 def no_option(name: str, known: Iterable[str], where: str) -> ModelError:

@@ -27,10 +27,10 @@ from exact_mdp.mdp.components import named_components, wrong_rows
 from exact_mdp.mdp.errors import (
     ModelError,
     ShapeError,
+    known,
     located,
     named_options,
     of_type,
-    suggest,
     words_of,
 )
 from exact_mdp.mdp.forms.explore import FromFunction
@@ -319,12 +319,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         >>> mdp.component_names, [int(part[0]) for part in mdp.component("effort")]
         (('effort', 'rest'), [-1, 3])
         """
-        if name not in self.component_names:
-            raise ModelError(
-                f"unknown component {name!r}",
-                where="components",
-                fix=suggest(name, self.component_names),
-            )
+        known(name, self.component_names, "component", "components")
         if self.component_table is None:
             return self.table.expected_gain_exact()
         amount, denominator = self.component_table.exact()

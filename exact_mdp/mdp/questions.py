@@ -33,7 +33,7 @@ Puterman, Markov Decision Processes, 1994, section 4.3.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any, Self
@@ -41,7 +41,7 @@ from typing import Any, Self
 import numpy as np
 
 from exact_mdp.mdp.components import ComponentTable, of_columns
-from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.errors import ModelError, known, located, suggest
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import (
     MOST_BYTES,
@@ -330,15 +330,13 @@ def labelled(model: Parts, label: str) -> Flags:
             where=f"label {label!r}",
             fix="ask the model that it was made from, or give a label to the states that both mean",
         )
-    if not isinstance(label, Hashable) or label not in model.labels:
+    if not model.labels:
         raise ModelError(
             f"unknown label {label!r}",
             where="labels",
-            fix=suggest(str(label), model.labels)
-            if model.labels
-            else "the model has none: build it with labels={name: (S,) truth values}",
+            fix="the model has none: build it with labels={name: (S,) truth values}",
         )
-    return model.labels[label]
+    return model.labels[known(label, model.labels, "label", "labels")]
 
 
 def _component(model: Parts, name: str) -> tuple[Numbers, Numbers]:

@@ -15,7 +15,7 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, no_such, suggest, words_of
+from exact_mdp.mdp.errors import ModelError, check_names, known, no_such, suggest, words_of
 from exact_mdp.mdp.forms.names import Names, object_key, whole_of
 
 Integers = NDArray[np.int64]
@@ -147,12 +147,8 @@ class StateSpace:
 
     def column(self, name: str) -> Column:
         """Return the column called `name`; raises ModelError where there is none."""
-        for column in self.columns:
-            if column.name == name:
-                return column
-        raise ModelError(
-            f"unknown state column {name!r}", where="state space", fix=suggest(name, self.names)
-        )
+        known(name, self.names, "state column", "state space")
+        return self.columns[self.names.index(name)]
 
     def values(self, name: str, states: Integers | None = None) -> Integers:
         """Return the (S,) values of one column, or those of `states`; -1 for extra states."""

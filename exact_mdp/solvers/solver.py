@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, named_options, suggest
+from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.bounds import is_acyclic
@@ -194,10 +194,7 @@ def _check_horizon(horizon: object, terminal_value: object, start: object) -> No
 
 def is_average(criterion: str) -> bool:
     """Return whether the average reward is asked for; raises ModelError for an unknown word."""
-    if criterion not in CRITERIA:
-        fix = suggest(str(criterion), CRITERIA)
-        raise ModelError(f"unknown criterion {criterion!r}", where="criterion", fix=fix)
-    return criterion == "average"
+    return known(criterion, CRITERIA, "criterion", "criterion") == "average"
 
 
 def require_no_horizon(horizon: object) -> None:
@@ -216,10 +213,7 @@ def _set(solver: Any, **settings: Any) -> Solver:
     Raises ModelError for what is no solver, and where it does not take a setting.
     """
     if isinstance(solver, str):
-        if solver not in SOLVERS:
-            fix = suggest(solver, [*SOLVERS, "auto"])
-            raise ModelError(f"unknown solver {solver!r}", where="solve", fix=fix)
-        solver = SOLVERS[solver]()
+        solver = SOLVERS[known(solver, [*SOLVERS, "auto"], "solver", "solve")]()
     if isinstance(solver, type):
         name = solver.__name__
         raise ModelError(f"{name} is a class", where="solve", fix=f"write {name}()")

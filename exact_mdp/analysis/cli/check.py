@@ -17,7 +17,7 @@ from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
 from exact_mdp.analysis.pages.audit import audit_page
 from exact_mdp.analysis.pages.page import ADVICE
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.report import Report, Shown
 
@@ -191,10 +191,7 @@ def _audited(
         raise ModelError(what, where=option, fix="give --confidence 0.95")
     mdp = given.mdp
     if confidence is not None:
-        kind = gate.EVIDENCE.get(by or "robust")
-        if kind is None:
-            fix = suggest(str(by), gate.EVIDENCE)
-            raise ModelError(f"unknown kind of interval {by!r}", where="--by", fix=fix)
+        kind = gate.EVIDENCE[known(by or "robust", gate.EVIDENCE, "kind of interval", "--by")]
         stated = settings_of(kind, evidence, "--evidence")
         if by == "posterior":
             stated["progress"] = True

@@ -44,7 +44,7 @@ from exact_mdp.analysis.vary.robust import SETS, ambiguity_of
 from exact_mdp.analysis.vary.robust import robust as robust_of
 from exact_mdp.analysis.vary.sobol import sobol as sobol_of
 from exact_mdp.analysis.vary.study import solver_of
-from exact_mdp.mdp.errors import ModelError, located, suggest
+from exact_mdp.mdp.errors import ModelError, known, located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -368,9 +368,7 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
     """
     if set_kind == BOX:
         return _box(given, radius)
-    if set_kind not in SETS:
-        known = suggest(set_kind, [*SETS, BOX])
-        raise ModelError(f"unknown set {set_kind!r}", where="--set-kind", fix=known)
+    known(set_kind, [*SETS, BOX], "set", "--set-kind")
     if any(given.options[name] for name in ("parameters", "ranges", "relative")):
         raise ModelError(
             "parameters and ranges are for a box",

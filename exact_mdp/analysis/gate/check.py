@@ -28,7 +28,7 @@ from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, cheap, limit_of
 from exact_mdp.analysis.vary.intervals import confidence_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, named_options, suggest
+from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.bounds.bounds import Bounds
@@ -186,10 +186,7 @@ def _optimum(like: Audit | None, mdp: MDP) -> Certificate | Bounds | None:
 def _evidence(by: object) -> Evidence:
     """Return what an interval is made by."""
     if isinstance(by, str):
-        if by not in EVIDENCE:
-            fix = suggest(by, EVIDENCE)
-            raise ModelError(f"unknown kind of interval {by!r}", where="by", fix=fix)
-        return EVIDENCE[by]()
+        return EVIDENCE[known(by, EVIDENCE, "kind of interval", "by")]()
     if not isinstance(by, Evidence):
         fix = 'give "robust", "posterior" or "off-policy", or one of their classes'
         raise ModelError(f"{by!r} is not a kind of interval", where="by", fix=fix)

@@ -26,7 +26,7 @@ from exact_mdp.mdp.care.perception import (
     status_names,
     status_size,
 )
-from exact_mdp.mdp.errors import ModelError, listed, suggest
+from exact_mdp.mdp.errors import ModelError, known, listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Pictured, Result
@@ -110,10 +110,7 @@ def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
     if not 0 <= accuracy <= 1:
         raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
     names = status_names(model)
-    if status not in (*names, ALL):
-        raise ModelError(
-            f"unknown status {status!r}", where="accuracy", fix=suggest(status, [*names, ALL])
-        )
+    known(status, (*names, ALL), "status", "accuracy")
     rates = [accuracy if status in (name, ALL) else 1.0 for name in names]
     return independent(rates, rates)
 

@@ -32,7 +32,7 @@ from exact_mdp.analysis.plots.style import (
 )
 from exact_mdp.analysis.vary.intervals import tolerances_of
 from exact_mdp.analysis.vary.ranges import unit_of
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.parameter import Parameter
 
 if TYPE_CHECKING:
@@ -113,8 +113,7 @@ def plot_tornado(
     """
     lost = tornado.today.regret
     output = output or ("fixed" if lost.value > lost.error else "optimal")
-    if output not in OUTPUT:
-        raise ModelError(f"unknown output {output!r}", where="output", fix=suggest(output, OUTPUT))
+    known(output, OUTPUT, "output", "output")
     middle = float(getattr(tornado.today, output).value)
 
     def reaches(bar: Bar) -> list[tuple[float, tuple[str, str]]]:

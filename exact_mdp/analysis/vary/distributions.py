@@ -50,7 +50,7 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.analysis.vary.ranges import entries, is_probability, unit_of
-from exact_mdp.mdp.errors import ModelError, listed, suggest
+from exact_mdp.mdp.errors import ModelError, known, listed, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
@@ -548,18 +548,14 @@ def _checked(name: str, settings: object) -> Settings:
         fix = 'state a distribution: {"distribution": "beta", "mean": 0.1, "sd": 0.02}'
         raise ModelError(f"{settings!r:.60} is stated", where=where, fix=fix)
     for key in settings:
-        if key not in SETTINGS:
-            fix = suggest(str(key), SETTINGS)
-            raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
+        known(key, SETTINGS, "setting", where)
     fixed, kind = settings.get("fixed", False), settings.get("distribution", "normal")
     if not isinstance(fixed, bool):
         fix = "write fixed = true, or leave it out"
         raise ModelError(f"fixed is {fixed!r}", where=where, fix=fix)
     if fixed and len(settings) > 1:
         raise ModelError("fixed, and a distribution", where=where, fix="state one of the two")
-    if kind not in EVERY:
-        fix = suggest(str(kind), EVERY)
-        raise ModelError(f"unknown distribution {kind!r}", where=where, fix=fix)
+    known(kind, EVERY, "distribution", where)
     return settings
 
 

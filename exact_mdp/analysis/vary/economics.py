@@ -29,7 +29,7 @@ from exact_mdp.analysis.vary.intervals import MeanLoss
 from exact_mdp.analysis.vary.psa import REGRESSED, drawn, groups_of
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, suggest
+from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -245,12 +245,8 @@ def cost_effectiveness(
         what = "no strategy" if isinstance(strategies, Mapping) else "strategies without names"
         raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")
     solver = ModelSolver(family)
-    known = solver.base.mdp.component_names
     for name in (effect, cost):
-        if name not in known:
-            raise ModelError(
-                f"unknown component {name!r}", where="cost-effectiveness", fix=suggest(name, known)
-            )
+        known(name, solver.base.mdp.component_names, "component", "cost-effectiveness")
     chosen, blocks, _ = drawn(family, uncertain, n, seed, solver.block)
     weights = [solver.base.held(policy) for policy in strategies.values()]
     totals = np.concatenate(

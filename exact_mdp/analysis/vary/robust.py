@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_worth
-from exact_mdp.mdp.errors import ModelError, listed, named_options, suggest
+from exact_mdp.mdp.errors import ModelError, known, listed, named_options
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -235,9 +235,7 @@ SETS: MappingProxyType[str, Callable[[MDP, object], Ambiguity]] = MappingProxyTy
 
 def ambiguity_of(mdp: MDP, kind: str, radius: object) -> Ambiguity:
     """Return a set of laws by name (see `SETS`); raises ModelError for others."""
-    if not isinstance(kind, str) or kind not in SETS:
-        raise ModelError(f"unknown set {kind!r}", where="robust", fix=suggest(str(kind), [*SETS]))
-    return SETS[kind](mdp, radius)
+    return SETS[known(kind, SETS, "set", "robust")](mdp, radius)
 
 
 @named_options

@@ -29,7 +29,7 @@ from exact_mdp.analysis.vary.intervals import confidence_of
 from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
 from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, named_options
+from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
@@ -132,11 +132,7 @@ class Sobol(Pictured):
 
     def of(self, output: str) -> Indices:
         """Return the indices of one output; raises ModelError unless it has this name."""
-        if output not in OUTPUTS:
-            raise ModelError(
-                f"unknown output {output!r}", fix=f"choose one of {', '.join(OUTPUTS)}"
-            )
-        indices: Indices = getattr(self, output)
+        indices: Indices = getattr(self, known(output, OUTPUTS, "output"))
         return indices
 
     def report(self) -> Report:

@@ -14,7 +14,7 @@ their text can be read in more than one way, a *reading* chooses.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, check_names, check_text, suggest
+from exact_mdp.mdp.errors import ModelError, check_names, check_text, known
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import as_html
 from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
@@ -235,13 +235,6 @@ class Tables:
 def bits_of(count: int) -> Integers:
     """Return (2^n, n) the status vectors; the first status is the most significant digit."""
     return (np.arange(2**count)[:, None] >> np.arange(count - 1, -1, -1)) & 1
-
-
-def known(name: object, options: Collection[str], what: str, where: str) -> str:
-    """Return a name that is one of the options, or raise ModelError."""
-    if name not in options:
-        raise ModelError(f"unknown {what} {name!r}", where=where, fix=suggest(str(name), options))
-    return str(name)
 
 
 def as_tasks(value: object) -> tuple[int, ...]:

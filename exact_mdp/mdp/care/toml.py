@@ -25,9 +25,8 @@ from exact_mdp.mdp.care.tables import (
     as_max_trial,
     as_tasks,
     check_reading,
-    known,
 )
-from exact_mdp.mdp.errors import LONGEST, ModelError, check_names, shown_text, suggest
+from exact_mdp.mdp.errors import LONGEST, ModelError, check_names, known, shown_text, suggest
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter

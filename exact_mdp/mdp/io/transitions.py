@@ -34,7 +34,7 @@ import numpy as np
 import tqdm
 
 from exact_mdp.mdp.build import FromArrays
-from exact_mdp.mdp.errors import ModelError, extra, of_type, suggest
+from exact_mdp.mdp.errors import ModelError, extra, known, of_type, suggest
 from exact_mdp.mdp.forms.numbers import grouped, has_floats, one_kind
 from exact_mdp.mdp.io.files import opened
 from exact_mdp.mdp.io.structured import csv_of
@@ -170,9 +170,7 @@ class Record:
     def __init__(self, frame: Any, columns: Mapping[str, str] | None = None) -> None:
         given = dict(of_type(columns or {}, Mapping, "columns", "give {name: name in the table}"))
         for name in given:
-            if name not in (*COLUMNS, TRUNCATED):
-                near = suggest(str(name), [*COLUMNS, TRUNCATED])
-                raise ModelError(f"unknown column {name!r}", where="columns", fix=near)
+            known(name, (*COLUMNS, TRUNCATED), "column", "columns")
         self.columns = dict(zip(COLUMNS, COLUMNS, strict=True)) | given
         for column, count in Counter(self.columns.values()).items():
             if count > 1:

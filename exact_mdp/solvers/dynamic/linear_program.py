@@ -31,7 +31,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import ModelError, extra, suggest
+from exact_mdp.mdp.errors import extra, known
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
@@ -67,9 +67,7 @@ class LinearProgram:
     name: ClassVar[str] = "linear-program"
 
     def __post_init__(self) -> None:
-        if self.solver not in OPTIMISERS:
-            fix = suggest(str(self.solver), OPTIMISERS)
-            raise ModelError(f"unknown solver {self.solver!r}", where="LinearProgram", fix=fix)
+        known(self.solver, OPTIMISERS, "solver", "LinearProgram")
 
     @of_costs
     def solve(self, model: MDP) -> Solution:
