@@ -166,7 +166,7 @@ class Batch:
         ahead = np.einsum("dls,ds->dl", self.rows, error)
         return value, error, -gain, (noise + error[:, self.state] + ahead) * SLACK
 
-    def held(self, chosen: Floats) -> tuple[Floats, Floats]:
+    def of_policy(self, chosen: Floats) -> tuple[Floats, Floats]:
         """Return the values at the start (D,) of a policy (L,), and bounds on their errors."""
         assert self.weights is not None
         weight, least = self.weights

@@ -94,7 +94,7 @@ def many(
 
     Examples
     --------
-    >>> [found["x"].item() for found in many(dict, [{"x": 1}, {"x": 2}], key={})]
+    >>> [piece["x"].item() for piece in many(dict, [{"x": 1}, {"x": 2}], key={})]
     [1, 2]
     """
     n_jobs = None if n_jobs is None else counted(n_jobs, "n_jobs")

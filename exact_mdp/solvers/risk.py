@@ -110,7 +110,7 @@ class Budgeted:
         """Return the new states in which episodes start, with their probabilities."""
         return tuple((self.place(s, threshold), p) for s, p in self.mdp.start)
 
-    def worth(self, values: Level, threshold: int, level: Fraction) -> Fraction:
+    def objective(self, values: Level, threshold: int, level: Fraction) -> Fraction:
         """Return (1 - v) CVaR + v E Z of the best policy for a threshold."""
         lacking = sum(p * max(threshold - int(self.high[s]), 0) for s, p in self.mdp.start)
         best = values.mean(self.start(threshold)) - lacking
@@ -347,7 +347,7 @@ class CVaROptimum(Result):
         if threshold not in of.thresholds:
             return ["the threshold is no possible return"]
         wrong = self.certificate.violations()
-        objective = {k: of.worth(self.values, k, self.level) for k in of.thresholds}
+        objective = {k: of.objective(self.values, k, self.level) for k in of.thresholds}
         claimed = (1 - self.weight) * value + self.weight * mean
         if not objective[int(threshold)] == claimed == max(objective.values()):
             wrong.append("another threshold gives more")
@@ -415,7 +415,7 @@ def best_cvar(
     of = with_budget(mdp, share * part / (1 - part))
     pairs, values, means = _optimum(of)
     objective, mean, least = max(
-        (of.worth(values, k, share), means.mean(of.start(k)), -k) for k in of.thresholds
+        (of.objective(values, k, share), means.mean(of.start(k)), -k) for k in of.thresholds
     )
     unit = of.unit if mdp.sense == "max" else -of.unit
     return CVaROptimum(

@@ -328,7 +328,7 @@ class Valued:
 
 
 def at_start(mdp: MDP, valued: Any) -> Bounded:
-    """Return the expectation of numbers `found.value` (S,) over the start, with its error."""
+    """Return the expectation of numbers `valued.value` (S,) over the start, with its error."""
     states = np.flatnonzero(mdp.start_distribution)
     weights = mdp.start_distribution[states]
     value, error = valued.value[states], valued.error[states]

@@ -365,7 +365,7 @@ class _Part:
     def held(self, weights: Floats) -> tuple[Floats, Floats]:
         """Return the value at the start and its error (D,) of a policy (L,)."""
         if self.batch is not None:
-            mean, error = self.batch.held(weights)
+            mean, error = self.batch.of_policy(weights)
             return self.sign * mean, error
         every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
         return np.array([x.value for x in every]), np.array([x.error for x in every])

@@ -228,7 +228,7 @@ def _earning(mdp: MDP, first: int, last: int) -> NDArray[np.bool_]:
 def _differences(
     mdp: MDP, value: Floats, first: int, last: int, columns: Floats, *, still: bool
 ) -> None:
-    """Write Σ p (V' - V) and Σ p |V' - V| of pairs first … last-1 into `found` (2 or more, L)."""
+    """Write Σ p (V' - V) and Σ p |V' - V| of pairs first … last-1 into `columns` (2 or more, L)."""
     matrix: Any = mdp.transition
     if still:
         columns[:2, first:last] = 0.0

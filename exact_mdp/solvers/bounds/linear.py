@@ -384,7 +384,7 @@ def transposed(system: LinearSystem) -> LinearSystem:
 
 
 def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
-    """Return a matrix with the rows that are not `kept` emptied."""
+    """Return a matrix with the rows that are not `chosen` emptied."""
     entries = np.repeat(chosen, np.diff(matrix.indptr))
     lengths = np.where(chosen, np.diff(matrix.indptr), 0)
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)

@@ -8,8 +8,8 @@ To add a solver, write a frozen dataclass of its settings with
 The protocol is `iterate.Solver`, and `methods` has four examples. Where the algorithm improves
 values step by step, `methods.Improving` has its settings and its loop, and it writes one step:
 
-    def step(self, values, found, goal):   # after a pass over all pairs: T V - V, and bounds
-        values.take(found)                 # V ← T V; then, for example, values.relax()
+    def step(self, values, swept, goal):   # after a pass over all pairs: T V - V, and bounds
+        values.take(swept)                 # V ← T V; then, for example, values.relax()
 
 - What it gives back: values, a policy, and a bound on the error of both in every state, which holds
   with all rounding errors counted.

@@ -412,7 +412,7 @@ def conclude(
 ) -> Solution:
     """Return the solution; warns where its tolerance is beyond double precision.
 
-    `found` are Bounds, or what has a value, pairs, state_error and regret, too;
+    `bounds` are Bounds, or what has a value, pairs, state_error and regret, too;
     `started` is the `perf_counter()` at which the solver began.
     """
     solution = Solution(

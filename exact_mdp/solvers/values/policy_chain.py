@@ -526,14 +526,14 @@ class Parted:
         With ends wherever one of these is certain.
     lost : {inf: (S,) bool, -inf: (S,) bool}
         The ends that stand for an infinite return, where there are some.
-    worth : float
+    infinite_mean : float
         The mean return where some are infinite: inf or -inf. Where returns of +∞ and -∞ come
         together, the mean reward of the whole decides.
     """
 
     chain: PolicyChain
     lost: dict[float, Mask]
-    worth: float = 0.0
+    infinite_mean: float = 0.0
 
     @property
     def ends(self) -> Mask:
@@ -578,7 +578,7 @@ def parted(chain: PolicyChain) -> Parted:
                 fix=ways_out(mdp, "take evaluate(), which gives the limit of the discounted means"),
             )
         value = inf * sign
-    return Parted(chain=ending, lost=lost, worth=value)
+    return Parted(chain=ending, lost=lost, infinite_mean=value)
 
 
 def _signs(chain: PolicyChain, busy: Mask) -> Numbers:

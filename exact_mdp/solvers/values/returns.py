@@ -306,7 +306,7 @@ def return_distribution(
             remaining=0.0,
             exact=tuple(shares),
             unending={sign: _exact_share(each) for sign, each in flows.items()},
-            infinite_mean=parts.worth,
+            infinite_mean=parts.infinite_mean,
         )
     carried = carry_floats(flow, max_sweeps)
     return ReturnDistribution(
@@ -316,7 +316,7 @@ def return_distribution(
         relative_error=float(gamma(carried.roundings)) * SLACK,
         remaining=carried.remaining * SLACK,
         unending={sign: _share(each, max_sweeps) for sign, each in flows.items()},
-        infinite_mean=parts.worth,
+        infinite_mean=parts.infinite_mean,
     )
 
 

@@ -270,7 +270,7 @@ def simulate(
         truncated=len(running) + stopped,
         truncation_error=rest,
         endless=int((mdp.terminal & ~given.terminal)[state].sum()),
-        infinite_mean=parts.worth,
+        infinite_mean=parts.infinite_mean,
     )
 
 

@@ -274,7 +274,7 @@ def drawn_regrets(models: Batch, own: Floats) -> Floats:
                 fix="choose a discount below 1, or a larger prior",
             )
         best, error = models.at_start(*optimum[:2])
-        value, off = models.held(own)
+        value, off = models.of_policy(own)
         return regrets(best, value, error + off)
     value = np.zeros((len(models.rows), len(models.first), 2))
     for taken in own[::-1]:
