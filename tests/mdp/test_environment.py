@@ -1,19 +1,16 @@
 """The Gymnasium environments: their interface, their law, and a learner that is not ours."""
 
 import tomllib
-from collections import Counter
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import care_oracle
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from scipy.stats import chisquare
 
-from exact_mdp import MDP, MDPEnv, ModelError, Policy, Scenario, evaluate, solve
+from exact_mdp import MDP, MDPEnv, ModelError, Scenario, evaluate
 
 YUAN = "exact_mdp/Yuan2025-v0"  # registered with MDPEnv
 
@@ -44,32 +41,6 @@ def test_it_is_registered_by_its_entry_point_and_made_by_its_name() -> None:
     assert env.unwrapped.scenario.tasks == (3, 1)
     _, info = env.reset(seed=1)
     assert info["state"] == "subtask 0, trial 0, status 0000"
-
-
-@pytest.mark.parametrize("number", range(4))
-def test_a_step_follows_the_law_of_the_care_model(number: int) -> None:
-    """Against the independent implementation: next status, reward and skip together."""
-    readings = {"status_cost": "current", "max_trial_rule": "at"}
-    care = care_oracle.Oracle(readings, max_trial=1)
-    expected: Counter[tuple[str, float]] = Counter()
-    state = (0, 0, 1, (1, 0, 1, 0))
-    for chance, following, rewards, _ in care.outcomes(state, care_oracle.ACTIONS[number]):
-        label = "".join(map(str, following[3])) if following != care_oracle.END else "end"
-        expected[label, float(sum(rewards.values()))] += float(chance)
-    env = care_env(readings=readings, max_trial=1)
-    env.reset(seed=10 + number)
-    frequencies: Counter[tuple[str, float]] = Counter()
-    begin = env.mdp.space.index(subtask=0, trial=0, status=0b1010)
-    for _ in range(6000):
-        env.state = begin
-        seen, reward, over, _, info = env.step(np.int64(number))
-        assert not over
-        assert info["state"].endswith(env.observed.columns[0].label(int(seen)))
-        frequencies[info["state"][-4:], reward] += 1
-    assert set(frequencies) <= set(expected)
-    keys = sorted(expected)
-    test = chisquare([frequencies[key] for key in keys], [6000 * expected[key] for key in keys])
-    assert test.pvalue > 1e-4
 
 
 @pytest.mark.parametrize("readings", READINGS, ids=str)
@@ -138,23 +109,3 @@ def test_starts_are_drawn_from_the_start_distribution() -> None:
     env.reset(seed=3)
     share = np.mean([env.reset()[0] for _ in range(2000)])
     assert abs(share - 0.75) < 4 * np.sqrt(0.75 * 0.25 / 2000)
-
-
-def test_a_learner_from_elsewhere_learns_in_it() -> None:
-    """Plain Q-learning over what the environment shows, written against Gymnasium's API alone."""
-    env = gymnasium.make(YUAN, tasks=[1])
-    q = np.zeros((env.observation_space.n, env.action_space.n))
-    draw = np.random.default_rng(0)
-    env.reset(seed=0)
-    for _ in range(4000):
-        seen, over = env.reset()[0], False
-        while not over:
-            greedy = draw.random() >= 0.2
-            action = np.int64(q[seen].argmax() if greedy else draw.integers(len(q[0])))
-            following, reward, over, _, _ = env.step(action)
-            target = reward + (0.0 if over else 0.95 * q[following].max())
-            q[seen, action] += 0.05 * (target - q[seen, action])
-            seen = following
-    mdp = env.unwrapped.mdp
-    learned = evaluate(mdp, Policy.of(mdp, q, kind="q")).mean
-    assert evaluate(mdp, "random").mean + 10 < learned <= solve(mdp).start_value + 1e-9

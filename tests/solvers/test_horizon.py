@@ -122,26 +122,6 @@ def test_tables_over_states_and_over_times_are_both_policies() -> None:
         assert 0 <= evaluate(mdp, named, horizon=steps).mean < best
 
 
-def test_puterman_inventory_over_three_periods() -> None:
-    """Puterman, section 4.6.1: v = (67, 129, 194, 227) / 16, orders (3, 0, 0, 0)."""
-    demand = ((0, F(1, 4)), (1, F(1, 2)), (2, F(1, 4)))
-    rows = []
-    for stock in range(4):
-        for order in range(4 - stock):
-            filled = stock + order
-            sales = sum((8 * min(d, filled) * p for d, p in demand), F(0))
-            earned = sales - (4 + 2 * order if order else 0) - filled
-            rows.append((stock, order, [(p, max(0, filled - d), earned) for d, p in demand]))
-    mdp = MDP.from_outcomes(rows)
-    certificate = certify(mdp.within(3))
-    assert certificate.violations() == []
-    assert certificate.value[:4].tolist() == [F(v, 16) for v in (67, 129, 194, 227)]
-    assert certificate.policy[:4].tolist() == [3, 0, 0, 0]
-    solution = solve(mdp, horizon=3)
-    assert solution.value[:4].tolist() == [67 / 16, 129 / 16, 194 / 16, 227 / 16]
-    assert solution.policy[:4].tolist() == [3, 0, 0, 0]
-
-
 def test_returns_sum_to_one_exactly() -> None:
     """The exact distribution of the return within N steps; its mean is that of evaluate."""
     thirds = [["1/3", "2/3"], [0, 1]]

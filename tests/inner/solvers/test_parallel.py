@@ -84,21 +84,6 @@ def test_a_process_that_dies_loses_no_piece(tmp_path: Path) -> None:
     assert same(results, WANTED)
 
 
-def test_a_folder_of_other_work_is_refused(tmp_path: Path) -> None:
-    many(partial(draws, 0), range(2), key=KEY, folder=tmp_path)
-    with pytest.raises(ModelError, match="differs in seed"):
-        many(partial(draws, 1), range(2), key=KEY | {"seed": 1}, folder=tmp_path)
-    (tmp_path / "000001.npz").write_bytes(b"PK\x03\x04 cut short")
-    with pytest.raises(ModelError, match="damaged"):
-        many(partial(draws, 0), range(2), key=KEY, folder=tmp_path)
-    for text, what in (("{", "broken JSON"), ("[]", "differs")):
-        (tmp_path / "work.json").write_text(text)
-        with pytest.raises(ModelError, match=what):
-            many(partial(draws, 0), range(2), key=KEY, folder=tmp_path)
-    with pytest.raises(ModelError, match="cannot make the folder"):
-        many(partial(draws, 0), range(2), key=KEY, folder=tmp_path / "work.json" / "below")
-
-
 def process(index: int) -> dict[str, Any]:
     """A piece, with the number of the process that did it."""
     return draws(0, index) | {"process": np.int64(os.getpid())}

@@ -1,13 +1,14 @@
 """Learning against a twin in plain Python, and the sampler against exact rows."""
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_twin import Stream, Twin
-from strategies import models
+from strategies import Rows, models
 
 from exact_mdp import MDP, Constant, Exponential, Policy, QLearning, Scenario, evaluate
 from exact_mdp.solvers.learning.sampler import rows_of, tables
@@ -17,17 +18,6 @@ METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
 CARE = Scenario.load("yuan2025")
 OTHERS = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}
-
-
-@pytest.fixture(scope="module")
-def care() -> MDP:
-    return CARE.compile()
-
-
-@pytest.fixture(scope="module")
-def other() -> MDP:
-    """Another reading, with states that offer no choice and two tasks."""
-    return CARE.with_(readings=OTHERS, tasks=[1, 2]).compile()
 
 
 # ---- against the twin ----------------------------------------------------------------------------
@@ -62,45 +52,44 @@ def compare_with_twin(mdp: MDP, learner: QLearning, seed: int) -> None:
     assert run.policies[run.snapshots].tolist() == [twin.policies[number] for number in snapshots]
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("ties", TIES)
-@pytest.mark.parametrize("bootstrap_end", [False, True])
-def test_every_bit_is_the_twins(other: MDP, method: str, ties: str, bootstrap_end: bool) -> None:
-    learner = QLearning(
-        method=method, ties=ties, bootstrap_end=bootstrap_end, epochs=25, rate_power=0.3, last=40
+def schedules(*rates: float) -> st.SearchStrategy[Any]:
+    falling = st.sampled_from(
+        [Exponential.through(0.8, at=30, minimum=0.03), Exponential(decay=0.3)]
     )
-    compare_with_twin(other, learner, seed=5)
+    return st.one_of(st.sampled_from([Constant(rate) for rate in rates]), falling)
 
 
-@pytest.mark.parametrize(
-    "learner",
-    [
-        QLearning(epochs=60, exploration=Exponential.through(0.8, at=300, minimum=0.03)),
-        QLearning(epochs=8, columns=("subtask", "trial", "status"), initial=50.0, last=7),
-        QLearning(epochs=9, columns=("trial", "status"), discount=1, rate=Exponential(decay=0.3)),
-        QLearning(epochs=5, columns=(), rate=Exponential(decay=0.5), snapshot_episode=0),
-        QLearning(epochs=30, episodes=3, snapshot_episode=3, max_steps=4, last=500),
-        QLearning(epochs=10, exploration=Constant(1.0), ties="random", initial=-3.5),
-    ],
-    ids=range(6),
-)
-@pytest.mark.parametrize("seed", [0, 12345678901234567890])
-def test_options_are_the_twins(care: MDP, learner: QLearning, seed: int) -> None:
-    compare_with_twin(care, learner, seed)
+@st.composite
+def learners(draw: st.DrawFn) -> QLearning:
+    """Draw settings of every kind."""
+    episodes = draw(st.integers(1, 30))
+    return QLearning(
+        method=draw(st.sampled_from(METHODS)), ties=draw(st.sampled_from(TIES)),
+        epochs=draw(st.integers(1, 12)), episodes=episodes,
+        max_steps=draw(st.sampled_from([4, 20, 100])),
+        snapshot_episode=draw(st.integers(0, episodes)), last=draw(st.integers(1, 400)),
+        exploration=draw(schedules(0.1, 1.0)), rate=draw(schedules(0.05, 1.0)),
+        rate_power=draw(st.sampled_from([0.0, 0.3])), bootstrap_end=draw(st.booleans()),
+        initial=draw(st.sampled_from([0.0, 50.0, -3.5])), discount=draw(st.sampled_from([0.95, 1])),
+    )  # fmt: skip
 
 
-@settings(max_examples=40)
-@given(
-    model=models(discounts=(Fraction(9, 10), Fraction(1))),
-    method=st.sampled_from(METHODS),
-    ties=st.sampled_from(TIES),
-    seed=st.integers(0, 2**70),
-)
-def test_any_model_is_learned_as_the_twin_does(model, method: str, ties: str, seed: int) -> None:
-    learner = QLearning(
-        method=method, ties=ties, epochs=4, episodes=5, max_steps=20, snapshot_episode=2, last=8
-    )
+@settings(max_examples=80)
+@given(models(discounts=(Fraction(9, 10), Fraction(1))), learners(), st.integers(0, 2**70))
+def test_every_bit_is_the_twins(model: Rows, learner: QLearning, seed: int) -> None:
     compare_with_twin(model.model(), learner, seed)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("readings", [{}, OTHERS], ids=str)
+@pytest.mark.parametrize("columns", [("subtask", "trial", "status"), ("trial", "status"), ()])
+def test_every_bit_of_the_care_model_is_the_twins(
+    method: str, readings: dict[str, str], columns: tuple[str, ...]
+) -> None:
+    """Two tasks, and in the other readings states that offer no choice."""
+    mdp = CARE.with_(readings=readings, tasks=[1, 2]).compile()
+    columns = ("status",) if readings and not columns else columns  # "skip" shares no row
+    compare_with_twin(mdp, QLearning(method=method, columns=columns, epochs=9), seed=5)
 
 
 def test_the_stream_is_known() -> None:

@@ -20,6 +20,7 @@ from exact_mdp import MDP, ModelError, Policy, ShapeError, certify, evaluate, lo
 NUMBER = max(each.version or 0 for each in gymnasium.registry.values() if each.name == "Taxi")
 TAXI = f"Taxi-v{NUMBER}"
 IDS = ("FrozenLake-v1", "FrozenLake8x8-v1", "CliffWalking-v1", "CliffWalkingSlippery-v1", TAXI)
+OWN_MAP = ["SFH", "FHG", "FFF"]
 Table = Mapping[int, Mapping[int, list[tuple[float, int, float, bool]]]]
 
 
@@ -46,21 +47,19 @@ def solve_by_sweeps(mdp: MDP, sweeps: int) -> Any:
 
 
 @pytest.mark.parametrize("name", [*IDS, "a map of one's own"])
-def test_values_are_those_of_the_environments_table(name: str) -> None:
-    if name in IDS:
-        env = gymnasium.make(name)
-    else:
-        env = gymnasium.make("FrozenLake-v1", desc=["SFH", "FHG", "FFF"], is_slippery=True)
-    mdp = MDP.from_gymnasium(env, 0.9)
-    table = env.unwrapped.P
-    wanted, _ = values_of(table, 0.9, 400)
-    values = solve_by_sweeps(mdp, 400)[: len(table)]
-    ends = mdp.terminal[: len(table)]
+def test_values_and_policies_are_those_of_the_environments_table(name: str) -> None:
+    env = gymnasium.make(name) if name in IDS else gymnasium.make("FrozenLake-v1", desc=OWN_MAP)
+    mdp, table = MDP.from_gymnasium(env, 0.9), env.unwrapped.P
+    wanted, action_values = values_of(table, 0.9, 400)
+    values, ends = solve_by_sweeps(mdp, 400)[: len(table)], mdp.terminal[: len(table)]
     assert values[~ends] == pytest.approx(wanted[~ends], abs=1e-12)
     assert (values[ends] == 0).all()
     start = env.unwrapped.initial_state_distrib
     assert mdp.start_distribution[: len(table)] == pytest.approx(np.asarray(start))
     assert mdp.name == (name if name in IDS else "FrozenLake-v1")
+    greedy, free = action_values.argmax(axis=1), ~mdp.forced[: len(table)]
+    for policy in (Policy.of(mdp, action_values, kind="q"), Policy.of(mdp, greedy)):
+        assert policy.choices(mdp)[: len(table)][free].tolist() == greedy[free].tolist()
 
 
 def test_known_values() -> None:
@@ -95,20 +94,6 @@ def test_taxi_has_an_end_of_its_own() -> None:
     dropped = env.unwrapped.encode(0, 0, 4, 0)
     assert mdp.table.row(mdp.pair(dropped, 5)) == [(1, 500, 20)]
     assert len(mdp.start) == 300
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_a_q_table_of_the_environments_shape_is_a_policy(name: str) -> None:
-    env = gymnasium.make(name)
-    table = env.unwrapped.P
-    _, action_values = values_of(table, 0.9, 300)
-    assert action_values.shape == (env.observation_space.n, env.action_space.n)
-    mdp = MDP.from_gymnasium(env, 0.9)
-    greedy = action_values.argmax(axis=1)
-    for policy in (Policy.of(mdp, action_values, kind="q"), Policy.of(mdp, greedy)):
-        chosen = policy.choices(mdp)[: len(table)]
-        free = ~mdp.forced[: len(table)]
-        assert chosen[free].tolist() == greedy[free].tolist()
 
 
 def test_wrapped_environments_and_ids_are_the_same() -> None:
@@ -156,74 +141,67 @@ def tables(draw: st.DrawFn) -> tuple[Table, list[float]]:
 
 @given(tables())
 def test_any_table_keeps_its_values(given: tuple[Table, list[float]]) -> None:
-    """Every state that can be alive has the value that an episode in the table has."""
+    """Of every state in which an episode may be alive, or that is no end."""
     table, start = given
     mdp = MDP.from_gymnasium(Env(table, start), 0.5)
-    wanted, _ = values_of(table, 0.5, 60)
-    values = solve_by_sweeps(mdp, 60)
-    going_on = {state for state in table if not mdp.terminal[state]}
-    for state in going_on:
-        assert values[state] == pytest.approx(wanted[state], abs=1e-12)
-    starts = {state for state, weight in enumerate(start) if weight > 0}
-    for state in starts:
-        assert values[state] == pytest.approx(wanted[state], abs=1e-12)
-    # a state that was made an end is one that no episode is alive in
-    reached = set(starts)
-    while True:
-        more = {
-            n
-            for s in reached
-            for outcomes in table[s].values()
-            for _, n, _, over in outcomes
-            if not over
-        }
-        if more <= reached:
-            break
-        reached |= more
-    for state in reached:
+    wanted, values = values_of(table, 0.5, 60)[0], solve_by_sweeps(mdp, 60)
+    alive: set[int] = set()
+    todo = [state for state, weight in enumerate(start) if weight > 0]
+    while todo:
+        alive.add(state := todo.pop())
+        after = {n for row in table[state].values() for _, n, _, over in row if not over}
+        todo += after - alive
+    for state in alive | {state for state in table if not mdp.terminal[state]}:
         assert values[state] == pytest.approx(wanted[state], abs=1e-12)
     assert mdp.n_states in (len(table), len(table) + 1)
     assert mdp.start_distribution[: len(table)] == pytest.approx(start)
 
 
-def test_lists_serve_as_well_as_dictionaries() -> None:
-    table = [[[(1, 1, 5, False)], [("1/3", 0, 0, False), ("2/3", 1, 2, True)]], [[(1, 1, 0, True)]]]
-    mdp = MDP.from_gymnasium(Env(table, [1, 0]), "1/2", actions=["go", "try"], name="list")
-    assert mdp.table.row(1) == [(Fraction(1, 3), 0, 0), (Fraction(2, 3), 1, 2)]
-    assert (mdp.name, mdp.actions, mdp.n_states) == ("list", ("go", "try"), 2)
+class Vectors(Env):
+    observation_space: Any = gymnasium.spaces.MultiDiscrete([2, 2], start=[1, 1])
 
 
-def test_numbers_of_numpy_are_numbers() -> None:
-    table = {
-        np.int64(0): {np.int32(0): [(np.float64(1), np.int64(1), np.float32(0.5), np.True_)]},
-        1: {0: [(1, 1, 0, np.False_)]},
-    }
-    mdp = MDP.from_gymnasium(Env(table, np.array([1.0, 0])))
-    assert mdp.reward.tolist() == [0.5, 0]
+class Bits(Env):
+    observation_space: Any = gymnasium.spaces.MultiBinary(3)
 
 
-def test_a_start_can_be_given() -> None:
-    table = {0: {0: [(1, 1, 1, True)]}, 1: {0: [(1, 0, 9, False)]}}
-    with pytest.raises(ModelError, match="no initial_state_distrib"):
-        MDP.from_gymnasium(Env(table, None))
-    assert MDP.from_gymnasium(Env(table, None), start=0).n_states == 2
-    # an episode that starts in state 1 is alive there: now the end must be another state
-    mdp = MDP.from_gymnasium(Env(table, None), start={1: "1/2", 0: "1/2"})
-    assert mdp.n_states == 3
-    assert mdp.table.row(1) == [(1, 0, 9)]
+HALF, THIRD = Fraction(1, 2), Fraction(1, 3)
+STAY = {s: {0: [(1, s, s, False)]} for s in (0, 1)}
+ENTER = {0: {0: [(1, 1, 1, True)]}, 1: {0: [(1, 0, 9, False)]}}
+OVER = {0: {0: [(0.5, 1, 1, True), (0.5, -1, 2, True)]}, 1: {0: [(1, 0, 9, False)]}}
+LISTS = [[[(1, 1, 5, False)], [("1/3", 0, 0, False), ("2/3", 1, 2, True)]], [[(1, 1, 0, True)]]]
+NUMPY = {
+    np.int64(0): {np.int32(0): [(np.float64(1), np.int64(1), np.float32(0.5), np.True_)]},
+    1: {0: [(1, 1, 0, np.False_)]},
+}
+READ: list[tuple[Any, dict[str, Any], list[object], list[Any]]] = [  # start, rows of the pairs
+    (Env(LISTS, [1, 0]), {}, [1, 0],
+     [[(1, 1, 5)], [(THIRD, 0, 0), (1 - THIRD, 1, 2)], [(1, 1, 0)]]),
+    (Env(NUMPY, np.array([1.0, 0])), {}, [1, 0], [[(1, 1, HALF)], [(1, 1, 0)]]),
+    (Env(ENTER, None), {"start": 0}, [1, 0], [[(1, 1, 1)], [(1, 1, 0)]]),
+    # An episode that starts in state 1 is alive there: now the end must be another state.
+    (Env(ENTER, None), {"start": {1: HALF, 0: HALF}}, [HALF, HALF, 0],
+     [[(1, 2, 1)], [(1, 0, 9)], [(1, 2, 0)]]),
+    # An environment may be as little as its table; it starts in state 0, as all models do.
+    *((form, {}, [1, 0, 0], [[(HALF, 1, 1), (HALF, 2, 2)], [(1, 1, 0)], [(1, 2, 0)]])
+      for form in (OVER, type("Env", (), {"P": OVER})())),
+    (type("Env", (), {"P": OVER, "isd": [0, 1]})(), {}, [0, 1, 0],
+     [[(HALF, 2, 1), (HALF, 2, 2)], [(1, 0, 9)], [(1, 2, 0)]]),
+    ([[[(1, -1, 3, True)]]], {"start": [1]}, [1, 0], [[(1, 1, 3)], [(1, 1, 0)]]),
+    *((Env(STAY, begins), {}, start, [[(1, 0, 0)], [(1, 1, 1)]])
+      for begins, start in (({0: 0.5, 1: 0.5}, [HALF, HALF]), ({1: 1}, [0, 1]),
+                            (np.int64(1), [0, 1]), (0, [1, 0]))),
+    *((kind(STAY, 0), {}, [1, 0], [[(1, 0, 0)], [(1, 1, 1)]]) for kind in (Vectors, Bits)),
+]  # fmt: skip
 
 
-def test_a_bare_table_and_no_word_of_the_start() -> None:
-    """An environment may be as little as its table; it starts in state 0, as all models do."""
-    table = {0: {0: [(0.5, 1, 1, True), (0.5, -1, 2, True)]}, 1: {0: [(1, 0, 9, False)]}}
-    alone = MDP.from_gymnasium(table, 0.5)
-    assert (alone.n_states, alone.space.extra, alone.start) == (3, ("end",), ((0, 1),))
-    assert alone.table.row(0) == [(Fraction(1, 2), 1, 1), (Fraction(1, 2), 2, 2)]
-    env = type("Env", (), {"P": table})()
-    assert MDP.from_gymnasium(env, 0.5).table.row(0) == alone.table.row(0)
-    assert MDP.from_gymnasium(type("Env", (), {"P": table, "isd": [0, 1]})()).start == ((1, 1),)
-    # a list of states, and a state that is nobody's end
-    assert MDP.from_gymnasium([[[(1, -1, 3, True)]]], start=[1]).table.row(0) == [(1, 1, 3)]
+@pytest.mark.parametrize(("env", "options", "start", "rows"), READ, ids=range(len(READ)))
+def test_tables_of_every_form(env: Any, options: Any, start: list[object], rows: list[Any]) -> None:
+    mdp = MDP.from_gymnasium(env, "1/2", **options)
+    assert mdp.start_distribution.tolist() == start
+    assert [mdp.table.row(pair) for pair in range(mdp.n_pairs)] == rows
+    named = MDP.from_gymnasium(env, actions=["go", "try"][: mdp.n_actions], name="own", **options)
+    assert (named.name, named.actions) == ("own", ("go", "try")[: mdp.n_actions])
 
 
 TOYS = {
@@ -409,16 +387,6 @@ def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
         assert "MDP.from_function(start, actions, outcomes)" in caught.value.fix
 
 
-@pytest.mark.parametrize(
-    ("begins", "start"),
-    [({0: 0.5, 1: 0.5}, [0.5, 0.5]), ({1: 1}, [0, 1]), (np.int64(1), [0, 1]), (0, [1, 0])],
-)
-def test_other_ways_to_say_where_episodes_start(begins: Any, start: list[float]) -> None:
-    """Of a dictionary the keys were taken for probabilities."""
-    table = {0: {0: [(1, 0, 0, False)]}, 1: {0: [(1, 1, 1, False)]}}
-    assert MDP.from_gymnasium(Env(table, begins)).start_distribution.tolist() == start
-
-
 def test_a_wrapper_that_changes_rewards_is_refused() -> None:
     env = gymnasium.make("FrozenLake-v1")
     assert MDP.from_gymnasium(gymnasium.wrappers.TimeLimit(env, 7)).time_limit == 7
@@ -469,16 +437,3 @@ def test_a_space_that_does_not_count_from_0_is_refused() -> None:
 
     with pytest.raises(ModelError, match="action_space counts from 1, and P from 0"):
         MDP.from_gymnasium(Counting())
-
-
-@pytest.mark.parametrize(
-    "space",
-    [gymnasium.spaces.MultiDiscrete([2, 2], start=[1, 1]), gymnasium.spaces.MultiBinary(3)],
-    ids=repr,
-)
-def test_a_space_of_vectors_says_nothing_about_the_numbers_of_the_table(
-    space: gymnasium.Space[Any],
-) -> None:
-    env = Env({s: {0: [(1, 1 - s, 1, False)]} for s in (0, 1)}, 0)
-    env.observation_space = space
-    assert MDP.from_gymnasium(env, discount="1/2").n_states == 2

@@ -3,11 +3,9 @@
 import random
 from dataclasses import replace
 from fractions import Fraction as F
-from typing import Any
 
 import numpy as np
 import pytest
-from care_oracle import END, Oracle
 from cases import CASES, Case
 from certificates import CYCLE, MODELS, certified
 from hypothesis import given, settings
@@ -132,32 +130,6 @@ def test_models_of_every_kind(name: str) -> None:
     check_bounds(MODELS[name], optimum)
     assert optimum.claim is Claim.BOUNDED
     assert optimum.error_bound < 1e-9 * np.abs(optimum.value).max()
-
-
-@pytest.mark.parametrize(
-    "readings", [{}, {"skip_timestep": "own", "task_bonus": "no-subtask-skipped"}], ids=str
-)
-def test_care_model(readings: dict[str, str]) -> None:
-    scenario = Scenario.load("yuan2025").with_(readings=readings)
-    mdp, oracle = scenario.compile(), Oracle(readings)
-    optimum = certify(mdp)
-    assert optimum.violations() == []
-    assert optimum.unique
-    assert optimum.start_value == oracle.value(oracle.start)
-    for state in oracle.reachable():
-        number = mdp.n_states - 1 if state == END else _number(mdp, state)
-        assert optimum.value[number] == oracle.value(state)
-        pairs = [pair for pair in mdp.pairs_of(number) if optimum.optimal_pairs[pair]]
-        if len(mdp.pairs_of(number)) > 1:
-            names = {mdp.actions[mdp.pair_action[pair]] for pair in pairs}
-            assert names == oracle.optimal_actions(state)
-
-
-def _number(mdp: MDP, state: Any) -> int:
-    subtask, trial, intact, bits = state
-    flag = {"skipped": 1 - intact} if "skipped" in mdp.space.names else {}
-    status = int("".join(map(str, bits)), 2)
-    return mdp.space.index(subtask=subtask, trial=trial, status=status, **flag)
 
 
 def primes(first: int, count: int) -> list[int]:

@@ -135,3 +135,10 @@ def test_a_damaged_file_is_named(care: MDP, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="damaged") as refused:
         train(care, SMALL, 1, rng=1, out=tmp_path)
     assert refused.value.where == str(path)
+    (listed,) = tmp_path.glob("*.json")
+    for text, what in (("{", "broken JSON"), ("[]", "differs")):
+        listed.write_text(text)
+        with pytest.raises(ModelError, match=what):
+            train(care, SMALL, 1, rng=1, out=tmp_path)
+    with pytest.raises(ModelError, match="cannot make the folder"):
+        train(care, SMALL, 1, rng=1, out=listed / "below")

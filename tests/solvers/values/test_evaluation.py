@@ -14,9 +14,9 @@ import pytest
 from care_oracle import READINGS
 from hypothesis import given, settings
 from made_models import gridworld
-from policy_cases import Case, care, careful, cases, directive, policy_of, uniform
+from policy_cases import Case, care, careful, cases, directive, policy_of, state_of, uniform
 
-from exact_mdp import MDP, Bounded, Claim, ModelError, evaluate, solve
+from exact_mdp import MDP, Bounded, Claim, ModelError, certify, evaluate, return_distribution, solve
 
 POLICIES = (careful, uniform, directive)
 SAMPLE = [
@@ -97,9 +97,10 @@ def test_visits_are_the_references(case: Case) -> None:
 @pytest.mark.parametrize("discount", [F(1), F(19, 20)])
 @pytest.mark.parametrize("number", range(len(SAMPLE)))
 def test_the_care_model_is_the_oracles(number: int, discount: F) -> None:
+    """A policy's numbers and returns; the optimal values and actions of all states."""
     readings, policy = SAMPLE[number], POLICIES[number % 3]
     mdp, oracle = care(readings, [1, 1], discount)
-    evaluation, wanted = evaluate(mdp, policy_of(mdp, policy)), oracle.evaluate(policy, False)
+    evaluation, wanted = evaluate(mdp, policy_of(mdp, policy)), oracle.evaluate(policy)
     numbers = evaluation.numbers
     for name in ("mean", "variance", "steps"):
         assert within(numbers[name], wanted[name]), name
@@ -112,6 +113,20 @@ def test_the_care_model_is_the_oracles(number: int, discount: F) -> None:
     assert sum(evaluation.components.values()) == pytest.approx(evaluation.mean, abs=1e-10)
     assert evaluation.claim is Claim.BOUNDED
     assert evaluation.start.error < 1e-10
+    best = certify(mdp)
+    for place in range(mdp.n_states):
+        state, pairs = state_of(mdp, place), mdp.pairs_of(place)
+        assert best.value[place] == oracle.value(state)
+        names = {mdp.actions[mdp.pair_action[pair]] for pair in pairs if best.optimal_pairs[pair]}
+        assert len(pairs) == 1 or names == oracle.optimal_actions(state)
+    if discount == 1:
+        listed = return_distribution(mdp, policy_of(mdp, policy), exact=True)
+        assert dict(zip(listed.values, listed.exact or (), strict=True)) == wanted["distribution"]
+        law = return_distribution(mdp, policy_of(mdp, policy))
+        assert law.values == listed.values
+        for p, error, value in zip(law.probabilities, law.error, law.values, strict=True):
+            assert abs(F(p) - wanted["distribution"][value]) <= F(error)
+        assert (law.relative_error < 1e-12, law.remaining) == (True, 0)
 
 
 def test_quantiles_are_the_oracles() -> None:

@@ -4,27 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from fractions import Fraction as F
-from itertools import product
 from math import inf, isnan
-from random import Random
 
 import numpy as np
 import pytest
-from care_oracle import READINGS
 from hypothesis import assume, given, settings
 from oracle import classes, limit
 from policy_cases import (
     LAWFUL,
     Case,
     brute_force,
-    care,
-    careful,
     coin,
-    directive,
     geometric,
     is_acyclic,
-    policy_of,
-    uniform,
 )
 from strategies import Pairs, any_models, model_of
 
@@ -38,12 +30,6 @@ from exact_mdp import (
     return_distribution,
     simulate,
 )
-
-SAMPLE = [
-    dict(zip(READINGS, options, strict=True))
-    for options in Random(6).sample(list(product(*READINGS.values())), 9)
-]
-
 
 CYCLIC_STEPS = 8
 
@@ -146,22 +132,6 @@ def test_an_exact_law_is_exact(case: Case) -> None:
     elif any(t == s for s in case.reached for _, t, *_ in case.outcomes[s] if s in case.live):
         with pytest.raises(ModelError, match="lead back"):
             return_distribution(case.model, case.weights, exact=True)
-
-
-@pytest.mark.parametrize("number", range(len(SAMPLE)))
-def test_the_care_model_is_the_oracles(number: int) -> None:
-    policy = (careful, uniform, directive)[number % 3]
-    mdp, oracle = care(SAMPLE[number], [1, 1])
-    wanted = oracle.evaluate(policy)["distribution"]
-    chosen = policy_of(mdp, policy)
-    exact = return_distribution(mdp, chosen, exact=True)
-    assert dict(zip(exact.values, exact.exact or (), strict=True)) == wanted
-    law = return_distribution(mdp, chosen)
-    assert law.values == exact.values
-    for probability, error, value in zip(law.probabilities, law.error, law.values, strict=True):
-        assert abs(F(probability) - wanted[value]) <= F(error)
-    assert law.relative_error < 1e-12
-    assert law.remaining == 0.0
 
 
 def test_a_hundred_subtasks_take_seconds() -> None:
