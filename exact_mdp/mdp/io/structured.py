@@ -20,6 +20,7 @@ from exact_mdp.mdp.errors import ModelError, located, short
 from exact_mdp.mdp.table import MOST_DIGITS, exact
 
 DEEPEST = 100  # tables and lists within each other; the deepest file that is read has five
+TOO_LARGE = 10**MOST_DIGITS
 SAFE = 2**53  # from here on not all programs read integers as they are
 NUMBER = re.compile(r"-?(0x[0-9a-f]+|[0-9]+)(/(0x[0-9a-f]+|[0-9]+))?")
 WORDS = {dict: "an object", list: "a list", str: "a text", bool: "true or false"}
@@ -37,8 +38,21 @@ def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> d
 
 
 def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
-    """Return the content of a JSON text; `hooks` are those of `json.loads`."""
-    return _parsed(lambda text: json.loads(text, **hooks), text, "JSON", where)
+    """Return the content of a JSON text, each key once; `hooks` are those of `json.loads`."""
+
+    def read(text: str | bytes) -> Any:
+        with located(where, instead=True):
+            return json.loads(text, object_pairs_hook=_each_once, **hooks)
+
+    return _parsed(read, text, "JSON", where)
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ModelError(f"{max(keys, key=keys.count)} appears twice", fix="keep one of them")
+    return entries
 
 
 def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str) -> Any:
@@ -62,7 +76,7 @@ def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str
             left += [((*path, str(key)), below) for key, below in value.items()]
         elif isinstance(value, list):
             left += [((*path, str(place)), below) for place, below in enumerate(value)]
-        elif isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:
+        elif isinstance(value, int) and abs(value) >= TOO_LARGE:
             raise ModelError(
                 f"an integer of over {MOST_DIGITS:,} digits",
                 where=", ".join(filter(None, [where, ".".join(path[1:])])),

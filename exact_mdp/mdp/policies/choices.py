@@ -236,9 +236,7 @@ def of_file(model: MDP, path: str | Path, kind: str = "auto") -> Parts:
         elif suffix and isfile(path):
             what, fix = f"cannot read {suffix}", f"load it yourself, then {SAVE}"
         raise ModelError(what, fix=fix)
-    content = json_of(
-        read_text(path), where, object_pairs_hook=_once, parse_float=str, parse_int=_digits
-    )
+    content = json_of(read_text(path), where, parse_float=str, parse_int=_digits)
     by_status = "status" in model.space.names
     if not isinstance(content, dict):
         column = model.space.columns[0] if len(model.space.columns) == 1 else None
