@@ -14,6 +14,7 @@ HALF = F(1, 2)
 STORM = "moves-rwth/storm "
 STORM_TESTS = STORM + "src/test/storm/modelchecker/prctl/mdp/"
 STORM_MODELS = STORM + "resources/examples/testfiles/mdp/"
+DISCOUNTING = STORM_TESTS + "DiscountingMdpPrctlModelCheckerTest.cpp, "
 QCOMP = "ahartmanns/qcomp benchmarks/"
 
 
@@ -22,10 +23,7 @@ def small_discount(discount: Fraction, value: Fraction) -> Case:
     best = {F(1): {1}, F(9, 10): {0}, F(15, 16): {0, 1}}[discount]
     return Case(
         name=f"small-discount-{discount}",
-        source=STORM_MODELS
-        + "small_discount.nm; "
-        + STORM_TESTS
-        + "DiscountingMdpPrctlModelCheckerTest.cpp, SmallDiscount",
+        source=f"{STORM_MODELS}small_discount.nm; {DISCOUNTING}SmallDiscount",
         n_states=4,
         pairs=(
             (0, 0, F(0), {1: F(1)}),
@@ -45,10 +43,7 @@ def one_state(horizon: int, value: Fraction) -> Case:
     pairs = ((0, 0, F(1), {0: F(1)}), (0, 1, F(100), {0: F(1)}))
     return Case(
         name=f"one-state-{horizon or 'for-ever'}",
-        source=STORM_MODELS
-        + "one_state.nm; "
-        + STORM_TESTS
-        + "DiscountingMdpPrctlModelCheckerTest.cpp, OneStateDiscounting",
+        source=f"{STORM_MODELS}one_state.nm; {DISCOUNTING}OneStateDiscounting",
         n_states=horizon + 1,
         pairs=over_horizon(1, pairs, horizon) if horizon else pairs,
         discount=F(9, 10),

@@ -17,8 +17,8 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model_contents import laws
-from strategies import Rows, models
+from model_contents import laws, outcomes_of
+from strategies import Rows, models, outcome_rows
 
 from exact_mdp import (
     MDP,
@@ -284,24 +284,11 @@ def test_rewards_by_name_by_row_and_in_part() -> None:
 # ---- pairs and outcomes --------------------------------------------------------------------------
 
 
-@st.composite
-def rows(draw: st.DrawFn) -> list[Any]:
-    """Rows for `from_outcomes`: 1 to 4 states, 1 to 3 actions each, exact numbers."""
-    states, listed = draw(st.integers(1, 4)), []
-    gains = st.fractions(-50, 50, max_denominator=40)
-    gains |= st.fractions(0, 1).map(lambda x: x + Fraction(1, 3**50))
-    for state in range(states):
-        for action in draw(st.sets(st.integers(0, 2), min_size=1)):
-            weights = draw(st.lists(st.integers(1, 30), min_size=1, max_size=4))
-            outcomes = [
-                (Fraction(w, sum(weights)), draw(st.integers(0, states - 1)), draw(gains))
-                for w in weights
-            ]
-            listed.append((state, action, outcomes))
-    return listed
+GAINS = st.fractions(-50, 50, max_denominator=40)
+GAINS |= st.fractions(0, 1).map(lambda x: x + Fraction(1, 3**50))
 
 
-@given(rows(), st.randoms(use_true_random=False))
+@given(outcome_rows(GAINS), st.randoms(use_true_random=False))
 def test_outcomes_are_kept_exactly_and_every_float_is_rounded_once(
     listed: list[Any], random: Any
 ) -> None:
@@ -641,11 +628,6 @@ def test_components_of_transitions_of_functions_and_of_scenarios(tmp_path: Path)
     assert changed.components[:, 0].tolist() == changed.reward.tolist() == other.reward.tolist()
 
 
-def rows_of(mdp: MDP, order: Any) -> list[Any]:
-    """Rows for `MDP.from_outcomes`, in any order."""
-    return [(int(mdp.pair_state[l]), int(mdp.pair_action[l]), mdp.table.row(l)) for l in order]
-
-
 @given(models())
 def test_what_a_model_tells_can_be_given_back(drawn: Rows) -> None:
     mdp = drawn.model()
@@ -663,7 +645,7 @@ def test_what_a_model_tells_can_be_given_back(drawn: Rows) -> None:
     for again in (
         MDP.from_arrays(square, mdp.R, rate, layout="ass", **parts),
         MDP.from_pairs(mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward, rate, **parts),
-        MDP.from_outcomes(rows_of(mdp, range(mdp.n_pairs)), rate, **parts),
+        MDP.from_outcomes(outcomes_of(mdp), rate, **parts),
         mdp.with_(**parts),
     ):
         for name in names:
@@ -689,10 +671,10 @@ def test_counts_are_given_back_by_the_observations(order: list[int]) -> None:
         array[order] for array in (mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward)
     ]
     for again in (
-        MDP.from_outcomes(rows_of(mdp, order), "9/10", **given),
+        MDP.from_outcomes(outcomes_of(mdp, order), "9/10", **given),
         MDP.from_pairs(*parts, "9/10", **given),
     ):
         assert again.counts.toarray().tolist() == mdp.counts.toarray().tolist()
         assert again.observations.tolist() == mdp.observations.tolist()
     with pytest.raises(ModelError, match="not counts over the observations"):
-        MDP.from_outcomes(rows_of(mdp, order), "9/10", **given | {"observations": [3] * 3})
+        MDP.from_outcomes(outcomes_of(mdp, order), "9/10", **given | {"observations": [3] * 3})

@@ -10,12 +10,11 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle import rows_of as oracle_rows
-from oracle import solve_exact
+from model_contents import outcomes_of
+from oracle import rows_of, solve_exact
+from strategies import outcome_rows
 
 from exact_mdp import MDP, DistributionError, certify, fingerprint, load, save
-
-Law = tuple[int, int, list[tuple[F, int, F]]]
 
 # ---- any kind of number --------------------------------------------------------------------------
 
@@ -46,16 +45,10 @@ def floats(value: F) -> list[Any]:
     return forms + [number for number in short if float(number) == wide]
 
 
-def rows_of(mdp: MDP) -> list[Law]:
-    """Return every row of a model as `from_outcomes` takes it."""
-    pairs = zip(mdp.pair_state.tolist(), mdp.pair_action.tolist(), strict=True)
-    return [(s, a, mdp.table.row(pair)) for pair, (s, a) in enumerate(pairs)]
-
-
 def again(mdp: MDP) -> MDP:
     """Return the model built anew from what it tells."""
     return MDP.from_outcomes(
-        rows_of(mdp), mdp.discount_exact, start=dict(mdp.start), actions=mdp.actions
+        outcomes_of(mdp), mdp.discount_exact, start=dict(mdp.start), actions=mdp.actions
     )
 
 
@@ -63,35 +56,14 @@ REWARDS = (F(1, 7), F(1, 4), F(3), F(-2, 5), F(0), F(2**60 + 1), F(1, 2**70), F(
 EYE = [[1, 0], [0, 1]]
 
 
-@st.composite
-def laws(draw: st.DrawFn) -> tuple[int, list[Law], F]:
-    """Draw a number of states, rows that sum to 1 exactly, binary or not, and a discount."""
-    states = draw(st.integers(1, 3))
-    rows: list[Law] = []
-    for state in range(states):
-        for action in range(draw(st.integers(1, 2))):
-            weights = draw(st.lists(st.sampled_from([1, 2, 3, 5]), min_size=1, max_size=3))
-            if draw(st.booleans()):  # of a power of two
-                weights = [*weights, 32 - sum(weights)]
-            outcomes = [
-                (
-                    F(w, sum(weights)),
-                    draw(st.integers(0, states - 1)),
-                    draw(st.sampled_from(REWARDS)),
-                )
-                for w in weights
-            ]
-            rows.append((state, action, outcomes))
-    return states, rows, draw(st.sampled_from([F(0), F(1, 2), F(9, 10)]))
-
-
 @settings(max_examples=150)
-@given(laws(), st.data())
+@given(
+    outcome_rows(st.sampled_from(REWARDS)), st.sampled_from([F(0), F(1, 2), F(9, 10)]), st.data()
+)
 def test_a_number_may_be_given_in_any_kind_that_holds_it(
-    law: tuple[int, list[Law], F], data: st.DataObject
+    rows: list[Any], discount: F, data: st.DataObject
 ) -> None:
     """The values are those of the oracle, whatever mixture of kinds the numbers are given in."""
-    states, rows, discount = law
 
     def any_kind(value: F) -> Any:
         return data.draw(st.sampled_from(kinds(value)))
@@ -101,7 +73,7 @@ def test_a_number_may_be_given_in_any_kind_that_holds_it(
     ]
     plain = certify(MDP.from_outcomes(rows, discount))
     other = certify(MDP.from_outcomes(mixed, any_kind(discount)))
-    assert list(other.value) == solve_exact(states, oracle_rows(plain.mdp), discount)[0]
+    assert list(other.value) == solve_exact(plain.mdp.n_states, rows_of(plain.mdp), discount)[0]
     assert other.violations() == []
     assert list(other.gaps) == list(plain.gaps)
     assert other.optimal_pairs.tolist() == plain.optimal_pairs.tolist()

@@ -21,7 +21,6 @@ from exact_mdp import (
     evaluate,
     fingerprint,
     load,
-    return_distribution,
     save,
     simulate,
     solve,
@@ -76,20 +75,6 @@ def test_known_optima_within_the_registered_limit(name: str) -> None:
     assert abs(solution.start_value - wanted[0]) <= solution.start.error + 1e-13
 
 
-def test_a_learned_policy_of_the_wide_lake_is_judged_exactly() -> None:
-    """What is optimal without a limit loses within 200 steps, by a certified amount."""
-    mdp = MDP.from_gymnasium(WIDE)
-    endless = solve(mdp.with_(discount="999999/1000000")).policy
-    audit = check(mdp, endless, horizon=200)
-    assert (audit.claim.value, audit.passed) == ("certified", False)
-    wanted = stationary(WIDE, 200, endless.tolist())
-    assert 0.87 < wanted < 0.9
-    assert float(audit.regret.learned.value) == pytest.approx(wanted, abs=1e-12)
-    assert float(audit.regret.optimal.value) == pytest.approx(0.9132202, abs=1e-7)
-    exact = certify(mdp.within(200)).policy
-    assert check(mdp, exact, horizon=200).regret.at_start.value == 0
-
-
 def test_tables_over_states_and_over_times_are_both_policies() -> None:
     """(S, A) is the same at every time, (N, S, A) is not; arrays of choices likewise."""
     mdp, steps = MDP.from_gymnasium(LAKE), 20
@@ -120,22 +105,6 @@ def test_tables_over_states_and_over_times_are_both_policies() -> None:
     assert lost.policy.columns == ("row", "column")
     for named in ("random", "always:1"):
         assert 0 <= evaluate(mdp, named, horizon=steps).mean < best
-
-
-def test_returns_sum_to_one_exactly() -> None:
-    """The exact distribution of the return within N steps; its mean is that of evaluate."""
-    thirds = [["1/3", "2/3"], [0, 1]]
-    P = [thirds, [["2/3", "1/3"], [0, 1]]]
-    mdp = MDP.from_arrays(P, [["1/2", 1], [0, 0]], layout="ass")
-    law = return_distribution(mdp, "random", exact=True, horizon=4)
-    assert law.exact is not None
-    assert sum(law.exact) == 1
-    mean = sum(p * v for p, v in zip(law.exact, law.values, strict=True))
-    own = evaluate(mdp, "random", horizon=4)
-    assert abs(own.mean - float(mean)) <= own.start.error + 1e-15
-    lake = return_distribution(MDP.from_gymnasium(LAKE), "random", horizon=100)
-    assert lake.remaining == 0
-    assert abs(lake.probabilities.sum() - 1) <= lake.error.sum() + 1e-14
 
 
 def test_simulation_stops_at_the_limit() -> None:

@@ -225,9 +225,9 @@ class Oracle:
 
     # ------------------------------------------------------------ optimum and policies
 
-    def reachable(self, extra: Iterable[State] = ()) -> set[State]:
-        """All states reachable from the start (and `extra`) under any actions."""
-        reached: set[State] = {self.start, *extra}
+    def reachable(self) -> set[State]:
+        """All states reachable from the start under any actions."""
+        reached: set[State] = {self.start}
         todo = list(reached)
         while todo:
             state = todo.pop()
@@ -261,13 +261,6 @@ class Oracle:
             best = max(values.values())
             self._optimal[state] = (best, frozenset(a for a in values if values[a] == best))
         return self._optimal[state]
-
-    def optimal(
-        self, extra: Iterable[State] = ()
-    ) -> tuple[dict[State, Fraction], dict[State, frozenset[str]]]:
-        """Optimal values and optimal action sets of all reachable states."""
-        states = self.reachable(extra)
-        return {x: self.value(x) for x in states}, {x: self.optimal_actions(x) for x in states}
 
     def _choices(self, policy: Policy, state: State) -> Mapping[str, Fraction]:
         only = self.actions(state)

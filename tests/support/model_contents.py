@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
@@ -62,6 +62,12 @@ def same_array(ours: Any, theirs: Any, name: str) -> None:
     assert np.array_equal(ours, theirs), name
     if ours.dtype == object:
         assert {type(value) for value in theirs} == {int}, name
+
+
+def outcomes_of(mdp: MDP, order: Iterable[int] | None = None) -> list[Any]:
+    """The rows of a model as `MDP.from_outcomes` takes them, in any order."""
+    pairs = range(mdp.n_pairs) if order is None else order
+    return [(int(mdp.pair_state[l]), int(mdp.pair_action[l]), mdp.table.row(l)) for l in pairs]
 
 
 def laws(mdp: MDP) -> dict[tuple[int, str], dict[tuple[int, Fraction], Fraction]]:

@@ -17,7 +17,7 @@ from care_oracle import ACTIONS, END, Oracle, State
 from care_oracle import Policy as OraclePolicy
 from hypothesis import strategies as st
 from model_contents import meant
-from oracle import fixed_point, visits
+from oracle import fixed_point, hitting, visits
 
 from exact_mdp import MDP, Policy, Scenario
 
@@ -83,25 +83,21 @@ class Case:
         moving = {s for (s, _), row in self.rows.items() for _, t, r, _ in row if t != s or r}
         return set(range(self.n_states)) - moving
 
-    def closed(self, states: set[int], step: Callable[[int, int], bool]) -> set[int]:
-        """All states related to `states` by any number of steps."""
-        while more := {s for s in range(self.n_states) if any(step(s, t) for t in states)} - states:
-            states = states | more
-        return states
-
-    def leads(self, s: int, t: int) -> bool:
-        return s not in self.terminal and any(t == x for _, x, _, _ in self.outcomes[s])
+    def chance(self, targets: set[int]) -> list[F]:
+        """Of ever being in one of some states, from each."""
+        laws = enumerate(self.moves(F(1), set(range(self.n_states))))
+        chain = [(s, 0, F(0), {t: p for t, p in law.items() if p}) for s, law in laws]
+        return hitting(chain, [s in targets for s in range(self.n_states)], [True] * self.n_states)
 
     @cached_property
     def ending(self) -> set[int]:
         """States from which a terminal one is reached with probability 1."""
-        everyone = set(range(self.n_states))
-        stuck = everyone - self.closed(self.terminal, self.leads)
-        return everyone - self.closed(stuck, self.leads)
+        return {s for s, p in enumerate(self.chance(self.terminal)) if p == 1}
 
     @cached_property
     def reached(self) -> set[int]:
-        return self.closed(set(self.start), lambda s, t: self.leads(t, s))
+        each = ((t, self.chance({t})) for t in range(self.n_states))
+        return {t for t, chances in each if any(chances[s] for s in self.start)}
 
     @property
     def ends(self) -> bool:
@@ -157,7 +153,7 @@ class Case:
     @cached_property
     def hit(self) -> F:
         happening = {s for s in range(self.n_states) if any(e for *_, e in self.outcomes[s])}
-        among = self.closed(happening - self.terminal, self.leads)
+        among = {s for s, p in enumerate(self.chance(happening - self.terminal)) if p}
         return self.mean(self.solve(lambda o: F(o[3]), F(1), among, through=False))
 
     def visits(self, rate: F, among: set[int]) -> list[F]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -92,6 +93,21 @@ def models(draw: st.DrawFn, *, discounts: Sequence[Fraction] = (*DISCOUNTS, F(1)
         turn = n_states - 1
         pairs = [(turn - s, a, r, {turn - t: p for t, p in f.items()}) for s, a, r, f in pairs]
     return Rows(n_states=n_states, pairs=tuple(pairs), discount=discount)
+
+
+@st.composite
+def outcome_rows(draw: st.DrawFn, gains: st.SearchStrategy[Fraction]) -> list[Any]:
+    """Rows for `MDP.from_outcomes`: 1 to 4 states, 1 to 3 actions; some chances are binary."""
+    states, rows = draw(st.integers(1, 4)), []
+    for state in range(states):
+        for action in draw(st.sets(st.integers(0, 2), min_size=1)):
+            weights = draw(st.lists(st.integers(1, 7), min_size=1, max_size=3))
+            weights += [32 - sum(weights)] * draw(st.booleans())
+            outcomes = [
+                (F(w, sum(weights)), draw(st.integers(0, states - 1)), draw(gains)) for w in weights
+            ]
+            rows.append((state, action, outcomes))
+    return rows
 
 
 ENDLESS_REWARDS: tuple[list[int | F], ...] = (

@@ -51,15 +51,8 @@ def test_a_scenario_file(tmp_path: Path) -> None:
 def test_a_saved_model(tmp_path: Path, name: str) -> None:
     mdp = load("yuan2025", sets=SMALL)
     save(mdp, tmp_path / name)
-    loaded = load(tmp_path / name)
-    assert loaded.name == "yuan2025"
-    assert loaded.reward.tolist() == mdp.reward.tolist()
-    assert sorted(loaded.table.row(5)) == sorted(mdp.table.row(5))
+    assert load(tmp_path / name).name == "yuan2025"
     assert load(str(tmp_path / name), discount="1/3").discount_exact == Fraction(1, 3)
-    if name.endswith("npz"):
-        saved = tmp_path / "kept.npz"
-        save(mdp.with_(discount="1/2"), saved)
-        assert load(saved).discount_exact == Fraction(1, 2)
 
 
 def test_a_nameless_model_goes_by_its_file(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from archives import array_header, unzipped, zipped
+from archives import array_header, is_refused, unzipped, zipped
 from model_contents import assert_same, meant
 from saved_models import MODELS
 
@@ -76,14 +76,6 @@ def saved(mdp: MDP, folder: Path) -> dict[str, Any]:
         return dict(archive)
 
 
-def refused(path: Path, message: str) -> None:
-    with pytest.raises(ModelError) as caught:
-        load(path)
-    assert message in str(caught.value)
-    assert str(path) in caught.value.where
-    assert caught.value.fix
-
-
 SPOILED: dict[str, tuple[str, Any, str]] = {
     "no weights": ("weight", None, "the archive holds"),
     "another array": ("more", np.zeros(1), "the archive holds"),
@@ -137,7 +129,7 @@ def test_arrays_that_are_no_model(tmp_path: Path, name: str) -> None:
     else:
         arrays[key] = change(arrays[key]) if callable(change) else change
     np.savez(tmp_path / "bad.npz", **arrays)
-    refused(tmp_path / "bad.npz", message)
+    is_refused(tmp_path / "bad.npz", message)
 
 
 def column(**changes: Any) -> list[dict[str, Any]]:
@@ -192,7 +184,7 @@ def test_headers_that_are_no_model(tmp_path: Path, key: str, value: Any, message
     header = json.loads(arrays["header"].tobytes()) | {key: value}
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
     np.savez(tmp_path / "bad.npz", **arrays)
-    refused(tmp_path / "bad.npz", message)
+    is_refused(tmp_path / "bad.npz", message)
 
 
 def test_a_truncated_file_at_any_length(tmp_path: Path) -> None:
@@ -201,7 +193,7 @@ def test_a_truncated_file_at_any_length(tmp_path: Path) -> None:
     path = tmp_path / "cut.npz"
     for length in [*range(0, len(content), 61), len(content) - 1]:
         path.write_bytes(content[:length])
-        refused(path, "damaged")
+        is_refused(path, "damaged")
 
 
 def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:
@@ -248,7 +240,7 @@ def test_array_headers_that_claim_nonsense(
     members = unzipped(tmp_path / "good.npz")
     members["pair_state.npy"] = array_header(shape, kind) + bytes(16)
     (tmp_path / "bad.npz").write_bytes(zipped(members))
-    refused(tmp_path / "bad.npz", message)
+    is_refused(tmp_path / "bad.npz", message)
 
 
 def test_archives_that_claim_more_than_they_hold(tmp_path: Path) -> None:
@@ -259,7 +251,7 @@ def test_archives_that_claim_more_than_they_hold(tmp_path: Path) -> None:
     path = tmp_path / "bomb.npz"
     path.write_bytes(zipped(members, zipfile.ZIP_DEFLATED))
     assert path.stat().st_size < 1_000_000
-    refused(path, "claims to hold")
+    is_refused(path, "claims to hold")
 
 
 def test_archives_of_unusual_make(tmp_path: Path) -> None:
@@ -267,11 +259,11 @@ def test_archives_of_unusual_make(tmp_path: Path) -> None:
     members = unzipped(tmp_path / "good.npz")
     path = tmp_path / "bad.npz"
     path.write_bytes(zipped(members, zipfile.ZIP_LZMA))
-    refused(path, "compressed in an unusual way")
+    is_refused(path, "compressed in an unusual way")
     path.write_bytes(zipped(members | {"weight": members["weight.npy"]}))
-    refused(path, "the archive holds")
+    is_refused(path, "the archive holds")
     path.write_bytes(zipped({}))
-    refused(path, "the archive holds nothing")
+    is_refused(path, "the archive holds nothing")
     content = bytearray(zipped(members))
     for magic, place in ((b"PK\x01\x02", 8), (b"PK\x03\x04", 6)):
         start = content.find(magic)
@@ -279,10 +271,10 @@ def test_archives_of_unusual_make(tmp_path: Path) -> None:
             content[start + place] |= 1
             start = content.find(magic, start + 1)
     path.write_bytes(bytes(content))
-    refused(path, "encrypted")
+    is_refused(path, "encrypted")
     members["weight.npy"] += b"\0"
     path.write_bytes(zipped(members))
-    refused(path, "in")
+    is_refused(path, "in")
 
 
 def test_pickles_are_never_opened(tmp_path: Path) -> None:
@@ -293,17 +285,17 @@ def test_pickles_are_never_opened(tmp_path: Path) -> None:
     arrays = saved(MODELS["floats"], tmp_path)
     arrays["weight"] = np.array([Trap()], dtype=object)
     np.savez(tmp_path / "bad.npz", **arrays)
-    refused(tmp_path / "bad.npz", "type object")
+    is_refused(tmp_path / "bad.npz", "type object")
     assert not (tmp_path / "sprung").exists()
 
 
 def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
     np.savez(tmp_path / "q.npz", np.zeros((16, 4)))
-    refused(tmp_path / "q.npz", "a Q-table is a policy")
+    is_refused(tmp_path / "q.npz", "a Q-table is a policy")
     np.save(tmp_path / "q.npy", np.zeros((16, 4)))
-    refused(tmp_path / "q.npy", "unknown kind of model file")
+    is_refused(tmp_path / "q.npy", "unknown kind of model file")
     (tmp_path / "q.npy").rename(tmp_path / "r.npz")
-    refused(tmp_path / "r.npz", "damaged, or not an archive")
+    is_refused(tmp_path / "r.npz", "damaged, or not an archive")
     with pytest.raises(ModelError, match="cannot write the file"):
         save(MODELS["floats"], tmp_path / "nowhere" / "model.npz")
 

@@ -69,8 +69,8 @@ def test_counts_are_those_of_a_dictionary(rows: list[tuple[Any, ...]], size: int
         ]
         assert sorted(listed) == sorted((*key, F(n, total)) for key, n in counts.items())
     assert pairs == len(seen)
-    told_starts = {mdp.space.label(s).removeprefix("state "): p for s, p in mdp.start}
-    assert told_starts == {s: F(n, starts.total()) for s, n in starts.items()}
+    estimated_starts = {mdp.space.label(s).removeprefix("state "): p for s, p in mdp.start}
+    assert estimated_starts == {s: F(n, starts.total()) for s, n in starts.items()}
 
 
 def test_a_file_gives_the_same_model_and_keeps_its_decimals(tmp_path: Path) -> None:

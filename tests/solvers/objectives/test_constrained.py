@@ -142,7 +142,7 @@ def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(rows, "1/2", components={"help": [0, 4, 0], "calm": [5, 0, 0]})
     solution = solve(mdp, subject_to={"calm=2*calm": ">= 5"})
-    solution.save(path := tmp_path / "held.json")
+    solution.save(path := tmp_path / "proof.json")
     mdp.save(tmp_path / "model.npz")
     result = run("verify", path, tmp_path / "model.npz", "--json").result
     assert (result["holds"], result["limits"]) == (True, ["calm=2*calm >= 5"])
@@ -160,7 +160,7 @@ def test_a_file_may_say_that_nothing_is_visited(bound: int, tmp_path: Path) -> N
     mdp = MDP.from_outcomes(rows, "1/2", components={"a": [1, 4, 0]}, start=1)
     solution = solve(mdp, subject_to={"a": f">= {bound}"})
     assert solution.violations() == []
-    solution.save(path := tmp_path / "held.json")
+    solution.save(path := tmp_path / "proof.json")
     mdp.save(tmp_path / "model.npz")
     result = run("verify", path, tmp_path / "model.npz", "--json").result
     assert (result["holds"], result["feasible"]) == (True, not bound)

@@ -7,7 +7,6 @@ from math import inf, sqrt
 
 import numpy as np
 import pytest
-from policy_cases import care, careful, policy_of
 
 from exact_mdp import MDP, Claim, Scenario, Simulation, evaluate, return_distribution, simulate
 
@@ -37,16 +36,6 @@ def test_the_papers_model(policy: str, discount: F) -> None:
     assert sample.value.value == sample.mean
     assert (sample.truncated, sample.truncation_error) == (0, 0.0)
     assert list(sample.events) == ["skip"]
-
-
-def test_other_readings_and_a_mixed_policy() -> None:
-    readings = {"skip_timestep": "own", "task_bonus": "no-subtask-skipped", "skip_onset": "base"}
-    mdp, oracle = care(readings, [2, 1])
-    policy = policy_of(mdp, careful)
-    sample = simulate(mdp, policy, EPISODES, rng=2)
-    check(sample, mdp, policy)
-    wanted = oracle.evaluate(careful, distribution=False)
-    assert abs(sample.mean - float(wanted["mean"])) < 4 * sample.standard_error
 
 
 def test_every_return_comes_as_often_as_it_should() -> None:
