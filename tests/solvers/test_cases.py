@@ -3,13 +3,14 @@
 Published optima are those of `test_certificate`, which is held against the same solver.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 import pytest
 from cases import BY_NAME, CASES, Case
-from cases.case import Number, Pair
-from oracle import evaluate_exact, every_policy_ends, solve_exact
+from cases.case import Number
+from oracle import evaluate_exact, every_policy_ends, mixed, solve_exact
 
 
 def differences(
@@ -51,18 +52,10 @@ def test_wrong_policy_is_worse(case: Case) -> None:
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.uniform_values], ids=str)
 def test_uniform_policy(case: Case) -> None:
-    mixed: list[Pair] = []
-    for s in range(case.n_states):
-        here = [(r, row) for t, _, r, row in case.pairs if t == s]
-        share = Fraction(1, len(here))
-        average: dict[int, Fraction] = {}
-        for _, row in here:
-            for t, p in row.items():
-                average[t] = average.get(t, Fraction(0)) + share * p
-        mixed.append((s, 0, share * sum((r for r, _ in here), Fraction(0)), average))
-    only = dict.fromkeys(range(case.n_states), 0)
-    exact = evaluate_exact(case.n_states, mixed, case.discount, only)
-    assert differences(case, case.uniform_values, exact) == {}
+    many = Counter(s for s, *_ in case.pairs)
+    chain = mixed(case.pairs, {(s, a): Fraction(1, many[s]) for s, a, *_ in case.pairs})
+    values = evaluate_exact(case.n_states, chain, case.discount, dict.fromkeys(many, 0))
+    assert differences(case, case.uniform_values, values) == {}
 
 
 def test_reference_refuses() -> None:

@@ -7,6 +7,7 @@ that its states take, in their order. All equations are solved by one eliminatio
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction as F
 from itertools import product
@@ -97,6 +98,18 @@ def policy_values(policy: Sequence[Row], rate: F, ended: Collection[int] = ()) -
         earned,
         [{} if s in ended else {t: rate * p for t, p in law.items()} for s, _, _, law in policy],
     )
+
+
+def mixed(rows: Iterable[Row], chances: Mapping[tuple[int, int], F]) -> list[Row]:
+    """The chain of a policy that takes the pairs (state, action) with these probabilities."""
+    earned: dict[int, F] = defaultdict(F)
+    onward: dict[int, dict[int, F]] = defaultdict(lambda: defaultdict(F))
+    for s, a, r, law in rows:
+        share = chances.get((s, a), F(0))
+        earned[s] += share * r
+        for t, p in law.items():
+            onward[s][t] += share * p
+    return [(s, 0, earned[s], {t: p for t, p in onward[s].items() if p}) for s in sorted(earned)]
 
 
 def visits(start: Mapping[int, F], moves: Sequence[Mapping[int, F]]) -> Vector:

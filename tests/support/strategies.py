@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -160,26 +161,14 @@ def tables(draw: st.DrawFn) -> MDP:
     cyclic = draw(st.booleans())
     end = times * rows
     outcomes = []
-    for s in range(end):
+    for s, a in product(range(end), range(actions)):
         later = range((s // rows + 1) * rows, min(end, (s // rows + 2) * rows))
         targets = [*range(end), end] if cyclic else [*later] or [end]
-        for a in range(actions):
-            weights = draw(
-                st.lists(st.integers(0, 3), min_size=len(targets), max_size=len(targets))
-            )
-            weights[-1] += 1
-            reward = draw(st.integers(-4, 4))
-            outcomes.append(
-                (
-                    s,
-                    a,
-                    [
-                        (F(w, sum(weights)), t, reward)
-                        for t, w in zip(targets, weights, strict=True)
-                        if w
-                    ],
-                )
-            )
+        weights = draw(st.lists(st.integers(0, 3), min_size=len(targets), max_size=len(targets)))
+        weights[-1] += 1
+        reward = draw(st.integers(-4, 4))
+        law = [(F(w, sum(weights)), t, reward) for t, w in zip(targets, weights, strict=True) if w]
+        outcomes.append((s, a, law))
     outcomes.append((end, 0, [(F(1), end, 0)]))
     columns = (Column(name="time", size=times), Column(name="row", size=rows))
     space = StateSpace(columns=columns, extra=("end",))

@@ -204,44 +204,40 @@ def test_a_column_that_may_say_how_episodes_stop_is_named(
     assert "truncated=NAME" in " ".join(run("data", "--help").out.split())
 
 
-def test_columns_and_files_that_do_not_fit(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="no column 'next_state'"):
-        MDP.from_transitions(table([GOOD]).rename(columns={"next_state": "next_stat"}))
-    with pytest.raises(ModelError, match="it is called ' state', with spaces"):
-        MDP.from_transitions(table([GOOD]).rename(columns={"state": " state"}))
-    with pytest.raises(ModelError, match="unknown column 'sate'"):
-        MDP.from_transitions(table([GOOD]), columns={"sate": "s"})
-    with pytest.raises(ModelError, match="stands for state and next_state"):
-        MDP.from_transitions(table([GOOD]), columns={"state": "next_state"})
-    double = table([GOOD]).rename(columns={"reward": "state"})
-    with pytest.raises(ModelError, match="'state' stands twice"):
-        MDP.from_transitions(double, columns={"reward": "x"})
-    double.to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(ModelError, match="'state' stands twice"):
-        MDP.from_transitions(tmp_path / "log.csv")
-    for other in (5, [1, 2], [GOOD], {"state": [1]}):
-        with pytest.raises(ModelError, match="no table of transitions"):
-            MDP.from_transitions(other)  # type: ignore[arg-type]
-    with pytest.raises(ModelError, match="cannot be a name"):
-        MDP.from_transitions(table([(1, [0], "x", 0, [1])]))
-    with pytest.raises(ModelError, match="no transitions"):
-        MDP.from_transitions(table([]))
-    with pytest.raises(ModelError, match="called 'end'"):
-        MDP.from_transitions(table([(1, "end", "x", 0, None)]))
-    head = "episode,state,action,reward,next_state\n"
-    for text, what in (
-        ("", "no transitions"),
-        (f"{head}1,a,x,0,b,9,9\n", "7 values under 5 headings"),
-        (f'{head}1,a,x,0,"b', "broken CSV"),
-    ):
-        (tmp_path / "log.csv").write_text(text)
-        with pytest.raises(ModelError, match=what):
-            MDP.from_transitions(tmp_path / "log.csv")
-    (tmp_path / "log.parquet").write_bytes(b"PAR1")
-    with pytest.raises(ModelError, match="no Parquet"):
-        MDP.from_transitions(tmp_path / "log.parquet")
-    done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
-    assert (done.status, "--out" in done.err) == (2, True)
+def cut(*rows: tuple[Any, ...]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=[*NAMES, "truncated"])
+
+
+HEAD, ONE = "episode,state,action,reward,next_state\n", table([GOOD])
+NO_LOG: list[tuple[Any, dict[str, str], str]] = [  # log, columns, words
+    (ONE.rename(columns={"next_state": "next_stat"}), {}, "no column 'next_state'"),
+    (ONE.rename(columns={"state": " state"}), {}, "it is called ' state', with spaces"),
+    (ONE.rename(columns={"reward": "state"}), {"reward": "x"}, "'state' stands twice"),
+    (HEAD.replace("reward", "state") + "1,a,x,0,b\n", {}, "'state' stands twice"),
+    (ONE, {"sate": "s"}, "unknown column 'sate'"),
+    (ONE, {"state": "next_state"}, "stands for state and next_state"),
+    *((other, {}, "no table of transitions") for other in (5, [1, 2], [GOOD], {"state": [1]})),
+    (table([(1, [0], "x", 0, [1])]), {}, "cannot be a name"),
+    (table([]), {}, "no transitions"),
+    ("", {}, "no transitions"),
+    (table([(1, "end", "x", 0, None)]), {}, "called 'end'"),
+    (f"{HEAD}1,a,x,0,b,9,9\n", {}, "7 values under 5 headings"),
+    (f'{HEAD}1,a,x,0,"b', {}, "broken CSV"),
+    (b"PAR1", {}, "no Parquet"),
+    (cut((*GOOD, True), (1, "b", "x", 0, None, False)), {}, "goes on after it was cut off"),
+    *((cut((*GOOD, x)), {}, "truncated is neither true nor false") for x in ("maybe", None)),
+    (cut((*GOOD, True)), {"truncated": "timeout"}, "no column 'timeout'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("log", "columns", "words"), NO_LOG, ids=range(len(NO_LOG)))
+def test_what_is_no_log(log: Any, columns: dict[str, str], words: str, tmp_path: Path) -> None:
+    if isinstance(log, str | bytes):
+        path = tmp_path / ("log.csv" if isinstance(log, str) else "log.parquet")
+        path.write_bytes(log.encode() if isinstance(log, str) else log)
+        log = path
+    with pytest.raises(ModelError, match=words):
+        MDP.from_transitions(log, columns=columns)
 
 
 def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
@@ -293,6 +289,8 @@ def test_the_command(tmp_path: Path) -> None:
     plain = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz", "--rare", "0")
     assert "2 observed of 2, 0 of them rare" in plain.out
     assert "state b (entered, never left)" in plain.out
+    done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
+    assert (done.status, "--out" in done.err) == (2, True)
 
 
 def test_changed_tables_have_no_observations() -> None:
@@ -333,25 +331,3 @@ def test_a_line_with_too_few_fields_is_no_end(tmp_path: Path) -> None:
     assert caught.value.where == f"{path}, line 3"
     path.write_text(head + '1,"a, b",x,0,c\n1,c,x,1,\n\n')
     assert MDP.from_transitions(path).n_states == 3
-
-
-CUT = [*NAMES, "truncated"]
-
-
-def cut(rows: list[tuple[Any, ...]]) -> pd.DataFrame:
-    return pd.DataFrame(rows, columns=CUT)
-
-
-@pytest.mark.parametrize(
-    ("rows", "what"),
-    [
-        ([(*GOOD, True), (1, "b", "x", 0, None, False)], "goes on after it was cut off"),
-        ([(*GOOD, "maybe")], "truncated is neither true nor false"),
-        ([(*GOOD, None)], "truncated is neither true nor false"),
-    ],
-)
-def test_cuts_that_cannot_be_are_named(rows: list[tuple[Any, ...]], what: str) -> None:
-    with pytest.raises(ModelError, match=what):
-        MDP.from_transitions(cut(rows))
-    with pytest.raises(ModelError, match="no column 'timeout'"):
-        MDP.from_transitions(cut([(*GOOD, True)]), columns={"truncated": "timeout"})

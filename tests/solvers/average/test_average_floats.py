@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import forest
-from oracle import gain_and_bias
-from strategies import Row, Rows, models
+from oracle import gain_and_bias, mixed
+from strategies import Rows, models
 
 from exact_mdp import MDP, PrecisionWarning, SolverError, ValueIteration, certify, evaluate, solve
 
@@ -18,20 +18,6 @@ SMALL = models(discounts=[F(1, 2)])
 def off(floats: np.ndarray, exact: object) -> np.ndarray:
     """How far floats are from exact numbers, rounded up."""
     return np.array([float(abs(F(x) - y)) for x, y in zip(floats.tolist(), exact, strict=True)])  # type: ignore[call-overload]
-
-
-def mixed(rows: Rows, chances: dict[tuple[int, int], F]) -> list[Row]:
-    """The chain of a policy that takes the pairs with these probabilities."""
-    chain = []
-    for s in range(rows.n_states):
-        earned, onward = F(0), dict[int, F]()
-        for _, a, r, following in (row for row in rows.pairs if row[0] == s):
-            share = chances.get((s, a), F(0))
-            earned += share * r
-            for t, p in following.items():
-                onward[t] = onward.get(t, F(0)) + share * p
-        chain.append((s, 0, earned, {t: p for t, p in onward.items() if p}))
-    return chain
 
 
 @given(SMALL, st.data())
@@ -50,7 +36,7 @@ def test_evaluations_are_within_their_bounds(rows: Rows, data: st.DataObject) ->
         [float(chances[row[:2]]) for row in sorted(rows.pairs, key=lambda r: r[:2])]
     )
     evaluation = evaluate(mdp, given_as, criterion="average")
-    chain = mixed(rows, chances)
+    chain = mixed(rows.pairs, chances)
     # what a float cannot say exactly moves the numbers by little more
     gain, bias = gain_and_bias(chain)
     slack = (

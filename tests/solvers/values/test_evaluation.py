@@ -129,18 +129,6 @@ def test_the_care_model_is_the_oracles(number: int, discount: F) -> None:
         assert (law.relative_error < 1e-12, law.remaining) == (True, 0)
 
 
-def test_quantiles_are_the_oracles() -> None:
-    mdp, oracle = care({}, [1, 1], max_trial=3)
-    evaluation, wanted = evaluate(mdp, "always:directive"), oracle.evaluate(directive)
-    spread = sorted(wanted["distribution"].items())
-    assert evaluation.quantiles is not None
-    for share, value in evaluation.quantiles.items():
-        least = next(
-            x for i, (x, _) in enumerate(spread) if sum(p for _, p in spread[: i + 1]) >= F(share)
-        )
-        assert value == least
-
-
 def two_rewards() -> MDP:
     """To the same next state with 1/2 or with -1: the reward says what the state does not."""
     rows = [(0, 0, [("1/2", 1, "1/2"), ("1/2", 1, -1)]), (1, 0, [(1, 1, 0)])]
