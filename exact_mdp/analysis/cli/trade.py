@@ -15,7 +15,7 @@ from exact_mdp.analysis.perception.values import confusion_at, value_under_count
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.mdp.care.perception import Counted, holds_examples, read, read_counts, status_size
+from exact_mdp.mdp.care.perception import Counted, read, read_counts, status_size
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
@@ -219,8 +219,5 @@ def _confusion(
     assert path is not None
     if prior is None:
         return read(path, mdp), None
-    weight = number_of(prior, "--prior", positive=True)
-    if not holds_examples(path):
-        raise ModelError("only labelled examples take a prior", where="--prior", fix="leave it out")
-    counts = read_counts(path, mdp, prior=weight)
+    counts = read_counts(path, mdp, prior=number_of(prior, "--prior", positive=True))
     return counts.mean, counts

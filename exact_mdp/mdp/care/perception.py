@@ -333,27 +333,58 @@ def _tally(pairs: Iterable[Sequence[Any]], size: int, prior: float) -> Counted:
 
 
 def read(path: str | Path, model: MDP) -> Floats:
-    """Return the confusion matrix that a file states.
+    """Return the confusion matrix that a file states, or the frequencies of its examples.
 
     A `.csv` has the header `status,0000,…,1111` and a row for each true status. A `.toml` has the
-    tables `[sensitivity]` and `[specificity]` with a number for each status by name. Examples that
-    are labelled count as their frequencies (`read_counts`). Numbers are read exactly, then rounded
-    to floats.
+    tables `[sensitivity]` and `[specificity]` with a number for each status by name. Numbers are
+    read exactly, then rounded to floats. For labelled examples see `read_counts`.
     """
-    size, where = status_size(model), str(path)
-    suffix = Path(path).suffix.lower()
-    if holds_examples(path):
-        counts = read_counts(path, model)
-        with located(where, instead=True):
-            return counts.mean
+    stated = _stated(path, model, 0.0)
+    with located(str(path), instead=True):
+        return stated.mean if isinstance(stated, Counted) else stated
+
+
+def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
+    """Return the counts of a file of labelled examples.
+
+    A `.csv` has the header `true,perceived` and a row for each example. A `.jsonl` is a recording
+    of a conversation or a measurement: lines with `status` and `perceived` are examples, others
+    are passed over, and so is a last line that breaks off before its end; a header that names
+    `statuses` must name the model's.
+    """
+    stated = _stated(path, model, prior)
+    if not isinstance(stated, Counted):
+        raise ModelError(
+            "the file states a confusion matrix, and only labelled examples are counted",
+            where=str(path),
+            fix="leave the prior out, or give a .csv of true,perceived or a .jsonl recording",
+        )
+    return stated
+
+
+def _stated(path: str | Path, model: MDP, prior: float) -> Floats | Counted:
+    size, where, suffix = status_size(model), str(path), Path(path).suffix.lower()
+    if suffix == ".jsonl":
+        return _tally(_recorded(read_text(path), where, _named(model)), size, prior)
     if suffix == ".toml":
         return independent(*_rates(read_text(path, most=SMALL), _named(model), where))
     if suffix != ".csv":
         raise ModelError(f"unknown kind of perception {where!r}", fix="give .csv, .toml or .jsonl")
+    lines = csv_of(StringIO(read_text(path)), where)
+    stated = ([f"{where}, line {number}", *map(str.strip, row)] for number, row in lines)
+    header = next(stated, [""])[1:]
+    if header == PAIRS:
+        return _tally(stated, size, prior)
     labels = list(map(model.space.column("status").label, range(size)))
-    fix = f"name the statuses in order: status,{labels[0]},…,{labels[-1]}"
+    if header != ["status", *labels]:
+        raise ModelError(
+            f"the header is {','.join(header)[:80] or 'missing'}",
+            where=where,
+            fix=f"name the statuses in order: status,{labels[0]},…,{labels[-1]}; above labelled "
+            f"examples write {','.join(PAIRS)}",
+        )
     rows: dict[str, tuple[str, list[float]]] = {}
-    for place, label, *words in _csv_rows(read_text(path), where, ["status", *labels], fix):
+    for place, label, *words in stated:
         if label not in labels or label in rows:
             raise ModelError(
                 f"status {label!r} is unknown or appears twice",
@@ -366,43 +397,6 @@ def read(path: str | Path, model: MDP) -> Floats:
             raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
     places, matrix = zip(*map(rows.__getitem__, labels), strict=True)
     return checked(matrix, size=size, where=where, places=places)
-
-
-def holds_examples(path: str | Path) -> bool:
-    """Return whether a file holds labelled examples: a recording, or a CSV of true,perceived."""
-    suffix = Path(path).suffix.lower()
-    if suffix != ".csv":
-        return suffix == ".jsonl"
-    header = read_text(path).partition("\n")[0]
-    return [word.strip() for word in header.split(",")] == PAIRS
-
-
-def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
-    """Return the counts of a file of labelled examples.
-
-    A `.csv` has the header `true,perceived` and a row for each example. A `.jsonl` is a recording
-    of a conversation or a measurement: lines with `status` and `perceived` are examples, others
-    are passed over, and so is a last line that breaks off before its end; a header that names
-    `statuses` must name the model's.
-    """
-    text, where, suffix = read_text(path), str(path), Path(path).suffix.lower()
-    if suffix not in (".csv", ".jsonl"):
-        raise ModelError(f"unknown kind of examples {where!r}", fix="give a .csv or .jsonl file")
-    if suffix == ".csv":
-        pairs: Iterable[Any] = _csv_rows(text, where, PAIRS, "write true,perceived first")
-    else:
-        pairs = _recorded(text, where, _named(model))
-    return _tally(pairs, status_size(model), prior)
-
-
-def _csv_rows(text: str, where: str, header: list[str], fix: str) -> Iterator[list[str]]:
-    """Yield the place and the words of each row below a header."""
-    rows = (
-        [f"{where}, line {n}", *map(str.strip, row)] for n, row in csv_of(StringIO(text), where)
-    )
-    if next(rows, [""])[1:] != header:
-        raise ModelError(f"the header is not {','.join(header)}", where=where, fix=fix)
-    yield from rows
 
 
 def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, object, object]]:
