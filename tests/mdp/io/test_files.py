@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import socket
+import sys
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from archives import array_header, zipped
+from archives import array_header, unzipped, zipped
 from cli_runner import run
 
 from exact_mdp import (
@@ -133,39 +136,82 @@ def test_numbers_of_every_type_come_through(tmp_path: Path, kind: Any) -> None:
             assert Policy.of(mdp, tmp_path / name, kind="q").tolist() == [1, 2]
 
 
-def refused(content: bytes, name: str, folder: Path) -> str:
-    path = folder / name
+class Trap:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return sys.exit, ("a pickle was opened",)
+
+
+def pickled() -> bytes:
+    np.save(stream := io.BytesIO(), np.array([[Trap()]], dtype=object), allow_pickle=True)
+    return stream.getvalue()
+
+
+def encrypted(members: dict[str, bytes]) -> bytes:
+    content = bytearray(zipped(members))
+    for magic, place in ((b"PK\x01\x02", 8), (b"PK\x03\x04", 6)):
+        for match in re.finditer(magic, bytes(content)):
+            content[match.start() + place] |= 1
+    return bytes(content)
+
+
+BOMB = array_header("(20000000,)") + bytes(160_000_000)  # which compresses to little
+ARRAYS: list[tuple[bytes, str]] = [
+    *((array_header(shape) + bytes(more), "bytes, not") for shape, more in (
+        ("(9000000000000,)", 0), (f"(9{'0' * 24},)", 16), ("(4, 1)", 0), ("(1, 1)", 7),
+        ("(1, 1)", 9))),
+    *((array_header(shape) + bytes(16), "header is damaged") for shape in (
+        "(" * 300, "(1,)" + " " * 60_000, "'x'", "(1.5,)", "(1,), 'more': 3")),
+    *((array_header(shape, "<i8") + bytes(16), "") for shape in ("(True,)", "(-1,)")),
+    (array_header("(1,)", "nonsense") + bytes(16), "header is damaged"),
+    (b"q", "not a readable NumPy array"),
+    (b"\x80\x04K\x01.", "not a readable NumPy array"),  # what np.load takes for a pickle
+    (pickled(), "could run any program"),
+]  # fmt: skip
+ARCHIVES: list[tuple[Callable[[dict[str, bytes], str], bytes], str]] = [
+    (lambda members, name: zipped(members | {name: BOMB}), "claims to hold 160,"),
+    (lambda members, name: zipped(members, zipfile.ZIP_LZMA), "compressed in an unusual way"),
+    (lambda members, name: zipped(members | {name[:-4]: members[name]}), "one of them twice"),
+    (lambda members, name: zipped({}), "the archive holds nothing"),
+    (lambda members, name: encrypted(members), "the archive is encrypted"),
+]
+
+
+def refused(path: Path, content: bytes, words: str) -> None:
     path.write_bytes(content)
     with pytest.raises(ModelError) as caught:
-        Policy.of(MODEL, path)
-    assert caught.value.where.startswith(str(path))
+        READERS[path.name](path)
+    assert words in caught.value.what
+    assert str(path) in caught.value.where
     assert "pickle" not in str(caught.value)
-    return caught.value.what
 
 
-def test_arrays_that_claim_what_they_do_not_hold(tmp_path: Path) -> None:
-    """The shape in a header takes no memory before the file's size has been compared."""
-    bomb = zipped({"q.npy": array_header("(20000000,)") + bytes(160_000_000)})
-    assert len(bomb) < 1_000_000
-    assert "claims to hold 160,000," in refused(bomb, "q.npz", tmp_path)
-    huge, missing, short = (array_header(f"({n})") for n in ("9000000000000,", "4, 1", "1, 1"))
-    for content in (huge, missing, short + bytes(7)):
-        assert "bytes, not" in refused(content, "q.npy", tmp_path)
-        assert "bytes, not" in refused(zipped({"q.npy": content}), "q.npz", tmp_path)
-    for shape in ("(" * 300, "(1,)" + " " * 60_000):
-        assert "header is damaged" in refused(array_header(shape), "q.npy", tmp_path)
-    assert "not a readable NumPy array" in refused(b"q", "q.npy", tmp_path)
-    good = zipped({"q.npy": array_header("(1, 1)") + bytes(8)})
-    for length in range(2, len(good) - 1, 9):
-        refused(good[:length], "q.npz", tmp_path)
-    stream = io.BytesIO()
-    np.save(stream, np.array([[{}]], dtype=object), allow_pickle=True)
-    for name, content in (
-        ("q.npy", stream.getvalue()),
-        ("q.npz", zipped({"q.npy": stream.getvalue()})),
-    ):
-        assert "could run any program" in refused(content, name, tmp_path)
-    refused(b"\x80\x04K\x01.", "q.npy", tmp_path)  # what np.load takes for a pickle
+def contents(name: str, folder: Path) -> tuple[dict[str, bytes], str]:
+    """The members of an archive of that kind, and one that holds an array."""
+    if name == "policy.npz":
+        return {"q.npy": array_header("(1, 1)") + bytes(8)}, "q.npy"
+    save(MODEL, folder / "good.npz")
+    return unzipped(folder / "good.npz"), "pair_state.npy"
+
+
+@pytest.mark.parametrize("name", ["policy.npy", "policy.npz", "model.npz"])
+@pytest.mark.parametrize(("array", "words"), ARRAYS, ids=range(len(ARRAYS)))
+def test_arrays_that_are_not_what_they_claim(
+    tmp_path: Path, name: str, array: bytes, words: str
+) -> None:
+    """A shape takes no memory before the file's size has been compared; no pickle is opened."""
+    members, place = contents(name, tmp_path)
+    alone = name == "policy.npy"
+    refused(tmp_path / name, array if alone else zipped(members | {place: array}), words)
+
+
+@pytest.mark.parametrize("name", ["policy.npz", "model.npz"])
+@pytest.mark.parametrize(("make", "words"), ARCHIVES, ids=range(len(ARCHIVES)))
+def test_archives_that_are_not_what_they_claim(
+    tmp_path: Path, name: str, make: Callable[[dict[str, bytes], str], bytes], words: str
+) -> None:
+    content = make(*contents(name, tmp_path))
+    assert len(content) < 1_000_000
+    refused(tmp_path / name, content, words)
 
 
 NAMES = ["episode", "state", "action", "reward", "next_state"]
