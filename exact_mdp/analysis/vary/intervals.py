@@ -49,13 +49,24 @@ class Quantile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeanLoss(Estimated):
+class Ranged(Estimated):
+    """An estimate with a 95 % interval of its own, from `low` to `high`."""
+
+    low: float
+    high: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval."""
+        return self.low, self.high
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanLoss(Ranged):
     """A mean of numbers that are not negative, with an interval that allows for their skewness.
 
     Attributes
     ----------
-    low, high : float
-        Ends of the 95 % interval.
     carried : float
         Effective number of draws that carry the mean.
 
@@ -66,14 +77,7 @@ class MeanLoss(Estimated):
     (0.02, [0.0007, 0.1277], True)
     """
 
-    low: float
-    high: float
     carried: float
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """The 95 % interval."""
-        return self.low, self.high
 
     @property
     def few(self) -> bool:
@@ -270,7 +274,8 @@ def wilson(successes: ArrayLike, count: int) -> tuple[Floats, Floats]:
     return low, np.where(share == 1, 1.0, middle + half)
 
 
-def share_of(successes: int, count: int) -> Estimated:
-    """Return a share of a sample with its standard error."""
-    share = successes / count
-    return Estimated(value=share, standard_error=(share * (1 - share) / count) ** 0.5)
+def share_of(successes: int, count: int) -> Ranged:
+    """Return a share of a sample with Wilson's interval, which is sound where all or none agree."""
+    share, (low, high) = successes / count, wilson(successes, count)
+    error = (share * (1 - share) / count) ** 0.5
+    return Ranged(value=share, standard_error=error, low=float(low), high=float(high))

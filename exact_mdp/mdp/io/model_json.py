@@ -61,7 +61,7 @@ FLOATS = ("float_probabilities", "float_rewards")
 
 def positive(given: Any) -> int:
     """Read an integer above 0."""
-    value = number(given)
+    value = given if type(given) is int else number(given)
     positive = value > 0 and value.denominator == 1
     return value.numerator if positive else refuse(given, "a positive integer")
 

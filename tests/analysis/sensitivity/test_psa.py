@@ -202,6 +202,8 @@ def test_cut_off_chances_are_counted() -> None:
         over |= numbers[f"base.{target}"] + np.sum(pushes, axis=0) > 1
     assert analysis.clipped.value == pytest.approx(over.mean())
     assert analysis.clipped.value > 0.3
+    few = psa(YUAN, 32, rng=1).clipped  # that none of 32 is cut off does not show that none ever is
+    assert few.value == few.interval[0] == 0 < 0.1 < few.interval[1]
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,13 @@ from exact_mdp.analysis.gate.data.interval import (
     of_process,
 )
 from exact_mdp.analysis.vary.base_case import digest
-from exact_mdp.analysis.vary.intervals import quantiles, require_draws, upper_quantile, wilson
+from exact_mdp.analysis.vary.intervals import (
+    Ranged,
+    quantiles,
+    require_draws,
+    share_of,
+    upper_quantile,
+)
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
@@ -43,26 +49,13 @@ from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.parallel import Arrays, joined, many, seeded
-from exact_mdp.solvers.solution import Estimated, regrets
+from exact_mdp.solvers.solution import regrets
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 DRAWS = 2000
 BLOCK = 250  # draws in a piece of work
 ROOM = 2**22  # numbers that are worked on at once
 MOST_ROOM = 10**8  # of one draw
-
-
-@dataclass(frozen=True, kw_only=True)
-class Probability(Estimated):
-    """A share of draws, with Wilson's 95 % interval, which is sound where all or none agree."""
-
-    low: float
-    high: float
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Wilson's interval."""
-        return self.low, self.high
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -88,12 +81,10 @@ class PosteriorInterval(RegretInterval):
             facts["interval"]["probability_within"] = self.within(limit)
         return facts
 
-    def within(self, limit: Fraction) -> Probability:
+    def within(self, limit: Fraction) -> Ranged:
         """Return the probability that the regret is at most `limit`, as the draws show it."""
-        hits, n = int((self.draws <= float_of(limit, "limit")).sum()), len(self.draws)
-        low, high = wilson(hits, n)
-        error = (hits * (n - hits) / n**3) ** 0.5
-        return Probability(value=hits / n, standard_error=error, low=float(low), high=float(high))
+        hits = int((self.draws <= float_of(limit, "limit")).sum())
+        return share_of(hits, len(self.draws))
 
 
 @dataclass(frozen=True, kw_only=True)
