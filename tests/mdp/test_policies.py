@@ -569,7 +569,8 @@ def test_a_number_in_a_file_by_status_counts_as_elsewhere(tmp_path: Path) -> Non
 
 
 def test_arrays_and_names_that_are_no_policy(tmp_path: Path) -> None:
-    for array in (np.array([["a"]]), np.array([1j]), np.array([{}], dtype=object), np.array("x")):
+    odd = [np.zeros((16, 4), kind) for kind in ("c16", "S2", "M8[s]", "V8")]
+    for array in (*odd, np.array([["a"]]), np.array([{}], dtype=object), np.zeros((16, 0))):
         np.save(tmp_path / "q.npy", array, allow_pickle=True)
         with pytest.raises(ModelError):
             Policy.of(CARE, tmp_path / "q.npy")

@@ -418,11 +418,6 @@ def test_the_number_of_threads_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -
     assert seen[0] == seen[1]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_end_alone_is_worth_nothing(kind: Any) -> None:
-    assert solve(MDP.from_arrays([[[1]]], [0], 1 - 1e-12), kind()).value.tolist() == [0]
-
-
 def test_a_policy_is_evaluated_before_it_is_improved() -> None:
     """Of 12,100 cells: with rough values policies went round, and values grew to 1e10."""
     mdp = grid(110, 0.9999).model()

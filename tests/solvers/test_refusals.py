@@ -30,6 +30,7 @@ from exact_mdp import (
     simulate,
     solve,
     solve_robust,
+    tradeoff,
     train,
 )
 
@@ -173,8 +174,15 @@ REFUSED: list[Refused] = [
             ("states no limit", {}),
             ("states no limit", "skip >= 3"),
             ("nothing to count is called 'angst'", {"angst": ">= 3"}),
+            ("limit", {"anger": []}),
+            ("limit", {"anger": ""}),
+            ("limit", ["anger <= 1"]),
         )
     ],
+    *each("give texts", lambda texts: tradeoff(CARE, texts), [1, "anger"]),
+    *each("an empty name", lambda texts: tradeoff(CARE, texts), ["=anger", "skip"]),
+    *each("no part of a sum", lambda texts: tradeoff(CARE, texts), ["anger*2", "skip"]),
+    *each("did you mean anger", lambda texts: tradeoff(CARE, texts), ["angers", "skip"]),
     ("have one solver", lambda: solve(MODEL, "value-iteration", subject_to={"steps": "<= 1"})),
     ("rounder rewards", lambda: best_cvar(FINE, "1/2")),
     ("give a horizon", lambda: best_cvar(LOOP, "1/2")),

@@ -75,6 +75,11 @@ def test_there_and_back_on_the_command_line(tmp_path: Path) -> None:
         assert run("convert", *words).status == 0
     assert load(second).discount_exact == Fraction(19, 20)
     assert_whole(load(first), load(third))
+    infos = [run("info", path, "--json").result for path in (first, second, third)]
+    for key in ("model_hash", "labels"):
+        assert infos[0][key] == infos[1][key] == infos[2][key]
+    failed = run("convert", first, tmp_path / "m.drn")
+    assert (failed.status, failed.out) == (2, "")
 
 
 @settings(max_examples=40, deadline=None)

@@ -7,7 +7,6 @@ change of theirs.
 
 from __future__ import annotations
 
-import io
 import json
 import re
 from collections.abc import Callable
@@ -166,33 +165,6 @@ def test_policy_values_in_csv(tmp_path: Path, data: st.DataObject) -> None:
         row[data.draw(st.integers(0, len(row) - 1))] = data.draw(st.sampled_from(AWKWARD))
     path = tmp_path / "p.csv"
     path.write_bytes("\n".join(",".join(row) for row in table).encode())
-    survives(lambda: read_policy(path))
-
-
-arrays = st.one_of(
-    st.builds(
-        lambda shape, kind: np.zeros(shape, dtype=kind),
-        st.sampled_from([(16, 4), (17, 4), (16, 4, 1), (4, 16), (0,), (), (64,), (16, 0)]),
-        st.sampled_from(
-            ["f8", "f4", "f2", ">f8", "i8", "u1", "?", "c16", "U3", "S2", "M8[s]", "V8"]
-        ),
-    ),
-    st.lists(st.floats(), min_size=64, max_size=64).map(lambda x: np.array(x).reshape(16, 4)),
-)
-
-
-@fuzz
-@given(data=st.data())
-def test_q_tables(tmp_path: Path, data: st.DataObject) -> None:
-    array, stream = data.draw(arrays), io.BytesIO()
-    if data.draw(st.booleans()):
-        path = tmp_path / "q.npy"
-        np.save(stream, array)
-    else:
-        path = tmp_path / "q.npz"
-        names = data.draw(st.lists(st.sampled_from(["q", "a", "b"]), max_size=2, unique=True))
-        np.savez(stream, **dict.fromkeys(names, array))
-    path.write_bytes(stream.getvalue())
     survives(lambda: read_policy(path))
 
 

@@ -125,20 +125,6 @@ def test_without_storm_the_error_names_the_extra(
     assert (failed.status, "has no constants" in failed.err) == (2, True)
 
 
-def test_convert_keeps_labels_and_refuses_other_endings(tmp_path: Path) -> None:
-    mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, 2), ("2/3", 1, 0)]), (1, 0, [(1, 1, 0)])], "1/2")
-    mdp.with_(labels={"half way": [True, True], "goal": [False, True]}).save(tmp_path / "a.npz")
-    for source, target in (("a.npz", "b.umb"), ("b.umb", "c.npz")):
-        words = ("convert", tmp_path / source, tmp_path / target, "--json")
-        assert run(*words).result["written"] == str(tmp_path / target)
-    names = ("a.npz", "b.umb", "c.npz")
-    infos = [run("info", tmp_path / name, "--json").result for name in names]
-    assert {each["model_hash"] for each in infos} == {infos[0]["model_hash"]}
-    assert infos[2]["labels"] == {"half way": 2, "goal": 1}
-    failed = run("convert", tmp_path / "a.npz", tmp_path / "m.drn")
-    assert (failed.status, failed.out) == (2, "")
-
-
 @pytest.mark.parametrize(
     ("change", "place"),
     [

@@ -6,7 +6,6 @@ Storm is no dependency and its wheel is large, so that these tests run where it 
 
 from __future__ import annotations
 
-import re
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -75,31 +74,6 @@ def test_storm_finds_the_exact_optimum(
     value = answer(stormpy, model, 'R{"reward"}max=? [F "terminal"]')
     oracle = Oracle(readings)
     assert Fraction(str(value)) == oracle.value(oracle.start)
-
-
-def test_storm_evaluates_a_policy_by_component(stormpy: Any, tmp_path: Path) -> None:
-    """With a single action left, the expected totals of all components are the reference's."""
-    mdp = Scenario.load("yuan2025").compile()
-    chosen = [
-        pair for pair in range(mdp.n_pairs) if mdp.actions[mdp.pair_action[pair]] == "directive"
-    ]
-    chosen.append(mdp.n_pairs - 1)
-    chain = MDP.from_pairs(
-        mdp.pair_state[chosen],
-        np.zeros(len(chosen), dtype=int),
-        mdp.transition[chosen],
-        mdp.reward[chosen],
-        component_names=mdp.component_names,
-        components=mdp.components[chosen],
-    )
-    save(chain, tmp_path / "chain.umb")
-    model = stormpy.build_model_from_umb(str(tmp_path / "chain.umb"))
-    oracle = Oracle()
-    wanted = oracle.evaluate(lambda state: {"directive": Fraction(1)}, distribution=False)
-    for name, value in wanted["components"].items():
-        known_as = re.sub(r"\W", "_", name)
-        amount = answer(stormpy, model, f'R{{"{known_as}"}}max=? [F "terminal"]')
-        assert float(amount) == pytest.approx(float(value), abs=1e-5)
 
 
 def test_a_program_becomes_an_exact_model(stormpy: Any, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from cases import BY_NAME
 from hypothesis import given
 from hypothesis import strategies as st
+from made_models import gridworld
 from oracle import reaching
 from strategies import Pairs, Row, any_models, model_of
 
@@ -73,15 +74,7 @@ def rising(pairs: tuple[Row, ...], value: list, sign: int) -> list[float]:
 
 def test_only_pairs_that_lose_much_are_left_out_of_the_float_model() -> None:
     """A slippery grid, -1 a step: near ties stay in, whose loss loose bounds could not bear out."""
-    rows: list[Row] = [(63, 0, F(0), {63: F(1)})]
-    for state, (a, ahead) in product(range(63), enumerate((-8, 1, 8, -1))):
-        onward: dict[int, F] = {}
-        for move, p in [(ahead, F(4, 5))] + [(m, F(1, 10)) for m in ((1, -1), (8, -8))[a % 2]]:
-            there = state + move
-            inside = 0 <= there < 64 and (abs(move) == 8 or there // 8 == state // 8)
-            onward[there if inside else state] = onward.get(there if inside else state, F(0)) + p
-        rows.append((state, a, F(-1), onward))
-    mdp = model_of(64, sorted(rows, key=lambda row: row[:2]), F(1))
+    mdp = gridworld(8).with_(discount=1)
     close(mdp, certify(mdp).value.tolist(), solve(mdp))
 
 

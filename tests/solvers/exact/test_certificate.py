@@ -3,11 +3,13 @@
 import random
 from dataclasses import replace
 from fractions import Fraction as F
+from itertools import count
 
 import numpy as np
 import pytest
 from cases import CASES, Case
 from certificates import CYCLE, MODELS, certified
+from flint import fmpz
 from hypothesis import given, settings
 from oracle import every_policy_ends, solve_exact
 from strategies import Rows, exact_gains, exact_values, model_of, models
@@ -132,21 +134,12 @@ def test_models_of_every_kind(name: str) -> None:
     assert optimum.error_bound < 1e-9 * np.abs(optimum.value).max()
 
 
-def primes(first: int, count: int) -> list[int]:
-    numbers: list[int] = []
-    while len(numbers) < count:
-        if all(first % divisor for divisor in range(2, int(first**0.5) + 1)):
-            numbers.append(first)
-        first += 1
-    return numbers
-
-
 @pytest.mark.parametrize("waiting", [False, True])
 @pytest.mark.parametrize("width, depth", [(40, 2), (10, 5)])
 def test_denominators_without_common_factors(width: int, depth: int, waiting: bool) -> None:
     """Common denominators of all states would be far longer than each state's own."""
     draw, last = random.Random(width), width * depth
-    bottoms = iter(primes(10**5, 4 * last + 1))
+    bottoms = (n for n in count(10**5) if fmpz(n).is_prime())
     rows = [(last, 0, F(0), {last: F(1)})]
     for s in range(last):
         below = (s // width + 1) * width

@@ -68,13 +68,6 @@ def test_a_start_distribution_is_drawn_from() -> None:
     assert abs(run.returns.mean() - 0.75) < 4 * sqrt(0.75 * 0.25 / 6000)
 
 
-def test_episodes_that_do_not_end_are_cut_and_counted() -> None:
-    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 0, 0)])], discount="9/10")
-    run = QLearning(epochs=2, episodes=30, max_steps=50).train(mdp, 0)
-    assert (run.steps, run.cut_short) == (2 * 30 * 50, 60)
-    assert run.final.tolist() == [0]
-
-
 # ---- many runs -----------------------------------------------------------------------------------
 
 SMALL = QLearning(epochs=4)

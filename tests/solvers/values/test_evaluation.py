@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from care_oracle import READINGS
 from hypothesis import given, settings
-from made_models import gridworld
 from policy_cases import Case, care, careful, cases, directive, policy_of, state_of, uniform
 
 from exact_mdp import MDP, Bounded, Claim, ModelError, certify, evaluate, return_distribution, solve
@@ -167,21 +166,6 @@ def test_quantiles_say_why_they_are_missing() -> None:
     evaluation = evaluate(two_rewards(), "random")
     assert evaluation.quantiles == {0.05: -1.0, 0.25: -1.0, 0.5: -1.0, 0.75: 0.5, 0.95: 0.5}
     assert evaluation.quantiles_missing == ""
-
-
-def test_large_models_with_cycles_agree_with_the_solvers() -> None:
-    mdp = gridworld(25).with_(discount=1)  # over 500 states: solved by iteration
-    evaluation = evaluate(mdp, "random")
-    assert evaluation.chain.order is None
-    assert (
-        abs(evaluation.mean + evaluation.steps)
-        <= evaluation.start.error + evaluation.numbers["steps"].error
-    )
-    assert evaluation.start.error < 1e-6
-    solution = solve(mdp.with_(discount="9/10"))
-    again = evaluate(solution.mdp, solution)
-    assert (np.abs(again.value - solution.value) <= again.error + solution.state_error).all()
-    assert again.occupancy @ solution.mdp.reward == pytest.approx(again.mean, abs=1e-9)
 
 
 def test_the_variance_counts_the_error_of_the_value() -> None:
