@@ -61,7 +61,7 @@ NO_NAMES = frozenset(
     ("", "#N/A", "<NA>", "N/A", "NA", "NULL", "NaN", "NaT", "None", "n/a", "nan", "null")
 )
 OVER, NOWHERE = -1, -2  # the next state of a row that has none: the end, or cut off
-ROWS = 2**14  # of a chunk
+ROWS = 2**13  # of a chunk, whose texts stay in the cache
 LARGEST_FILE = 2**40
 WHOLE = re.compile(r"(-?[0-9]+)\.0+")  # as pandas writes 1 in a column where a value is missing
 END, UNSEEN = "end", "unseen"
