@@ -202,7 +202,7 @@ def drawn(sign: int) -> Told:
     ]
     same += [each.regression.value for each in analysis.evppi().values()]
     same += [each.lower.value for each in analysis.evppi().values()]
-    same += [each.value for each in analysis.acceptability([0, 0.1])]
+    same += analysis.acceptability([0, 0.1])[0].tolist()
     same += [each.name for each in analysis.candidates]
     return signed, [*same, *analysis.lost.ravel(), *analysis.counts.ravel()]
 

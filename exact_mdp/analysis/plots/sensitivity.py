@@ -363,7 +363,7 @@ def plot_acceptability(
         ax.xaxis.set_minor_formatter(NullFormatter())
         at = np.append(np.linspace(0, near, 21), at[2:])
     for number, candidate in enumerate(draws.candidates):
-        share, low, high = draws.accepted(at, number)
+        share, low, high = draws.acceptability(at, number)
         colour, line = (BLACK, *INK)[number % 7], LINES[number % len(LINES)]
         form: Look = {"linestyle": line, "color": colour, "marker": "o" * (len(at) == 1)}
         ax.plot(at, share, label=candidate.name, **form)

@@ -83,16 +83,6 @@ def _lognormal(mean: float, sd: float) -> Numbers:
     return math.log(mean) - square / 2, math.sqrt(square)
 
 
-def _lognormal_moments(meanlog: float, sdlog: float) -> Numbers:
-    mean = math.exp(meanlog + sdlog * sdlog / 2)
-    return mean, mean * math.sqrt(math.expm1(sdlog * sdlog))
-
-
-def _triangular_moments(low: float, mode: float, high: float) -> Numbers:
-    squares = low * low + mode * mode + high * high - low * mode - low * high - mode * high
-    return (low + mode + high) / 3, math.sqrt(squares / 18)
-
-
 @dataclass(frozen=True)
 class Kind:
     """A distribution: its own numbers, when they make one, both ways to mean and sd, its needs."""
@@ -122,7 +112,10 @@ KINDS = {
     "lognormal": Kind(
         ("meanlog", "sdlog"),
         lambda mean, sd: sd > 0,
-        _lognormal_moments,
+        lambda log, spread: (
+            (mean := math.exp(log + spread * spread / 2)),
+            mean * math.sqrt(math.expm1(spread * spread)),
+        ),
         _lognormal,
         "a mean above 0; or an sdlog above 0",
     ),
@@ -143,7 +136,10 @@ KINDS = {
     "triangular": Kind(
         ("low", "mode", "high"),
         lambda low, mode, high: low <= mode <= high and low < high,
-        _triangular_moments,
+        lambda low, mode, high: (
+            (low + mode + high) / 3,
+            math.hypot(low - mode, mode - high, low - high) / 6,
+        ),
         lambda mean, sd: (mean - sd * math.sqrt(6), mean, mean + sd * math.sqrt(6)),
         "low below high, and the mode from low to high",
     ),
@@ -203,15 +199,13 @@ class Uncertain:
         (4.75, 14.25)
         """
         where = f"distribution of {name}"
-        if kind not in KINDS:
-            raise ModelError(f"distribution {kind!r}", where=where, fix=suggest(kind, [*KINDS]))
-        own, by_own = KINDS[kind].own, kind != "normal" and set(said) == {*KINDS[kind].own}
-        numbers = tuple(said[n] for n in own) if by_own else _of_moments(kind, said, where)
-        if not (all(map(math.isfinite, numbers)) and KINDS[kind].sound(*numbers)):
+        law = KINDS[known(kind, KINDS, "distribution", where)]
+        by_own = kind != "normal" and set(said) == {*law.own}
+        numbers = tuple(said[n] for n in law.own) if by_own else _of_moments(kind, said, where)
+        if not (all(map(math.isfinite, numbers)) and law.sound(*numbers)):
             stated = ", ".join(f"{each} = {number:g}" for each, number in said.items())
-            fix = f"give {KINDS[kind].needs}"
-            raise ModelError(f"a {kind} with {stated}", where=where, fix=fix)
-        mean, sd = KINDS[kind].moments(*numbers)
+            raise ModelError(f"a {kind} with {stated}", where=where, fix=f"give {law.needs}")
+        mean, sd = law.moments(*numbers)
         mean = said.get("mean", mean)  # as they were said, not as they come back
         sd = said.get("sd", abs(mean) * said[SPREAD] if SPREAD in said else sd)
         return cls(names=(name,), kind=kind, numbers=numbers, mean=(mean,), sd=(sd,), label=name)
@@ -501,8 +495,8 @@ def _row(
     settings = said[0]
     if settings.get("fixed"):
         return FIXED
-    known = {"distribution", "alpha", SIZE}
-    if settings.get("distribution", "dirichlet") != "dirichlet" or set(settings) - known:
+    usual = settings.get("distribution", "dirichlet") == "dirichlet"
+    if not usual or set(settings) - {"distribution", "alpha", SIZE}:
         fix = f"state its {SIZE}, or alpha, a list of one more than its parameters"
         raise ModelError("probabilities of a row are Dirichlet", where=where, fix=fix)
     if "alpha" in settings:

@@ -16,7 +16,7 @@ carry more than what was.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, log
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Floats, exact
+from exact_mdp.mdp.table import Floats, Integers, exact
 from exact_mdp.solvers.solution import Estimated
 
 NORMAL = 1.959963984540054
@@ -177,6 +177,16 @@ def bootstrap(
     for v in (z - u, z + u):  # beyond the pole of the correction an end is the farthest draw
         shares.append(special.ndtr(z + v / (1 - a * v)) if a * v < 1 else float(v > z))
     return float(np.quantile(low, shares[0])), float(np.quantile(high, shares[1]))
+
+
+def bootstrap_spread(
+    statistic: Callable[[Floats], Floats], sample: Floats, resamples: Sequence[Integers]
+) -> Floats:
+    """Return the standard deviation of a statistic over resamples of the rows of a sample."""
+    if len(resamples) < 2:
+        return np.full_like(statistic(sample), np.nan)
+    again = np.array([statistic(sample[rows]) for rows in resamples])
+    return np.asarray(again.std(axis=0, ddof=1))
 
 
 def mean_at_least(sample: Floats, doubt: float) -> float:

@@ -431,10 +431,6 @@ class TwoWay(Pictured):
         seen = np.flatnonzero(reachable(mdp, pairs=taken) & ~mdp.forced & ~mdp.over)
         return {mdp.space.label(state): mdp.actions[choices[state]] for state in seen.tolist()}
 
-    def actions_at(self, state: int) -> Integers:
-        """Return (Y, X) the optimal action number in one state."""
-        return self.choices[:, :, state]
-
 
 @named_options
 def two_way(
@@ -480,7 +476,7 @@ def two_way(
     >>> mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 0, 0)])], "1/2")
     >>> ranges = {"p": ("1/10", "9/10"), "discount": (0, "1/2")}
     >>> grid = two_way(moving(mdp, {"p": [(0, 1)]}), "p", "discount", points=2, ranges=ranges)
-    >>> grid.actions_at(0).tolist()
+    >>> grid.choices[:, :, 0].tolist()
     [[1, 0], [1, 0]]
     """
     family = parametric(model)

@@ -189,18 +189,13 @@ class PSA(Pictured):
         """Share of draws in which some chance was cut off at 1; None where that is not known."""
         return share_of(int(self.cut.sum()), len(self)) if self.compiled else None
 
-    def acceptability(self, tolerances: ArrayLike, candidate: int = 0) -> list[Estimated]:
-        """Return the probability that the candidate loses at most Δ, for each Δ."""
-        return [share_of(int(n), len(self)) for n in self._inside(tolerances, candidate)]
-
-    def accepted(self, tolerances: ArrayLike, candidate: int = 0) -> tuple[Floats, Floats, Floats]:
-        """Return the same probabilities with the ends of Wilson's 95 % intervals."""
-        inside = self._inside(tolerances, candidate)
+    def acceptability(
+        self, tolerances: ArrayLike, candidate: int = 0
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the probability that the candidate loses at most Δ, and Wilson's intervals."""
+        at = np.asarray(tolerances, dtype=float)
+        inside = np.searchsorted(np.sort(self.regret(candidate)), at, side="right")
         return inside / len(self), *wilson(inside, len(self))
-
-    def _inside(self, tolerances: ArrayLike, candidate: int) -> Integers:
-        regret = np.sort(self.regret(candidate))
-        return np.searchsorted(regret, np.asarray(tolerances, dtype=float), side="right")
 
     def probability_optimal(self) -> tuple[Floats, Floats, Floats]:
         """Return (X, A) shares of draws in which each action is optimal, and Wilson's intervals."""
@@ -264,7 +259,7 @@ class PSA(Pictured):
         partly = self.evppi() if len(self) >= FEWEST else {}
         information, regret, optimal = self.evpi(), self.regret(), self.optimal
         lost, tolerances = mean_loss(regret), tolerances_of([regret])
-        accepted, least, most = self.accepted(tolerances)
+        accepted, least, most = self.acceptability(tolerances)
         means = {"regret": lost, "EVPI": information.high, "EVPI's lower end": information.low}
         few = [f"{name} by {m.carried:.0f}" for name, m in means.items() if m.few and m.value]
         ends = f"{cell(information.low)} to {cell(information.high)}"
@@ -276,7 +271,7 @@ class PSA(Pictured):
                 "actions": candidate.actions,
                 "mean": mean_of(self.values[:, n]),
                 "expected_loss": _loss(mean_loss(self.regret(n))),
-                "probability_optimal": self.acceptability([0.0], n)[0].value,
+                "probability_optimal": float(self.acceptability([0.0], n)[0][0]),
                 "draws_whose_optimum_it_was": candidate.frequency,
             }
             for n, candidate in enumerate(self.candidates)
@@ -312,7 +307,7 @@ class PSA(Pictured):
                         "low": least,
                         "high": most,
                         "candidates": {
-                            candidate.name: self.accepted(tolerances, n)[0]
+                            candidate.name: self.acceptability(tolerances, n)[0]
                             for n, candidate in enumerate(self.candidates)
                         },
                     },

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, listed, of_type
+from exact_mdp.mdp.errors import ModelError, listed, located, of_type
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
@@ -167,7 +167,7 @@ def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
             given = (given.low, given.high)
         if not isinstance(given, list | tuple) or len(given) != 2:
             raise ModelError("not a pair of numbers", where=where, fix="write [low, high]")
-        try:
+        with located(where, instead=True):
             low, high = exact(given[0]), exact(given[1])
             for end in (low, high):
                 Parameter(name=name, value=end, low=parameter.low, high=parameter.high)
@@ -177,8 +177,6 @@ def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
                     fix="give two different numbers",
                 )
             valid[name] = Range(low=low, high=high)
-        except ModelError as error:
-            raise ModelError(error.what, where=where, fix=error.fix) from error
     return valid
 
 

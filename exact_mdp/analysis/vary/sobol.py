@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.random import default_rng
 
-from exact_mdp.analysis.vary.intervals import confidence_of
+from exact_mdp.analysis.vary.intervals import bootstrap_spread, confidence_of
 from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
 from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
@@ -253,7 +253,7 @@ def sobol(
     confidence : float
         Of the bootstrap intervals.
     **how
-        n_jobs, scheduler, folder and progress; see `solvers.parallel.many.many`.
+        n_jobs, folder and progress; see `solvers.parallel.many`.
 
     Returns
     -------
@@ -332,9 +332,8 @@ def _indices(output: Floats, noise: float, resamples: Integers, confidence: floa
     first, total = _shares(output)
     # A resample in which the output does not vary has no indices.
     varied = [each for each in resamples if np.ptp(both[each]) > 0]
-    again = np.array([_shares(output[each]) for each in varied])
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
-    half = z * again.std(axis=0, ddof=1) if len(again) > 1 else np.full((2, count), np.nan)
+    half = z * bootstrap_spread(_shares, output, varied)
     return Indices(
         mean=mean,
         sd=float(both.std(ddof=1)),
@@ -345,9 +344,9 @@ def _indices(output: Floats, noise: float, resamples: Integers, confidence: floa
     )
 
 
-def _shares(output: Floats) -> tuple[Floats, Floats]:
-    """Return (P,) the first-order and (P,) the total indices."""
+def _shares(output: Floats) -> Floats:
+    """Return (2, P) the first-order and the total indices."""
     both, moved = output[:, [0, -1]], output[:, 1:-1] - output[:, :1]
     variance = both.var()
     first = (output[:, -1:] - both.mean()) * moved
-    return first.mean(axis=0) / variance, (moved**2).mean(axis=0) / (2 * variance)
+    return np.array([first.mean(axis=0) / variance, (moved**2).mean(axis=0) / (2 * variance)])

@@ -15,7 +15,6 @@ from fractions import Fraction
 from functools import lru_cache
 from itertools import chain, count, islice, pairwise
 from math import ceil, floor
-from typing import TYPE_CHECKING
 
 import flint
 import numpy as np
@@ -36,10 +35,6 @@ from exact_mdp.mdp.parametric.row_change import Piece, RowChange, row_change, tr
 from exact_mdp.mdp.table import Integers, shown
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.solution import Bounded, Certified
-
-if TYPE_CHECKING:
-    pass
-
 
 WIDTH = Fraction(1, 10**12)
 GRID = 10**13
