@@ -23,7 +23,7 @@ import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.ranges import Range, checked, range_of, ranges_of, unit_of
-from exact_mdp.analysis.vary.study import Study, solver_of, study_by
+from exact_mdp.analysis.vary.study import Study, distinct, solver_of, study_by
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import reachable
@@ -339,9 +339,17 @@ def tornado(
 
 
 def _points(table: Study, values: Sequence[Fraction], mdp: MDP) -> tuple[Point, ...]:
+    numbers = np.column_stack(
+        [table.optimal, table.error[:, 0], table.fixed[:, 0], table.error[:, 1]]
+    )
     return tuple(
-        Point(at=at, optimal=table.best(row), fixed=table.held(row), sense=mdp.sense)
-        for row, at in enumerate(values)
+        Point(
+            at=at,
+            optimal=Bounded(value=best, error=doubt),
+            fixed=Bounded(value=held, error=error),
+            sense=mdp.sense,
+        )
+        for at, (best, doubt, held, error) in zip(values, numbers.tolist(), strict=True)
     )
 
 
@@ -499,11 +507,7 @@ def two_way(
     weights = [solver.weights(row) for row in table.rows]
     actions = np.array([mdp.pair_action[np.flatnonzero(each)] for each in weights])
     seen = np.array([reachable(mdp, pairs=each > 0) & ~mdp.forced for each in weights])
-    known: dict[bytes, int] = {}
-    numbers = [
-        known.setdefault(np.where(seen[n], actions[n], -1).tobytes(), len(known))
-        for n in table.which.tolist()
-    ]
+    numbers = distinct(np.where(seen, actions, -1)[table.which])[1]
     return TwoWay(
         mdp=mdp,
         x=across_by,
@@ -514,5 +518,5 @@ def two_way(
         fixed_value=table.fixed[:, 0].reshape(shape),
         error=table.error.sum(axis=1).reshape(shape),
         choices=actions[table.which].reshape(*shape, -1),
-        policy=np.reshape(numbers, shape),
+        policy=numbers.reshape(shape),
     )

@@ -584,7 +584,7 @@ def _block(method: Callable[..., Arrays], names: tuple[str, ...], *given: Any) -
 def _selected(
     solver: DrawSolver,
     names: tuple[str, ...],
-    candidates: Mapping[str, np.ndarray],
+    solved: Mapping[str, np.ndarray],
     blocks: Sequence[Arrays],
     given: Sequence[tuple[str, Floats]],
     valued: Callable[[Sequence[Floats]], Arrays],
@@ -603,8 +603,8 @@ def _selected(
 
     def to_be_won() -> Floats:
         """Return (D,) what the policies taken leave, and 0 where rounding may be all there is."""
-        left = sign * candidates["start"] - (sign * taken["value"]).max(axis=1)
-        return np.where(left > candidates["error"] + taken["error"].max(axis=1), left, 0.0)
+        left = sign * solved["start"] - (sign * taken["value"]).max(axis=1)
+        return np.where(left > solved["error"] + taken["error"].max(axis=1), left, 0.0)
 
     left = to_be_won()
     counts = np.bincount(which, minlength=len(rows))
@@ -625,7 +625,7 @@ def _selected(
         return picked, taken, frequency
     others, alike = [weights[numbers[0]] for numbers in pool.values()], list(pool.values())
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: solver.pool])
-    values = sign * solver.values(names, candidates["draws"][some], others)["value"]
+    values = sign * solver.values(names, solved["draws"][some], others)["value"]
     for count in range(1, CANDIDATES + 1):
         best = (sign * taken["value"][some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)

@@ -83,26 +83,23 @@ class Ranges(dict[str, Range]):
 
 
 def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
-    """Return a parameter's value ± a share of it, within what it may be."""
-    share = exact(relative, "relative range")
+    """Return a parameter's value ± a share of it, within what it may be; for "whole" all of that.
+
+    Where that is open, it is the value ± itself.
+    """
+    whole = isinstance(relative, str) and relative == "whole"
+    share = exact(1 if whole else relative, "relative range")
     if share <= 0:
         raise ModelError(
             f"a share of {shown(share)}", where="relative range", fix="choose one above 0"
         )
     reach = abs(parameter.value) * share
     low, high = parameter.value - reach, parameter.value + reach
-    low = low if parameter.low is None else max(low, parameter.low)
-    high = high if parameter.high is None else min(high, parameter.high)
+    if parameter.low is not None:
+        low = parameter.low if whole else max(low, parameter.low)
+    if parameter.high is not None:
+        high = parameter.high if whole else min(high, parameter.high)
     return Range(low=low, high=high)
-
-
-def whole(parameter: Parameter) -> Range:
-    """Return everything that a parameter may be; where that is open, its value ± itself."""
-    near = around(parameter, 1)
-    return Range(
-        low=near.low if parameter.low is None else parameter.low,
-        high=near.high if parameter.high is None else parameter.high,
-    )
 
 
 def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
@@ -200,8 +197,7 @@ def ranges_of(
         if name in stated:
             spans[name] = stated[name]
             continue
-        share = RELATIVE if relative is None else relative
-        span = whole(parameter) if share == "whole" else around(parameter, share)
+        span = around(parameter, RELATIVE if relative is None else relative)
         spans[name] = admitted(model, parameter, span)
         plain = parameter.unit is None and parameter.low is None and parameter.high is None
         if relative is None and plain and 0 < parameter.value < 1 < spans[name].high:

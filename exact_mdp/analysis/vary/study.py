@@ -36,7 +36,7 @@ from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
-from exact_mdp.solvers.solution import Bounded, Solution, regrets
+from exact_mdp.solvers.solution import Solution, regrets
 from exact_mdp.solvers.values.evaluate import evaluate
 
 if TYPE_CHECKING:
@@ -90,15 +90,6 @@ class Study(Result):
         """Least difference of two values that is more than rounding."""
         size = float(np.abs(self.optimal).max())
         return max(NOISE * size, 2 * float(self.error.max()))
-
-    def best(self, point: int) -> Bounded:
-        """Return the optimal value at a point."""
-        return Bounded(value=float(self.optimal[point]), error=float(self.error[point, 0]))
-
-    def held(self, point: int, policy: int = 0) -> Bounded:
-        """Return the value of a policy at a point."""
-        value, error = self.fixed[point, policy], self.error[point, policy + 1]
-        return Bounded(value=float(value), error=float(error))
 
     def frame(self) -> DataFrame:
         """Return one row for each point: its parameters, the optimum, each policy (reward)."""

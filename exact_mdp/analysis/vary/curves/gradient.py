@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,30 +61,38 @@ Number = Certified | Bounded
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """An exact number that relies on an unproven degree of a polynomial.
+    """A number that relies on an unproven degree of a polynomial.
 
     Attributes
     ----------
-    value : Fraction
+    number : Certified or Bounded
+        What it is where the degree holds.
     points : int
         At this many values of the parameter the model is what the polynomial says.
 
     Examples
     --------
-    >>> print(Checked(value=Fraction(4), points=6))
+    >>> print(Checked(number=Certified(value=Fraction(4)), points=6))
     4 (checked: the degree holds at 6 points, and is not proven)
     """
 
-    value: Fraction
+    number: Number
     points: int
 
+    claim: ClassVar[Claim] = Claim.CHECKED
+
     @property
-    def claim(self) -> Claim:
-        """Checked."""
-        return Claim.CHECKED
+    def value(self) -> Fraction | float:
+        """The number without its claim."""
+        return self.number.value
+
+    @property
+    def error(self) -> float:
+        """Bound on its error where the degree holds."""
+        return self.number.error if isinstance(self.number, Bounded) else 0.0
 
     def __str__(self) -> str:
-        text = str(Certified(value=self.value)).partition(" (")[0]
+        text = str(self.number).partition(" (")[0]
         return f"{text} ({self.claim}: the degree holds at {self.points} points, and is not proven)"
 
 
@@ -316,11 +324,9 @@ def gradient(
 
 def _cheap(mdp: MDP) -> bool:
     """Return whether rational arithmetic is affordable."""
-    if mdp.n_transitions > EXACT_TRANSITIONS:
-        return False
-    if mdp.table.weight.dtype == np.int64 and mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS:
-        return mdp.n_states <= EXACT_SPARSE_STATES or is_acyclic(mdp)
-    return mdp.n_states <= EXACT_CYCLIC_STATES or is_acyclic(mdp)
+    sparse = mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS and mdp.table.weight.dtype == np.int64
+    most = EXACT_SPARSE_STATES if sparse else EXACT_CYCLIC_STATES
+    return mdp.n_transitions <= EXACT_TRANSITIONS and (mdp.n_states <= most or is_acyclic(mdp))
 
 
 def _derivative(
@@ -335,16 +341,14 @@ def _derivative(
             continue
         if not sides or piece is not below:
             change = row_change(family, name, piece, base=mdp)
-        slope: Slope = passed.slope(change, sign)
-        if change.checked is not None:
-            slope = Checked(value=Fraction(slope.value), points=change.checked)
-        sides.append(slope)
+        slope, points = passed.slope(change, sign), change.checked
+        sides.append(slope if points is None else Checked(number=slope, points=points))
     each = Derivative(parameter=parameter, left=sides[0], right=sides[1], elasticity=None)
     start = Fraction(passed.start.value)
     if each.value is None or not start:
         return each
-    slope = each.value
-    return replace(each, elasticity=in_float(Fraction(slope.value) * parameter.value / start))
+    share = Fraction(each.value.value) * parameter.value / start
+    return replace(each, elasticity=in_float(share))
 
 
 def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, Number]]:

@@ -333,13 +333,7 @@ def _found(curve: ValueFunction) -> Iterator[Threshold]:
             yield Threshold(low=low, high=high, switches=switches, touch=True)
 
 
-def _switches(
-    mdp: MDP,
-    before: Mask,
-    after: Mask,
-    *,
-    met: tuple[Mask, ...],
-) -> tuple[Switch, ...]:
+def _switches(mdp: MDP, before: Mask, after: Mask, met: tuple[Mask, ...]) -> tuple[Switch, ...]:
     """Return the states whose optimal pairs (L,) change; `met`: what policies may take, (L,)."""
     states = np.unique(mdp.pair_state[before != after]).tolist()
     if not states:
