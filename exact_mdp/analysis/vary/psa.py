@@ -41,10 +41,9 @@ from exact_mdp.analysis.vary.intervals import (
     tolerances_of,
     wilson,
 )
-from exact_mdp.analysis.vary.study import DrawSolver, merged, run, solver_of, tell_cut
+from exact_mdp.analysis.vary.study import DrawSolver, fingerprints, merged, run, solver_of, tell_cut
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
-from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -522,16 +521,15 @@ def psa(
     today, fixed_policy = solver.base.held("optimal"), solver.base.held(policy)
     same = np.array_equal(fixed_policy, today)
     given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
-    key = {
-        "model": family.name,
-        "fingerprint": fingerprint(solver.base.mdp),
-        "seed": seed,
-        "drawn": [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
-        if chosen.sample is None
-        else sha256(np.ascontiguousarray(chosen.sample).tobytes()).hexdigest(),
-        "block": solver.block,
-    }
-    draws = np.concatenate(blocks_of_draws)
+    draws, key = np.concatenate(blocks_of_draws), dict[str, object]()
+    if how.get("folder") is not None:
+        key = fingerprints(solver, chosen.names, draws) | {
+            "seed": seed,
+            "drawn": [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
+            if chosen.sample is None
+            else sha256(np.ascontiguousarray(chosen.sample).tobytes()).hexdigest(),
+            "block": solver.block,
+        }
     pieces = [(at * solver.block, some) for at, some in enumerate(blocks_of_draws)]
     work = partial(_block, solver.solved, chosen.names)
     blocks = run(solver, "solved", work, pieces, key, rest, **how)

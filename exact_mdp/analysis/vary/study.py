@@ -159,10 +159,7 @@ def study_by(
     size = max(1, solver.block // 2)
     key: dict[str, object] = {}
     if how.get("folder") is not None:
-        first = next(models(family, names, table[:1], 0))
-        key = {
-            "model": fingerprint(solver.base.mdp),
-            "first_draw": fingerprint(first),  # two families may agree today and differ elsewhere
+        key = fingerprints(solver, names, table) | {
             "parameters": list(names),
             "draws": sha256(np.ascontiguousarray(draws, dtype="<f8").tobytes()).hexdigest(),
             "policies": [digest(weight) for weight in weights],
@@ -240,6 +237,12 @@ def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers
 
 
 # ---- blocks ------------------------------------------------------------------------------------
+
+
+def fingerprints(solver: DrawSolver, names: Sequence[str], draws: Numbers) -> dict[str, object]:
+    """Return what tells a solver's models from others, which may be the same today alone."""
+    first = next(models(solver.model, names, draws[:1], 0))
+    return {"model": fingerprint(solver.base.mdp), "first_draw": fingerprint(first)}
 
 
 def run(
@@ -448,7 +451,7 @@ class ModelSolver:
         """
         mdp, optima = self.base.mdp, [part.optimum() for part in self.parts(names, draws, first)]
         start, error, gap, doubt, policies = map(np.concatenate, zip(*optima, strict=True))
-        rows, which = distinct(policies.astype(np.int16))
+        rows, which = distinct(policies.astype(np.int32))
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
         counts[mdp.pair_state, mdp.pair_action] = (gap <= doubt).sum(axis=0)
         begins = [state for state, _ in mdp.start]

@@ -11,6 +11,7 @@ from scipy.special import betainc
 
 from exact_mdp import (
     MDP,
+    Family,
     ModelError,
     Scenario,
     evaluate,
@@ -241,3 +242,17 @@ def test_a_state_that_cannot_be_reached_makes_no_action_optimal() -> None:
     mdp = MDP.from_outcomes([*rows, (4, 0, [(1, 3, 10**13)])])
     share, _, _ = psa(moving(mdp, {"p": [(0, 1)]}), 20, rng=1).probability_optimal()
     assert np.array(share).tolist() == [[1.0, 0.0]]
+
+
+def test_a_folder_is_not_used_for_models_that_are_the_same_today_alone(tmp_path: Path) -> None:
+    def worth(slope: int) -> np.ndarray:
+        model = Family(
+            parameters={"x": 1},
+            build=lambda at: MDP.from_arrays([[[1]]], [1 + slope * (at["x"] - 1)], "1/2"),
+        )
+        stated = {"x": {"distribution": "uniform", "low": 0, "high": 2}}
+        return psa(model, 30, uncertain=stated, folder=tmp_path).optimal
+
+    assert worth(1).tolist() == worth(1).tolist()
+    with pytest.raises(ModelError, match="record differs in first_draw"):
+        worth(5)

@@ -112,3 +112,8 @@ def test_points_that_make_no_models_are_refused(points: Any, message: str, where
     with pytest.raises(ModelError, match=message) as refused:
         study(TWO, points)
     assert where in refused.value.where
+
+
+def test_a_model_may_have_more_actions_than_a_short_integer_counts() -> None:
+    mdp = MDP.from_arrays(np.ones((40_000, 1, 1)), [[*range(40_000)]], "1/2")
+    assert study(mdp, {"discount": ["1/4"]}).rows.tolist() == [[39_999]]

@@ -142,8 +142,6 @@ class ValueFunction(Pictured):
         pieces = self.around(at)
         best = self.at(at)
         left, *_, right = [p.value.slope(at) for p in pieces if p.value.at(at) == best] * 2
-        if len(pieces) == 1 or pieces[0].value.at(at) != pieces[-1].value.at(at):
-            right = left
         return (
             None if at == self.range.low else left,
             None if at == self.range.high else right,

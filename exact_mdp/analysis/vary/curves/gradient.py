@@ -180,30 +180,22 @@ class Gradient(Pictured):
 
     def report(self) -> Report:
         """Return derivatives and elasticities by every parameter."""
-        each = self.derivatives
-        by_side = {
-            side: {name: _float(getattr(d, side)) for name, d in each.items()}
+        each = self.derivatives.items()
+        slopes, lefts, rights = (
+            {name: _float(getattr(d, side)) for name, d in each}
             for side in ("value", "left", "right")
-        }
+        )
+        exact = {n: d.value.value if isinstance(d.value, Certified) else None for n, d in each}
+        errors = {n: max(getattr(s, "error", 0.0) for s in (d.left, d.right)) for n, d in each}
         facts = {
             **claimed("start_value", self.start),
             "policy": "re-optimised" if self.reoptimised else "fixed",
-            "derivatives": by_side["value"],
-            "left": Shown(by_side["left"]),
-            "right": Shown(by_side["right"]),
-            "elasticities": Shown({name: d.elasticity for name, d in each.items()}),
-            "exact_derivatives": Shown(
-                {
-                    n: d.value.value if isinstance(d.value, Certified) else None
-                    for n, d in each.items()
-                }
-            ),
-            "error_bounds": Shown(
-                {
-                    n: max(getattr(s, "error", 0.0) for s in (d.left, d.right))
-                    for n, d in each.items()
-                }
-            ),
+            "derivatives": slopes,
+            "left": Shown(lefts),
+            "right": Shown(rights),
+            "elasticities": Shown({name: d.elasticity for name, d in each}),
+            "exact_derivatives": Shown(exact),
+            "error_bounds": Shown(errors),
             "steps": {
                 name: {"one_less": _float(less), "one_more": _float(more)}
                 for name, (less, more) in self.steps.items()
@@ -214,12 +206,12 @@ class Gradient(Pictured):
             {
                 "name": name,
                 "today": float(d.parameter.value),
-                "slope": " | ".join(cell(by_side[side][name], ".6g") for side in ("left", "right"))
+                "slope": " | ".join(cell(side[name], ".6g") for side in (lefts, rights))
                 if d.value is None
-                else by_side["value"][name],
+                else slopes[name],
                 "elasticity": d.elasticity,
             }
-            for name, d in sorted(each.items(), key=lambda one: -abs(one[1].elasticity or 0.0))
+            for name, d in sorted(each, key=lambda one: -abs(one[1].elasticity or 0.0))
         ]
         table = Table(
             title="derivatives of the start value, per unit of the parameter",
