@@ -163,3 +163,20 @@ def test_a_warning_names_the_line_that_asked() -> None:
     with pytest.raises(ModelError, match="need every policy to end") as caught:
         certify(waiting, bounded=True)
     assert "leave out bounded=True" in caught.value.fix
+
+
+@pytest.mark.parametrize("solver", [None, "value-iteration", "gauss-seidel", "linear-program"])
+def test_a_circle_that_loses_less_than_the_tolerance_is_left(solver: str | None) -> None:
+    """Round and round costs 2 ** -37 a time, and the tolerance is a thousand times that."""
+    loss = F(2) ** -37
+    rows = [
+        (0, 0, [(1, 1, 0)]),
+        (1, 0, [(1, 2, 0)]),
+        (1, 1, [(F(1, 3), s, 0) for s in (0, 2, 3)]),
+        (2, 0, [(1, 0, -loss)]),
+        (3, 0, [(1, 3, 0)]),
+    ]
+    solution = solve(MDP.from_outcomes(rows, 1), solver)
+    right = [-loss, -loss, -2 * loss, F(0)]
+    errors = zip(solution.value, solution.state_error, right, strict=True)
+    assert all(abs(F(value) - exact) <= error for value, error, exact in errors)
