@@ -71,7 +71,11 @@ def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     weights, regular = Policy.of(model, policy).weights(model), model.space.regular
     by_action = np.zeros((model.n_states, model.n_actions))
     by_action[model.pair_state, model.pair_action] = weights
-    by_action[:regular] = (matrix @ by_place(model, weights)).reshape(regular, model.n_actions)
+    placed = by_place(model, weights)
+    mixed = np.zeros_like(placed)
+    for seen, share in enumerate(matrix.T):  # in this order on every processor, unlike a product
+        mixed += share[:, None] * placed[:, seen, None, :]
+    by_action[:regular] = mixed.reshape(regular, model.n_actions)
     return Policy(space=model.space, actions=model.actions, rule=by_action)
 
 
