@@ -23,13 +23,14 @@ import numpy as np
 
 from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.ranges import Range, checked, range_of, ranges_of, unit_of
-from exact_mdp.analysis.vary.study import Study, distinct, solver_of, study_by
+from exact_mdp.analysis.vary.study import Study, solver_of, study_by
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, claimed
 from exact_mdp.mdp.result import Pictured

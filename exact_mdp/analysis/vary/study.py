@@ -29,6 +29,7 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
@@ -267,13 +268,6 @@ def run(
             how["folder"] = None if folder is None else folder_of(folder) / name
             done += many(work, some, key=own, what=what, threads=solver.compiled, **how)
     return done
-
-
-def distinct(rows: Numbers) -> tuple[Numbers, Integers]:
-    """Return the (U, G) different rows of (D, G), in order of appearance, and (D,) each row's."""
-    known: dict[bytes, int] = {}
-    which = np.array([known.setdefault(row.tobytes(), len(known)) for row in rows])
-    return rows[np.unique(which, return_index=True)[1]], which
 
 
 def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Numbers, Integers]:

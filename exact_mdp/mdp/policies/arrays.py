@@ -429,3 +429,12 @@ def by_time(model: MDP, table: Numbers, rest: float, *, of_actions: bool = False
     spread = np.full((model.n_states, *table.shape[2:]), rest, dtype=kind)
     spread[: steps * own] = table[:steps, :own].reshape(-1, *table.shape[2:])
     return spread
+
+
+def distinct(rows: Numbers) -> tuple[Numbers, Integers]:
+    """Return the (U, K) different rows of (D, K), in order of appearance, and (D,) each row's."""
+    fresh = np.append(True, (rows[1:] != rows[:-1]).any(axis=1))[: len(rows)]
+    known: dict[bytes, int] = {}
+    number = [known.setdefault(row.tobytes(), len(known)) for row in rows[fresh]]
+    which = np.array(number, dtype=np.int64)[np.cumsum(fresh) - 1]
+    return rows[np.unique(which, return_index=True)[1]], which

@@ -26,6 +26,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, located, suggest
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.space import StateSpace
@@ -149,7 +150,7 @@ class TrainingRun(Brief):
     q : (K, A)
         Action values at the end, of costs the expected costs; of double Q-learning, the mean of
         both tables.
-    policies : (U, K) int16
+    policies : (U, K) int32
         Distinct greedy policies recorded, by action number, as they first appeared.
     snapshots : (E,) int32
         Which of them was greedy after episode `snapshot_episode` of each epoch.
@@ -215,8 +216,8 @@ class Trainer:
         both = np.full((2, entries if double else 0), initial)
         acting = np.full(entries, initial) if not double else both[0] + both[1]
         counts = np.zeros(entries if own.rate_power else 0, dtype=np.int64)
-        snapshots = np.zeros((own.epochs if own.snapshot_episode else 0, rows), dtype=np.int16)
-        last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int16)
+        snapshots = np.zeros((own.epochs if own.snapshot_episode else 0, rows), dtype=np.int32)
+        last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int32)
         returns = np.zeros(own.epochs)
         random = stream(rng)
         from exact_mdp.solvers import kernels
@@ -242,7 +243,8 @@ class Trainer:
             last,
             returns,
         )
-        policies, numbers = distinct(np.concatenate([snapshots, last]))
+        policies, which = distinct(np.concatenate([snapshots, last]))
+        numbers = which.astype(np.int32)
         q = (acting / (1 + double)).reshape(rows, self.mdp.n_actions)
         if self.costs:  # learned as rewards, told as the costs that they are
             q, returns = 0.0 - q, 0.0 - returns
@@ -262,7 +264,7 @@ class Trainer:
         own, (rows, actions) = self.settings, self.rows.offered.shape
         recorded = {
             "q": (np.float64, (rows, actions)),
-            "policies": (np.int16, (len(run.policies), rows)),
+            "policies": (np.int32, (len(run.policies), rows)),
             "snapshots": (np.int32, (own.epochs if own.snapshot_episode else 0,)),
             "last": (np.int32, (min(own.last, own.epochs * own.episodes),)),
             "returns": (np.float64, (own.epochs,)),
@@ -277,19 +279,3 @@ class Trainer:
         counts = isinstance(run.steps, int) and isinstance(run.cut_short, int)
         finite = np.isfinite(run.returns).all()
         return bool(within and known and counts and finite and len(taken))
-
-
-def distinct(policies: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the distinct rows of (n, K) as they first appear, and which of them each row is."""
-    fresh = np.ones(len(policies), dtype=bool)
-    fresh[1:] = (policies[1:] != policies[:-1]).any(axis=1)
-    changes = np.flatnonzero(fresh)
-    known: dict[bytes, int] = {}
-    first: list[int] = []
-    numbers: list[int] = []
-    for place in changes.tolist():
-        number = known.setdefault(policies[place].tobytes(), len(known))
-        if number == len(first):
-            first.append(place)
-        numbers.append(number)
-    return policies[first], np.array(numbers, dtype=np.int32)[np.cumsum(fresh) - 1]

@@ -27,6 +27,7 @@ from exact_mdp.solvers.parallel import damaged, many
 FILES = ("training.json", "runs-")
 ARRAYS = ("q", "policies", "snapshots", "last", "returns")
 NUMBERS = ("steps", "cut_short")
+SHORT = 2**15  # actions that older files count in 16 bits
 
 
 @named_options
@@ -120,6 +121,8 @@ def _read(
     try:
         fields: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         fields |= {name: arrays[name].item() for name in NUMBERS}
+        if fields["policies"].dtype == np.int16 and trainer.mdp.n_actions <= SHORT:
+            fields["policies"] = fields["policies"].astype(np.int32)
         run = TrainingRun(space=trainer.rows.space, **fields)
         if trainer.possible(run):
             return run
