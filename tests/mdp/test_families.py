@@ -278,7 +278,7 @@ def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on()
     (bar,) = tornado(CONTINUING, names=["discount"]).bars
     assert (bar.low.at, bar.high.at) == (F(18, 25), F(19, 20))
     assert one_way(CONTINUING, "discount", points=3).points[-1].at == F(19, 20)
-    assert thresholds(CONTINUING, "discount").range.high == F(19, 20)
+    assert thresholds(CONTINUING, "discount").curve.range.high == F(19, 20)
     ending = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0], F(9, 10))
     (bar,) = tornado(ending, names=["discount"]).bars
     assert bar.high.at == 1

@@ -221,10 +221,10 @@ def plot_thresholds(
     ['today', 'the optimal policy stays']
     """
     every = [*changes.values()] if isinstance(changes, Mapping) else [changes]
-    names = [_axis(each.parameter) for each in every]
+    names = [_axis(each.curve.parameter) for each in every]
     ax = axes_or_new(ax, names, high=1.2 + 0.6 * len(every))
     for place, each in enumerate(every):
-        low, high = float(each.range.low), float(each.range.high)
+        low, high = float(each.curve.range.low), float(each.curve.range.high)
         width = (high - low) or 1.0
         near, far = ((float(end) - low) / width for end in each.stable(reached=reached))
         bars_across(ax, place, 1.0, LOW, "", height=0.6)
@@ -235,7 +235,7 @@ def plot_thresholds(
                 x, line = (threshold.value - low) / width, ":" if threshold.touch else "-"
                 ends = [place - 0.3, place + 0.3]
                 ax.plot([x, x], ends, line, color=BLACK, lw=1, label="an optimal action changes")
-        today = (float(each.parameter.value) - low) / width
+        today = (float(each.curve.parameter.value) - low) / width
         ax.plot(today, place, "D", color=BLACK, markersize=4, label="today")
         ax.text(0, place + 0.42, _number(low), ha="left", va="center", fontsize=7)
         ax.text(1, place + 0.42, _number(high), ha="right", va="center", fontsize=7)
@@ -243,7 +243,7 @@ def plot_thresholds(
     ax.set(xticks=[], xlim=(-0.02, 1.02), ylim=(len(every) - 0.4, -0.6))
     handles, labels = ax.get_legend_handles_labels()
     once = [*dict(zip(labels, handles, strict=True)).values()]
-    return described(ax, "How far each parameter may move", every[0].model, handles=once)
+    return described(ax, "How far each parameter may move", every[0].curve.mdp.name, handles=once)
 
 
 @picture

@@ -47,12 +47,6 @@ VALUES = {
     "policy held fixed": "fixed_value:.6g",
     "its regret": "regret:.3g",
 }
-BARS = (  # the keys of a tornado's bars, in the order of its frame
-    *("parameter", "unit", "low", "today", "high"),
-    *("value_low", "value_high", "swing"),
-    *("fixed_value_low", "fixed_value_high", "fixed_swing"),
-    *("regret_low", "regret_high"),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +66,11 @@ class Point:
         """What holding the policy costs; not below 0, whatever rounding says."""
         return regret(self.optimal, self.fixed, self.sense)
 
+    def numbers(self, end: str = "") -> dict[str, float]:
+        """Return the three values by their keys, which may have an ending."""
+        values = {"value": self.optimal, "fixed_value": self.fixed, "regret": self.regret}
+        return {f"{name}{end}": number.value for name, number in values.items()}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Bar:
@@ -90,11 +89,6 @@ class Bar:
     def fixed_swing(self) -> float:
         """Distance of the fixed policy's values at both ends."""
         return abs(self.high.fixed.value - self.low.fixed.value)
-
-    @property
-    def regret(self) -> float:
-        """The larger regret of the two ends."""
-        return max(self.low.regret.value, self.high.regret.value)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -116,20 +110,9 @@ class Tornado(Pictured):
         widest = f", the widest of {self.bars[0].parameter.name}" if self.bars else ""
         return f"Tornado({len(self.bars)} bars{widest}; value today {self.today.optimal})"
 
-    @property
-    def value(self) -> Bounded:
-        """The optimal start value today."""
-        return self.today.optimal
-
-    @property
-    def error(self) -> float:
-        """Bound on the error of `value`."""
-        return self.value.error
-
     def report(self) -> Report:
         """Return values and regrets at both ends of every range."""
-        bars = self.frame().drop(columns="claim").set_axis(list(BARS), axis="columns")
-        bars["regret"] = [bar.regret for bar in self.bars]
+        bars = self.frame().drop(columns="claim")
         ends = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
 
         def at(what: str) -> dict[str, str]:
@@ -164,25 +147,20 @@ class Tornado(Pictured):
         import pandas
 
         return pandas.DataFrame(
-            [
-                {
-                    "parameter": bar.parameter.name,
-                    "unit": unit_of(bar.parameter),
-                    "low": float(bar.low.at),
-                    "today": float(bar.parameter.value),
-                    "high": float(bar.high.at),
-                    "value at low, re-optimised (reward)": bar.low.optimal.value,
-                    "value at high, re-optimised (reward)": bar.high.optimal.value,
-                    "swing, re-optimised (reward)": bar.swing,
-                    "value at low, policy fixed (reward)": bar.low.fixed.value,
-                    "value at high, policy fixed (reward)": bar.high.fixed.value,
-                    "swing, policy fixed (reward)": bar.fixed_swing,
-                    "regret at low (reward)": bar.low.regret.value,
-                    "regret at high (reward)": bar.high.regret.value,
-                    "claim": "bounded",
-                }
-                for bar in self.bars
-            ]
+            {
+                "parameter": bar.parameter.name,
+                "unit": unit_of(bar.parameter),
+                "low": float(bar.low.at),
+                "today": float(bar.parameter.value),
+                "high": float(bar.high.at),
+                **bar.low.numbers("_low"),
+                **bar.high.numbers("_high"),
+                "swing": bar.swing,
+                "fixed_swing": bar.fixed_swing,
+                "regret": max(bar.low.regret.value, bar.high.regret.value),
+                "claim": "bounded",
+            }
+            for bar in self.bars
         )
 
 
@@ -200,9 +178,7 @@ class Curve(Pictured):
 
     def report(self) -> Report:
         """Return the values along the range."""
-        keys = ("at", "value", "fixed_value", "regret", "error_bound")
-        rows = self.frame().drop(columns=["parameter", "unit", "claim"])
-        points = rows.set_axis(keys, axis="columns").to_dict("records")
+        points = self.frame().drop(columns=["parameter", "unit", "claim"]).to_dict("records")
         table = Table(title="value at the start", columns={self.parameter.name: "at:.6g"} | VALUES)
         facts = {"parameter": self.parameter.name, "points": points}
         return Report(title="one-way", facts=facts, tables={"points": table})
@@ -215,13 +191,12 @@ class Curve(Pictured):
             {
                 "parameter": self.parameter.name,
                 "unit": unit_of(self.parameter),
-                "at": [float(point.at) for point in self.points],
-                "value, re-optimised (reward)": [p.optimal.value for p in self.points],
-                "value, policy fixed (reward)": [p.fixed.value for p in self.points],
-                "regret (reward)": [p.regret.value for p in self.points],
-                "error bound (reward)": [p.regret.error for p in self.points],
+                "at": float(point.at),
+                **point.numbers(),
+                "error_bound": point.regret.error,
                 "claim": "bounded",
             }
+            for point in self.points
         )
 
 
@@ -400,15 +375,13 @@ class TwoWay(Pictured):
 
     def report(self) -> Report:
         """Return the values over the grid, and the number of the best policy."""
-        keys = ["x", "y", "policy", "value", "fixed_value", "regret", "error_bound", "claim"]
-        points = self.frame().set_axis(keys, axis="columns").drop(columns="claim")
         names = {self.x.name: "x:.6g", self.y.name: "y:.6g", "policy": "policy"}
         return Report(
             title="two-way",
             facts={
                 "parameters": [self.x.name, self.y.name],
                 "policies": int(self.policy.max()) + 1,
-                "points": points.to_dict("records"),
+                "points": self.frame().drop(columns="claim").to_dict("records"),
             },
             tables={"points": Table(title="value at the start", columns=names | VALUES)},
         )
@@ -422,13 +395,13 @@ class TwoWay(Pictured):
         lost = regrets(self.value, self.fixed_value, self.error, sign)
         return pandas.DataFrame(
             {
-                self.x.name: across.reshape(-1),
-                self.y.name: along.reshape(-1),
-                "policy (number)": self.policy.reshape(-1),
-                "value, re-optimised (reward)": self.value.reshape(-1),
-                "value, policy fixed (reward)": self.fixed_value.reshape(-1),
-                "regret (reward)": lost.reshape(-1),
-                "error bound (reward)": self.error.reshape(-1),
+                "x": across.reshape(-1),
+                "y": along.reshape(-1),
+                "policy": self.policy.reshape(-1),
+                "value": self.value.reshape(-1),
+                "fixed_value": self.fixed_value.reshape(-1),
+                "regret": lost.reshape(-1),
+                "error_bound": self.error.reshape(-1),
                 "claim": "bounded",
             }
         )

@@ -287,8 +287,8 @@ def test_a_policy_that_never_ends_at_one_value_alone_is_found() -> None:
 
 
 def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -> None:
-    for engine in (thresholds, curve):
-        assert engine(WAIT, "discount").range.high < 1
+    for line in (thresholds(WAIT, "discount").curve, curve(WAIT, "discount")):
+        assert line.range.high < 1
     thirds = [0.1, 0.2, 0.3]
     row = [(p, to, 0.0) for to, p in enumerate([*thirds, 1 - sum(thirds)])]
     rest = [(1 / 3, 1, 0), (1 / 3, 2, 0), (1 / 3 + 1e-16, 0, 0)]  # a little more than 1

@@ -168,7 +168,7 @@ def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
         assert set(moved) <= {switch.state for t in inside for switch in t.switches}
     frame = grid.frame()
     assert len(frame) == 25
-    assert (frame["regret (reward)"] >= 0).all()
+    assert (frame["regret"] >= 0).all()
     assert grid.value[2, 0] >= grid.fixed_value[2, 0] - 1e-9
     with pytest.raises(ModelError, match="both parameters are"):
         two_way(own, x, x)

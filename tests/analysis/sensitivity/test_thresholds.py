@@ -45,7 +45,7 @@ def test_care_model_against_a_scan_of_an_independent_model(name, bounds, reading
     own = Scenario.load("yuan2025").with_(readings=readings, **SMALL)
     mdp = own.compile()
     switches = thresholds(own, name, bounds)
-    low, high = switches.range.low, switches.range.high
+    low, high = switches.curve.range.low, switches.curve.range.high
     labels = {state: mdp.space.label(state) for state in range(mdp.n_states)}
 
     def best(value: Fraction) -> dict[str, frozenset[str]]:

@@ -24,7 +24,6 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import Pictured
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 
 
 Mask = NDArray[np.bool_]
-COLUMNS = ("parameter", "unit", "today", "threshold", "state", "before", "after", "reached")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,57 +91,57 @@ class Thresholds(Pictured):
 
     Attributes
     ----------
-    model : str
-    parameter : Parameter
-    range : Range
+    curve : ValueFunction
+        The optimal value over the range.
     found : tuple of Threshold
-    checked : int or None
-        Points at which the degree of a family's rows was checked, where it is not proven: there may
-        be more thresholds. None where a proof says that there are no others.
+        All there are where the claim is "certified"; there may be more where the degree of a
+        family's rows is checked and not proven.
     """
 
-    model: str
-    parameter: Parameter
-    range: Range
+    curve: ValueFunction
     found: tuple[Threshold, ...]
-    checked: int | None = None
 
     def __repr__(self) -> str:
-        low, high = shown(self.range.low), shown(self.range.high)
+        low, high = shown(self.curve.range.low), shown(self.curve.range.high)
         count = f"{len(self.found)} threshold{'s' * (len(self.found) != 1)}"
-        return f"Thresholds({self.parameter.name} from {low} to {high}: {count}, {self.claim})"
+        return (
+            f"Thresholds({self.curve.parameter.name} from {low} to {high}: {count}, {self.claim})"
+        )
 
     @property
     def claim(self) -> Claim:
         """Certified, or checked where the degree of the rows is checked and not proven."""
-        return Claim.CERTIFIED if self.checked is None else Claim.CHECKED
+        return self.curve.claim
+
+    def switches(self) -> Iterator[dict[str, Any]]:
+        """Yield each state that changes at a threshold, as JSON has it."""
+        for threshold in self.found:
+            for switch in threshold.switches:
+                yield {
+                    "parameter": self.curve.parameter.name,
+                    "threshold": threshold.value,
+                    "low": threshold.low,
+                    "high": threshold.high,
+                    "state": switch.label,
+                    "columns": switch.columns,
+                    "before": switch.before,
+                    "after": switch.after,
+                    "reached": switch.reached,
+                    "touch": threshold.touch,
+                }
 
     def frame(self) -> DataFrame:
         """Return one row for each state that changes at a threshold."""
         import pandas
 
-        rows = [
-            {
-                "parameter": self.parameter.name,
-                "unit": unit_of(self.parameter),
-                "today": float(self.parameter.value),
-                "threshold": threshold.value,
-                **switch.columns,
-                "state": switch.label,
-                "before": " or ".join(switch.before),
-                "after": " or ".join(switch.after),
-                "reached": switch.reached,
-                "touch": threshold.touch,
-                "claim": str(self.claim),
-            }
-            for threshold in self.found
-            for switch in threshold.switches
-        ]
-        return pandas.DataFrame(rows) if rows else pandas.DataFrame(columns=list(COLUMNS))
+        columns = ["parameter", "threshold", "state", "before", "after", "reached", "touch"]
+        table = pandas.DataFrame(self.switches(), columns=columns).assign(claim=str(self.claim))
+        table[["before", "after"]] = table[["before", "after"]].map(" or ".join)
+        return table
 
     def report(self) -> Report:
         """Return every threshold and what changes there."""
-        return report_of({self.parameter.name: self})
+        return report_of({self.curve.parameter.name: self})
 
     def stable(self, *, reached: bool = False) -> tuple[Fraction, Fraction]:
         """Return the interval around today's value in which no optimal action changes.
@@ -160,7 +158,8 @@ class Thresholds(Pictured):
         -------
         low, high : Fraction
         """
-        low, high, today = self.range.low, self.range.high, self.parameter.value
+        low, high = self.curve.range.low, self.curve.range.high
+        today = self.curve.parameter.value
         for each in self.found:
             if each.touch or (reached and not each.reached):
                 continue
@@ -179,58 +178,33 @@ class Thresholds(Pictured):
         Where no threshold is nearer, the distance to an end of the range that is not an end of
         what the parameter may be.
         """
-        low, high = self.stable()
-        today, parameter = self.parameter.value, self.parameter
-        sides = []
-        if low != parameter.low:
-            sides.append(today - low)
-        if high != parameter.high:
-            sides.append(high - today)
+        (low, high), parameter = self.stable(), self.curve.parameter
+        today = parameter.value
+        sides = [today - low] * (low != parameter.low) + [high - today] * (high != parameter.high)
         return min(sides, default=max(today - low, high - today))
 
 
 def report_of(every: Mapping[str, Thresholds]) -> Report:
     """Return what was found of several parameters."""
-    switches = [
-        {
-            "parameter": name,
-            "threshold": each.value,
-            "low": each.low,
-            "high": each.high,
-            "state": switch.label,
-            "columns": switch.columns,
-            "before": switch.before,
-            "after": switch.after,
-            "reached": switch.reached,
-            "touch": each.touch,
+    stable: dict[str, dict[str, Any]] = {}
+    for name, each in every.items():
+        parameter, span = each.curve.parameter, each.curve.range
+        numbers = [*each.stable(), *each.stable(reached=True), each.radius]
+        keys = ("low", "high", "low_on_reached_states", "high_on_reached_states", "radius")
+        stable[name] = {
+            "today": float(parameter.value),
+            "unit": unit_of(parameter),
+            **dict(zip(keys, map(float, numbers), strict=True)),
+            "searched": [float(span.low), float(span.high)],
         }
-        for name, all_ in every.items()
-        for each in all_.found
-        for switch in each.switches
-    ]
-    stable = {
-        name: {
-            "today": float(each.parameter.value),
-            "unit": unit_of(each.parameter),
-            "low": float(each.stable()[0]),
-            "high": float(each.stable()[1]),
-            "low_on_reached_states": float(each.stable(reached=True)[0]),
-            "high_on_reached_states": float(each.stable(reached=True)[1]),
-            "radius": float(each.radius),
-            "searched": [float(each.range.low), float(each.range.high)],
-        }
-        for name, each in every.items()
-    }
-    rows = [
-        {**stable[name], "name": name, "found": len(each.found)} for name, each in every.items()
-    ]
+    rows = [stable[name] | {"name": name, "found": len(each.found)} for name, each in every.items()]
     claims = [each.claim for each in every.values()]
     return Report(
         title="thresholds",
         facts={
             "claim": Claim.CHECKED if Claim.CHECKED in claims else Claim.CERTIFIED,
             "stable": stable,
-            "switches": switches,
+            "switches": [switch for each in every.values() for switch in each.switches()],
         },
         tables={
             "stable": Table(
@@ -303,13 +277,8 @@ def thresholds(
     """
     family = parametric(model)
     whole = curve(family, name, range_of(family, name, ranges, relative))
-    return Thresholds(
-        model=whole.mdp.name,
-        parameter=whole.parameter,
-        range=whole.range,
-        found=tuple(sorted(_found(whole), key=lambda threshold: threshold.low)),
-        checked=whole.checked,
-    )
+    found = sorted(_found(whole), key=lambda threshold: threshold.low)
+    return Thresholds(curve=whole, found=tuple(found))
 
 
 def _found(curve: ValueFunction) -> Iterator[Threshold]:
