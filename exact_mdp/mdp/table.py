@@ -141,15 +141,19 @@ class OutcomeTable:
 
     def gains(self) -> Floats:
         """Return the (N,) outcome rewards, each rounded once."""
-        lengths = np.diff(self.offsets)
+        gains = self.shared_gains()
+        return np.repeat(gains, np.diff(self.offsets)) if len(self.gain) == self.pairs else gains
+
+    def shared_gains(self) -> Floats:
+        """Return the outcome rewards: (L,) where those of a pair are alike, else (N,)."""
         if len(self.gain) == self.pairs:
-            return np.repeat(divide(self.gain, self.gain_denominator), lengths)
-        return divide(self.gain, self.gain_denominator, lengths)
+            return divide(self.gain, self.gain_denominator)
+        return divide(self.gain, self.gain_denominator, np.diff(self.offsets))
 
     def expected_gain(self) -> Floats:
         """Return the (L,) expected rewards, each rounded once where the table is rational."""
         if len(self.gain) == self.pairs:
-            return divide(self.gain, self.gain_denominator)
+            return self.shared_gains()
         if self.weight.dtype == np.float64 or self.gain.dtype == np.float64:
             product = self.probabilities() * self.gains()
             return np.asarray(np.add.reduceat(product, self.offsets[:-1]), dtype=np.float64)

@@ -69,6 +69,18 @@ def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:
     return np.asarray(moved * SLACK + TINY)
 
 
+def widest(mdp: MDP, known: FixedPoint) -> float:
+    """Return what no e is above, from the greatest numbers alone.
+
+    Half a unit in the last place of p is at most UNIT p, and the middle of all x may stand for c.
+    """
+    gain, value = mdp.table.shared_gains(), known.value
+    spread = float(np.ptp(gain)) + mdp.discount * float(np.ptp(value) + 2 * known.error.max())
+    size = float(np.abs(gain).max()) + float(np.abs(value).max())
+    moved = mdp.float_rewards * size + mdp.float_probabilities * (spread / 2 + 8 * UNIT * size)
+    return moved * UNIT * SLACK + TINY
+
+
 def forgiven(
     mdp: MDP, own: tuple[PolicyChain, FixedPoint], best: tuple[PolicyChain, FixedPoint]
 ) -> Fraction:

@@ -26,12 +26,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import exact_gaps, exact_policy
-from exact_mdp.analysis.gate.forgiveness import forgiven, per_use, rounded, ties
+from exact_mdp.analysis.gate.forgiveness import forgiven, rounded, ties, widest
 from exact_mdp.analysis.gate.waiting import taking, to_blame
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
-from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import ratio
 from exact_mdp.mdp.result import Brief, Pictured
@@ -192,7 +192,13 @@ def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
     """Return whether rational arithmetic is quick: few transitions, cycles of few states."""
     if mdp.n_transitions > (EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME):
         return False
-    return is_acyclic(mdp) or int(np.bincount(components(mdp)[1]).max()) <= cycle
+    return _longest_cycle(mdp) <= cycle
+
+
+@once
+def _longest_cycle(mdp: MDP) -> int:
+    """Return the greatest number of states that lead to one another."""
+    return 1 if is_acyclic(mdp) else int(np.bincount(components(mdp)[1]).max())
 
 
 # ---- several policies side by side --------------------------------------------------------------
@@ -432,8 +438,7 @@ def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
         # Few pairs are so near to the best that it could: F ≤ E w / m, as w - γ P w ≥ m > 0.
         weights = margin_weights(mdp)
         uses = float(weights.value.max() / weights.least.min())
-        widest = per_use(mdp, known).max() * (1 + 2 * uses) * SLACK
-        open_ = loses & (least_gap <= widest)
+        open_ = loses & (least_gap <= widest(mdp, known) * (1 + 2 * uses) * SLACK)
         if open_.any():
             with suppress(SolverError):
                 loses &= ~open_ | (least_gap > ties(ideal, known))
