@@ -106,6 +106,8 @@ MDP.from_arrays([SLOW], [1, 0], states=["a", "a"]) ->
     two states have the same name, 'a'; column state; own name
 MDP.from_arrays([SLOW, FAST], REWARDS, layout="ass", actions=["x", "x"]) ->
     two actions have the same name, 'x'; actions; own name
+MDP.from_arrays([SLOW], [1, 0], start={0: "1/2", 1: "0.50000001"}) ->
+    start probabilities sum to 1 + 1e-08, not 1; start; give a distribution
 MDP.from_arrays({"go": table([[1]], ["a"], ["b"])}, [0]) ->
     the labels b, and the states are a; P; a row and a column for each state
 MODEL.space.label(2) ->

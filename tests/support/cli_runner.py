@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -34,6 +35,14 @@ class Done:
         content = strict(self.out)
         assert isinstance(content, dict)
         return content
+
+    def refusal(self, status: int = 2) -> str:
+        """The error: what, where and fix, in three lines, and nothing else on either stream."""
+        assert (self.status, self.out) == (status, ""), self.err
+        text = re.sub(r'\n\{"status": \d, "error": \{.*\}\}\n$', "\n", self.err)  # with --json
+        assert re.fullmatch(r"[A-Z]\w+: [^\n]+\n  where: [^\n]+\n  fix:   [^\n]+\n", text), text
+        assert len(text) < 3500
+        return text
 
 
 def strict(text: str) -> Any:

@@ -4,12 +4,13 @@ import json
 import re
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
 from cli_runner import PROGRAM, launch, run
 
-from exact_mdp import MDP, save
+from exact_mdp import MDP, Policy, evaluate, load, save
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -43,6 +44,8 @@ TEXTS = {
     "train tea --seeds 4 --learner epochs=5": "mean regret|of the runs end optimal|95 %",
     "evaluate gymnasium:CliffWalking-v1 always:0 --discount 0.9": "it may never end",
     f"simulate yuan2025 random {SMALL} --episodes 50": "(estimated, standard error ",
+    "solve yuan2025 --certify --set tasks=[40]": "a rational of 2,783 digits; --json prints it",
+    "returns yuan2025 random --set reward.anger=-5.1": "(the first 1,000 of 2,512; --json",
     "check yuan2025 random --no-explain": "FAILED|the costliest first|value lost",
 }
 
@@ -65,6 +68,30 @@ def test_names_of_states_are_printed_as_they_are(tmp_path: Path) -> None:
     done = launch("solve", path, PYTHONIOENCODING="ascii")
     assert done.status == 0
     assert "Zustand \\u03b2 :smile:" in done.out
+
+
+def test_unsafe_characters_are_written_as_codes(tmp_path: Path) -> None:
+    """Names cannot hold them, but names of files can."""
+    page, policy = tmp_path / "page.html", tmp_path / "m\x1b[31m\u202e.json"
+    policy.write_text(json.dumps({f"{status:03b}": "wait" for status in range(8)}), "utf-8")
+    done = run("check", "tea", policy, "--html", page)
+    assert done.status == 1
+    for text in ("".join(done.out.split()), page.read_text("utf-8")):
+        assert r"m\x1b[31m\u202e" in text
+        assert "\x1b" not in text
+
+
+def test_a_policy_that_is_printed_can_be_read(tmp_path: Path) -> None:
+    """By status where nothing else decides, otherwise by state."""
+    words = [*SMALL.split(), "anger", "trial"]
+    mdp, path, sizes = load("yuan2025", sets=words[1:4:2]), tmp_path / "p.json", set()
+    for vertex in run("tradeoff", "yuan2025", *words, "--json").result["vertices"]:
+        path.write_text(json.dumps(vertex["policy"]), "utf-8")
+        totals = evaluate(mdp, Policy.of(mdp, path)).components
+        for name, value in vertex["values"].items():
+            assert totals[name] == pytest.approx(float(Fraction(value)))
+        sizes.add(len(vertex["policy"]))
+    print(sizes, mdp.n_states)
 
 
 # ---- the program -----------------------------------------------------------------------------
