@@ -282,7 +282,7 @@ def psa(
     model = row_family(given.mdp) if of_rows else given.family
     names = given.options["parameters"]
     chosen, size = _uncertain(model, uncertain, effective_sample_size, names)
-    n = samples or (10_000 if solver_of(model).compiled else 500)
+    n = samples or (10_000 if solver_of(model, ()).compiled else 500)
     how = _work(n_jobs, out)
     result = psa_of(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
     report = result.report(given.form or "optimal")

@@ -130,13 +130,13 @@ def worst_point(
     if isinstance(family, ScenarioFamily):
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.tell(highest, where=" at the upper ends of the ranges")
-    solver = solver_of(family)
+    solver = solver_of(family, names)
     fixed, sign = solver.base.held(policy), solver.base.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
 
     def worth(points: Floats) -> Floats:
-        return np.asarray(sign * solver.values(names, points, [fixed])["value"][:, 0])
+        return np.asarray(sign * solver.values(points, [fixed])["value"][:, 0])
 
     def flipped(point: Floats, end: np.ndarray) -> Floats:
         """Return one point for each parameter, which is at its given end there."""

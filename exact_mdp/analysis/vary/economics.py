@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from exact_mdp.analysis.vary.distributions import Settings, Uncertainty
 from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
 from exact_mdp.analysis.vary.intervals import MeanLoss
-from exact_mdp.analysis.vary.psa import REGRESSED, drawn, groups_of
+from exact_mdp.analysis.vary.psa import REGRESSED, drawn, groups_of, uncertain_of
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known
@@ -244,14 +244,15 @@ def cost_effectiveness(
     if not isinstance(strategies, Mapping) or not strategies:
         what = "no strategy" if isinstance(strategies, Mapping) else "strategies without names"
         raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")
-    solver = ModelSolver(family)
+    chosen = uncertain_of(family, uncertain)
+    solver = ModelSolver(family, chosen.names)
     for name in (effect, cost):
         known(name, solver.base.mdp.component_names, "component", "cost-effectiveness")
-    chosen, blocks, _ = drawn(family, uncertain, n, seed, solver.block)
+    blocks, _ = drawn(chosen, n, seed, solver.block)
     weights = [solver.base.held(policy) for policy in strategies.values()]
     totals = np.concatenate(
         [
-            solver.totals(chosen.names, each, weights, (effect, cost), at * solver.block)
+            solver.totals(each, weights, (effect, cost), at * solver.block)
             for at, each in enumerate(blocks)
         ]
     )

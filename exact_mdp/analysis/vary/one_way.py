@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.vary.base_case import finite_worth
+from exact_mdp.analysis.vary.base_case import BaseCase, finite_worth
 from exact_mdp.analysis.vary.ranges import Range, checked, range_of, ranges_of, unit_of
-from exact_mdp.analysis.vary.study import Study, solver_of, study_by
+from exact_mdp.analysis.vary.study import Study, study_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import reachable
@@ -244,8 +244,8 @@ def one_way(
     """
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points)
-    solver = solver_of(family)
-    every = _points(study_by(solver, {name: values}, [policy]), values, solver.base.mdp)
+    solver, table = study_of(family, {name: values}, [policy])
+    every = _points(table, values, solver.base.mdp.sense)
     return Curve(model=family.name, parameter=parameter_of(family, name), points=every)
 
 
@@ -301,9 +301,11 @@ def tornado(
         parameter.name: [at if row // 2 == k else parameter.value for row, at in enumerate(ends)]
         for k, parameter in enumerate(parameters)
     }
-    solver = solver_of(family)
-    base, fixed_policy = solver.base, solver.base.held(policy)
-    points = _points(study_by(solver, columns, [fixed_policy]), ends, base.mdp) if ends else ()
+    base = BaseCase(mdp=family.at({}))
+    fixed_policy = base.held(policy)
+    points: tuple[Point, ...] = ()
+    if ends:
+        points = _points(study_of(family, columns, [fixed_policy])[1], ends, base.mdp.sense)
     bars = [
         Bar(parameter=parameter, low=low, high=high)
         for parameter, low, high in zip(parameters, points[::2], points[1::2], strict=True)
@@ -314,7 +316,7 @@ def tornado(
     return Tornado(model=family.name, today=now, bars=tuple(bars))
 
 
-def _points(table: Study, values: Sequence[Fraction], mdp: MDP) -> tuple[Point, ...]:
+def _points(table: Study, values: Sequence[Fraction], sense: str) -> tuple[Point, ...]:
     numbers = np.column_stack(
         [table.optimal, table.error[:, 0], table.fixed[:, 0], table.error[:, 1]]
     )
@@ -323,7 +325,7 @@ def _points(table: Study, values: Sequence[Fraction], mdp: MDP) -> tuple[Point, 
             at=at,
             optimal=Bounded(value=best, error=doubt),
             fixed=Bounded(value=held, error=error),
-            sense=mdp.sense,
+            sense=sense,
         )
         for at, (best, doubt, held, error) in zip(values, numbers.tolist(), strict=True)
     )
@@ -476,8 +478,8 @@ def two_way(
     spans = ranges_of(family, [x, y], ranges, relative)
     across, along = (grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}
-    solver, shape = solver_of(family), (points, points)
-    mdp, table = solver.base.mdp, study_by(solver, columns, [policy])
+    solver, table = study_of(family, columns, [policy])
+    mdp, shape = solver.base.mdp, (points, points)
     weights = [solver.weights(row) for row in table.rows]
     actions = np.array([mdp.pair_action[np.flatnonzero(each)] for each in weights])
     seen = np.array([reachable(mdp, pairs=each > 0) & ~mdp.forced for each in weights])

@@ -441,30 +441,31 @@ def groups_of(
     return [(label, tuple(m), [place[name] for name in m]) for label, m in groups.items()]
 
 
-def drawn(
+def uncertain_of(
     family: Parametric,
     uncertain: Uncertainty | Mapping[str, Settings] | DataFrame | None,
-    n: int | None,
-    seed: int,
-    block: int,
     default: float = EFFECTIVE_SAMPLE_SIZE,
-) -> tuple[Uncertainty, list[Floats], int]:
-    """Return what is uncertain, n draws of it in blocks, and the size of a last, smaller one."""
+) -> Uncertainty:
+    """Return what is drawn of a family; raises ModelError where that is nothing."""
     if not isinstance(uncertain, Uncertainty):
         uncertain = uncertainty(family, uncertain, default=default)
-    chosen = uncertain.checked(family)
+    return uncertain.checked(family)
+
+
+def drawn(chosen: Uncertainty, n: int | None, seed: int, block: int) -> tuple[list[Floats], int]:
+    """Return n draws in blocks, and the size of a last, smaller one."""
     sample = chosen.sample
     n = counted(len(sample) if n is None and sample is not None else n, "n")
     streams, rest = seeded(seed, n, block)
     if sample is None:
-        return chosen, [chosen.draw(stream, count) for stream, count in streams], rest
+        return [chosen.draw(stream, count) for stream, count in streams], rest
     if n > len(sample):
         raise ModelError(
             f"{n:,} draws of a sample of {len(sample):,}",
             where="n",
             fix=f"ask for {len(sample):,} or fewer",
         )
-    return chosen, [sample[at : min(at + block, n)] for at in range(0, n, block)], rest
+    return [sample[at : min(at + block, n)] for at in range(0, n, block)], rest
 
 
 @named_options
@@ -514,16 +515,15 @@ def psa(
     (200, 'non-directive')
     """
     family = parametric(model)
-    seed, solver = seed_of(rng), solver_of(family)
-    chosen, blocks_of_draws, rest = drawn(
-        family, uncertain, n, seed, solver.block, effective_sample_size
-    )
+    chosen, seed = uncertain_of(family, uncertain, effective_sample_size), seed_of(rng)
+    solver = solver_of(family, chosen.names)
+    blocks_of_draws, rest = drawn(chosen, n, seed, solver.block)
     today, fixed_policy = solver.base.held("optimal"), solver.base.held(policy)
     same = np.array_equal(fixed_policy, today)
     given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
     draws, key = np.concatenate(blocks_of_draws), dict[str, object]()
     if how.get("folder") is not None:
-        key = fingerprints(solver, chosen.names, draws) | {
+        key = fingerprints(solver, draws) | {
             "seed": seed,
             "drawn": [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
             if chosen.sample is None
@@ -531,19 +531,18 @@ def psa(
             "block": solver.block,
         }
     pieces = [(at * solver.block, some) for at, some in enumerate(blocks_of_draws)]
-    work = partial(_block, solver.solved, chosen.names)
-    blocks = run(solver, "solved", work, pieces, key, rest, **how)
+    blocks = run(solver, "solved", partial(_block, solver.solved), pieces, key, rest, **how)
     solved = {"draws": draws} | joined(blocks, ("start", "error", "lost", "cut"))
-    tell_cut(family, chosen.names, draws, solved["cut"])
+    tell_cut(solver, draws, solved["cut"])
 
     def valued(policies: Sequence[Floats]) -> Arrays:
         """Return value and error (D, N) of policies in every draw."""
         mark = digest(*policies)
-        work, name = partial(_block, solver.values, chosen.names, policies), f"values-{mark[:12]}"
+        work, name = partial(_block, solver.values, policies), f"values-{mark[:12]}"
         more = key | {"policies": mark}
         return joined(run(solver, name, work, pieces, more, rest, **how))
 
-    picked, best, frequency = _selected(solver, chosen.names, solved, blocks, given, valued)
+    picked, best, frequency = _selected(solver, solved, blocks, given, valued)
     return PSA(
         model=family.name,
         start=solver.base.solution.start,
@@ -573,15 +572,14 @@ def psa(
     )
 
 
-def _block(method: Callable[..., Arrays], names: tuple[str, ...], *given: Any) -> Arrays:
+def _block(method: Callable[..., Arrays], *given: Any) -> Arrays:
     """Do what a solver does with one piece of draws, which comes last."""
     *more, (first, draws) = given
-    return method(names, draws, *more, first)
+    return method(draws, *more, first)
 
 
 def _selected(
     solver: DrawSolver,
-    names: tuple[str, ...],
     solved: Mapping[str, np.ndarray],
     blocks: Sequence[Arrays],
     given: Sequence[tuple[str, Floats]],
@@ -623,7 +621,7 @@ def _selected(
         return picked, taken, frequency
     others, alike = [weights[numbers[0]] for numbers in pool.values()], list(pool.values())
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: solver.pool])
-    values = sign * solver.values(names, solved["draws"][some], others)["value"]
+    values = sign * solver.values(solved["draws"][some], others)["value"]
     for count in range(1, CANDIDATES + 1):
         best = (sign * taken["value"][some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)

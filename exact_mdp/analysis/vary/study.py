@@ -140,27 +140,27 @@ def study(
     >>> table.optimal.round(9).tolist(), table.regret.tolist()
     ([2.0, 4.0], [[0.0], [0.0]])
     """
-    return study_by(solver_of(parametric(model)), points, policies, **how)
+    return study_of(parametric(model), points, policies, **how)[1]
 
 
-def study_by(
-    solver: DrawSolver,
+def study_of(
+    family: Parametric,
     points: Mapping[str, Sequence[object]] | DataFrame,
     policies: Sequence[PolicyLike],
     **how: Unpack[How],
-) -> Study:
-    """Return the study of a solver's model."""
-    family = solver.model
+) -> tuple[DrawSolver, Study]:
+    """Return the study of a family, and the solver that it comes from."""
     if not isinstance(points, Mapping) and not hasattr(points, "columns"):
         fix = "give {name: numbers}, or a pandas.DataFrame"
         raise ModelError(f"{points!r:.60} is no table of points", where="points", fix=fix)
     names = tuple(points)
+    solver = solver_of(family, names)
     table, draws = _checked(family, {name: _column(points[name]) for name in names})
     weights = [solver.base.held(policy) for policy in listed(policies, "policies")]
     size = max(1, solver.block // 2)
     key: dict[str, object] = {}
     if how.get("folder") is not None:
-        key = fingerprints(solver, names, table) | {
+        key = fingerprints(solver, table) | {
             "parameters": list(names),
             "draws": sha256(np.ascontiguousarray(draws, dtype="<f8").tobytes()).hexdigest(),
             "policies": [digest(weight) for weight in weights],
@@ -168,14 +168,12 @@ def study_by(
             "compiled": solver.compiled,
         }
     blocks = [(at, table[at : at + size]) for at in range(0, len(table), size)]
-    if isinstance(solver, CareSolver):
-        tell_cut(family, names, draws, cut_off(solver.scenario, names, draws))
-    else:
-        tell_cut(family, names, draws)
-    done = run(solver, "draws", partial(_block, solver, names, weights), blocks, key, **how)
+    cut = cut_off(solver.scenario, names, draws) if isinstance(solver, CareSolver) else None
+    tell_cut(solver, draws, cut)
+    done = run(solver, "draws", partial(_block, solver, weights), blocks, key, **how)
     rows, which = merged(done)
     whole = joined(done, ("start", "start_error", "value", "error"))
-    return Study(
+    return solver, Study(
         names=names,
         points=table,
         optimal=whole["start"],
@@ -187,16 +185,11 @@ def study_by(
     )
 
 
-def _block(
-    solver: DrawSolver,
-    names: tuple[str, ...],
-    weights: Sequence[Floats],
-    piece: tuple[int, Numbers],
-) -> Arrays:
+def _block(solver: DrawSolver, weights: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
     first, draws = piece
-    best = solver.solved(names, draws, first)
+    best = solver.solved(draws, first)
     parts = {name: best[name] for name in ("start", "rows", "which")}
-    return parts | {"start_error": best["error"]} | solver.values(names, draws, weights, first)
+    return parts | {"start_error": best["error"]} | solver.values(draws, weights, first)
 
 
 def _column(numbers: Any) -> Numbers:
@@ -240,9 +233,9 @@ def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers
 # ---- blocks ------------------------------------------------------------------------------------
 
 
-def fingerprints(solver: DrawSolver, names: Sequence[str], draws: Numbers) -> dict[str, object]:
+def fingerprints(solver: DrawSolver, draws: Numbers) -> dict[str, object]:
     """Return what tells a solver's models from others, which may be the same today alone."""
-    first = next(models(solver.model, names, draws[:1], 0))
+    first = next(models(solver.model, solver.names, draws[:1], 0))
     return {"model": fingerprint(solver.base.mdp), "first_draw": fingerprint(first)}
 
 
@@ -390,6 +383,8 @@ class ModelSolver:
 
     Attributes
     ----------
+    names : tuple of Q str
+        The parameters that draws (D, Q) give.
     base : BaseCase
         The model at today's values, to whose pairs policies refer.
     block, pool : int
@@ -404,8 +399,8 @@ class ModelSolver:
     block, pool = 64, 32
     compiled = False
 
-    def __init__(self, model: Parametric) -> None:
-        self.model = model
+    def __init__(self, model: Parametric, names: Sequence[str]) -> None:
+        self.model, self.names = model, tuple(names)
         mdp = model.at({})
         self.base = BaseCase(mdp=mdp)
         self.actions = mdp.actions
@@ -417,9 +412,9 @@ class ModelSolver:
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"built": {}, "room": KEPT}
 
-    def parts(self, names: Sequence[str], draws: Numbers, first: int | None) -> Iterator[_Part]:
+    def parts(self, draws: Numbers, first: int | None) -> Iterator[_Part]:
         """Yield the models of draws; what was built of these draws before is used again."""
-        key = repr((names, draws.tolist())).encode()
+        key = repr(draws.tolist()).encode()
         if key in self.built:
             yield from self.built[key]
             return
@@ -427,15 +422,15 @@ class ModelSolver:
         made: list[_Part] = []
         for at in range(0, len(draws), size):
             some, start = draws[at : at + size], None if first is None else first + at
-            built = [*models(self.model, names, some, start)]
-            made.append(_Part(built, partial(self._at, names, some, start)))
+            built = [*models(self.model, self.names, some, start)]
+            made.append(_Part(built, partial(self._at, some, start)))
             yield made[-1]
         numbers = sum(part.size for part in made)
         if numbers <= self.room:
             self.room -= numbers
             self.built[key] = made
 
-    def solved(self, names: Sequence[str], draws: Numbers, first: int | None = None) -> Arrays:
+    def solved(self, draws: Numbers, first: int | None = None) -> Arrays:
         """Return the optima of (D, Q) draws.
 
         start, error (D,); best (X, A), draws in which an action is optimal up to rounding; lost
@@ -443,7 +438,7 @@ class ModelSolver:
         more than one first state; rows (U, G), the policies found, and which (D,) of them is a
         draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
         """
-        mdp, optima = self.base.mdp, [part.optimum() for part in self.parts(names, draws, first)]
+        mdp, optima = self.base.mdp, [part.optimum() for part in self.parts(draws, first)]
         start, error, gap, doubt, policies = map(np.concatenate, zip(*optima, strict=True))
         rows, which = distinct(policies.astype(np.int32))
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
@@ -463,35 +458,26 @@ class ModelSolver:
             "cut": np.zeros(len(draws), dtype=bool),
         }
 
-    def _at(self, names: Sequence[str], draws: Numbers, first: int | None, d: int) -> str:
-        words = _moved(self.model, names, draws[d].tolist())
-        return words if first is None or len(names) <= SHOWN else f"draw {first + d}, {words}"
+    def _at(self, draws: Numbers, first: int | None, d: int) -> str:
+        words = _moved(self.model, self.names, draws[d].tolist())
+        return words if first is None or len(self.names) <= SHOWN else f"draw {first + d}, {words}"
 
     def values(
-        self,
-        names: Sequence[str],
-        draws: Numbers,
-        policies: Sequence[Floats],
-        first: int | None = None,
+        self, draws: Numbers, policies: Sequence[Floats], first: int | None = None
     ) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
-        parts = self.parts(names, draws, first) if policies else ()
+        parts = self.parts(draws, first) if policies else ()
         every = [[part.held(weights) for weights in policies] for part in parts]
         columns = np.concatenate(every, axis=2) if every else np.empty((0, 2, len(draws)))
         return {"value": columns[:, 0].T, "error": columns[:, 1].T}
 
     def totals(
-        self,
-        names: Sequence[str],
-        draws: Numbers,
-        policies: Sequence[Floats],
-        components: Sequence[str],
-        first: int,
+        self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
     ) -> Floats:
         """Return (D, N, C) expected totals of some components of the reward under N policies."""
         known = self.base.mdp.component_names
         every = list[Floats]()
-        for part in self.parts(names, draws, first):
+        for part in self.parts(draws, first):
             of = part.models[0].component_names
             if of != known:
                 raise ModelError(
@@ -535,9 +521,9 @@ class CareSolver:
     block, pool = 4096, 1000
     compiled = True
 
-    def __init__(self, model: ScenarioFamily) -> None:
+    def __init__(self, model: ScenarioFamily, names: Sequence[str]) -> None:
         self.model: Parametric = model
-        self.scenario: Scenario = model.scenario
+        self.names, self.scenario = tuple(names), model.scenario
         self.base = BaseCase(mdp=model.at({}))
         count = len(self.scenario.statuses)
         self.actions = self.scenario.actions
@@ -546,10 +532,10 @@ class CareSolver:
         flags = self.sizes[2] if len(self.sizes) == 4 else 1
         self.shape = (self.sizes[0], self.scenario.trials, flags, 2**count)
 
-    def solved(self, names: Sequence[str], draws: Numbers, first: int | None = None) -> Arrays:
+    def solved(self, draws: Numbers, first: int | None = None) -> Arrays:
         """Return the optima of (D, Q) draws; see `ModelSolver.solved`."""
         draws = draws.astype(float)
-        optima = optimal(self.scenario, names, draws)
+        optima = optimal(self.scenario, self.names, draws)
         rows, which = distinct(optima.actions.reshape(len(draws), -1))
         return {
             "start": optima.start,
@@ -558,19 +544,15 @@ class CareSolver:
             "lost": optima.gaps[:, 0],
             "rows": rows,
             "which": which,
-            "cut": cut_off(self.scenario, names, draws),
+            "cut": cut_off(self.scenario, self.names, draws),
         }
 
     def values(
-        self,
-        names: Sequence[str],
-        draws: Numbers,
-        policies: Sequence[Floats],
-        first: int | None = None,
+        self, draws: Numbers, policies: Sequence[Floats], first: int | None = None
     ) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies; see `ModelSolver.values`."""
         tables = np.stack([self.by_state(weights) for weights in policies])
-        value, error = policy_values(self.scenario, names, draws.astype(float), tables)
+        value, error = policy_values(self.scenario, self.names, draws.astype(float), tables)
         return {"value": value, "error": np.repeat(error[:, None], len(tables), axis=1)}
 
     def weights(self, row: Integers) -> Floats:
@@ -607,27 +589,24 @@ class CareSolver:
 DrawSolver: TypeAlias = ModelSolver | CareSolver
 
 
-def solver_of(model: Parametric) -> DrawSolver:
-    """Return the fastest way to solve a model at many draws."""
+def solver_of(model: Parametric, names: Sequence[str]) -> DrawSolver:
+    """Return the fastest way to solve a model at many draws of some parameters."""
     if isinstance(model, ScenarioFamily):
         scenario = model.scenario
         if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:
-            return CareSolver(model)
-    return ModelSolver(model)
+            return CareSolver(model, names)
+    return ModelSolver(model, names)
 
 
-def tell_cut(
-    model: Parametric, names: Sequence[str], draws: Floats, cut: np.ndarray | None = None
-) -> None:
+def tell_cut(solver: DrawSolver, draws: Floats, cut: np.ndarray | None = None) -> None:
     """Warn once where a chance of a scenario is cut off at 1 in some draw; workers keep silent.
 
     Where it is not known in which draws, `cut` (D,), the largest numbers of all are looked at.
     """
-    if not isinstance(model, ScenarioFamily):
-        return
-    if cut is None:
-        model.tell(dict(zip(names, draws.max(axis=0).tolist(), strict=True)), where=", in draws")
-    elif cut.any():
+    row, where = draws.max(axis=0), ", in draws"
+    if cut is not None:
         first = int(cut.argmax())
+        row = draws[first]
         where = f", {int(cut.sum())} of {len(draws)} draws, the first of them draw {first}"
-        model.tell(dict(zip(names, draws[first].tolist(), strict=True)), where=where)
+    if isinstance(solver.model, ScenarioFamily) and (cut is None or cut.any()):
+        solver.model.tell(dict(zip(solver.names, row.tolist(), strict=True)), where=where)
