@@ -24,7 +24,7 @@ from exact_mdp.mdp.care.laws import Laws, excess, warn_of_excess
 from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, moved_from, parameter_of, placed
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, moved_from, parameter_of
 from exact_mdp.mdp.table import exact, shown
 
 
@@ -145,7 +145,7 @@ class ScenarioFamily:
         A family warns once, of the first such model; a copy of it in another process does not.
         `where` says in which part of an analysis.
         """
-        self._tell(self.scenario.with_(parameters=placed(self, values)), where)
+        self._tell(self.scenario.with_(parameters=moved_from(self, values)), where)
 
     def _tell(self, there: Scenario, where: str = "") -> None:
         if self.warned or excess(there.laws) is None:

@@ -10,7 +10,6 @@ from exact_mdp.mdp.parametric.family import (
     moving,
     parameter_of,
     parametric,
-    placed,
     room_of,
     unposed,
 )
@@ -25,7 +24,6 @@ __all__ = [
     "moving",
     "parameter_of",
     "parametric",
-    "placed",
     "room_of",
     "unposed",
 ]

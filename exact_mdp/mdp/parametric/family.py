@@ -140,11 +140,11 @@ class Family:
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
         moved = moved_from(self, values)
-        return self.build(placed(self, moved)) if moved else self._today
+        return self.build(_today(self) | moved) if moved else self._built
 
     @cached_property
-    def _today(self) -> MDP:
-        return self.build(placed(self, {}))
+    def _built(self) -> MDP:
+        return self.build(_today(self))
 
     def degree(self, name: str) -> int:
         """See `Parametric.degree`."""
@@ -508,21 +508,18 @@ def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | N
     return within.room.get(name, own) if isinstance(within, Family) else own
 
 
-def placed(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:
-    """Return every parameter's value, some of them changed, each checked against its range."""
-    everything = {parameter.name: parameter.value for parameter in model.parameters}
-    for name, value in values.items():
-        everything[name] = exact(value, f"parameter {name}")
-        parameter_of(model, name).check(everything[name])
-    return everything
-
-
 def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:
-    """Return the values that differ from today's; raises ModelError as `placed` does."""
+    """Return the values that differ from today's, each checked against its parameter's range."""
     of_type(values, Mapping, "values", "give {name: value}")
-    today = {parameter.name: parameter.value for parameter in model.parameters}
-    everything = placed(model, values)
-    return {name: everything[name] for name in values if everything[name] != today[name]}
+    numbers = {name: exact(value, f"parameter {name}") for name, value in values.items()}
+    for name, number in numbers.items():
+        parameter_of(model, name).check(number)
+    today = _today(model)
+    return {name: number for name, number in numbers.items() if number != today[name]}
+
+
+def _today(model: Parametric) -> dict[str, Fraction]:
+    return {parameter.name: parameter.value for parameter in model.parameters}
 
 
 def _entry(mdp: MDP, pair: int, state: int) -> Fraction:

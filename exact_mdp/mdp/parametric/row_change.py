@@ -2,9 +2,9 @@
 
     P(l, s'; θ) = P(l, s') + Σ_k P_k(l, s') (θ - θ0)^k,     r(l; θ) = r(l) + Σ_k r_k(l) (θ - θ0)^k
 
-on a piece between two breakpoints. A polynomial of degree d is fixed by d + 1 compiled models
-(Newton's divided differences), without error in rational arithmetic. That the degree is
-d follows from the rules of a care scenario, or from those of `moving`; that of any other family is
+on a piece between two breakpoints, as FLINT's polynomials of y = θ - θ0. A polynomial of degree d
+is fixed by d + 1 compiled models, without error in rational arithmetic. That the degree is d
+follows from the rules of a care scenario, or from those of `moving`; that of any other family is
 checked at further points: one that does not fit refutes it, and those that fit are all that is
 known.
 """
@@ -14,11 +14,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
+import flint
 import numpy as np
 
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric.family import (
     Family,
@@ -29,6 +32,9 @@ from exact_mdp.mdp.parametric.family import (
     unposed,
 )
 from exact_mdp.mdp.table import Integers, Numbers, merged, shown
+
+if TYPE_CHECKING:
+    from flint import fmpq, fmpq_poly
 
 Entries = tuple[Integers, Numbers, Numbers]
 """Keys in rising order, and the integers whose ratios are the numbers there."""
@@ -60,15 +66,15 @@ class Piece:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Change:
-    """Coefficients of (θ - θ0)^k, k from 1, of the entries that move, by rising keys (N,)."""
+    """What is added to the entries that move, polynomials of y that are 0 at y = 0."""
 
-    key: Integers
-    coefficients: tuple[Numbers, ...]
+    key: Integers  # (N,) rising
+    moved: list[fmpq_poly]
 
     @property
-    def slope(self) -> Numbers:
-        """(N,) the derivatives at θ0."""
-        return self.coefficients[0]
+    def slope(self) -> list[fmpq]:
+        """The derivatives at y = 0."""
+        return [each[1] for each in self.moved]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,17 +82,12 @@ class RowChange:
     """How transition rows, expected rewards and the discount move with one parameter."""
 
     name: str
-    origin: Fraction  # the value θ0 at which the coefficients hold
+    origin: Fraction  # the value θ0 of the parameter at which y is 0
     piece: Piece
     transition: Change  # keys are pair · S + next state
     reward: Change  # keys are pairs
-    rate: tuple[Fraction, ...]  # coefficients of (θ - θ0)^k, k from 1, of the discount
+    rate: fmpq_poly  # what is added to the discount
     checked: int | None  # points at which rows fit the polynomials; None for a known degree
-
-    @property
-    def discount(self) -> Fraction:
-        """The derivative of the discount at θ0."""
-        return self.rate[0]
 
 
 def pieces(model: Parametric, name: str, origin: Fraction) -> tuple[Piece | None, Piece | None]:
@@ -125,8 +126,8 @@ def row_change(
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     >>> family = moving(mdp, {"p": [(0, 0)]})
     >>> change = row_change(family, "p", Piece(low=Fraction(0), high=Fraction(1)))
-    >>> change.transition.key.tolist(), [str(slope) for slope in change.transition.slope]
-    ([0, 1], ['1', '-1'])
+    >>> change.transition.key.tolist(), change.transition.slope
+    ([0, 1], [1, -1])
     """
     degree = max(model.degree(name), 1)
     place = parameter_of(model, name).value if origin is None else origin
@@ -138,29 +139,27 @@ def row_change(
     models.insert(0, model.at({name: place}) if base is None else base)
     for point, other in zip(points, models[1:], strict=True):
         _check_alike(models[0], other, name, point)
-    steps = [point - place for point in points]
-    pieces = []
+    steps = [rational(point - place) for point in (place, *points)]
+    changes = []
     for entries in (transition_entries, reward_entries):
         change = _changes(models, steps, entries)
-        for power in change.coefficients[degree:]:
-            wrong = change.key[np.asarray(power != 0, dtype=bool)]
-            if len(wrong):
-                pair = int(wrong[0]) // (models[0].n_states if entries is transition_entries else 1)
+        changes.append(change)
+        for key, moved in zip(change.key.tolist(), change.moved, strict=True):
+            if moved.degree() > degree:
+                pair = key // (models[0].n_states if entries is transition_entries else 1)
                 raise _no_polynomial(
                     "rows are not polynomials", name, degree, models[0].where(pair)
                 )
-        pieces.append(Change(key=change.key, coefficients=change.coefficients[:degree]))
-    rates = [np.array([mdp.discount_exact], dtype=object) for mdp in models]
-    rate = [power[0] for power in _newton(rates, [Fraction(0), *steps])]
-    if any(rate[degree:]):
+    rate = polynomials(steps, [[rational(mdp.discount_exact)] for mdp in models])[0]
+    if rate.degree() > degree:
         raise _no_polynomial("the discount is not a polynomial", name, degree)
     return RowChange(
         name=name,
         origin=place,
         piece=piece,
-        transition=pieces[0],
-        reward=pieces[1],
-        rate=tuple(rate[:degree]),
+        transition=changes[0],
+        reward=changes[1],
+        rate=rate - rate[0],
         checked=None if known else len(models),
     )
 
@@ -222,10 +221,10 @@ def _pairs(mdp: MDP) -> tuple[bytes, bytes]:
 
 
 def _changes(
-    samples: Sequence[MDP], steps: Sequence[Fraction], entries: Callable[[MDP], Entries]
+    models: Sequence[MDP], steps: Sequence[fmpq], entries: Callable[[MDP], Entries]
 ) -> Change:
-    """Return the polynomials through entries of models at 0 and at each of `steps`."""
-    each = [entries(sample) for sample in samples]
+    """Return the polynomials through entries of models, of which the first is at y = 0."""
+    each = [entries(model) for model in models]
     keys = each[0][0]
     if any(len(key) != len(keys) or (key != keys).any() for key, _, _ in each[1:]):
         keys = np.unique(np.concatenate([key for key, _, _ in each]))
@@ -239,16 +238,18 @@ def _changes(
     moved = np.zeros(len(keys), dtype=bool)
     for top, bottom in zip(tops[1:], bottoms[1:], strict=True):
         moved |= np.asarray(top * bottoms[0] != tops[0] * bottom, dtype=bool)
-    if len(steps) == 1:  # one division instead of a dozen
-        (low, high), (under, over) = (t[moved] for t in tops), (b[moved] for b in bottoms)
-        (step,) = steps
-        rise = (high * under - low * over) * step.denominator
-        slope = _fractions(rise, under * over * step.numerator)
-        return Change(key=keys[moved], coefficients=(slope,))
-    values = [
-        _fractions(top[moved], bottom[moved]) for top, bottom in zip(tops, bottoms, strict=True)
-    ]
-    return Change(key=keys[moved], coefficients=_newton(values, [Fraction(0), *steps]))
+    samples = [ratios(top[moved], below[moved]) for top, below in zip(tops, bottoms, strict=True)]
+    through = polynomials(steps, samples)
+    return Change(key=keys[moved], moved=[each - each[0] for each in through])
+
+
+def polynomials(points: Sequence[fmpq | int], samples: Sequence[Sequence[fmpq]]) -> list[fmpq_poly]:
+    """Return the polynomials through columns of samples, which have a row for each point."""
+    size, count = len(points), len(samples[0])
+    powers = flint.fmpq_mat(size, size, [x**power for x in points for power in range(size)])
+    numbers = [number for row in samples for number in row]
+    fitted = powers.solve(flint.fmpq_mat(size, count, numbers)).entries()
+    return [flint.fmpq_poly(fitted[column::count]) for column in range(count)]
 
 
 def transition_entries(mdp: MDP) -> Entries:
@@ -265,22 +266,57 @@ def reward_entries(mdp: MDP) -> Entries:
     return np.arange(mdp.n_pairs), top, bottom
 
 
-def _fractions(top: Numbers, bottom: Numbers) -> Numbers:
-    numbers = np.empty(len(top), dtype=object)
-    numbers[:] = [Fraction(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
-    return numbers
+def ratios(top: Numbers, bottom: Numbers) -> list[fmpq]:
+    """Return the ratios of integers."""
+    return [flint.fmpq(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
 
 
-def _newton(values: list[Numbers], points: list[Fraction]) -> tuple[Numbers, ...]:
-    """Return the coefficients of powers from 1 of the polynomials through (points, values)."""
-    order = len(points) - 1
-    divided = list(values)
-    for level in range(1, order + 1):
-        for k in range(order, level - 1, -1):
-            divided[k] = (divided[k] - divided[k - 1]) / (points[k] - points[k - level])
-    total = [divided[order]] + [0 * divided[order]] * order
-    for k in range(order - 1, -1, -1):  # Horner: multiply by (x - points[k]), add divided[k]
-        shifted = [0 * total[0], *total[:-1]]
-        total = [a - points[k] * b for a, b in zip(shifted, total, strict=True)]
-        total[0] = total[0] + divided[k]
-    return tuple(total[1:])
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolynomialRows:
+    """The rows on one piece of a parameter, of S states and L pairs."""
+
+    mdp: MDP  # at θ0
+    change: RowChange
+    rate: fmpq_poly  # the discount
+    terminal: list[bool]  # states in which nothing happens, whatever the parameter
+    reward: list[fmpq_poly]
+    # Discounted probabilities of states that are not terminal; none of terminal states.
+    following: list[list[tuple[int, fmpq_poly]]]
+    # Probabilities that change, not discounted, those of terminal states included.
+    moving: list[fmpq_poly]
+
+    @classmethod
+    def of(cls, mdp: MDP, change: RowChange) -> PolynomialRows:
+        """Return the rows around the model at the value from which they change."""
+        poly = flint.fmpq_poly
+        rate = change.rate + rational(mdp.discount_exact)
+        # A state that is left, or earns, next to θ0 is terminal at that very value alone.
+        ends = mdp.terminal.copy()
+        ends[mdp.pair_state[change.reward.key]] = False
+        ends[mdp.pair_state[change.transition.key // mdp.n_states]] = False
+        terminal: list[bool] = ends.tolist()
+        reward: list[fmpq_poly] = [poly([r]) for r in ratios(*reward_entries(mdp)[1:])]
+        for pair, moved in zip(change.reward.key.tolist(), change.reward.moved, strict=True):
+            reward[pair] += moved
+        keys, top, bottom = transition_entries(mdp)
+        weight: dict[int, fmpq_poly] = {
+            key: poly([p]) for key, p in zip(keys.tolist(), ratios(top, bottom), strict=True)
+        }
+        moving = []
+        for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
+            weight[key] = weight.get(key, poly()) + moved
+            moving.append(weight[key])
+        following: list[list[tuple[int, fmpq_poly]]] = [[] for _ in reward]
+        for key, p in sorted(weight.items()):
+            pair, state = divmod(key, mdp.n_states)
+            if not terminal[mdp.pair_state[pair]] and not terminal[state]:
+                following[pair].append((state, p * rate))
+        return cls(
+            mdp=mdp,
+            change=change,
+            rate=rate,
+            terminal=terminal,
+            reward=reward,
+            following=following,
+            moving=moving,
+        )

@@ -37,8 +37,7 @@ from exact_mdp.analysis.vary.curves.roots import (
 )
 from exact_mdp.mdp.exact import fraction, rational
 from exact_mdp.mdp.parametric import Parametric
-from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
-from exact_mdp.mdp.parametric.row_change import Piece, row_change
+from exact_mdp.mdp.parametric.row_change import Piece, PolynomialRows, row_change
 from exact_mdp.mdp.table import shown
 
 if TYPE_CHECKING:

@@ -27,8 +27,7 @@ import numpy as np
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
-from exact_mdp.mdp.parametric.row_change import RowChange
+from exact_mdp.mdp.parametric.row_change import PolynomialRows, RowChange, polynomials
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import levels
 
@@ -160,7 +159,7 @@ class Gaps:
         (low, high), size, count = self.inside, self.degree + 1, len(self.live)
         entries, side = self._system(mix)
         step = (high - low) / (size + 1)
-        samples: list[fmpq] = []
+        samples: list[list[fmpq]] = []
         for k in range(1, size + 1):
             y, matrix = rational(low + step * k), [rational(0)] * count**2
             matrix[:: count + 1] = [rational(1)] * count
@@ -169,15 +168,10 @@ class Gaps:
             system = flint.fmpq_mat(count, count, matrix)
             scale = system.det()
             values = system.solve(flint.fmpq_mat(count, 1, [each(y) for each in side])).entries()
-            samples += [*(scale * each for each in values), scale]
-        powers = [flint.fmpq(k**power) for k in range(1, size + 1) for power in range(size)]
-        fitted = flint.fmpq_mat(size, size, powers).solve(flint.fmpq_mat(size, count + 1, samples))
+            samples.append([*(scale * each for each in values), scale])
         number = flint.fmpq_poly([rational(-low / step), rational(1 / step)])  # of a point
-        polynomials = [
-            flint.fmpq_poly([fitted[power, column] for power in range(size)])(number)
-            for column in range(count + 1)
-        ]
-        return polynomials[:-1], polynomials[-1]
+        *tops, below = (each(number) for each in polynomials(range(1, size + 1), samples))
+        return tops, below
 
     def _powers(self, mix: Mix) -> tuple[list[fmpq_poly], fmpq_poly]:
         """Return N, of live states, and D from powers of the matrix."""

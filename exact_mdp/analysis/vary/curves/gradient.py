@@ -36,8 +36,13 @@ from exact_mdp.mdp.graph import endless, is_acyclic, reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
-from exact_mdp.mdp.parametric.polynomial_rows import ratios
-from exact_mdp.mdp.parametric.row_change import RowChange, pieces, row_change, transition_entries
+from exact_mdp.mdp.parametric.row_change import (
+    RowChange,
+    pieces,
+    ratios,
+    row_change,
+    transition_entries,
+)
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed
 from exact_mdp.mdp.result import Pictured
@@ -49,6 +54,7 @@ from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
+    from flint import fmpq
     from pandas import DataFrame
 
 
@@ -363,7 +369,7 @@ def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, 
 
 
 def _moves(
-    mdp: MDP, change: RowChange, kind: Callable[[Fraction], Any], rows: tuple[Integers, Numbers]
+    mdp: MDP, change: RowChange, kind: Callable[[fmpq], Any], rows: tuple[Integers, Numbers]
 ) -> tuple[Integers, Numbers, Integers, Numbers]:
     """Return keys and slopes of discounted transitions, and of rewards, in numbers of one kind.
 
@@ -373,10 +379,10 @@ def _moves(
         np.array([kind(each) for each in part.slope], dtype=rows[1].dtype)
         for part in (change.transition, change.reward)
     )
-    keys, slopes = change.transition.key, slopes * kind(mdp.discount_exact)
-    if change.discount:
+    keys, slopes = change.transition.key, slopes * kind(rational(mdp.discount_exact))
+    if change.rate[1]:
         keys = np.concatenate([keys, rows[0]])
-        slopes = np.concatenate([slopes, rows[1] * kind(change.discount)])
+        slopes = np.concatenate([slopes, rows[1] * kind(change.rate[1])])
     return keys, slopes, change.reward.key, gains
 
 
@@ -418,13 +424,13 @@ class _ExactPass:
 
     @cached_property
     def rows(self) -> tuple[Integers, Numbers]:
-        entries = transition_entries(self.mdp)
-        return entries[0], np.array(ratios(entries), dtype=object)
+        keys, top, bottom = transition_entries(self.mdp)
+        return keys, np.array(ratios(top, bottom), dtype=object)
 
     def slope(self, change: RowChange, sign: int) -> Certified:
         """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
         unique = self.certificate is None or self.certificate.unique
-        keys, slopes, gain_keys, gains = _moves(self.mdp, change, rational, self.rows)
+        keys, slopes, gain_keys, gains = _moves(self.mdp, change, lambda x: x, self.rows)
         if unique:  # other pairs count for nothing
             used = np.asarray(self.uses != 0, dtype=bool)[keys // self.mdp.n_states]
             keys, slopes = keys[used], slopes[used]
@@ -494,7 +500,10 @@ class _BoundedPass:
 
     def slope(self, change: RowChange, _: int) -> Bounded:
         """Return the derivative; both sides are alike where one policy is optimal."""
-        moves, count = _moves(self.mdp, change, float, self.rows), self.mdp.n_pairs
+        moves, count = (
+            _moves(self.mdp, change, lambda x: float(fraction(x)), self.rows),
+            self.mdp.n_pairs,
+        )
         keys, slopes, gain_keys, gains = moves[0], np.abs(moves[1]), moves[2], np.abs(moves[3])
         earned = _earned(*moves, self.value, count)
         size = _earned(keys, slopes, gain_keys, gains, np.abs(self.value), count)

@@ -30,8 +30,13 @@ from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric
-from exact_mdp.mdp.parametric.polynomial_rows import PolynomialRows
-from exact_mdp.mdp.parametric.row_change import Piece, RowChange, row_change, transition_entries
+from exact_mdp.mdp.parametric.row_change import (
+    Piece,
+    PolynomialRows,
+    RowChange,
+    row_change,
+    transition_entries,
+)
 from exact_mdp.mdp.table import Integers, shown
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.solution import Bounded, Certified
@@ -299,10 +304,10 @@ def _endless(at: At, mdp: MDP, change: RowChange) -> bool:
     Or earns where all is over, which is then over at one value of the parameter alone.
     """
     pairs = np.concatenate([change.reward.key, change.transition.key // mdp.n_states])
-    earns = mdp.discount_exact == 1 and not change.discount and mdp.terminal[mdp.pair_state[pairs]]
+    earns = mdp.discount_exact == 1 and not change.rate and mdp.terminal[mdp.pair_state[pairs]]
     if endless(mdp) or np.any(earns):
         return True
-    if mdp.discount_exact < 1 or change.discount or levels(mdp) is not None:
+    if mdp.discount_exact < 1 or change.rate or levels(mdp) is not None:
         return False
     low, high = change.piece.low, change.piece.high
     assert low is not None
