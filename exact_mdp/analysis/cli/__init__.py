@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words:
         status = run(cli, PROGRAM, words, on_error=_reporting(words))
     else:  # a job whose command came out empty has no verdict, so this is no success
-        say(cli.get_help(click.Context(cli, info_name=PROGRAM)))
+        say(cli.get_help(click.Context(cli, info_name=PROGRAM, **cli.context_settings)))
         status = REFUSED
     if arguments is None:
         leave(status)

@@ -230,3 +230,9 @@ def test_a_file_may_be_standard_input(tmp_path: Path, monkeypatch: pytest.Monkey
         done = run(*words, "--json")
         assert done.status == status, (words, done.err)
         assert json.loads(done.out)
+
+
+def test_the_program_alone_shows_its_help() -> None:
+    alone, helped = run(), run("-h")
+    assert (alone.status, helped.status) == (2, 0)
+    assert alone.out + alone.err == helped.out
