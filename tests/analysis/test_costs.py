@@ -160,14 +160,13 @@ def bars(sign: int) -> Told:
 
 
 def line(sign: int) -> Told:
-    points = one_way(family(sign), "p", policy=POLICY, points=5)
-    signed = [number for p in points.points for number in (p.optimal.value, p.fixed.value)]
-    return signed, [p.regret.value for p in points.points]
+    points = one_way(family(sign), "p", policy=POLICY, points=5).table
+    return [*points.optimal, *points.fixed.ravel()], [*points.regret.ravel()]
 
 
 def plane(sign: int) -> Told:
     grid = two_way(family(sign), "p", "q", policy=POLICY, points=4)
-    signed = [*grid.value.ravel(), *grid.fixed_value.ravel()]
+    signed = [*grid.table.optimal, *grid.table.fixed.ravel()]
     return signed, [*grid.choices.ravel(), *grid.policy.ravel()]
 
 

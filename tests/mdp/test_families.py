@@ -277,7 +277,7 @@ def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on()
     """Half way to 1 in a model that never ends; 1 itself where every policy ends."""
     (bar,) = tornado(CONTINUING, names=["discount"]).bars
     assert (bar.low.at, bar.high.at) == (F(18, 25), F(19, 20))
-    assert one_way(CONTINUING, "discount", points=3).points[-1].at == F(19, 20)
+    assert one_way(CONTINUING, "discount", points=3).table.points[-1, 0] == F(19, 20)
     assert thresholds(CONTINUING, "discount").curve.range.high == F(19, 20)
     ending = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0], F(9, 10))
     (bar,) = tornado(ending, names=["discount"]).bars
@@ -296,7 +296,7 @@ def test_default_ranges_stay_where_there_is_a_model() -> None:
     open_ended = Family(parameters=(Parameter(name="p", value=F(9, 10)),), build=staying)
     (bar,) = tornado(open_ended).bars
     assert F(9, 10) < bar.high.at < 1
-    assert two_way(family, "a", "discount", points=2).value.shape == (2, 2)
+    assert two_way(family, "a", "discount", points=2).policy.shape == (2, 2)
 
 
 # ---- degenerate models ---------------------------------------------------------------------------

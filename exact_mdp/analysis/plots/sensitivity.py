@@ -143,12 +143,12 @@ def plot_tornado(
 def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value along a parameter, the policy re-optimised and held fixed."""
     ax = axes_or_new(ax)
-    at = [float(point.at) for point in curve.points]
-    for line, output in zip(LINES, ("optimal", "fixed"), strict=False):
-        values = [getattr(point, output).value for point in curve.points]
+    table, at = curve.table, curve.table.points[:, 0].astype(float)
+    drawn = ("optimal", table.optimal), ("fixed", table.fixed[:, 0])
+    for line, (output, values) in zip(LINES, drawn, strict=False):
         label = OUTPUT[output].partition(", ")[2]
         ax.plot(at, values, linestyle=line, color=BLACK, label=label)
-    _mark_today(ax, float(curve.parameter.value), min(at), max(at))
+    _mark_today(ax, float(curve.parameter.value), at.min(), at.max())
     names = {"x": _axis(curve.parameter), "y": "value at the start (reward)"}
     return described(ax, f"The value along {curve.parameter.name}", curve.model, **names)
 
@@ -253,7 +253,8 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
     Shades have no order; a number stands in each region. The legend says the first actions in which
     the policies differ, or those of the only one.
     """
-    ax, x, y, shown = axes_or_new(ax), grid.x_values, grid.y_values, grid.policy
+    ax, shown = axes_or_new(ax), grid.policy
+    x, y = (np.unique(column) for column in grid.table.points.T.astype(float))
     chosen = [grid.chosen(number) for number in range(int(shown.max()) + 1)]
     count, handles = len(chosen), []
     shades = np.linspace(0.95, 0.35, count)[np.argsort(np.arange(count) % 2, kind="stable")]

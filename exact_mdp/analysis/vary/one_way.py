@@ -34,9 +34,9 @@ from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, claimed
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Integers
 from exact_mdp.mdp.validate import counted
-from exact_mdp.solvers.solution import Bounded, regret, regrets
+from exact_mdp.solvers.solution import Bounded, regret
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -166,15 +166,24 @@ class Tornado(Pictured):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Curve(Pictured):
-    """Values along one parameter's range."""
+    """Values along one parameter's range.
+
+    Attributes
+    ----------
+    model : str
+    parameter : Parameter
+    table : Study
+        Of its values in rising order.
+    """
 
     model: str
     parameter: Parameter
-    points: tuple[Point, ...]
+    table: Study
 
     def __repr__(self) -> str:
-        ends = " to ".join(f"{self.points[k].optimal.value:.6g}" for k in (0, -1))
-        return f"Curve({len(self.points)} points of {self.parameter.name}; value {ends})"
+        ends = " to ".join(f"{self.table.optimal[k]:.6g}" for k in (0, -1))
+        count = len(self.table.points)
+        return f"Curve({count} points of {self.parameter.name}; value {ends})"
 
     def report(self) -> Report:
         """Return the values along the range."""
@@ -185,19 +194,11 @@ class Curve(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each value of the parameter."""
-        import pandas
-
-        return pandas.DataFrame(
-            {
-                "parameter": self.parameter.name,
-                "unit": unit_of(self.parameter),
-                "at": float(point.at),
-                **point.numbers(),
-                "error_bound": point.regret.error,
-                "claim": "bounded",
-            }
-            for point in self.points
-        )
+        values = self.table.values()
+        values.insert(0, "parameter", self.parameter.name)
+        values.insert(1, "unit", unit_of(self.parameter))
+        values.insert(2, "at", self.table.points[:, 0].astype(float))
+        return values
 
 
 @named_options
@@ -239,14 +240,13 @@ def one_way(
     --------
     >>> rows = [(0, 0, [(1, 1, 3)]), (0, 1, [(1, 2, 0)]), (2, 0, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
     >>> curve = one_way(MDP.from_outcomes(rows, 1), "discount", ("1/2", 1), points=3)
-    >>> [(float(p.at), p.optimal.value, p.fixed.value) for p in curve.points]
-    [(0.5, 3.0, 2.0), (0.75, 3.0, 3.0), (1.0, 4.0, 4.0)]
+    >>> curve.table.optimal.tolist(), curve.table.regret[:, 0].tolist()
+    ([3.0, 3.0, 4.0], [1.0, 0.0, 0.0])
     """
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points)
-    solver, table = study_of(family, {name: values}, [policy])
-    every = _points(table, values, solver.base.mdp.sense)
-    return Curve(model=family.name, parameter=parameter_of(family, name), points=every)
+    table = study_of(family, {name: values}, [policy])[1]
+    return Curve(model=family.name, parameter=parameter_of(family, name), table=table)
 
 
 @named_options
@@ -303,7 +303,7 @@ def tornado(
     }
     base = BaseCase(mdp=family.at({}))
     fixed_policy = base.held(policy)
-    points: tuple[Point, ...] = ()
+    points: list[Point] = []
     if ends:
         points = _points(study_of(family, columns, [fixed_policy])[1], ends, base.mdp.sense)
     bars = [
@@ -316,19 +316,17 @@ def tornado(
     return Tornado(model=family.name, today=now, bars=tuple(bars))
 
 
-def _points(table: Study, values: Sequence[Fraction], sense: str) -> tuple[Point, ...]:
-    numbers = np.column_stack(
-        [table.optimal, table.error[:, 0], table.fixed[:, 0], table.error[:, 1]]
-    )
-    return tuple(
+def _points(table: Study, values: Sequence[Fraction], sense: str) -> list[Point]:
+    error, fixed = table.error.tolist(), table.fixed[:, 0].tolist()
+    return [
         Point(
             at=at,
-            optimal=Bounded(value=best, error=doubt),
-            fixed=Bounded(value=held, error=error),
+            optimal=Bounded(value=table.optimal[row].item(), error=error[row][0]),
+            fixed=Bounded(value=fixed[row], error=error[row][1]),
             sense=sense,
         )
-        for at, (best, doubt, held, error) in zip(values, numbers.tolist(), strict=True)
-    )
+        for row, at in enumerate(values)
+    ]
 
 
 def grid(span: Range, points: int) -> list[Fraction]:
@@ -350,9 +348,8 @@ class TwoWay(Pictured):
     mdp : MDP
         The model at today's values.
     x, y : Parameter
-    x_values, y_values : (X,), (Y,)
-    value, fixed_value, error : (Y, X)
-        Start value of the optimum and of the policy held fixed, and a bound on either's error.
+    table : Study
+        Of the grid, row by row, x changing first.
     choices : (Y, X, S) int64
         Optimal action numbers; the lowest where floats cannot tell two apart.
     policy : (Y, X) int64
@@ -363,11 +360,7 @@ class TwoWay(Pictured):
     mdp: MDP
     x: Parameter
     y: Parameter
-    x_values: Floats
-    y_values: Floats
-    value: Floats
-    fixed_value: Floats
-    error: Floats
+    table: Study
     choices: Integers
     policy: Integers
 
@@ -390,23 +383,11 @@ class TwoWay(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each point of the grid."""
-        import pandas
-
-        across, along = np.meshgrid(self.x_values, self.y_values)
-        sign = 1 if self.mdp.sense == "max" else -1
-        lost = regrets(self.value, self.fixed_value, self.error, sign)
-        return pandas.DataFrame(
-            {
-                "x": across.reshape(-1),
-                "y": along.reshape(-1),
-                "policy": self.policy.reshape(-1),
-                "value": self.value.reshape(-1),
-                "fixed_value": self.fixed_value.reshape(-1),
-                "regret": lost.reshape(-1),
-                "error_bound": self.error.reshape(-1),
-                "claim": "bounded",
-            }
-        )
+        values = self.table.values()
+        values.insert(0, "x", self.table.points[:, 0].astype(float))
+        values.insert(1, "y", self.table.points[:, 1].astype(float))
+        values.insert(2, "policy", self.policy.reshape(-1))
+        return values
 
     def chosen(self, number: int) -> dict[str, str]:
         """Return what the policy of a number does in each state that it reaches, with a choice."""
@@ -479,7 +460,7 @@ def two_way(
     across, along = (grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}
     solver, table = study_of(family, columns, [policy])
-    mdp, shape = solver.base.mdp, (points, points)
+    mdp = solver.base.mdp
     weights = [solver.weights(row) for row in table.rows]
     actions = np.array([mdp.pair_action[np.flatnonzero(each)] for each in weights])
     seen = np.array([reachable(mdp, pairs=each > 0) & ~mdp.forced for each in weights])
@@ -488,11 +469,7 @@ def two_way(
         mdp=mdp,
         x=across_by,
         y=along_by,
-        x_values=np.array([float(at) for at in across]),
-        y_values=np.array([float(at) for at in along]),
-        value=table.optimal.reshape(shape),
-        fixed_value=table.fixed[:, 0].reshape(shape),
-        error=table.error.sum(axis=1).reshape(shape),
-        choices=actions[table.which].reshape(*shape, -1),
-        policy=numbers.reshape(shape),
+        table=table,
+        choices=actions[table.which].reshape(points, points, -1),
+        policy=numbers.reshape(points, points),
     )

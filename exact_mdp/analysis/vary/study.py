@@ -92,16 +92,24 @@ class Study(Result):
         size = float(np.abs(self.optimal).max())
         return max(NOISE * size, 2 * float(self.error.max()))
 
-    def frame(self) -> DataFrame:
-        """Return one row for each point: its parameters, the optimum, each policy (reward)."""
+    def values(self) -> DataFrame:
+        """Return one row for each point: the optimum, each policy and its regret (reward)."""
         import pandas
 
-        table = pandas.DataFrame(self.points.astype(float), columns=list(self.names))
-        table["optimum (reward)"] = self.optimal
-        for number in range(self.fixed.shape[1]):
-            table[f"policy {number} (reward)"] = self.fixed[:, number]
+        table = pandas.DataFrame({"value": self.optimal})
+        for number, (fixed, regret) in enumerate(zip(self.fixed.T, self.regret.T, strict=True)):
+            end = f"_{number}" * (len(self.fixed.T) > 1)
+            table[[f"fixed_value{end}", f"regret{end}"]] = np.column_stack([fixed, regret])
+        table["error_bound"] = self.error[:, 0] + self.error[:, 1:].max(axis=1, initial=0.0)
         table["claim"] = "bounded"
         return table
+
+    def frame(self) -> DataFrame:
+        """Return one row for each point: its parameters, and what `values` says of it."""
+        import pandas
+
+        points = pandas.DataFrame(self.points.astype(float), columns=list(self.names))
+        return pandas.concat([points, self.values()], axis=1)
 
 
 def study(

@@ -125,9 +125,9 @@ def test_curves_start_to_part_at_a_threshold() -> None:
     assert -10 < low < -3
     assert high == 0
     curve = one_way(own, name, (low, high), points=5)
-    assert max(point.regret.value for point in curve.points) < 1e-9
+    assert curve.table.regret.max() < 1e-9
     below = one_way(own, name, (-10, low), points=5)
-    assert below.points[0].regret.value > 1e-3
+    assert below.table.regret[0, 0] > 1e-3
     assert len(curve.frame()) == 5
 
 
@@ -160,16 +160,17 @@ def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
     grid = two_way(own, x, "base.confusion", ranges={x: (0, 1)}, points=5)
     assert grid.policy.shape == (5, 5)
     today = thresholds(own, x, (0, 1))
+    across = grid.table.points[:5, 0]
     middle = grid.choices[2]  # base.confusion as it is today
     for column in range(4):
         moved = np.flatnonzero(middle[column] != middle[column + 1]).tolist()
-        inside = [t for t in today.found if grid.x_values[column] < t.value]
-        inside = [t for t in inside if t.value < grid.x_values[column + 1]]
+        inside = [t for t in today.found if across[column] < t.value]
+        inside = [t for t in inside if t.value < across[column + 1]]
         assert set(moved) <= {switch.state for t in inside for switch in t.switches}
     frame = grid.frame()
     assert len(frame) == 25
     assert (frame["regret"] >= 0).all()
-    assert grid.value[2, 0] >= grid.fixed_value[2, 0] - 1e-9
+    assert frame["value"][10] >= frame["fixed_value"][10] - 1e-9
     with pytest.raises(ModelError, match="both parameters are"):
         two_way(own, x, x)
     with pytest.raises(ModelError, match=r"base\.anger has a range"):
