@@ -192,7 +192,7 @@ def pieces(sign: int) -> Told:
 def drawn(sign: int) -> Told:
     analysis = psa(family(sign), 60, rng=0, policy=POLICY)
     evpi = analysis.evpi()
-    signed = [*analysis.optimal, *analysis.values.ravel()]
+    signed = [*analysis.table.optimal, *analysis.table.fixed.ravel()]
     same = [
         evpi.low.value,
         evpi.high.value,

@@ -15,9 +15,8 @@ alone are uncertain, the best policy is the optimum at their means, and the ends
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -41,7 +40,7 @@ from exact_mdp.analysis.vary.intervals import (
     tolerances_of,
     wilson,
 )
-from exact_mdp.analysis.vary.study import DrawSolver, fingerprints, merged, run, solver_of, tell_cut
+from exact_mdp.analysis.vary.study import Draws, Study, fingerprints, solver_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
@@ -51,8 +50,8 @@ from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, counted, seed_of
-from exact_mdp.solvers.parallel import Arrays, How, joined, seeded
-from exact_mdp.solvers.solution import Bounded, Estimated, regrets
+from exact_mdp.solvers.parallel import How, seeded
+from exact_mdp.solvers.solution import Bounded, Estimated
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -115,14 +114,10 @@ class PSA(Pictured):
         V* of the start at today's values.
     uncertainty : Uncertainty
     seed : int
-    draws : (D, Q)
-        Drawn parameters, in the order of `uncertainty.names`.
-    optimal, error : (D,)
-        V* of the start in each draw, and how far it may be off; units of reward.
+    table : Study
+        Of the draws: V* of the start, and the candidates' values.
     candidates : tuple of N Candidate
         The policy that is held comes first.
-    values, value_error : (D, N)
-        Their values.
     labels, actions : tuples of X and A words
         Statuses at subtask 0, trial 0 of a care scenario; of other models the states with a choice.
     compiled : bool
@@ -133,34 +128,27 @@ class PSA(Pictured):
         What each action costs in the first state; (D, 0) where there is more than one.
     cut : (D,) bool
         Whether some chance was cut off at 1, where `compiled`.
-    sign : int
-        -1 where values are costs, of which the least is best.
     """
 
     model: str
     start: Bounded
     uncertainty: Uncertainty
     seed: int
-    draws: Floats
-    optimal: Floats
-    error: Floats
+    table: Study
     candidates: tuple[Candidate, ...]
-    values: Floats
-    value_error: Floats
     labels: tuple[str, ...]
     actions: tuple[str, ...]
     compiled: bool
     counts: Integers
     lost: Floats
     cut: np.ndarray
-    sign: int = 1
 
     def __post_init__(self) -> None:
-        for array in (self.draws, self.optimal, self.error, self.values, self.counts, self.lost):
+        for array in (self.counts, self.lost, self.cut):
             array.setflags(write=False)
 
     def __len__(self) -> int:
-        return len(self.optimal)
+        return len(self.table.optimal)
 
     def __repr__(self) -> str:
         return (
@@ -176,12 +164,16 @@ class PSA(Pictured):
     @property
     def value(self) -> Estimated:
         """Mean of V* over the draws (reward)."""
-        return mean_of(self.optimal)
+        return mean_of(self.table.optimal)
+
+    @property
+    def gained(self) -> Floats:
+        """(D, N) values of the candidates, of which the greatest is best."""
+        return self.table.sign * self.table.fixed
 
     def regret(self, candidate: int = 0) -> Floats:
         """Return (D,) what a candidate loses of V*; 0 where rounding may be all there is."""
-        error = self.error + self.value_error[:, candidate]
-        return regrets(self.optimal, self.values[:, candidate], error, self.sign)
+        return self.table.regret[:, candidate]
 
     @property
     def clipped(self) -> Estimated | None:
@@ -206,17 +198,18 @@ class PSA(Pictured):
             today = [candidate.name for candidate in self.candidates].index(TODAY)
             loss = mean_loss(self.regret(today))
             return Information(low=loss, high=loss, best=TODAY)
-        best = int((self.sign * self.values).mean(axis=0).argmax())
+        best = int(self.gained.mean(axis=0).argmax())
         high, low = mean_loss(self.regret(best)), mean_loss(np.zeros(len(self)))
         if self.lost.shape[1]:
             lost = self.lost[:, int(np.nanargmin(self.lost.mean(axis=0)))]
-            noise = 3 * self.error + self.value_error[:, best] + 1e-12 * np.abs(self.optimal)
+            noise = 3 * self.table.error[:, 0] + self.table.error[:, best + 1]
+            noise += 1e-12 * np.abs(self.table.optimal)
             low = mean_loss(np.where(lost > noise, lost, 0.0))
         return Information(low=low, high=high, best=self.candidates[best].name)
 
     def evpi_of_candidates(self) -> MeanLoss:
         """Return what it would be worth to know before choosing among the candidates."""
-        return evpi(self.sign * self.values)
+        return evpi(self.gained)
 
     def evppi(
         self, groups: Mapping[str, Sequence[str]] | None = None
@@ -244,9 +237,8 @@ class PSA(Pictured):
         doubt = (MISSING,) if among.value + apart < least.value else ()
         by_group = {}
         for label, members, columns in groups_of(self.uncertainty, groups, together=True):
-            each = evppi(
-                self.sign * self.values[:REGRESSED], self.draws[:REGRESSED, columns], members
-            )
+            draws = self.table.points[:REGRESSED, columns]
+            each = evppi(self.gained[:REGRESSED], draws, members)
             by_group[label] = replace(each, doubts=(*each.doubts, *doubt))
         return by_group
 
@@ -256,7 +248,7 @@ class PSA(Pictured):
         `policy` is what the policy held fixed is called.
         """
         partly = self.evppi() if len(self) >= FEWEST else {}
-        information, regret, optimal = self.evpi(), self.regret(), self.optimal
+        information, regret, optimal = self.evpi(), self.regret(), self.table.optimal
         lost, tolerances = mean_loss(regret), tolerances_of([regret])
         accepted, least, most = self.acceptability(tolerances)
         means = {"regret": lost, "EVPI": information.high, "EVPI's lower end": information.low}
@@ -268,7 +260,7 @@ class PSA(Pictured):
             {
                 "name": candidate.name,
                 "actions": candidate.actions,
-                "mean": mean_of(self.values[:, n]),
+                "mean": mean_of(self.table.fixed[:, n]),
                 "expected_loss": _loss(mean_loss(self.regret(n))),
                 "probability_optimal": float(self.acceptability([0.0], n)[0][0]),
                 "draws_whose_optimum_it_was": candidate.frequency,
@@ -392,10 +384,10 @@ class PSA(Pictured):
         """Return a table: the drawn parameters, V*, each candidate's value (units of reward)."""
         import pandas
 
-        table = pandas.DataFrame(self.draws, columns=list(self.names))
-        table["V* (reward)"] = self.optimal
+        table = pandas.DataFrame(self.table.points, columns=list(self.names))
+        table["V* (reward)"] = self.table.optimal
         for number, candidate in enumerate(self.candidates):
-            table[f"{candidate.name} (reward)"] = self.values[:, number]
+            table[f"{candidate.name} (reward)"] = self.table.fixed[:, number]
         return table
 
 
@@ -517,43 +509,30 @@ def psa(
     family = parametric(model)
     chosen, seed = uncertain_of(family, uncertain, effective_sample_size), seed_of(rng)
     solver = solver_of(family, chosen.names)
-    blocks_of_draws, rest = drawn(chosen, n, seed, solver.block)
+    blocks, rest = drawn(chosen, n, seed, solver.block)
     today, fixed_policy = solver.base.held("optimal"), solver.base.held(policy)
     same = np.array_equal(fixed_policy, today)
     given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
-    draws, key = np.concatenate(blocks_of_draws), dict[str, object]()
+    key: dict[str, object] = {}
     if how.get("folder") is not None:
-        key = fingerprints(solver, draws) | {
+        key = fingerprints(solver, blocks[0]) | {
             "seed": seed,
             "drawn": [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
             if chosen.sample is None
             else sha256(np.ascontiguousarray(chosen.sample).tobytes()).hexdigest(),
             "block": solver.block,
         }
-    pieces = [(at * solver.block, some) for at, some in enumerate(blocks_of_draws)]
-    blocks = run(solver, "solved", partial(_block, solver.solved), pieces, key, rest, **how)
-    solved = {"draws": draws} | joined(blocks, ("start", "error", "lost", "cut"))
-    tell_cut(solver, draws, solved["cut"])
-
-    def valued(policies: Sequence[Floats]) -> Arrays:
-        """Return value and error (D, N) of policies in every draw."""
-        mark = digest(*policies)
-        work, name = partial(_block, solver.values, policies), f"values-{mark[:12]}"
-        more = key | {"policies": mark}
-        return joined(run(solver, name, work, pieces, more, rest, **how))
-
-    picked, best, frequency = _selected(solver, solved, blocks, given, valued)
+    pieces = [(at * solver.block, draws) for at, draws in enumerate(blocks)]
+    draws = Draws(solver, pieces, key, how, rest)
+    table, optima = draws.study(())
+    table = draws.with_policies(table, [weights for _, weights in given])
+    picked, table, frequency = _selected(draws, table, given)
     return PSA(
         model=family.name,
         start=solver.base.solution.start,
         uncertainty=chosen,
         seed=seed,
-        draws=solved["draws"],
-        optimal=solved["start"],
-        error=solved["error"],
-        lost=solved["lost"],
-        cut=solved["cut"],
-        sign=solver.base.sign,
+        table=table,
         candidates=tuple(
             Candidate(
                 name=name,
@@ -563,29 +542,17 @@ def psa(
             )
             for name, weights in picked
         ),
-        values=best["value"],
-        value_error=best["error"],
         labels=solver.labels,
         actions=solver.actions,
         compiled=solver.compiled,
-        counts=np.sum([block["best"] for block in blocks], axis=0),
+        **optima,
     )
 
 
-def _block(method: Callable[..., Arrays], *given: Any) -> Arrays:
-    """Do what a solver does with one piece of draws, which comes last."""
-    *more, (first, draws) = given
-    return method(draws, *more, first)
-
-
 def _selected(
-    solver: DrawSolver,
-    solved: Mapping[str, np.ndarray],
-    blocks: Sequence[Arrays],
-    given: Sequence[tuple[str, Floats]],
-    valued: Callable[[Sequence[Floats]], Arrays],
-) -> tuple[list[tuple[str, Floats]], Arrays, dict[str, int]]:
-    """Return the policies given and those that add most, their values, and how often each is best.
+    draws: Draws, table: Study, given: Sequence[tuple[str, Floats]]
+) -> tuple[list[tuple[str, Floats]], Study, dict[str, int]]:
+    """Return the policies given and those that add most, their study, and how often each is best.
 
     What the policies taken so far leave to be won is V* - max_c V^c, draw by draw. Policies are
     considered by how much of it lies in the draws whose optimum they are. What one would add is at
@@ -593,21 +560,19 @@ def _selected(
     are valued. The one that adds most is valued in every draw, until none adds a hundredth of the
     whole.
     """
-    rows, which = merged(blocks)
-    sign = solver.base.sign
-    picked, taken = list(given), valued([weights for _, weights in given])
+    rows, which, sign, picked = table.rows, table.which, table.sign, list(given)
 
     def to_be_won() -> Floats:
         """Return (D,) what the policies taken leave, and 0 where rounding may be all there is."""
-        left = sign * solved["start"] - (sign * taken["value"]).max(axis=1)
-        return np.where(left > solved["error"] + taken["error"].max(axis=1), left, 0.0)
+        left = sign * table.optimal - (sign * table.fixed).max(axis=1)
+        return np.where(left > table.error[:, 0] + table.error[:, 1:].max(axis=1), left, 0.0)
 
     left = to_be_won()
     counts = np.bincount(which, minlength=len(rows))
     by_loss = np.bincount(which, weights=left, minlength=len(rows))
     order = np.argsort(-by_loss, kind="stable")[:POOL].tolist()
     frequent = np.argsort(-counts, kind="stable")[:POOL].tolist()
-    weights = {number: solver.weights(rows[number]) for number in {*order, *frequent}}
+    weights = {number: draws.solver.weights(rows[number]) for number in {*order, *frequent}}
     frequency: dict[str, int] = {}
     for number, each in weights.items():
         own_digest = digest(each)
@@ -618,12 +583,12 @@ def _selected(
         if by_loss[number] > 0 and (own_digest := digest(weights[number])) not in known:
             pool.setdefault(own_digest, []).append(number)
     if not pool:
-        return picked, taken, frequency
+        return picked, table, frequency
     others, alike = [weights[numbers[0]] for numbers in pool.values()], list(pool.values())
-    total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: solver.pool])
-    values = sign * solver.values(solved["draws"][some], others)["value"]
+    total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: draws.solver.pool])
+    values = sign * draws.solver.values(table.points[some], others)["value"]
     for count in range(1, CANDIDATES + 1):
-        best = (sign * taken["value"][some]).max(axis=1)
+        best = (sign * table.fixed[some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)
         by_loss = np.bincount(which, weights=to_be_won(), minlength=len(rows))
         gains = np.maximum(seen, [by_loss[numbers].sum() for numbers in alike])
@@ -631,6 +596,5 @@ def _selected(
         if gains[number] <= LEAST_GAIN * total:
             break
         picked.append((f"alternative {count}", others[number]))
-        more = valued([others[number]])
-        taken = {name: np.hstack([taken[name], more[name]]) for name in taken}
-    return picked, taken, frequency
+        table = draws.with_policies(table, [others[number]])
+    return picked, table, frequency

@@ -13,7 +13,7 @@ size, in any number of threads or processes, so that the same points give the sa
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from hashlib import sha256
@@ -79,6 +79,10 @@ class Study(Result):
     sign: int = 1
     rows: Integers
     which: Integers
+
+    def __post_init__(self) -> None:
+        for array in (self.points, self.optimal, self.fixed, self.error, self.rows, self.which):
+            array.setflags(write=False)
 
     @property
     def regret(self) -> Floats:
@@ -162,8 +166,8 @@ def study_of(
         fix = "give {name: numbers}, or a pandas.DataFrame"
         raise ModelError(f"{points!r:.60} is no table of points", where="points", fix=fix)
     names = tuple(points)
-    solver = solver_of(family, names)
     table, draws = _checked(family, {name: _column(points[name]) for name in names})
+    solver = solver_of(family, names)
     weights = [solver.base.held(policy) for policy in listed(policies, "policies")]
     size = max(1, solver.block // 2)
     key: dict[str, object] = {}
@@ -176,28 +180,87 @@ def study_of(
             "compiled": solver.compiled,
         }
     blocks = [(at, table[at : at + size]) for at in range(0, len(table), size)]
-    cut = cut_off(solver.scenario, names, draws) if isinstance(solver, CareSolver) else None
-    tell_cut(solver, draws, cut)
-    done = run(solver, "draws", partial(_block, solver, weights), blocks, key, **how)
-    rows, which = merged(done)
-    whole = joined(done, ("start", "start_error", "value", "error"))
-    return solver, Study(
-        names=names,
-        points=table,
-        optimal=whole["start"],
-        fixed=whole["value"],
-        error=np.column_stack([whole["start_error"], whole["error"]]),
-        sign=solver.base.sign,
-        rows=rows,
-        which=which,
-    )
+    return solver, Draws(solver, blocks, key, how).study(weights)[0]
 
 
-def _block(solver: DrawSolver, weights: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
+@dataclass(frozen=True)
+class Draws:
+    """Draws of parameters in pieces, and where they are worked on.
+
+    Attributes
+    ----------
+    solver : ModelSolver or CareSolver
+    pieces : sequence of (int, (D, Q))
+        The number of each piece's first draw, and its draws.
+    key : {name: JSON value}
+        What tells these draws from others, where there is a folder.
+    how : How
+    rest : int
+        Draws of the last piece, where it is smaller. A folder holds it apart, so that the whole
+        ones are of use to larger samples.
+    """
+
+    solver: DrawSolver
+    pieces: Sequence[tuple[int, Numbers]]
+    key: Mapping[str, object]
+    how: How
+    rest: int = 0
+
+    def study(self, policies: Sequence[Floats]) -> tuple[Study, Arrays]:
+        """Return the study, and counts, lost and cut of `ModelSolver.solved`."""
+        solver, points = self.solver, np.concatenate([draws for _, draws in self.pieces])
+        if not solver.compiled:
+            tell_cut(solver, points)
+        done = self._run("draws", partial(_block, solver, policies), self.key)
+        whole = joined(done, ("start", "start_error", "value", "error", "lost", "cut"))
+        if solver.compiled:
+            tell_cut(solver, points, whole["cut"])
+        rows, which = merged(done)
+        counts = np.sum([block["counts"] for block in done], axis=0)
+        return Study(
+            names=solver.names,
+            points=points,
+            optimal=whole["start"],
+            fixed=whole["value"],
+            error=np.column_stack([whole["start_error"], whole["error"]]),
+            sign=solver.base.sign,
+            rows=rows,
+            which=which,
+        ), {"counts": counts, "lost": whole["lost"], "cut": whole["cut"]}
+
+    def with_policies(self, table: Study, policies: Sequence[Floats]) -> Study:
+        """Return the study with the values of more policies."""
+        mark, work = digest(*policies), partial(_held, self.solver, policies)
+        more = joined(self._run(f"values-{mark[:12]}", work, {**self.key, "policies": mark}))
+        fixed = np.hstack([table.fixed, more["value"]])
+        return replace(table, fixed=fixed, error=np.hstack([table.error, more["error"]]))
+
+    def _run(
+        self, what: str, work: Callable[[Any], Arrays], key: Mapping[str, object]
+    ) -> list[Arrays]:
+        """Do all pieces: compiled loops in threads, other models in processes."""
+        folder = self.how.get("folder")
+        full = len(self.pieces) - (self.rest > 0 and folder is not None)
+        last = f"{what}-last-{full}-{self.rest}", {**key, "last block": full, "draws": self.rest}
+        done = list[Arrays]()
+        parts = (what, dict(key), self.pieces[:full]), (*last, self.pieces[full:])
+        for name, own, some in parts:
+            if some:
+                how = self.how | {"folder": None if folder is None else folder_of(folder) / name}
+                done += many(work, some, key=own, what=what, threads=self.solver.compiled, **how)
+        return done
+
+
+def _block(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
     first, draws = piece
-    best = solver.solved(draws, first)
-    parts = {name: best[name] for name in ("start", "rows", "which")}
-    return parts | {"start_error": best["error"]} | solver.values(draws, weights, first)
+    return solver.solved(draws, first) | _held(solver, policies, piece)
+
+
+def _held(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
+    first, draws = piece
+    if policies:
+        return solver.values(draws, policies, first)
+    return dict.fromkeys(("value", "error"), np.empty((len(draws), 0)))
 
 
 def _column(numbers: Any) -> Numbers:
@@ -245,30 +308,6 @@ def fingerprints(solver: DrawSolver, draws: Numbers) -> dict[str, object]:
     """Return what tells a solver's models from others, which may be the same today alone."""
     first = next(models(solver.model, solver.names, draws[:1], 0))
     return {"model": fingerprint(solver.base.mdp), "first_draw": fingerprint(first)}
-
-
-def run(
-    solver: DrawSolver,
-    what: str,
-    work: Callable[[Any], Arrays],
-    pieces: Sequence[Any],
-    key: Mapping[str, object],
-    rest: int = 0,
-    **how: Unpack[How],
-) -> list[Arrays]:
-    """Do pieces of work: compiled loops in threads, other models in processes.
-
-    A folder has whole blocks of draws for samples of any size, and a last one of `rest` apart.
-    """
-    folder = how.get("folder")
-    full = len(pieces) - (rest > 0 and folder is not None)
-    last = f"{what}-last-{full}-{rest}", {**key, "last block": full, "draws": rest}
-    done = list[Arrays]()
-    for name, own, some in ((what, dict(key), pieces[:full]), (*last, pieces[full:])):
-        if some:
-            how["folder"] = None if folder is None else folder_of(folder) / name
-            done += many(work, some, key=own, what=what, threads=solver.compiled, **how)
-    return done
 
 
 def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Numbers, Integers]:
@@ -441,9 +480,9 @@ class ModelSolver:
     def solved(self, draws: Numbers, first: int | None = None) -> Arrays:
         """Return the optima of (D, Q) draws.
 
-        start, error (D,); best (X, A), draws in which an action is optimal up to rounding; lost
-        (D, A), what each first action costs, NaN where it is not offered, (D, 0) where there is
-        more than one first state; rows (U, G), the policies found, and which (D,) of them is a
+        start, start_error (D,); counts (X, A), draws in which an action is optimal up to rounding;
+        lost (D, A), what each first action costs, NaN where it is not offered, (D, 0) where there
+        is more than one first state; rows (U, G), the policies found, and which (D,) of them is a
         draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
         """
         mdp, optima = self.base.mdp, [part.optimum() for part in self.parts(draws, first)]
@@ -458,10 +497,10 @@ class ModelSolver:
             lost[:, mdp.pair_action[here]] = np.maximum(gap[:, here], 0.0)
         return {
             "start": start,
-            "error": error,
+            "start_error": error,
             "rows": rows,
             "which": which,
-            "best": counts[self.choosing],
+            "counts": counts[self.choosing],
             "lost": lost,
             "cut": np.zeros(len(draws), dtype=bool),
         }
@@ -474,9 +513,9 @@ class ModelSolver:
         self, draws: Numbers, policies: Sequence[Floats], first: int | None = None
     ) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
-        parts = self.parts(draws, first) if policies else ()
+        parts = self.parts(draws, first)
         every = [[part.held(weights) for weights in policies] for part in parts]
-        columns = np.concatenate(every, axis=2) if every else np.empty((0, 2, len(draws)))
+        columns = np.concatenate(every, axis=2)
         return {"value": columns[:, 0].T, "error": columns[:, 1].T}
 
     def totals(
@@ -547,8 +586,8 @@ class CareSolver:
         rows, which = distinct(optima.actions.reshape(len(draws), -1))
         return {
             "start": optima.start,
-            "error": optima.error,
-            "best": (optima.gaps <= 2 * optima.error[:, None, None]).sum(axis=0),
+            "start_error": optima.error,
+            "counts": (optima.gaps <= 2 * optima.error[:, None, None]).sum(axis=0),
             "lost": optima.gaps[:, 0],
             "rows": rows,
             "which": which,
@@ -606,7 +645,7 @@ def solver_of(model: Parametric, names: Sequence[str]) -> DrawSolver:
     return ModelSolver(model, names)
 
 
-def tell_cut(solver: DrawSolver, draws: Floats, cut: np.ndarray | None = None) -> None:
+def tell_cut(solver: DrawSolver, draws: Numbers, cut: np.ndarray | None = None) -> None:
     """Warn once where a chance of a scenario is cut off at 1 in some draw; workers keep silent.
 
     Where it is not known in which draws, `cut` (D,), the largest numbers of all are looked at.

@@ -122,7 +122,7 @@ def test_a_state_of_infinite_value_disturbs_nothing() -> None:
         warnings.simplefilter("error")
         analysis = psa(chances(LOSES), 4, rng=0, **QUIET)
     assert analysis.counts[0].tolist() == [0, 4]
-    assert np.isfinite(analysis.optimal).all()
+    assert np.isfinite(analysis.table.optimal).all()
     assert analysis.lost.min(axis=1).tolist() == [0] * 4
     assert (analysis.lost.max(axis=1) == np.inf).all()
 

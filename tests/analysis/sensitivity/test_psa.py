@@ -51,33 +51,35 @@ def care() -> Any:
 
 def test_every_draw_is_solved_and_every_policy_evaluated_in_it(care: Any) -> None:
     for d in (0, 17, 2999):
-        drawn = dict(zip(care.names, care.draws[d].tolist(), strict=True))
+        drawn = dict(zip(care.names, care.table.points[d].tolist(), strict=True))
         mdp = YUAN.with_(parameters=drawn).compile()
         start = solve(mdp).start
-        assert abs(care.optimal[d] - start.value) <= care.error[d] + start.error
+        assert abs(care.table.optimal[d] - start.value) <= care.table.error[d, 0] + start.error
         for n, candidate in enumerate(care.candidates):
             evaluation = evaluate(mdp, candidate.weights)
             assert (
-                abs(care.values[d, n] - evaluation.mean)
-                <= care.value_error[d, n] + evaluation.start.error
+                abs(care.table.fixed[d, n] - evaluation.mean)
+                <= care.table.error[d, n + 1] + evaluation.start.error
             )
 
 
 def test_no_candidate_beats_the_optimum_and_evpi_lies_between_its_ends(care: Any) -> None:
-    assert (care.values <= (care.optimal + care.error)[:, None] + care.value_error).all()
+    table = care.table
+    assert (table.fixed - table.optimal[:, None] <= table.error[:, :1] + table.error[:, 1:]).all()
     evpi = care.evpi()
     assert 0 <= evpi.low.value <= evpi.high.value
     assert care.evpi_of_candidates().value <= evpi.high.value + 1e-9
-    best = care.values.mean(axis=0).max()
-    assert evpi.high.value == pytest.approx(care.optimal.mean() - best)
+    best = care.table.fixed.mean(axis=0).max()
+    assert evpi.high.value == pytest.approx(care.table.optimal.mean() - best)
     for each in care.evppi().values():
         assert each.regression.value <= care.evpi_of_candidates().value + 1e-15
         assert each.reliable == (each.doubts == ())
     regret = care.regret()
     costly = np.argsort(-regret)[:20]  # the draws in which most is lost have their policies
-    left = (care.optimal - care.values.max(axis=1)).clip(0)
+    left = (care.table.optimal - care.table.fixed.max(axis=1)).clip(0)
     assert left[costly].mean() < regret[costly].mean() / 2
-    alone = replace(care, values=care.values[:, :1], candidates=care.candidates[:1])
+    first = replace(care.table, fixed=care.table.fixed[:, :1], error=care.table.error[:, :2])
+    alone = replace(care, table=first, candidates=care.candidates[:1])
     doubts = alone.evppi({"base.anger": ["base.anger"]})["base.anger"].doubts
     assert any("candidate" in doubt for doubt in doubts)
 
@@ -88,7 +90,7 @@ def test_shares_of_optimal_actions_are_those_of_the_draws(care: Any) -> None:
     assert (low <= share).all()
     assert (share <= high).all()
     assert (share.sum(axis=1) >= 1).all()  # ties count for each
-    losing = (care.lost > 2 * care.error[:, None]).mean(axis=0)
+    losing = (care.lost > 2 * care.table.error[:, :1]).mean(axis=0)
     assert np.allclose(share[0], 1 - losing)
 
 
@@ -139,10 +141,10 @@ def test_where_weights_alone_are_uncertain_evpi_is_one_number() -> None:
     assert evpi.low == evpi.high
     today = solve(YUAN.compile()).start_value
     # By linearity the best policy is today's, whose mean value over the draws is V*(mean).
-    fixed = analysis.values[:, 0]
+    fixed = analysis.table.fixed[:, 0]
     assert abs(fixed.mean() - today) < 4 * fixed.std() / len(fixed) ** 0.5
     # The difference of pairs has the same mean as E[V*] - V*(mean), and far less noise.
-    assert evpi.high.value == pytest.approx((analysis.optimal - fixed).mean())
+    assert evpi.high.value == pytest.approx((analysis.table.optimal - fixed).mean())
     assert evpi.high.standard_error < fixed.std() / len(fixed) ** 0.5 / 2
 
 
@@ -165,15 +167,17 @@ def test_workers_and_sample_sizes_change_no_byte(tmp_path: Path) -> None:
     two = psa(SMALL, 9000, rng=0, n_jobs=2, folder=tmp_path / "run")
     again = psa(SMALL, 9000, rng=0, n_jobs=1, folder=tmp_path / "run")
     for other in (two, again):
-        for name in ("draws", "optimal", "values", "counts", "lost"):
+        for name in ("points", "optimal", "fixed"):
+            assert getattr(one.table, name).tobytes() == getattr(other.table, name).tobytes()
+        for name in ("counts", "lost"):
             assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
         assert [c.name for c in one.candidates] == [c.name for c in other.candidates]
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*.npz")}
     psa(SMALL, 9001, rng=0, folder=tmp_path / "run")  # whole pieces are used again
     assert sum(path.stat().st_mtime_ns == at for path, at in written.items()) >= 2
     short = psa(SMALL, 100, rng=0)
-    assert short.optimal.tobytes() == one.optimal[:100].tobytes()
-    assert psa(SMALL, 100, rng=1).optimal.tobytes() != short.optimal.tobytes()
+    assert short.table.optimal.tobytes() == one.table.optimal[:100].tobytes()
+    assert psa(SMALL, 100, rng=1).table.optimal.tobytes() != short.table.optimal.tobytes()
 
 
 def test_a_folder_of_other_draws_is_refused(tmp_path: Path) -> None:
@@ -187,15 +191,15 @@ def test_processes_change_no_byte() -> None:
     model = moving(wager("3/10", "2/5"), {"p": [(0, 1)], "q": [(1, 1)]})
     one = psa(model, 200, rng=0)
     two = psa(model, 200, rng=0, n_jobs=2)
-    assert one.optimal.tobytes() == two.optimal.tobytes()
-    assert one.values.tobytes() == two.values.tobytes()
+    assert one.table.optimal.tobytes() == two.table.optimal.tobytes()
+    assert one.table.fixed.tobytes() == two.table.fixed.tobytes()
 
 
 def test_cut_off_chances_are_counted() -> None:
     sure = YUAN.with_(parameters={"base.anger": "0.9", "influence.disengagement.anger": "0.09"})
     analysis = psa(sure, 2000, rng=8, effective_sample_size=10)
     place = {name: column for column, name in enumerate(analysis.names)}
-    numbers = {name: analysis.draws[:, column] for name, column in place.items()}
+    numbers = {name: analysis.table.points[:, column] for name, column in place.items()}
     over = np.zeros(len(analysis), dtype=bool)
     statuses = YUAN.statuses
     for target in statuses:
@@ -251,7 +255,7 @@ def test_a_folder_is_not_used_for_models_that_are_the_same_today_alone(tmp_path:
             build=lambda at: MDP.from_arrays([[[1]]], [1 + slope * (at["x"] - 1)], "1/2"),
         )
         stated = {"x": {"distribution": "uniform", "low": 0, "high": 2}}
-        return psa(model, 30, uncertain=stated, folder=tmp_path).optimal
+        return psa(model, 30, uncertain=stated, folder=tmp_path).table.optimal
 
     assert worth(1).tolist() == worth(1).tolist()
     with pytest.raises(ModelError, match="record differs in first_draw"):

@@ -96,8 +96,8 @@ def test_what_a_parameter_may_be_decides_its_distribution(stated, kinds) -> None
 def test_a_sample_of_ones_own_is_drawn_row_by_row() -> None:
     frame = pandas.DataFrame({"cost": [1.0, 2.0, 3.0], "p": [0.1, 0.2, 0.4]})
     analysis = psa(MODEL, uncertain=frame)
-    assert analysis.draws.tolist() == frame.to_numpy().tolist()
-    assert psa(MODEL, 2, uncertain=frame).draws.tolist() == frame.to_numpy()[:2].tolist()
+    assert analysis.table.points.tolist() == frame.to_numpy().tolist()
+    assert psa(MODEL, 2, uncertain=frame).table.points.tolist() == frame.to_numpy()[:2].tolist()
     assert analysis.uncertainty.fixed == {"weight": "not in the sample"}
     with pytest.raises(ModelError, match="4 draws of a sample of 3"):
         psa(MODEL, 4, uncertain=frame)
