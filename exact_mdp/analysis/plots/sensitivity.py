@@ -321,8 +321,8 @@ def plot_sobol(
             fix="draw another output, or state wider ranges",
         )
     order = np.argsort(-each.total, kind="stable")[:most]
-    chosen = [(name, indices.ranges[name]) for name in np.array(indices.names)[order].tolist()]
-    ax = axes_or_new(ax, names := [_with_range(name, r.low, r.high) for name, r in chosen])
+    every = [_with_range(each.name, r.low, r.high) for each, r in indices.spans.items()]
+    ax = axes_or_new(ax, names := [every[place] for place in order.tolist()])
     places = np.arange(len(order))
     for at, lengths, half, look, label in (
         (-0.19, each.first, each.first_half, HIGH, "first order: alone"),

@@ -56,7 +56,6 @@ from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Family, Parametric, moving, parameter_of, parametric
-from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats, float_of
 
@@ -329,19 +328,6 @@ class Uncertainty(Brief):
     def draw(self, sequence: SeedSequence, count: int) -> Floats:
         """Return (count, Q) draws."""
         return np.hstack([np.empty((count, 0)), *(p.draw(sequence, count) for p in self.parts)])
-
-    def checked(self, model: Parametric) -> Uncertainty:
-        """Return it; raises ModelError where a name is not the model's, or nothing is drawn."""
-        for name in self.names:
-            parameter_of(model, name)
-        if not self.parts:
-            raise ModelError(
-                "no parameter is uncertain",
-                where=place_of(model),
-                fix="state what is drawn; for the base case give today's values as a table of one "
-                "row: uncertain=pandas.DataFrame([{NAME: number}])",
-            )
-        return self
 
 
 def uncertainty(

@@ -16,7 +16,7 @@ carry more than what was.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil, log
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.table import Floats, Integers, exact
+from exact_mdp.mdp.table import Floats, exact
 from exact_mdp.solvers.solution import Estimated
 
 NORMAL = 1.959963984540054
@@ -36,16 +36,6 @@ HELD_OUT = 20  # one part in so many chooses the threshold
 FEWEST = 60  # numbers: of fewer nothing is said of the mean
 THRESHOLDS = 200
 QUANTILES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Quantile:
-    """A quantile of a sample, with the 95 % interval of order statistics."""
-
-    probability: float
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,16 +169,6 @@ def bootstrap(
     return float(np.quantile(low, shares[0])), float(np.quantile(high, shares[1]))
 
 
-def bootstrap_spread(
-    statistic: Callable[[Floats], Floats], sample: Floats, resamples: Sequence[Integers]
-) -> Floats:
-    """Return the standard deviation of a statistic over resamples of the rows of a sample."""
-    if len(resamples) < 2:
-        return np.full_like(statistic(sample), np.nan)
-    again = np.array([statistic(sample[rows]) for rows in resamples])
-    return np.asarray(again.std(axis=0, ddof=1))
-
-
 def mean_at_least(sample: Floats, doubt: float) -> float:
     """Return what the mean of independent numbers from 0 up is at least, but for some doubt δ.
 
@@ -224,21 +204,18 @@ def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
     return np.append(0.0, np.geomspace(1e-4 * most, most, count - 1)) if most > 0 else np.zeros(1)
 
 
-def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> list[Quantile]:
-    """Return quantiles of a sample, with 95 % intervals that assume nothing of its shape."""
+def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> list[dict[str, float]]:
+    """Return quantiles of a sample, with 95 % intervals that assume nothing of its shape.
+
+    Each has its probability, its value, and both ends of the interval of order statistics.
+    """
     ordered, count = np.sort(values), len(values)
     listed = []
     for p in probabilities:
         reach = NORMAL * np.sqrt(count * p * (1 - p))
         low, high = int(np.floor(count * p - reach)) - 1, int(np.ceil(count * p + reach))
-        listed.append(
-            Quantile(
-                probability=p,
-                value=float(np.quantile(ordered, p)),
-                low=float(ordered[max(low, 0)]),
-                high=float(ordered[min(high, count - 1)]),
-            )
-        )
+        ends = {"low": float(ordered[max(low, 0)]), "high": float(ordered[min(high, count - 1)])}
+        listed.append({"probability": p, "value": float(np.quantile(ordered, p)), **ends})
     return listed
 
 

@@ -44,7 +44,8 @@ from exact_mdp.analysis.vary.study import Draws, Study, fingerprints, solver_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parametric
+from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import Pictured
@@ -402,8 +403,8 @@ def _spread(values: Floats, lost: MeanLoss | None = None) -> dict[str, Any]:
 
 
 def _middle(values: Floats) -> str:
-    by_share = {each.probability: each.value for each in quantiles(values)}
-    return f"{by_share[0.025]:.4g} to {by_share[0.975]:.4g}"
+    low, high = (each["value"] for each in quantiles(values, (0.025, 0.975)))
+    return f"{low:.4g} to {high:.4g}"
 
 
 def groups_of(
@@ -441,7 +442,16 @@ def uncertain_of(
     """Return what is drawn of a family; raises ModelError where that is nothing."""
     if not isinstance(uncertain, Uncertainty):
         uncertain = uncertainty(family, uncertain, default=default)
-    return uncertain.checked(family)
+    for name in uncertain.names:
+        parameter_of(family, name)
+    if not uncertain.parts:
+        raise ModelError(
+            "no parameter is uncertain",
+            where=place_of(family),
+            fix="state what is drawn; for the base case give today's values as a table of one "
+            "row: uncertain=pandas.DataFrame([{NAME: number}])",
+        )
+    return uncertain
 
 
 def drawn(chosen: Uncertainty, n: int | None, seed: int, block: int) -> tuple[list[Floats], int]:

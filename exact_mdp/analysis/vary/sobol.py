@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.random import default_rng
 
-from exact_mdp.analysis.vary.intervals import bootstrap_spread, confidence_of
+from exact_mdp.analysis.vary.intervals import confidence_of
 from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
 from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
@@ -94,8 +94,7 @@ class Sobol(Pictured):
     Attributes
     ----------
     model : str
-    parameters : tuple of P Parameter
-    ranges : {name: Range}
+    spans : {Parameter: Range}
     optimal, fixed, regret : Indices
         Of the value with the policy re-optimised, of the value with it held fixed, and of the
         difference.
@@ -107,8 +106,7 @@ class Sobol(Pictured):
     """
 
     model: str
-    parameters: tuple[Parameter, ...]
-    ranges: Mapping[str, Range]
+    spans: Mapping[Parameter, Range]
     optimal: Indices
     fixed: Indices
     regret: Indices
@@ -123,12 +121,12 @@ class Sobol(Pictured):
     @property
     def draws(self) -> int:
         """Number of models that were solved."""
-        return self.n * (len(self.parameters) + 2)
+        return self.n * (len(self.spans) + 2)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        return tuple(parameter.name for parameter in self.parameters)
+        return tuple(parameter.name for parameter in self.spans)
 
     def of(self, output: str) -> Indices:
         """Return the indices of one output; raises ModelError unless it has this name."""
@@ -152,7 +150,9 @@ class Sobol(Pictured):
                 "draws": self.draws,
                 "seed": self.seed,
                 "confidence": self.confidence,
-                "ranges": Shown({n: [float(r.low), float(r.high)] for n, r in self.ranges.items()}),
+                "ranges": Shown(
+                    {p.name: [float(r.low), float(r.high)] for p, r in self.spans.items()}
+                ),
                 "samples": self.n,
                 **{k: Shown(v) for k, v in self._numbers(self.optimal).items()},
                 "mean": self.optimal.mean,
@@ -199,13 +199,12 @@ class Sobol(Pictured):
         import pandas
 
         indices = self.of(output)
-        spans = [self.ranges[name] for name in self.names]
         table = pandas.DataFrame(
             {
                 "parameter": list(self.names),
-                "unit": [unit_of(parameter) for parameter in self.parameters],
-                "low": [float(span.low) for span in spans],
-                "high": [float(span.high) for span in spans],
+                "unit": [unit_of(parameter) for parameter in self.spans],
+                "low": [float(span.low) for span in self.spans.values()],
+                "high": [float(span.high) for span in self.spans.values()],
                 "first order (share of variance)": indices.first,
                 "first order ±": indices.first_half,
                 "total (share of variance)": indices.total,
@@ -214,11 +213,7 @@ class Sobol(Pictured):
             }
         )
         order = np.argsort(-np.nan_to_num(indices.total), kind="stable")
-        table = table.iloc[order].reset_index(drop=True)
-        table.attrs |= {"output": output, "confidence": self.confidence}
-        table.attrs |= {"n": self.n, "seed": self.seed}
-        table.attrs |= {"mean (reward)": indices.mean, "sd (reward)": indices.sd}
-        return table
+        return table.iloc[order].reset_index(drop=True)
 
 
 @named_options
@@ -296,8 +291,7 @@ def sobol(
     }
     return Sobol(
         model=family.name,
-        parameters=tuple(spans),
-        ranges={parameter.name: span for parameter, span in spans.items()},
+        spans=spans,
         n=n,
         confidence=confidence,
         seed=seed,
@@ -331,9 +325,9 @@ def _indices(output: Floats, noise: float, resamples: Integers, confidence: floa
         return Indices(mean=mean, sd=0.0, first=nan, first_half=nan, total=nan, total_half=nan)
     first, total = _shares(output)
     # A resample in which the output does not vary has no indices.
-    varied = [each for each in resamples if np.ptp(both[each]) > 0]
+    again = np.array([_shares(output[each]) for each in resamples if np.ptp(both[each]) > 0])
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
-    half = z * bootstrap_spread(_shares, output, varied)
+    half = z * (again.std(axis=0, ddof=1) if len(again) > 1 else np.full((2, count), np.nan))
     return Indices(
         mean=mean,
         sd=float(both.std(ddof=1)),

@@ -99,7 +99,7 @@ def test_an_index_that_is_not_there_is_not_a_number() -> None:
     np.testing.assert_allclose(shares.fixed.first, shares.optimal.first, atol=1e-9)
     frame = shares.frame("regret")
     assert frame["total (share of variance)"].isna().all()
-    assert frame.attrs["sd (reward)"] == 0
+    assert shares.regret.sd == 0
     assert set(shares.frame()["claim"]) == {"estimated"}
     assert shares.frame()["parameter"][0] == "p"
     with pytest.raises(ModelError, match="unknown output"):

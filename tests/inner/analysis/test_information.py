@@ -130,12 +130,12 @@ def test_intervals_of_quantiles_end_at_order_statistics_that_cover() -> None:
     """By another library's distribution; none closer does."""
     for p in (0.5, 0.1):
         (interval,) = quantiles(np.arange(1.0, 1001.0)[::-1], [p])  # sorted, the k-th smallest is k
-        below, (low, high) = binom(1000, p).cdf, (interval.low - 1, interval.high - 1)
+        below, (low, high) = binom(1000, p).cdf, (interval["low"] - 1, interval["high"] - 1)
         assert below(high - 1) - below(low + 1) < below(high) - below(low)
         assert 0.95 <= below(high) - below(low) < 0.97
-        assert interval.value == 999 * p + 1
+        assert interval["value"] == 999 * p + 1
     (least,) = quantiles(np.arange(1.0, 11.0), [0.025])
-    assert (least.low, least.high) == (1, 3)
+    assert (least["low"], least["high"]) == (1, 3)
 
 
 @pytest.mark.parametrize("count", [72, 73, 150, 2000])

@@ -182,7 +182,7 @@ class Posterior:
             ),
             found={
                 "mean": float(draws.mean()),
-                "equal_tails": (low.low, high.high),
+                "equal_tails": (low["low"], high["high"]),
                 "draws": n,
                 "prior": prior,
                 "seed": seed,

@@ -62,6 +62,8 @@ EXACT_TRANSITIONS = 100_000
 EXACT_CYCLIC_STATES = 64
 EXACT_SPARSE_STATES, EXACT_SPARSE_TRANSITIONS = 200, 10_000  # of small integers over one number
 
+SLOPE, ELASTICITY = "derivative (reward per unit)", "elasticity (% per %)"  # columns of a table
+
 Number = Certified | Bounded
 
 
@@ -147,7 +149,7 @@ class Gradient(Pictured):
     ----------
     model : str
     start : Certified or Bounded
-        The start value; `value` is the same, and `start_value` is its number alone.
+        The start value; `start_value` is its number alone.
     derivatives : {parameter name: Derivative}
     steps : {setting: (backward, forward)}
         Differences of the start value for whole-number settings such as max_trial: what the last
@@ -170,19 +172,9 @@ class Gradient(Pictured):
         return self.derivatives[name]
 
     @property
-    def value(self) -> Number:
-        """The start value."""
-        return self.start
-
-    @property
     def start_value(self) -> Fraction | float:
         """The start value without its claim."""
         return self.start.value
-
-    @property
-    def error(self) -> float:
-        """Bound on the error of the start value; 0 where it is exact."""
-        return self.start.error if isinstance(self.start, Bounded) else 0.0
 
     def report(self) -> Report:
         """Return derivatives and elasticities by every parameter."""
@@ -208,25 +200,18 @@ class Gradient(Pictured):
             },
         }
         del facts["error_bound"]
-        rows = [
-            {
-                "name": name,
-                "today": float(d.parameter.value),
-                "slope": " | ".join(cell(side[name], ".6g") for side in (lefts, rights))
-                if d.value is None
-                else slopes[name],
-                "elasticity": d.elasticity,
-            }
-            for name, d in sorted(each, key=lambda one: -abs(one[1].elasticity or 0.0))
-        ]
+        rows = self._rows()
+        for row in rows:
+            if self.derivatives[row["parameter"]].value is None:
+                row[SLOPE] = f"{cell(row['left'], '.6g')} | {cell(row['right'], '.6g')}"
         table = Table(
             title="derivatives of the start value, per unit of the parameter",
             rows=rows,
             columns={
-                "parameter": "name",
-                "today": "today",
-                "derivative": "slope:.6g",
-                "elasticity": "elasticity:.4g",
+                "parameter": "parameter",
+                "today": "value",
+                "derivative": f"{SLOPE}:.6g",
+                "elasticity": f"{ELASTICITY}:.4g",
             },
         )
         return Report(title="gradient", facts=facts, tables={"derivatives": table})
@@ -235,22 +220,25 @@ class Gradient(Pictured):
         """Return one row for each parameter, the largest elasticity first."""
         import pandas
 
+        return pandas.DataFrame(self._rows())
+
+    def _rows(self) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = [
             {
                 "parameter": name,
                 "value": float(each.parameter.value),
                 "unit": unit_of(each.parameter),
-                "derivative (reward per unit)": _float(each.value),
+                SLOPE: _float(each.value),
                 "left": _float(each.left),
                 "right": _float(each.right),
-                "elasticity (% per %)": np.nan if each.elasticity is None else each.elasticity,
+                ELASTICITY: np.nan if each.elasticity is None else each.elasticity,
                 "policy": "re-optimised" if self.reoptimised else "fixed",
                 "claim": str(each.claim),
             }
             for name, each in self.derivatives.items()
         ]
-        rows.sort(key=lambda row: -np.nan_to_num(abs(row["elasticity (% per %)"])))
-        return pandas.DataFrame(rows)
+        rows.sort(key=lambda row: -np.nan_to_num(abs(row[ELASTICITY])))
+        return rows
 
 
 def _float(number: Slope | None) -> float:
