@@ -24,7 +24,6 @@ from exact_mdp.analysis.plots.pictures import draw as draw
 from exact_mdp.analysis.tradeoffs.front import tradeoff as tradeoff
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as rationalize
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar as mean_cvar
-from exact_mdp.analysis.vary.corners import worst_point as worst_point
 from exact_mdp.analysis.vary.curves.curve import curve as curve
 from exact_mdp.analysis.vary.curves.gradient import gradient as gradient
 from exact_mdp.analysis.vary.curves.thresholds import thresholds as thresholds
@@ -41,6 +40,7 @@ from exact_mdp.analysis.vary.ranges import Range as Range
 from exact_mdp.analysis.vary.ranges import load_ranges as load_ranges
 from exact_mdp.analysis.vary.robust import robust as robust
 from exact_mdp.analysis.vary.robust import robust_curve as robust_curve
+from exact_mdp.analysis.vary.robust import worst_point as worst_point
 from exact_mdp.analysis.vary.sobol import sobol as sobol
 from exact_mdp.analysis.vary.study import study as study
 from exact_mdp.mdp.care.perception import Counted as Counted

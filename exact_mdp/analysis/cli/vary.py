@@ -15,7 +15,6 @@ from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import check_outputs, number_of, pairs_of, typed
 from exact_mdp.analysis.pages.explorer import explore as explorer_of
 from exact_mdp.analysis.vary.base_case import finite_worth
-from exact_mdp.analysis.vary.corners import worst_point
 from exact_mdp.analysis.vary.curves.curve import curve as curve_of
 from exact_mdp.analysis.vary.curves.gradient import gradient as gradient_of
 from exact_mdp.analysis.vary.curves.thresholds import report_of, thresholds
@@ -40,7 +39,7 @@ from exact_mdp.analysis.vary.ranges import (
     ranges_of,
     usual,
 )
-from exact_mdp.analysis.vary.robust import SETS, ambiguity_of
+from exact_mdp.analysis.vary.robust import SETS, ambiguity_of, worst_point
 from exact_mdp.analysis.vary.robust import robust as robust_of
 from exact_mdp.analysis.vary.sobol import sobol as sobol_of
 from exact_mdp.analysis.vary.study import solver_of

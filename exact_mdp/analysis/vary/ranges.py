@@ -124,27 +124,25 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
     low, high = room_of(model, parameter.name)
     low = span.low if low is None else max(low, span.low)
     high = span.high if high is None else min(high, span.high)
-    today = parameter.value
-    if not (low < high and _has_values(model, parameter.name, today)):
-        return Range(low=low, high=high)
-    ends = [_moved(model, parameter.name, end, today) for end in (low, high)]
-    return Range(low=ends[0], high=ends[1])
+    name, today = parameter.name, parameter.value
 
+    def has_values(value: Fraction) -> bool:
+        try:
+            mdp = model.at({name: value})
+        except ModelError:
+            return False
+        return mdp.discount_exact < 1 or termination(mdp).proven
 
-def _moved(model: Parametric, name: str, end: Fraction, today: Fraction) -> Fraction:
-    for _ in range(HALVINGS):
-        if end == today or _has_values(model, name, end):
-            return end
-        end = (end + today) / 2
-    return today
+    def moved(end: Fraction) -> Fraction:
+        for _ in range(HALVINGS):
+            if end == today or has_values(end):
+                return end
+            end = (end + today) / 2
+        return today
 
-
-def _has_values(model: Parametric, name: str, value: Fraction) -> bool:
-    try:
-        mdp = model.at({name: value})
-    except ModelError:
-        return False
-    return mdp.discount_exact < 1 or termination(mdp).proven
+    if low < high and has_values(today):
+        low, high = moved(low), moved(high)
+    return Range(low=low, high=high)
 
 
 def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:

@@ -209,13 +209,17 @@ class Draws:
     def study(self, policies: Sequence[Floats]) -> tuple[Study, Arrays]:
         """Return the study, and counts, lost and cut of `ModelSolver.solved`."""
         solver, points = self.solver, np.concatenate([draws for _, draws in self.pieces])
-        if not solver.compiled:
-            tell_cut(solver, points)
+        if not solver.compiled:  # the largest numbers of all are looked at
+            self._tell(points.max(axis=0), ", in draws")
         done = self._run("draws", partial(_block, solver, policies), self.key)
         whole = joined(done, ("start", "start_error", "value", "error", "lost", "cut"))
-        if solver.compiled:
-            tell_cut(solver, points, whole["cut"])
-        rows, which = merged(done)
+        if count := int(whole["cut"].sum()):
+            first = int(whole["cut"].argmax())
+            where = f", {count} of {len(points)} draws, the first of them draw {first}"
+            self._tell(points[first], where)
+        rows, places = distinct(np.concatenate([block["rows"] for block in done]))
+        ends = np.cumsum([len(block["rows"]) for block in done])[:-1]
+        own = zip(np.split(places, ends), done, strict=True)
         counts = np.sum([block["counts"] for block in done], axis=0)
         return Study(
             names=solver.names,
@@ -225,8 +229,14 @@ class Draws:
             error=np.column_stack([whole["start_error"], whole["error"]]),
             sign=solver.base.sign,
             rows=rows,
-            which=which,
+            which=np.concatenate([place[block["which"]] for place, block in own]),
         ), {"counts": counts, "lost": whole["lost"], "cut": whole["cut"]}
+
+    def _tell(self, row: Numbers, where: str) -> None:
+        """Warn once of the chances of a scenario that are cut off at 1; workers keep silent."""
+        if isinstance(self.solver.model, ScenarioFamily):
+            values = dict(zip(self.solver.names, row.tolist(), strict=True))
+            self.solver.model.tell(values, where=where)
 
     def with_policies(self, table: Study, policies: Sequence[Floats]) -> Study:
         """Return the study with the values of more policies."""
@@ -308,14 +318,6 @@ def fingerprints(solver: DrawSolver, draws: Numbers) -> dict[str, object]:
     """Return what tells a solver's models from others, which may be the same today alone."""
     first = next(models(solver.model, solver.names, draws[:1], 0))
     return {"model": fingerprint(solver.base.mdp), "first_draw": fingerprint(first)}
-
-
-def merged(blocks: Sequence[Mapping[str, np.ndarray]]) -> tuple[Numbers, Integers]:
-    """Return the different rows of several blocks, in order of appearance, and each draw's."""
-    rows, place = distinct(np.concatenate([block["rows"] for block in blocks]))
-    ends = np.cumsum([len(block["rows"]) for block in blocks])[:-1]
-    places = np.split(place, ends)
-    return rows, np.concatenate([p[b["which"]] for p, b in zip(places, blocks, strict=True)])
 
 
 # ---- models that are built -----------------------------------------------------------------------
@@ -643,17 +645,3 @@ def solver_of(model: Parametric, names: Sequence[str]) -> DrawSolver:
         if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:
             return CareSolver(model, names)
     return ModelSolver(model, names)
-
-
-def tell_cut(solver: DrawSolver, draws: Numbers, cut: np.ndarray | None = None) -> None:
-    """Warn once where a chance of a scenario is cut off at 1 in some draw; workers keep silent.
-
-    Where it is not known in which draws, `cut` (D,), the largest numbers of all are looked at.
-    """
-    row, where = draws.max(axis=0), ", in draws"
-    if cut is not None:
-        first = int(cut.argmax())
-        row = draws[first]
-        where = f", {int(cut.sum())} of {len(draws)} draws, the first of them draw {first}"
-    if isinstance(solver.model, ScenarioFamily) and (cut is None or cut.any()):
-        solver.model.tell(dict(zip(solver.names, row.tolist(), strict=True)), where=where)

@@ -316,16 +316,10 @@ def _endless(at: At, mdp: MDP, change: RowChange) -> bool:
         there = at(end)
         if endless(there) or (there.terminal != mdp.terminal).any():
             return True
-    return any(
-        low < high or endless(at(low))
-        for low, high in _gone(PolynomialRows.of(mdp, change), low, high)
-    )
-
-
-def _gone(rows: PolynomialRows, low: Fraction, high: Fraction) -> Iterator[Bracket]:
-    """Yield brackets of the values between two at which some chance becomes 0."""
-    origin = rows.change.origin
-    for poly in {str(p): p for p in rows.moving}.values():
-        for root in roots(simple(poly), low - origin, high - origin):
+    origin, rows = change.origin, PolynomialRows.of(mdp, change)
+    for chance in {str(p): p for p in rows.moving}.values():  # what may happen where it becomes 0
+        for root in roots(simple(chance), low - origin, high - origin):
             near = root.apart(low - origin, WIDTH)
-            yield near.low + origin, near.high + origin
+            if near.low < near.high or endless(at(near.low + origin)):
+                return True
+    return False
