@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from exact_mdp.analysis.vary.distributions import Settings, Uncertainty
 from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
 from exact_mdp.analysis.vary.intervals import MeanLoss
-from exact_mdp.analysis.vary.psa import REGRESSED, drawn, groups_of, uncertain_of
+from exact_mdp.analysis.vary.psa import drawn, groups_of, uncertain_of
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known
@@ -115,9 +115,9 @@ class CostEffectiveness(Pictured):
         """
         if _prices(wtp).ndim:
             raise ModelError("several numbers", where=WTP, fix="ask for the EVPPI at each of them")
-        value = self.net_benefit(wtp)[:REGRESSED]
+        value = self.net_benefit(wtp)
         return {
-            label: evppi(value, self.draws[:REGRESSED, columns], names)
+            label: evppi(value, self.draws[:, columns], names)
             for label, names, columns in groups_of(self.uncertainty, groups)
         }
 

@@ -28,6 +28,7 @@ from exact_mdp.solvers.solution import Estimated
 FOLDS = 5
 MOST_TERMS = 400  # columns of a regression
 FEWEST = 20  # draws
+REGRESSED = 20_000  # draws of a regression: its error is far below that of this many draws
 MOST_APART = 1.0  # standard errors between the estimates that are not doubted
 MOST_ASTRAY = 0.5  # standard errors between what a fit promises and what its choices earn
 LEAST_MISS = 0.1  # standard errors that a pattern in the residuals must move the estimate by
@@ -84,7 +85,7 @@ def evpi(values: Floats) -> MeanLoss:
 def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInformation:
     """Return the EVPPI of q parameters: values (D, N) of the candidates in draws (D, q).
 
-    Raises ModelError for fewer than 20 draws.
+    The first 20,000 draws are used. Raises ModelError for fewer than 20.
 
     Examples
     --------
@@ -95,6 +96,7 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     >>> abs(expected.regression.value - 0.3989) < 4 * expected.regression.standard_error
     True
     """
+    values, draws = values[:REGRESSED], draws[:REGRESSED]
     count, candidates = values.shape
     if count < FEWEST:
         raise ModelError(

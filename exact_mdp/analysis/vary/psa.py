@@ -63,7 +63,6 @@ POOL = 24  # policies that are considered as candidates
 CANDIDATES = 6  # of them kept, beside the policy held and today's optimum
 LEAST_GAIN = 1e-2  # of what today's optimum loses, for a policy to be added
 HELD, TODAY = "policy", "optimum today"
-REGRESSED = 20_000  # draws of a regression: its error is far below that of this many draws
 MISSING = "EVPI among the candidates is below the lower end of EVPI"
 
 
@@ -238,8 +237,7 @@ class PSA(Pictured):
         doubt = (MISSING,) if among.value + apart < least.value else ()
         by_group = {}
         for label, members, columns in groups_of(self.uncertainty, groups, together=True):
-            draws = self.table.points[:REGRESSED, columns]
-            each = evppi(self.gained[:REGRESSED], draws, members)
+            each = evppi(self.gained, self.table.points[:, columns], members)
             by_group[label] = replace(each, doubts=(*each.doubts, *doubt))
         return by_group
 

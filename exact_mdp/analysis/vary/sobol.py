@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 OUTPUTS = ("optimal", "fixed", "regret")
 RESAMPLES = 200
+NOISE = 1e-9  # share of the values below which a spread is called rounding
 TITLES = {
     "optimal": "the start value, policy re-optimised",
     "regret": "the regret of the policy held fixed",
@@ -285,8 +286,9 @@ def sobol(
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
     every = table.optimal, table.fixed[:, 0], table.regret[:, 0]
+    noise = max(NOISE * float(np.abs(table.optimal).max()), 2 * float(table.error.max()))
     indices = {
-        name: _indices(output.reshape(n, -1), table.noise, resamples, confidence)
+        name: _indices(output.reshape(n, -1), noise, resamples, confidence)
         for name, output in zip(OUTPUTS, every, strict=True)
     }
     return Sobol(

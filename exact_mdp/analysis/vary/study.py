@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-NOISE = 1e-9  # share of the values below which a spread is called rounding
 SHOWN = 3  # parameters of a point that an error names
 KEPT = 2**24  # numbers of built models that are kept for the next question
 ROOM = 2**21  # numbers that are worked on at once
@@ -89,12 +88,6 @@ class Study(Result):
         """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
         error = self.error[:, :1] + self.error[:, 1:]
         return regrets(self.optimal[:, None], self.fixed, error, self.sign)
-
-    @property
-    def noise(self) -> float:
-        """Least difference of two values that is more than rounding."""
-        size = float(np.abs(self.optimal).max())
-        return max(NOISE * size, 2 * float(self.error.max()))
 
     def values(self) -> DataFrame:
         """Return one row for each point: the optimum, each policy and its regret (reward)."""

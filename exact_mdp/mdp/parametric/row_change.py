@@ -47,22 +47,6 @@ class Piece:
     low: Fraction | None
     high: Fraction | None
 
-    def points(self, origin: Fraction, count: int, shrunk: int = 0) -> list[Fraction]:
-        """Return `count` other points inside the piece, all on one side of `origin` within it.
-
-        They lie on the right of it where there is room, the nearer the more often `shrunk`.
-        """
-        if self.high is None or origin < self.high:
-            width = Fraction(1) if self.high is None else self.high - origin
-        else:
-            width = Fraction(-1) if self.low is None else self.low - origin
-        parts = 2 ** (count.bit_length() + shrunk)  # a power of 2 keeps denominators small
-        return [origin + width * k / parts for k in range(1, count + 1)]
-
-    def turned(self, origin: Fraction) -> Piece:
-        """Return the part of the piece on the left of `origin`."""
-        return Piece(low=self.low, high=origin)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Change:
@@ -181,18 +165,22 @@ SHRINKS = 64  # how often points are moved closer to θ0 where there is no model
 def _sampled(
     model: Parametric, name: str, piece: Piece, origin: Fraction, count: int
 ) -> tuple[list[Fraction], list[MDP]]:
-    """Return points, and the models there.
+    """Return `count` points other than the origin, all on one side of it, and the models there.
 
-    Points lie inside the piece: at its ends another polynomial may begin. Where a family has no
-    model at some of them, as where a probability would pass 1, they are moved closer to `origin`.
+    They lie inside the piece, on the right where there is room: at its ends another polynomial may
+    begin. Where a family has no model at some of them, as where a probability would pass 1, they
+    are moved closer to the origin, and then to the other side.
     """
-    sides = [piece]
-    if (piece.high is None or origin < piece.high) and (piece.low is None or piece.low < origin):
-        sides.append(piece.turned(origin))
+    widths = list[Fraction]()
+    if piece.high is None or origin < piece.high:
+        widths.append(Fraction(1) if piece.high is None else piece.high - origin)
+    if piece.low is None or piece.low < origin:
+        widths.append(Fraction(-1) if piece.low is None else piece.low - origin)
     refused: ModelError | None = None
-    for side in sides:
+    for width in widths:
         for shrunk in range(0, SHRINKS, 4):
-            points = side.points(origin, count, shrunk)
+            parts = 2 ** (count.bit_length() + shrunk)  # a power of 2 keeps denominators small
+            points = [origin + width * k / parts for k in range(1, count + 1)]
             try:
                 return points, [model.at({name: point}) for point in points]
             except ModelError as error:
