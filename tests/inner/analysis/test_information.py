@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import binom, binomtest
 
 from exact_mdp import MDP, ModelError, certify, solve
+from exact_mdp.analysis.vary.distributions import row_family, uncertainty
 from exact_mdp.analysis.vary.information import evpi, evppi
 from exact_mdp.analysis.vary.intervals import (
     mean_loss,
@@ -19,6 +20,7 @@ from exact_mdp.analysis.vary.intervals import (
     wilson,
 )
 from exact_mdp.analysis.vary.study import lost_by
+from exact_mdp.mdp.parametric import Posed
 
 STEP = 0.02  # what the second action costs below the step
 
@@ -167,3 +169,11 @@ def test_optimal_actions_beside_infinite_states(seed: int) -> None:
         doubt = solution.state_error
         near = gap <= doubt[mdp.pair_state] + mdp.transition @ doubt + noise
         assert near.tolist() == exact.optimal_pairs.tolist()
+
+
+def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
+    rows = [["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]
+    family = row_family(MDP.from_arrays([rows], [1, 0, 0], "1/2"))
+    for model in (family, Posed(family=family, ask=MDP.negated)):
+        (part,) = uncertainty(model).parts
+        assert (part.kind, len(part.names)) == ("dirichlet", 2)
