@@ -169,7 +169,7 @@ def study_of(
             "parameters": list(names),
             "draws": sha256(np.ascontiguousarray(draws, dtype="<f8").tobytes()).hexdigest(),
             "policies": [digest(weight) for weight in weights],
-            "draws_per_file": size,
+            "block": size,
             "compiled": solver.compiled,
         }
     blocks = [(at, table[at : at + size]) for at in range(0, len(table), size)]
