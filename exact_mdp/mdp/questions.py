@@ -170,24 +170,14 @@ class Questions(Parts):
         >>> certify(mdp.until("home")).value.tolist()
         [Fraction(3, 2), Fraction(0, 1)]
         """
-        target, table, changes = labelled(self, label), self.table, dict[str, Any]()
+        target = labelled(self, label)
+        model: Any = self
         if reward is not None and (reward,) != self.component_names:
             gain, below = _component(self, reward)
-            table = replace(table, gain=gain, gain_denominator=below)
-            changes |= ONE_COMPONENT | {"component_names": (reward,)}
-        ends = target[self.pair_state]
-        known = self.component_table
-        if "component_table" not in changes and known is not None:
-            changes["component_table"] = replace(
-                known, amount=np.where(ends[:, None], 0, known.amount)
-            )
-        parts = {
-            **changes,
-            **NO_DATA,
-            "table": _ended(table, ends, self.pair_state),
-            "goal": target if self.discount_exact == 1 else None,
-        }
-        return replace(self, **parts)
+            table = replace(self.table, gain=gain, gain_denominator=below)
+            model = replace(self, table=table, component_table=None, component_names=(reward,))
+        until: Self = ended(model, target, goal=target if self.discount_exact == 1 else None)
+        return until
 
     def within(self, steps: int, *, terminal_value: object = None) -> Self:
         """Return the model of episodes that stop after N steps.
@@ -369,12 +359,13 @@ def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
     return replace(ended, next=np.where(np.repeat(ends, lengths), moved, ended.next))
 
 
-def ended(model: Any, states: Flags) -> Any:
-    """Return the model with some states (S,) made terminal."""
+def ended(model: Any, states: Flags, **changes: Any) -> Any:
+    """Return the model with some states (S,) made terminal, and with other changes."""
     ends, parts = states[model.pair_state], model.component_table
     if parts is not None:
         parts = replace(parts, amount=np.where(ends[:, None], 0, parts.amount))
-    return replace(model, table=_ended(model.table, ends, model.pair_state), component_table=parts)
+    table = _ended(model.table, ends, model.pair_state)
+    return replace(model, table=table, component_table=parts, **NO_DATA, **changes)
 
 
 def _certain(name: str, values: Numbers, count: int) -> Numbers:

@@ -4,6 +4,7 @@ from fractions import Fraction as F
 from math import inf, isnan
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -149,3 +150,16 @@ def test_who_gives_up_an_infinite_value_loses_it() -> None:
     )
     (only,) = check(mdp, {"x": "leave"}).disagreements
     assert (only.gap, only.cost, only.expected_visits) == (inf, inf, 1.0)
+
+
+def test_resting_is_an_end_in_a_model_of_records_as_in_any_other() -> None:
+    """Rows that were counted do not stand in the way: it ends as the same model without counts."""
+    rows = [(1, "a", "go", 1, "b"), *[(1, "b", "stay", 0, "b")] * 2, (2, "a", "end", 3, None)]
+    columns = ["episode", "state", "action", "reward", "next_state"]
+    counted = MDP.from_transitions(pd.DataFrame(rows, columns=columns))
+    policy = {"a": {"go": "1/4", "end": "3/4"}, "b": "stay"}
+    for mdp in (counted, counted.with_(table=counted.table)):
+        evaluation = evaluate(mdp, policy)
+        assert evaluation.mean == pytest.approx(2.5)
+        assert evaluation.sd == pytest.approx(3**0.5 / 2)
+        assert evaluation.quantiles == {0.05: 1.0, 0.25: 1.0, 0.5: 3.0, 0.75: 3.0, 0.95: 3.0}
