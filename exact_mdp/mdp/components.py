@@ -210,7 +210,9 @@ def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, An
             gain, under = grouped(picked(values, table.pair, table.next), table.offsets)
             earning = replace(table, gain=gain, gain_denominator=under)
             top, bottom = earning.expected_gain_exact()
-        _check_finite(top, name)
+        if top.dtype == np.float64 and not np.isfinite(top).all():
+            what = f"an amount is {top[~np.isfinite(top)][0]}"
+            raise ModelError(what, where=f"component {name}", fix="give a finite number")
         columns[name] = top, bottom
     names, known = completed(columns, table)
     return {"component_names": names, "component_table": known}
@@ -222,12 +224,3 @@ def _of_table(values: Any, where: str, table: OutcomeTable) -> Any:
     if amounts.ndim == 2 and len(amounts) == table.pairs and amounts.shape[1] > table.next.max():
         return amounts
     return of_length(amounts, where, table.pairs)
-
-
-def _check_finite(values: Numbers, name: str) -> None:
-    if values.dtype == np.float64 and not np.isfinite(values).all():
-        raise ModelError(
-            f"an amount is {values[~np.isfinite(values)][0]}",
-            where=f"component {name}",
-            fix="give a finite number",
-        )

@@ -145,7 +145,10 @@ def check_model(model: Parts) -> None:
         of_type(getattr(model, name), kind, name, f"give a {wanted}")
     for parameter in model.parameters:
         of_type(parameter, Parameter, "parameters", "give a tuple of Parameter")
-    _check_names(model)
+    check_names((model.name,), "model")
+    check_names(model.actions, "action", where="actions")
+    check_names(model.component_names, "component", where="reward components")
+    check_names(model.events, "event", where="events")
     _check_sense(model)
     _check_pairs(model)
     _check_shapes(model.table, model.n_pairs)
@@ -157,13 +160,6 @@ def check_model(model: Parts) -> None:
     _check_start(model)
     _check_episodes(model)
     _check_discount(model.discount_exact)
-
-
-def _check_names(model: Parts) -> None:
-    check_names((model.name,), "model")
-    check_names(model.actions, "action", where="actions")
-    check_names(model.component_names, "component", where="reward components")
-    check_names(model.events, "event", where="events")
 
 
 def _check_sense(model: Parts) -> None:

@@ -191,14 +191,20 @@ def backward(mdp: MDP, reward: Floats) -> Floats:
 def margin_weights(mdp: MDP) -> Weights:
     """Return verified weights; computed once for each model."""
     require_termination(mdp)
-    return _verified(mdp, _candidate(mdp))
-
-
-def _candidate(mdp: MDP) -> Floats:
-    rate, live = mdp.discount, ~mdp.terminal
+    live = ~mdp.terminal
     if is_acyclic(mdp):
-        return backward(mdp, np.ones(mdp.n_pairs))
-    return live.astype(np.float64) if rate < 1 else _expected_steps(mdp)
+        weight = backward(mdp, np.ones(mdp.n_pairs))
+    else:
+        weight = live.astype(np.float64) if mdp.discount < 1 else _expected_steps(mdp)
+    margin, error = _margins(mdp, weight)
+    weights = Weights(value=weight, margin=margin, error=error)
+    if np.isfinite(weight).all() and (weight[live] > 0).all() and weights.smallest > 0:
+        return weights
+    why = "the end is too many steps away"
+    if mdp.discount_exact < 1 and (weight[live] == 1).all():
+        lost = float(1 - mdp.discount_exact)
+        why = f"1 - γ is {lost:.2g}, of which rounding leaves too little"
+    raise SolverError(Status.NO_BOUND, why)
 
 
 def _expected_steps(mdp: MDP) -> Floats:
@@ -243,20 +249,3 @@ def _closed(mdp: MDP, weight: Floats) -> bool:
         return False
     leading = np.logical_or.reduceat(ended[matrix.indices], matrix.indptr[:-1])
     return not leading[~ended[mdp.pair_state]].any()
-
-
-def _verified(mdp: MDP, weight: Floats) -> Weights:
-    margin, error = _margins(mdp, weight)
-    weights = Weights(value=weight, margin=margin, error=error)
-    sound = np.isfinite(weight).all() and (weight[~mdp.terminal] > 0).all()
-    if not (sound and weights.smallest > 0):
-        raise SolverError(Status.NO_BOUND, _why_not(mdp, weight))
-    return weights
-
-
-def _why_not(mdp: MDP, weight: Floats) -> str:
-    """Return what keeps a margin from being proven: the end, or the discount."""
-    if mdp.discount_exact == 1 or not (weight[~mdp.terminal] == 1).all():
-        return "the end is too many steps away"
-    lost = float(1 - mdp.discount_exact)
-    return f"1 - γ is {lost:.2g}, of which rounding leaves too little"

@@ -192,7 +192,11 @@ def rounding_facts(mdp: MDP) -> RoundingFacts:
         merged = (2 * np.diff(mdp.table.offsets)).astype(np.int32)
         most = int(merged.max())
     size = max(-float(mdp.reward.min()), float(mdp.reward.max()))
-    error = _reward_error(mdp)
+    error, table = np.empty(0), mdp.table
+    if table.joint and np.float64 in (table.weight.dtype, table.gain.dtype):
+        terms = np.diff(table.offsets)
+        paid = np.add.reduceat(table.probabilities() * np.abs(table.gains()), table.offsets[:-1])
+        error = np.asarray(gamma(2 * terms + 2) * paid * SLACK + terms * TINY)
     return RoundingFacts(
         merged=merged,
         reward_error=error,
@@ -203,16 +207,6 @@ def rounding_facts(mdp: MDP) -> RoundingFacts:
         rounding=float(gamma(most + 8)),
         most_reward_error=float(error.max()) if len(error) else UNIT * size + TINY,
     )
-
-
-def _reward_error(mdp: MDP) -> Floats:
-    """Return how far each expected reward, as a float, may be from the exact one."""
-    table = mdp.table
-    if not (table.joint and np.float64 in (table.weight.dtype, table.gain.dtype)):
-        return np.empty(0)
-    terms = np.diff(table.offsets)
-    size = np.add.reduceat(table.probabilities() * np.abs(table.gains()), table.offsets[:-1])
-    return np.asarray(gamma(2 * terms + 2) * size * SLACK + terms * TINY)
 
 
 def _earning(mdp: MDP, first: int, last: int) -> NDArray[np.bool_]:

@@ -241,10 +241,6 @@ def _greatest(
     return np.where(left[keep], keep, chosen)
 
 
-def _by_policies(step: MDP, solver: Any) -> Improved:
-    return improved(step, most=solver.max_iterations)
-
-
 def _by_values(step: MDP, solver: Any) -> Improved:
     """Relative value iteration, until the span of T h - h is proven to be small."""
     label, _ = Graph.of(step).end_components(np.ones(step.n_pairs, dtype=bool))
@@ -297,7 +293,7 @@ def _by_program(step: MDP, solver: Any) -> Improved:
 
 
 METHODS: dict[str, Callable[[MDP, Any], Improved]] = {
-    PolicyIteration.name: _by_policies,
+    PolicyIteration.name: lambda step, solver: improved(step, most=solver.max_iterations),
     ValueIteration.name: _by_values,
     LinearProgram.name: _by_program,
 }

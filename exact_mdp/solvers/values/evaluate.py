@@ -253,14 +253,6 @@ class Evaluation(Valued, Pictured):
         return self._sd.value
 
     @property
-    def start_variance(self) -> float:
-        """Variance of the return from the start: within start states, and between them.
-
-        Infinite where it is beyond the range of floats; `sd` need not be.
-        """
-        return self._start_variance.value
-
-    @property
     def variance(self) -> Floats:
         """(S,) variance of the return from every state; NaN where `value` is not finite."""
         if not self.settled:
@@ -324,6 +316,7 @@ class Evaluation(Valued, Pictured):
 
     @cached_property
     def _start_variance(self) -> Bounded:
+        """The variance from the start; infinite where it is beyond floats, as `sd` need not be."""
         scaled = self._scaled_variance
         value, error = (times(x, 2 * self._power) for x in (scaled.value, scaled.error))
         return Bounded(value=value, error=error)

@@ -186,4 +186,4 @@ def test_the_variance_counts_the_error_of_the_value() -> None:
     apart = evaluate(sure.with_(start={0: "9/10", 1: "1/10"}), [0, 0, 0])
     off = np.array([0.0, 0.5, 0.0])
     near = replace(apart, value=apart.value + off, error=apart.error + off)
-    assert abs(near.start_variance - 900) <= near.numbers["variance"].error
+    assert abs(near.numbers["variance"].value - 900) <= near.numbers["variance"].error
