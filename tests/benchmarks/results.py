@@ -34,7 +34,8 @@ def write(rows: Rows, bandwidth: float, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "results.json", json.dumps(list(rows), indent=1) + "\n")
     write_atomically(folder / "RESULTS.md", "\n".join(_page(rows, bandwidth)) + "\n")
-    with plots.style():
+    # Powers of ten on the axes are formulas; names of states, which are none, do not occur here.
+    with plots.style(), plt.rc_context({"text.parse_math": True}):
         if _leading(rows):
             (figure := _ratios(rows)).savefig(folder / "results_ratio.png")
             plt.close(figure)
