@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import ssl
 import threading
@@ -18,14 +19,22 @@ GOOD: dict[str, dict[str, Any]] = {
     "perception": {"forgetfulness": 0, "confusion": 0, "anger": 0, "disengagement": 0},
     "execution": {"speech": "Take the red can."},
 }
-RAW = {"not-json": b"<html>busy</html>", "not-object": b"[1, 2]", "no-choice": b'{"choices": []}'}
+HEAD = b"HTTP/1.1 200 OK\r\n"
+DRIPS = {  # what comes first, and what comes then without end, a byte at a time
+    "headers": (HEAD, b"X: y\r\n"),
+    "body": (HEAD + b"Content-Length: 1000000\r\n\r\n", b" "),
+    "chunks": (HEAD + b"Transfer-Encoding: chunked\r\n\r\n", b"1\r\n \r\n"),
+    "silence": (b"", b""),
+}
+RAW = {"not-json": b"<html>busy</html>", "not-object": b"[1, 2]", "no-choice": b'{"choices": []}',
+       "flood": b" " * 9_000_000}  # fmt: skip
 
 
 @dataclass
 class FakeEndpoint:
     """Answers well unless `faults` names something else for the next request, oldest first.
 
-    A fault is a number (an HTTP status), a key of RAW, one of `answer`, drop or silence.
+    A fault is a number (an HTTP status), a key of DRIPS or RAW, or one of `answer`, or drop.
     """
 
     faults: list[int | str] = field(default_factory=list)
@@ -53,6 +62,7 @@ def answer(fault: int | str, body: dict[str, Any], key: str) -> tuple[int, bytes
         return 401, json.dumps({"error": {"message": f"Incorrect: {key}"}}).encode()
     return 200, RAW.get(fault) or {
         "say": completion(json.dumps(GOOD["behaviour"] | {"verbal": f"So: {key}."})),
+        "bomb": gzip.compress(gzip.compress(good.encode() + b" " * 30_000_000 * (fault == "bomb"))),
         "twice": completion(good[:-1] + f", {good[1:]}"),
         "malformed": completion('{"nonverbal": "Looks'),
         "wrong-schema": completion('{"nonverbal": 5, "mood": "fine"}'),
@@ -75,15 +85,23 @@ def fake_endpoint(*faults: int | str, tls: bool = False, **headers: str) -> Iter
             state.asked.append(dict(self.headers))
             fault = state.faults.pop(0) if state.faults else "none"
             with suppress(OSError):  # the other side has left
-                if fault == "silence":
-                    state.halt.wait()
+                if fault in DRIPS:
+                    self.drip(*DRIPS[str(fault)])
                 elif fault != "drop":
                     key = self.headers.get("Authorization", "").removeprefix("Bearer ")
-                    self.reply(*answer(fault, body, key))
+                    self.reply(fault, *answer(fault, body, key))
 
-        def reply(self, status: int, data: bytes) -> None:
+        def drip(self, first: bytes, drop: bytes) -> None:
+            self.wfile.write(first)
+            while not state.halt.wait(0.02):
+                for number in range(len(drop)):
+                    self.wfile.write(drop[number : number + 1])
+                    self.wfile.flush()
+
+        def reply(self, fault: int | str, status: int, data: bytes) -> None:
             self.send_response(status)
             sent = state.headers if status != 200 else {}
+            sent = sent | ({"Content-Encoding": "gzip, gzip"} if fault == "bomb" else {})
             for name, value in (sent | {"Content-Length": str(len(data))}).items():
                 self.send_header(name, value)
             self.end_headers()

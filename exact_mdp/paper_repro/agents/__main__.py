@@ -79,7 +79,7 @@ BACKEND = together(
         "--timeout",
         default=Endpoint.timeout,
         type=click.FloatRange(0.1, 86_400),
-        help="openai: seconds to connect, and of silence.",
+        help="openai: seconds for a whole answer.",
     ),
     option("--temperature", default=Endpoint.temperature, type=click.FloatRange(0, 2)),
     option("--max-tokens", default=Endpoint.max_tokens, type=click.IntRange(16, 100_000)),

@@ -1,11 +1,12 @@
 """Any endpoint that speaks chat completions (the OpenAI protocol), by its address.
 
 The key is read from the environment, goes into one request header, and nowhere else: not into a
-recording, a message or a `repr`. Addresses are https, or http on this machine; no proxy and no
-.netrc is taken from the environment, and no redirect is followed. Too many requests, server errors,
-dropped connections and time-outs are tried again after 1, 2, 4 … seconds, or as long as the
-endpoint asks for; an answer in another form than asked is asked for again, with its fault named;
-every other status stops the run.
+recording, a message or a `repr`. Addresses are https, or http on this machine. Nothing else is
+taken from the environment: no proxy, no .netrc, no certificates. One deadline bounds an attempt,
+from the look-up of the name to the last byte, and an answer has at most 4 MB. Too many requests,
+server errors, dropped connections and time-outs are tried again after 1, 2, 4 … seconds, or as long
+as the endpoint asks for; an answer in another form than asked is asked for again, with its fault
+named; every other status stops the run.
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from __future__ import annotations
 import json
 import math
 import os
+import queue
 import re
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 from exact_mdp import ModelError
@@ -27,6 +30,7 @@ from exact_mdp.paper_repro.agents.texts import Request
 
 AGAIN = (408, 409, 429, 500, 502, 503, 504)
 LONGEST_WAIT = 60.0
+MOST_BYTES = 4_000_000
 LONGEST_TEXT = 1200  # characters of a text in an answer
 SHAPES = ("json_schema", "json_object", "none")
 
@@ -58,7 +62,7 @@ class Endpoint:
     max_tokens: int = 400
     shape: str = "json_schema"  # how the form is requested; it is checked in any case
     tries: int = 4  # attempts for each request before the run stops
-    timeout: float = 60.0  # seconds to connect, and of silence
+    timeout: float = 60.0  # seconds for a whole attempt
     sleep: Callable[[float], None] = field(default=time.sleep, repr=False)
 
     def __post_init__(self) -> None:
@@ -141,15 +145,47 @@ class Endpoint:
         return body
 
     def _sent(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
-        """Return status, the wait that is asked for, and the data."""
+        """Return status, the wait that is asked for, and the data; one deadline bounds it all.
+
+        It is sent in a thread, since nothing else bounds the look-up of a name.
+        """
+        answers: queue.Queue[Any] = queue.Queue()
+
+        def send() -> None:
+            try:
+                answers.put(self._posted(body, key))
+            except Exception as error:  # handed to the thread that waits
+                answers.put(error)
+
+        threading.Thread(target=send, daemon=True).start()
+        try:
+            answer = answers.get(timeout=self.timeout)
+        except queue.Empty:
+            raise Transient(f"no answer within {self.timeout:g} s") from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer  # type: ignore[no-any-return]
+
+    def _posted(self, body: Mapping[str, Any], key: str) -> tuple[int, float, bytes]:
         import httpx
 
-        headers = {"Authorization": f"Bearer {key}"} if key else {}
+        context = httpx.create_ssl_context(trust_env=False)
+        cast(Any, context).keylog_filename = None  # secrets of a connection go into no file
+        headers = {"Accept-Encoding": "identity"}
+        if key:
+            headers["Authorization"] = f"Bearer {key}"
+        url, data = f"{self.base_url.rstrip('/')}/chat/completions", b""
         try:
-            with httpx.Client(trust_env=False, timeout=self.timeout, headers=headers) as client:
-                answer = client.post(f"{self.base_url.rstrip('/')}/chat/completions", json=body)
-        except httpx.TimeoutException:
-            raise Transient(f"no answer within {self.timeout:g} s") from None
+            with (
+                httpx.Client(trust_env=False, verify=context, timeout=self.timeout) as client,
+                client.stream("POST", url, json=body, headers=headers) as answer,
+            ):
+                if answer.status_code == 200:
+                    for piece in answer.iter_raw():
+                        data += piece
+                        if len(data) > MOST_BYTES:
+                            raise Transient(f"an answer of over {MOST_BYTES:,} bytes")
+                return answer.status_code, _seconds(answer.headers.get("retry-after")), data
         except httpx.HTTPError as error:
             if "CERTIFICATE_VERIFY_FAILED" in str(error):
                 raise BackendError(
@@ -158,7 +194,6 @@ class Endpoint:
                     fix="check --base-url",
                 ) from None
             raise Transient(f"{type(error).__name__}, the connection failed") from None
-        return answer.status_code, _seconds(answer.headers.get("retry-after")), answer.content
 
     def _key(self) -> str:
         """Return the key; none where the usual variable is not set."""

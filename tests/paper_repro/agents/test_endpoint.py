@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import pickle
+import socket
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
-from fake_endpoint import GOOD, fake_endpoint
+from fake_endpoint import DRIPS, GOOD, fake_endpoint
 
 from exact_mdp import ModelError, Scenario
 from exact_mdp.paper_repro.agents.endpoint import (
@@ -116,10 +118,27 @@ def test_what_another_try_does_not_change_stops_at_once(fault: int | str, words:
         assert secret not in str(caught.value)
 
 
-def test_silence_is_not_waited_for() -> None:
+@pytest.mark.parametrize("fault", DRIPS)
+def test_one_deadline_holds_whatever_drips(fault: str) -> None:
     late = pytest.raises(BackendError, match=r"no answer within 0\.5 s")
-    with fake_endpoint("silence") as state, late:
+    with fake_endpoint(fault) as state, late:
         endpoint(state.url, timeout=0.5, tries=1).answer(QUESTION)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"), [("flood", "over 4,000,000"), ("bomb", "not JSON"), ("drop", "connection")]
+)
+def test_an_answer_is_bounded_and_not_unpacked(fault: str, words: str) -> None:
+    with fake_endpoint(fault) as state, pytest.raises(BackendError, match=words):
+        endpoint(state.url, tries=1).answer(QUESTION)
+
+
+def test_the_deadline_holds_while_a_name_is_looked_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    halt = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: halt.wait(30) or [])
+    with pytest.raises(BackendError, match="no answer within"):
+        endpoint(ELSEWHERE, timeout=0.3, tries=1).answer(QUESTION)
+    halt.set()
 
 
 # ---- forms ---------------------------------------------------------------------------------------
@@ -204,11 +223,16 @@ def test_a_broken_key_and_a_missing_package_are_told(monkeypatch: pytest.MonkeyP
     assert "exact-mdp[agents]" in caught.value.fix
 
 
-def test_a_certificate_of_nobody_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_certificate_of_nobody_is_not_trusted_and_secrets_are_written_nowhere(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    secrets = tmp_path / "secrets"
+    monkeypatch.setenv("SSLKEYLOGFILE", str(secrets))
     monkeypatch.setenv("SSL_CERT_FILE", str(Path(__file__).parents[2] / "support/localhost.pem"))
     with fake_endpoint(tls=True) as state, pytest.raises(BackendError, match="certificate"):
         endpoint(state.url).answer(QUESTION)
     assert state.asked == []
+    assert "SECRET" not in (secrets.read_text() if secrets.exists() else "")
 
 
 def test_a_key_stays_here_where_a_redirect_leads_elsewhere() -> None:
