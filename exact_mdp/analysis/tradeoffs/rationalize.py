@@ -20,12 +20,10 @@ learning, ICML 2000, state the cone for policies that are optimal in all states.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from math import inf
 from typing import TYPE_CHECKING, ClassVar
-
-import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.mdp.care.scenario import Scenario
@@ -34,11 +32,17 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.solvers.exact.duals import allowed
-from exact_mdp.solvers.exact.find import visited
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.simplex import maximise
-from exact_mdp.solvers.objectives.totals import Flow, Point, TotalsProof, about, optimum
+from exact_mdp.solvers.objectives.totals import (
+    Flow,
+    Point,
+    TotalsProof,
+    about,
+    flow_under,
+    optimum,
+)
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.solver import mdp_of
 
@@ -238,11 +242,7 @@ class _Search:
         own = sum((w * v for w, v in zip(weights, self.totals, strict=True)), ZERO)
         if value.mean(self.of.mdp.start) == own:
             return value
-        states = ~self.of.rows.terminal
-        (level,) = visited(self.of.rows.of_pairs(pairs), states, self.of.mdp.start)
-        taken = np.flatnonzero([states[s] and top > 0 for s, top in enumerate(level.top)])
-        visits = replace(level, top=[level.top[s] for s in taken], group=level.group[taken])
-        flow = Flow(pairs=pairs[taken], visits=visits)
+        flow = flow_under(self.of, pairs)
         lead = tuple(a - b for a, b in zip(flow.totals(self.of), self.totals, strict=True))
         self.policies.append((flow, lead))
         return None
@@ -255,12 +255,13 @@ class _Search:
         gain = [ONE] * size + [-ONE] * size
         while True:
             columns = bounds + [[*(-x for x in lead), ZERO] for _, lead in self.policies]
-            solved = maximise([*gain, *[ZERO] * len(self.policies)], columns, [*[ZERO] * size, ONE])
-            *weights, change = solved.y
+            x, (*weights, change) = maximise(
+                [*gain, *[ZERO] * len(self.policies)], columns, [*[ZERO] * size, ONE]
+            )
             dual = self.beaten(weights)
             if dual is not None:
-                each = zip(self.policies, solved.x[2 * size :], strict=False)
-                cuts = tuple(Cut(flow=other, multiplier=x) for (other, _), x in each if x)
+                each = zip(self.policies, x[2 * size :], strict=False)
+                cuts = tuple(Cut(flow=other, multiplier=own) for (other, _), own in each if own)
                 return weights, change, dual, cuts
 
     def alone(self, k: int) -> Interval:

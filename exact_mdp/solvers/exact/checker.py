@@ -4,11 +4,11 @@
 
 With d(x) = Σ p(s') x(s') - x(s), for rewards that are maximised, all pairs have d(g) ≤ 0; where
 that is 0, r - g + d(h) ≤ 0; where that is 0, too, d(w) - h ≤ 0; and those of the policy all three
-as equations. So g is the greatest average reward per step and h the greatest bias (Puterman, Markov
+as equations: g is the greatest average reward per step, h the greatest bias (Puterman, Markov
 Decision Processes, 1994, sections 9.1 and 10.2). Discounted values tend to g / (1 - γ) + h: the
-total reward, their limit, is +∞ where g > 0, -∞ where g < 0, and else h. Below discount 1, and
-where a rank that each pair may lower shows that every run ends, V = max r + γ P V alone will do, as
-h. For goals see `reaching`; for files docs/reference/certificates.md.
+total reward, their limit, is +∞ where g > 0, -∞ where g < 0, else h. Below discount 1, and where a
+rank that each pair may lower shows that runs end, V = max r + γ P V alone will do, as h. Goals: see
+`reaching`. Files: docs/reference/certificates.md.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import re
 import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from fractions import Fraction
+from functools import partial
 from hashlib import sha256
 from itertools import chain, islice
 from math import gcd, inf, lcm
@@ -88,8 +89,8 @@ class Level:
         self.top = integers(given["top"], f"{what}.top", states)
         self.below = integers(given["below"], f"{what}.below")
         self.group = integers(given["group"], f"{what}.group", states)
-        fits = {*self.group} <= {*range(len(self.below))} and min(self.below, default=0) > 0
-        wanted(fits, f"{what}: a number below is not positive, or is none of the group's")
+        fits = {*self.group} == {*range(len(self.below))} and min(self.below, default=1) > 0
+        wanted(fits, f"{what}: a number below is not positive, or those are not the groups'")
         self._times: dict[frozenset[int], tuple[int, dict[int, int]]] = {}
 
     def weighted(self, weight: Sequence[Any], states: Sequence[int]) -> tuple[Any, int]:
@@ -113,13 +114,14 @@ class Model:
         (self.states,), self.discount = integers([states], "states"), ratio(discount, "discount")
         fits = 0 <= self.discount <= 1 and self.sense in ("max", "min")
         wanted(fits, "the discount is not from 0 to 1, or sense is neither max nor min")
+        self.sign = 1 if self.sense == "max" else -1
         fits = type(start) is dict and type(pairs) is list and self.states <= len(pairs)
         wanted(fits, "start is no object, or pairs no list with a pair of each state")
         odds = [ratio(share, "start") for share in start.values()]
         self.start = sorted(x for x in zip(integers([*start], "start"), odds, strict=True) if x[1])
         self.odds = [p for _, p in self.start], [s for s, _ in self.start]
-        fits = all(0 <= state < self.states for state in self.odds[1])
-        wanted(fits and sum(odds) == 1 and min(odds) >= 0, "start: no distribution of states")
+        fits = {*self.odds[1]} <= {*range(self.states)} and sum(odds) == 1 and min(odds) >= 0
+        wanted(fits, "start: no distribution of states")
         rows = map(list, zip(*sorted(map(self._row, pairs)), strict=True))
         self.state, self.action, self.top, self.below, self.under, self.next, self.weight = rows
         self.pair = {key: l for l, key in enumerate(zip(self.state, self.action, strict=True))}
@@ -147,9 +149,16 @@ class Model:
         total = dict.fromkeys(sorted(after), 0)
         for s, w in zip(after, weight, strict=True):
             total[s] += w
-        shared = gcd(below, *total.values())
-        row = [w // shared for w in total.values()]
-        return state, action, mean.numerator, mean.denominator, below // shared, [*total], row
+        row = [w // (shared := gcd(below, *total.values())) for w in total.values()]
+        return state, action, *mean.as_integer_ratio(), below // shared, [*total], row
+
+    def gain(self, rate: Fraction, pair: int, x: Level, earned: Any = None) -> int:
+        """Return r + γ Σ p(s') x(s') - x(s), times a positive integer; r may be something else."""
+        top, below = earned or (self.sign * self.top[pair], self.below[pair])
+        scale = rate.denominator * self.under[pair]
+        weight = [*map(rate.numerator.__mul__, self.weight[pair]), -scale]
+        change, unit = x.weighted(weight, [*self.next[pair], self.state[pair]])
+        return int(top * scale * unit + below * change)
 
     def digest(self) -> str:
         """Return the SHA-256 of all that counts: lines of integers in hexadecimal."""
@@ -175,11 +184,12 @@ class Check:
         levels = {key: Level(some[key], key, states) for key in LEVELS if key in some}
         self.parts = [*levels, *ranks]
         self.rank, self.order, self.infinite = (ranks.get(key, []) for key in RANKS)
+        wanted(min(self.rank + self.order, default=0) >= 0, "a rank is negative")
         zero = Level({"top": [0] * states, "below": [1], "group": [0] * states}, "zero", states)
         self.g, self.h, self.w = (levels.get(key, zero) for key in LEVELS[:3])
         self.low, self.high = (levels.get(key, self.h) for key in LEVELS[3:])
         self.discount = Fraction(1) if self.kind == "average" else model.discount
-        self.sign, self.optimal = 1 if model.sense == "max" else -1, [False] * len(model.state)
+        self.gain, self.optimal = partial(model.gain, self.discount), [False] * len(model.state)
         of_sign = ({s for s, sign in enumerate(self.infinite) if sign == x} for x in (0, -1, 1))
         self.finite, self.never, self.above = of_sign
         self.arriving, self.lost = set[int](), (model.missing == "-inf") is (model.sense == "max")
@@ -188,8 +198,7 @@ class Check:
 
     def violations(self) -> Iterator[str]:
         """Yield what does not hold."""
-        model = self.model
-        if other := {*enumerate(self.policy)} - model.pair.keys():
+        if other := {*enumerate(self.policy)} - (model := self.model).pair.keys():
             yield f"state {min(other)[0]}: the policy takes an action that there is not"
             return
         taken, one = {model.pair[key] for key in enumerate(self.policy)}, self.discount == 1
@@ -208,19 +217,10 @@ class Check:
                 yield f"state {state}, action {model.action[pair]}: {wrong}"
         if self.lost and not self.above <= self.arriving:
             yield f"state {min(self.above - self.arriving)}: the goal may be out of reach"
-        if self.kind != "bounds" and self.sign * self.start != self.at_start():
+        if self.kind != "bounds" and model.sign * self.start != self.at_start():
             yield "the start value is not that of the start states"
         if self.kind != "bounds" and self.unique is not self.one_optimum():
             yield f"it says wrongly that the optimum is {'' if self.unique else 'not '}unique"
-
-    def gain(self, pair: int, x: Level, earned: tuple[int, int] | None = None) -> int:
-        """Return r + γ Σ p(s') x(s') - x(s), times a positive integer; r may be something else."""
-        model, rate = self.model, self.discount
-        top, below = earned or (self.sign * model.top[pair], model.below[pair])
-        scale = rate.denominator * model.under[pair]
-        weight = [*map(rate.numerator.__mul__, model.weight[pair]), -scale]
-        change, unit = x.weighted(weight, [*model.next[pair], model.state[pair]])
-        return int(top * scale * unit + below * change)
 
     def falls(self, pair: int, rank: Sequence[int], inside: Container[int]) -> bool:
         """Return whether a pair may lead to a state inside, of a lower rank than its own."""
@@ -245,7 +245,7 @@ class Check:
 
     def expansion(self, pair: int, state: int, taken: bool) -> str:
         """Check g, h and w: the first level that is not 0 is negative; all are 0 for the policy."""
-        top, below = self.sign * self.model.top[pair], self.model.below[pair]
+        top, below = self.model.sign * self.model.top[pair], self.model.below[pair]
         (mean, under), (bias, over) = (x.weighted([1], [state]) for x in (self.g, self.h))
         earned = ((0, 1), (top * under - below * mean, below * under), (-bias, over))
         levels = zip("ghw", (self.g, self.h, self.w), earned, strict=True)

@@ -38,7 +38,6 @@ class Totals:
 
     def __init__(self, model: Model, names: Sequence[str], amounts: Sequence[Point]) -> None:
         self.model, self.names, self.amounts = model, [*names], amounts
-        self.sign = 1 if model.sense == "max" else -1
         earning = {s for own in amounts for s, x in zip(model.state, own, strict=True) if x}
         moving = {s for s, after in zip(model.state, model.next, strict=True) if after != [s]}
         self.ends = {*range(model.states)} - earning - moving
@@ -47,7 +46,8 @@ class Totals:
         """Yield a fault where the equations of a policy may have several solutions."""
         model = self.model
         if model.discount == 1:
-            wanted(rank is not None and len(rank) == model.states, "the rank is missing")
+            fits = rank is not None and len(rank) == model.states and min(rank) >= 0
+            wanted(fits, "the rank is missing, or negative")
             pairs = zip(model.state, model.next, strict=True)
             if any(s not in self.ends and min(rank[t] for t in a) >= rank[s] for s, a in pairs):
                 yield "the rank does not show that every policy ends"
@@ -68,11 +68,8 @@ class Totals:
             return int(-value.top[state])
         each = zip(weights, self.amounts, strict=True)
         earned = sum((w * own[pair] for w, own in each), Fraction())
-        model, rate = self.model, self.model.discount
-        scale = rate.denominator * model.under[pair]
-        weight = [*map(rate.numerator.__mul__, model.weight[pair]), -scale]
-        change, unit = value.weighted(weight, [*model.next[pair], state])
-        return int(earned.numerator * scale * unit + earned.denominator * change)
+        ratio = earned.as_integer_ratio()
+        return self.model.gain(self.model.discount, pair, value, ratio)
 
     def bounds(self, weights: Point, given: Any, most: Fraction) -> bool:
         """Return whether values prove that no policy has a weighted total above `most`."""
@@ -193,7 +190,7 @@ def limits(totals: Totals, proof: Any) -> Iterator[str]:
     Prices p ≥ 0 bound r(π) + Σ p c(π) by μ V; a flow that keeps the limits and meets the bound is
     optimal. Without the reward, such a bound proves that no policy keeps the limits.
     """
-    names, sign, prices, reward = totals.names, totals.sign, proof.price, proof.feasible
+    names, sign, prices, reward = totals.names, totals.model.sign, proof.price, proof.feasible
     wanted({x.name for x in proof.limits} <= {*names[1:]}, "what is limited is not counted")
     wanted(len(prices) == len(proof.limits), "not one price for each limit")
     wanted({x.sign for x in proof.limits} <= {1, -1}, "a limit is neither >= nor <=")

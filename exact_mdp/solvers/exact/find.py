@@ -221,7 +221,7 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifi
     return certificate(
         mdp,
         policy,
-        h=Level(top=top, below=[*values.below, *bias.below], group=group),
+        h=Level.grouped(top, [*values.below, *bias.below], group),
         rank=np.maximum(graph.distance(goal, np.where(finite[state], used, inside)), 0),
         infinite=np.where(above, 1, np.where(finite, 0, -1)),
         order=order,

@@ -76,12 +76,18 @@ class Level:
     def over(cls, top: Iterable[int], below: int) -> Level:
         """Return integers over one denominator."""
         listed = list(top)
-        return cls(top=listed, below=[below], group=np.zeros(len(listed), dtype=np.int64))
+        return cls.grouped(listed, [below], np.zeros(len(listed), dtype=np.int64))
 
     @classmethod
     def of(cls, numbers: Sequence[Fraction]) -> Level:
         """Return rationals over one denominator."""
         return cls.over(*common(numbers))
+
+    @classmethod
+    def grouped(cls, top: list[int], below: Sequence[int], group: Integers) -> Level:
+        """Return integers over several denominators, of which those that no number has are left."""
+        used, group = np.unique(group, return_inverse=True)
+        return cls(top=top, below=[below[each] for each in used], group=group)
 
     @property
     def each_below(self) -> list[int]:

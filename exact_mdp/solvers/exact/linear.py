@@ -176,7 +176,7 @@ def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
     """Return the solutions for several right sides, in groups over the same denominators."""
     solution = _Solution(matrix, sides)
     group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))
-    return [Level(top=list(map(int, top)), below=below, group=group) for top in solution.tops]
+    return [Level.grouped(list(map(int, top)), below, group) for top in solution.tops]
 
 
 def equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Matrix:

@@ -2,24 +2,15 @@
 
     maximise  r(π)   subject to   c_k(π) ≥ b_k,  k = 1 … m,     over all policies π
 
-Visits x of pairs make this a linear program. A basis of it has one pair for each state, which are a
-deterministic policy π, and as many further pairs e, taken y(e) times, as limits bind. With the
-values of π for each objective, and what a pair gains on them,
+The totals of policies are mixtures of those of deterministic ones. A linear program mixes the ones
+known so far; its prices p weigh the totals, and the policy that is best for r + p c joins them,
+until no policy exceeds the mixture by these weights (Dantzig and Wolfe, Operations Research 8,
+1960). Its value μ V for them is then the proof: no policy that keeps the limits earns more than
+μ V - p b. Where no policy keeps the limits, the least step t by which they are all moved takes the
+place of the return, and prices sum to 1.
 
-    Σ_e y(e) gain_k(e) = b_k - c_k(π)  for the limits that bind,    their prices p:
-    gain_r(e) + Σ_k p_k gain_k(e) = 0  for the further pairs,
-
-are as few equations as limits bind. Where y, all visits and p are not negative, the other limits
-are kept, and no pair gains on r + p c, both are optimal, and prove each other: no policy that keeps
-the limits earns more than μ V - p b. So the policy draws its action in no more states than limits
-bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
-
-Floats (HiGHS) propose a basis, and the simplex method mends it in rational arithmetic (Applegate,
-Cook, Dash and Espinoza, Operations Research Letters 35, 2007), by Bland's rule (Mathematics of
-Operations Research 2, 1977). It is that of a program in which limits are looser by a number η that
-is smaller than any other, and each state begins a yet smaller number of runs: what is 0 in a basis
-then is so for one reason. Where no policy keeps the limits, the least step t by which they are all
-moved takes the place of the return, as one more variable; prices sum to 1.
+Visits of the mixture are those of one policy, which has to draw its action in no more states than
+limits bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
 """
 
 from __future__ import annotations
@@ -29,30 +20,30 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from operator import mul
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import flint
 import numpy as np
-import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError, located
-from exact_mdp.mdp.exact import fraction as as_fraction
-from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Table
 from exact_mdp.mdp.table import Integers, Numbers, common, exact, shown
-from exact_mdp.solvers.exact.find import first_of, nearly, visited
+from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.exact.levels import Level, combined, signs, surplus
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
+from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.objectives.totals import (
-    Attained,
     Flow,
     Point,
     TotalsProof,
     about,
     attained,
     extreme,
+    flow_under,
+    optimum,
 )
 from exact_mdp.solvers.solution import Certified
 
@@ -60,8 +51,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 ZERO, ONE = Fraction(0), Fraction(1)
-NOISE = 2.0**-40  # of all visits: what floats take for none
-PIVOTS = 10  # for each state, in floats: the simplex method may go round in circles
 LIMIT = re.compile(r"\s*(>=|<=)\s*(\S+)\s*$")
 
 
@@ -284,14 +273,14 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         title += "'"
     of = Objectives.of(mdp, [f"{title}={reward_name(mdp)}", *names])
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
-    vertex = _Program(of, limits).solved()
+    best = _mixture(of, limits)
     return ConstrainedSolution(
         limits=limits,
-        feasible=vertex.price[0] == 1,
-        flow=vertex.flow(of),
-        price=vertex.price[1:],
-        dual=combined(vertex.policy.values, _weights(of, limits, vertex.price)),
-        shift=vertex.shift[0],
+        feasible=best.price[0] == 1,
+        flow=_flow(of, limits, best),
+        price=best.price[1:],
+        dual=best.dual,
+        shift=best.shift,
         **about(of, "limits"),
     )
 
@@ -304,265 +293,102 @@ def _weights(of: Objectives, limits: Sequence[Limit], price: Sequence[Fraction])
     return weights
 
 
-Number = tuple[Fraction, Fraction, Fraction]
-"""a + b η + c ε, where η is smaller than any rational, and ε smaller than any multiple of η."""
-
-NOTHING = (ZERO, ZERO, ZERO)
-
-
-class _Basis(NamedTuple):
-    """One pair for each state (S,), further pairs, limits that bind, and whether t is above 0."""
-
-    pairs: Integers
-    further: list[int]
-    binding: list[int]
-    short: bool
+def _room(of: Objectives, limits: Sequence[Limit], totals: Sequence[Fraction]) -> list[Fraction]:
+    """Return by how much totals keep each limit."""
+    each = [(x, of.sign * totals[of.names.index(x.name)]) for x in limits]
+    return [x.sign * (total - x.bound) for x, total in each]
 
 
-class _Vertex(NamedTuple):
-    """What a basis stands for: numbers of its variables, and prices of the reward and limits."""
+class _Mixture(NamedTuple):
+    """Policies by their pairs (S,), with shares; the step of the limits; prices, and values."""
 
-    policy: Attained
-    further: dict[int, Number]
-    visits: list[Level]  # of the states' own pairs: parts of the numbers
-    room: list[Number]
-    shift: Number
-    price: tuple[Fraction, ...]
-
-    def flow(self, of: Objectives) -> Flow:
-        """Return the visits of pairs."""
-        level, live = self.visits[0], ~of.rows.terminal
-        own = [s for s in np.flatnonzero(live).tolist() if level.top[s]]
-        more = {pair: number[0] for pair, number in self.further.items() if number[0]}
-        extra = Level.of(list(more.values())) if more else Level.over([], 1)
-        visits = Level(
-            top=[*(level.top[s] for s in own), *extra.top],
-            below=[*level.below, *extra.below],
-            group=np.concatenate([level.group[own], extra.group + len(level.below)]),
-        )
-        return Flow(pairs=np.array([*self.policy.pairs[own], *more], dtype=np.int64), visits=visits)
+    shares: list[tuple[Integers, Fraction]]
+    shift: Fraction
+    price: tuple[Fraction, ...]  # of the reward, then of the limits
+    dual: Level
 
 
-class _Program:
-    """The linear program of some limits; limit k is on `amount[k]`, of which more is better."""
-
-    def __init__(self, of: Objectives, limits: Sequence[Limit]) -> None:
-        self.of, self.limits, self.live = of, limits, ~of.rows.terminal
-        self.amount = [of.names.index(limit.name) for limit in limits]
-        self.sign = [of.sign * limit.sign for limit in limits]
-        self.bound = [limit.sign * limit.bound for limit in limits]
-        self.begin = [(s, ONE) for s in np.flatnonzero(self.live).tolist()]
-
-    def solved(self) -> _Vertex:
-        """Return an optimal vertex."""
-        basis, vertex = self._first()
-        while (entering := self._entering(basis, vertex)) is not None:
-            basis = self._pivoted(basis, vertex, entering)
-            vertex = self._vertex(basis)
-        return vertex
-
-    def _first(self) -> tuple[_Basis, _Vertex]:
-        """Return a basis that floats propose, or that of the greatest return."""
-        for short in (False, True):
-            basis = self._proposed(short)
-            if basis is not None:
-                try:
-                    vertex = self._vertex(basis)
-                except ZeroDivisionError:
-                    continue
-                numbers = [*vertex.further.values(), *vertex.room]
-                numbers += [self._number(vertex, s) for s in np.flatnonzero(self.live).tolist()]
-                if min(numbers) >= NOTHING and (vertex.shift > NOTHING) is short:
-                    return basis, vertex
-        size = len(self.of.names)
-        basis = _Basis(extreme(self.of, [1] + [0] * (size - 1)).pairs, [], [], False)
-        vertex = self._vertex(basis)
-        if min(vertex.room) < NOTHING:
-            basis = basis._replace(binding=[vertex.room.index(min(vertex.room))], short=True)
-            vertex = self._vertex(basis)
-        return basis, vertex
-
-    def _vertex(self, basis: _Basis) -> _Vertex:
-        """Return the numbers of a basis; raises ZeroDivisionError where it is none."""
-        of, binding, short = self.of, basis.binding, basis.short
-        policy, count = attained(of, basis.pairs), len(basis.binding)
-        gain = self._gains(policy, basis.further)
-        spread = [value.mean(self.begin) if self.begin else ZERO for value in policy.values]
-        lack = [
-            (b - s * policy.total[k], -ONE, -s * spread[k])
-            for k, s, b in zip(self.amount, self.sign, self.bound, strict=True)
-        ]
-        columns = [[gain[e][1 + k] for k in binding] for e in basis.further]
-        columns += [[ONE] * count] * short
-        if len(columns) != count:
-            raise ZeroDivisionError
-        matrix = flint.fmpq_mat([list(map(rational, row)) for row in columns]) if count else None
-        numbers, prices = list[Number](), list[Fraction]()
-        if matrix is not None:
-            sides = flint.fmpq_mat([list(map(rational, lack[k])) for k in binding])
-            for row in matrix.transpose().solve(sides).tolist():
-                a, b, c = map(as_fraction, row)
-                numbers.append((a, b, c))
-            earned = [[rational(-gain[e][0] * (not short))] for e in basis.further]
-            earned += [[rational(1)]] * short
-            prices = list(map(as_fraction, matrix.solve(flint.fmpq_mat(earned)).entries()))
-        shift = numbers.pop() if short else NOTHING
-        further = dict(zip(basis.further, numbers, strict=True))
-        price = [Fraction(not short)] + [ZERO] * len(self.limits)
-        for k, own in zip(binding, prices, strict=True):
-            price[1 + k] = own
-        room = list[Number]()
-        for k, right in enumerate(lack):
-            more = [(gain[e][1 + k], y) for e, y in further.items()]
-            a, b, c = (
-                shift[i] + sum((g * y[i] for g, y in more), ZERO) - right[i] for i in range(3)
-            )
-            room.append((a, b, c))
-        starts = [
-            [*own, *self._sources({e: y[i] for e, y in further.items()}, basis.pairs)]
-            for i, own in enumerate((of.mdp.start, [], self.begin))
-        ]
-        rows = of.rows.of_pairs(basis.pairs)
-        visits = visited(rows, self.live, *starts)
-        return _Vertex(policy, further, visits, room, shift, tuple(price))
-
-    def _gains(self, policy: Attained, pairs: Sequence[int]) -> dict[int, list[Fraction]]:
-        """Return what some pairs gain: of the reward, and of what each limit is on."""
-        of, some = self.of, np.array(sorted(pairs), dtype=np.int64)
-        each = []
-        for amount, value in zip(of.amounts, policy.values, strict=True):
-            ((top, below),) = surplus(replace(of.rows, constant=amount), value, pairs=some)
-            each.append([Fraction(*number) for number in zip(top, below, strict=True)])
-        limited = [[s * x for x in each[k]] for k, s in zip(self.amount, self.sign, strict=True)]
-        rows = zip(*each[:1], *limited, strict=True)
-        return dict(zip(some.tolist(), map(list, rows), strict=True))
-
-    def _sources(self, taken: Mapping[int, Fraction], own: Integers) -> list[tuple[int, Fraction]]:
-        """Return what comes into each state where pairs are taken in place of the states' own."""
-        rows, arrivals = self.of.rows, list[tuple[int, Fraction]]()
-        for pair, times in taken.items():
-            state = int(rows.pair_state[pair])
-            part = slice(rows.offsets[pair], rows.offsets[pair + 1])
-            ahead = zip(rows.next[part].tolist(), rows.weight[part].tolist(), strict=True)
-            unit = int(rows.scale[state])
-            arrivals += [(state, -times), *((t, times * Fraction(w, unit)) for t, w in ahead)]
-        return arrivals
-
-    def _number(self, vertex: _Vertex, state: int) -> Number:
-        """Return how often a state's own pair is taken."""
-        a, b, c = (Fraction(v.top[state], v.below[v.group[state]]) for v in vertex.visits)
-        return a, b, c
-
-    def _entering(self, basis: _Basis, vertex: _Vertex) -> int | None:
-        """Return the first variable that is worth more than it costs: a pair, or L + k."""
-        whole, _ = common(_weights(self.of, self.limits, vertex.price))
-        rows = replace(self.of.rows, constant=self.of.weighted(whole))
-        own = np.append(basis.pairs, np.array(basis.further, dtype=np.int64))
-        sign = signs(rows, combined(vertex.policy.values, whole), own)
-        gaining = np.flatnonzero((sign > 0) & self.live[rows.pair_state])
-        if len(gaining):
-            return int(gaining[0])
-        cheap = (k for k in sorted(basis.binding) if vertex.price[1 + k] < 0)
-        first = next(cheap, None)
-        return None if first is None else self.of.mdp.n_pairs + first
-
-    def _pivoted(self, basis: _Basis, vertex: _Vertex, entering: int) -> _Basis:
-        """Return the basis with a variable in place of the first one that it brings to 0."""
-        pairs, pair_count = basis.pairs.copy(), self.of.mdp.n_pairs
-        state = self.of.mdp.pair_state
-        further, binding, short = [*basis.further], [*basis.binding], basis.short
-        new = [entering] * (entering < pair_count)
-        gain = self._gains(vertex.policy, [*further, *new])
-        right = [-gain[entering][1 + k] if new else Fraction(k == entering - pair_count)
-                 for k in binding]  # fmt: skip
-        step = dict.fromkeys(new, ONE)
-        rise = ZERO
-        if binding:
-            rows = [[gain[e][1 + k] for e in further] + [ONE] * short for k in binding]
-            matrix = flint.fmpq_mat([list(map(rational, row)) for row in rows])
-            side = flint.fmpq_mat([[rational(number)] for number in right])
-            steps = list(map(as_fraction, matrix.solve(side).entries()))
-            rise = steps.pop() if short else ZERO
-            step |= dict(zip(further, steps, strict=True))
-        (moves,) = visited(self.of.rows.of_pairs(pairs), self.live, self._sources(step, pairs))
-        several = sorted({int(state[e]) for e in step})
-        falling = [(-1, vertex.shift, rise)] * short
-        falling += [(e, vertex.further[e], step[e]) for e in further]
-        falling += [
-            (
-                int(pairs[s]),
-                self._number(vertex, s),
-                Fraction(moves.top[s], moves.below[moves.group[s]]),
-            )
-            for s in several
-        ]
-        for k, room in enumerate(vertex.room):
-            if k not in binding:
-                change = rise + sum((gain[e][1 + k] * y for e, y in step.items()), ZERO)
-                falling.append((pair_count + k, room, change))
-        ends = [
-            (tuple(part / -move for part in number), index)
-            for index, number, move in falling
-            if move < 0
-        ]
-        _, leaving = min(ends)
-        further += new
-        if not new:
-            binding.remove(entering - pair_count)
-        if leaving < 0:
+def _mixture(of: Objectives, limits: Sequence[Limit]) -> _Mixture:
+    """Return the best mixture of policies, or where none keeps the limits, one of least step."""
+    size, short = len(limits), True
+    slack = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
+    policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
+    while True:
+        columns = [[ONE, *_room(of, limits, policy.total)] for policy in policies] + slack
+        earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
+        columns += [[ZERO] + [ONE] * size] * short
+        x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
+        shift = x[-1] if short else ZERO
+        if short and not shift:
             short = False
-        elif leaving >= pair_count:
-            binding.append(leaving - pair_count)
-        else:
-            if leaving not in further:
-                other = min(e for e in further if state[e] == state[leaving])
-                pairs[state[leaving]], leaving = other, other
-            further.remove(leaving)
-        return _Basis(pairs, further, sorted(binding), short)
+            continue
+        price = (Fraction(not short), *(-each for each in due))
+        for limit, own in zip(limits, price[1:], strict=True):
+            most += own * limit.sign * limit.bound
+        pairs, dual = optimum(of, _weights(of, limits, price), policies[-1].pairs)
+        if dual.mean(of.mdp.start) == most:
+            shares = [(own.pairs, share) for own, share in zip(policies, x, strict=False) if share]
+            return _Mixture(shares, shift, price, dual)
+        policies.append(attained(of, pairs))
 
-    def _proposed(self, short: bool) -> _Basis | None:
-        """Return the basis that floats find: of the optimum, or of the least step of the limits."""
-        from scipy import optimize
 
-        of, state, size = self.of, self.of.mdp.pair_state, self.of.mdp.n_states
-        rows, live = of.rows, self.live[state]
-        if not self.live.any():
-            return None
-        scale = rows.scale[state].astype(object)
-        try:
-            share = live[rows.pair] * (rows.weight / scale[rows.pair]).astype(np.float64)
-            each = [live * (own / scale).astype(np.float64) for own in of.amounts]
-            bound = np.array([float(number) for number in self.bound])
-        except OverflowError:  # beyond the floats, which only suggest a basis
-            return None
-        moves = sp.csr_array((share, rows.next, rows.offsets), shape=(len(state), size))
-        stays = sp.csr_array((live * 1.0, (state, np.arange(len(state)))), (size, len(state)))
-        start, inside = np.zeros(size), np.flatnonzero(self.live)
-        for s, chance in of.mdp.start:
-            start[s] = float(chance)
-        limited = np.array([s * each[k] for k, s in zip(self.amount, self.sign, strict=True)])
-        program = optimize.linprog(
-            np.append(-each[0] * (not short), float(short)),
-            A_eq=sp.hstack([(stays - moves.T).tocsr()[inside], sp.csr_array((len(inside), 1))]),
-            b_eq=start[inside],
-            A_ub=sp.csr_array(-np.hstack([limited, np.full((len(limited), 1), float(short))])),
-            b_ub=-bound,
-            bounds=(0, None),
-            method="highs-ds",
-            options={"maxiter": PIVOTS * size},
-        )
-        if program.status != 0:
-            return None
-        visits, price = program.x[:-1] * live, np.abs(program.ineqlin.marginals)
-        exactly = [Fraction(not short), *map(Fraction, price.tolist())]
-        whole, _ = common(_weights(of, self.limits, exactly))
-        weighted = replace(rows, constant=of.weighted(whole))
-        pairs = nearly(weighted, of.mdp.pair_offsets[:-1]).copy()
-        taken = np.flatnonzero(visits > NOISE * visits.sum())
-        taken = taken[np.lexsort((visits[taken], state[taken]))]  # the most visited of a state last
-        last = np.diff(state[taken], append=-1) != 0
-        pairs[state[taken[last]]] = taken[last]
-        further = taken[~last].tolist()
-        count = len(further) + short
-        binding = np.lexsort((limited @ visits - bound, -price))[:count]
-        return _Basis(pairs, further, sorted(binding.tolist()), short)
+def _flow(of: Objectives, limits: Sequence[Limit], best: _Mixture) -> Flow:
+    """Return the visits of one policy that earns as much as a mixture.
+
+    It has a pair for each state, and as many further ones as limits bind, at most: with more, some
+    change of their numbers leaves what these limits are on as it is. It goes on until a pair is not
+    taken any more, or another limit binds.
+    """
+    state, taken = of.rows.pair_state, dict[int, Fraction]()
+    for pairs, share in best.shares:
+        for pair, number in flow_under(of, pairs).numbers().items():
+            taken[pair] = taken.get(pair, ZERO) + share * number
+    own = best.shares[0][0].copy()
+    while True:
+        most = sorted(taken, key=lambda pair: (taken[pair], -pair))
+        own[state[most]] = most
+        further = sorted(taken.keys() - {*own.tolist()})
+        visits = Level.of([taken[pair] for pair in sorted(taken)])
+        flow = Flow(pairs=np.array(sorted(taken), dtype=np.int64), visits=visits)
+        room = [each + best.shift for each in _room(of, limits, flow.totals(of))]
+        gains = _gains(of, limits, own, further)
+        tight = [common(gain)[0] for gain, left in zip(gains, room, strict=True) if not left]
+        free, count = flint.fmpz_mat([[0] * len(further), *tight]).nullspace()
+        if not count:
+            return flow
+        change = {pair: Fraction(int(free[i, 0])) for i, pair in enumerate(further)}
+        falling = [
+            (left, sum(map(mul, gain, change.values()), ZERO))
+            for gain, left in zip(gains, room, strict=True)
+            if left
+        ]
+        change |= flow_under(of, own, _sources(of, change)).numbers()
+        falling += [(taken[pair], step) for pair, step in change.items()]
+        length = min(left / -step for left, step in falling if step < 0)
+        moved = {pair: left + length * change.get(pair, ZERO) for pair, left in taken.items()}
+        taken = {pair: left for pair, left in moved.items() if left}
+
+
+def _gains(
+    of: Objectives, limits: Sequence[Limit], own: Integers, pairs: list[int]
+) -> list[list[Fraction]]:
+    """Return what some pairs gain, against a policy, of what each limit is on."""
+    values, some, gains = attained(of, own).values, np.array(pairs, dtype=np.int64), []
+    for limit in limits:
+        k = of.names.index(limit.name)
+        ((top, below),) = surplus(replace(of.rows, constant=of.amounts[k]), values[k], pairs=some)
+        sign = of.sign * limit.sign
+        gains.append([Fraction(sign * a, b) for a, b in zip(top, below, strict=True)])
+    return gains
+
+
+def _sources(of: Objectives, taken: Mapping[int, Fraction]) -> list[tuple[int, Fraction]]:
+    """Return what comes into each state where pairs are taken in place of the states' own."""
+    rows, arrivals = of.rows, list[tuple[int, Fraction]]()
+    for pair, times in taken.items():
+        state = int(rows.pair_state[pair])
+        part = slice(rows.offsets[pair], rows.offsets[pair + 1])
+        ahead = zip(rows.next[part].tolist(), rows.weight[part].tolist(), strict=True)
+        unit = int(rows.scale[state])
+        arrivals += [(state, -times), *((t, times * Fraction(w, unit)) for t, w in ahead)]
+    return arrivals

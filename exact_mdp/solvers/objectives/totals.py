@@ -17,13 +17,15 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, model_of
-from exact_mdp.solvers.exact.find import best, evaluated, first_of, nearly
+from exact_mdp.solvers.exact.find import best, evaluated, first_of, nearly, visited
 from exact_mdp.solvers.exact.levels import Level, combined, fraction, signs
 from exact_mdp.solvers.objectives.amounts import Objectives
 
@@ -38,14 +40,17 @@ class Flow:
     pairs: Integers
     visits: Level
 
+    def numbers(self) -> dict[int, Fraction]:
+        """Return the visits of each pair."""
+        return dict(zip(self.pairs.tolist(), self.visits.fractions(), strict=True))
+
     def chances(self, of: Objectives) -> dict[int, dict[int, Fraction]]:
         """Return the probability of each pair {state: {pair: probability}} in states visited."""
-        taken: dict[int, dict[int, int]] = {}
-        top, _ = self.visits.over_one(range(len(self.pairs)), self.visits.group.tolist())
-        for pair, number in sorted(zip(self.pairs.tolist(), top, strict=True)):
+        taken: dict[int, dict[int, Fraction]] = {}
+        for pair, number in sorted(self.numbers().items()):
             taken.setdefault(int(of.mdp.pair_state[pair]), {})[pair] = number
         return {
-            state: {pair: fraction(n, sum(own.values())) for pair, n in own.items()}
+            state: {pair: number / sum(own.values()) for pair, number in own.items()}
             for state, own in sorted(taken.items())
         }
 
@@ -85,6 +90,17 @@ class Attained:
         return not (self.gains(of, weights) > 0).any()
 
 
+def flow_under(
+    of: Objectives, pairs: Integers, start: Sequence[tuple[int, Fraction]] | None = None
+) -> Flow:
+    """Return the visits of the policy that takes one pair (S,) of each state, from any start."""
+    states = ~of.rows.terminal
+    (level,) = visited(of.rows.of_pairs(pairs), states, of.mdp.start if start is None else start)
+    taken = np.flatnonzero(states & (np.array(level.top, dtype=object) != 0))
+    visits = Level.grouped([level.top[s] for s in taken], level.below, level.group[taken])
+    return Flow(pairs=pairs[taken], visits=visits)
+
+
 def attained(of: Objectives, pairs: Integers) -> Attained:
     """Return the totals of the policy that takes one pair (S,) of each state."""
     values = tuple(evaluated(of.rows, pairs, of.amounts))
@@ -93,12 +109,18 @@ def attained(of: Objectives, pairs: Integers) -> Attained:
     )
 
 
-def optimum(of: Objectives, weights: Weights) -> tuple[Integers, Level]:
-    """Return pairs (S,) that are optimal for weights of at least 0, and the weighted values."""
+def optimum(
+    of: Objectives, weights: Weights, first: Integers | None = None
+) -> tuple[Integers, Level]:
+    """Return pairs (S,) that are optimal for weights of at least 0, and the weighted values.
+
+    The search begins with the pairs `first` (S,), and keeps them where none is better.
+    """
     whole, unit = common([Fraction(w) for w in weights])
     rows = replace(of.rows, constant=of.weighted(whole))
-    _, (value,), sign = best(rows, nearly(rows, of.mdp.pair_offsets[:-1]))
-    return first_of(of.mdp, sign == 0), combined([value], [Fraction(1, unit)])
+    pairs = nearly(rows, of.mdp.pair_offsets[:-1] if first is None else first)
+    pairs, (value,), _ = best(rows, pairs)
+    return pairs, combined([value], [Fraction(1, unit)])
 
 
 def extreme(of: Objectives, weights: Weights, first: Integers | None = None) -> Attained:

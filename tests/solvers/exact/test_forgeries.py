@@ -150,3 +150,21 @@ def test_a_goal_that_is_none_is_not_read(change: dict[str, Any], tmp_path: Path)
     assert content["goal"] == [1]
     Path(model).write_text(json.dumps(content | change), "utf-8")
     assert check_certificate.main([model, proof]) == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"h": level(1, 0) | {"below": ["0x1", "0x7"]}}, {"rank": [1, -1]}, {"rank": [0, -1]}],
+    ids=str,
+)
+def test_numbers_that_nothing_uses_and_ranks_below_0_are_not_read(
+    change: dict[str, Any], tmp_path: Path
+) -> None:
+    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), END])
+    model, proof = str(tmp_path / "model.json"), str(tmp_path / "proof.json")
+    save(mdp, model)
+    certify(mdp).save(proof)
+    content = json.loads(Path(proof).read_text("utf-8"))
+    assert (content["h"], content["rank"]) == (level(1, 0), [1, 0])
+    Path(proof).write_text(json.dumps(content | change), "utf-8")
+    assert check_certificate.main([model, proof]) == 2
