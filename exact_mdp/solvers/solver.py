@@ -27,9 +27,15 @@ from exact_mdp.solvers.dynamic.methods import (
     ValueIteration,
 )
 from exact_mdp.solvers.endless.average import solve_average
-from exact_mdp.solvers.endless.total import solve_total
+from exact_mdp.solvers.endless.total import rounded, solve_total
 from exact_mdp.solvers.objectives.limits import solve_under
-from exact_mdp.solvers.solution import Solution, Status, least, warn_of_precision
+from exact_mdp.solvers.solution import (
+    Solution,
+    SolverError,
+    Status,
+    least,
+    warn_of_precision,
+)
 from exact_mdp.solvers.ties import settled
 
 SOLVERS: dict[str, type[Solver]] = {
@@ -111,7 +117,8 @@ def solve(
     criterion : "total" or "average"
         What is best: the total reward, discounted as the model says, or the average reward per
         step in the long run, whatever the discount. The average is found by policy iteration, by
-        value iteration on relative values, or by a linear program.
+        value iteration on relative values, or by a linear program; "auto" computes in rationals
+        where floats cannot bound it.
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals of components of the reward, of steps, events or sums of these
         (`solvers.objectives.amounts`). The optimum under them is exact, and the policy may draw its
@@ -154,12 +161,17 @@ def solve(
             fix="leave out solver, tol, start and criterion",
         )
     _check_horizon(horizon, terminal_value, start)
+    mdp = mdp_of(model)
     if is_average(criterion):
         require_no_horizon(horizon)
         check_tolerance("solve", tol)
         chosen = PolicyIteration() if solver == "auto" else _set(solver, tol=tol)
-        return solve_average(mdp_of(model), _set(chosen, start=start), tol)
-    mdp = mdp_of(model)
+        try:
+            return solve_average(mdp, _set(chosen, start=start), tol)
+        except SolverError:  # the chain mixes too slowly for floats
+            if solver != "auto":
+                raise
+            return _within(rounded(mdp, "average"), tol)
     if horizon is not None:
         mdp = mdp.within(horizon, terminal_value=terminal_value)
     if subject_to is not None:

@@ -39,6 +39,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import inf
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +47,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import SLACK, gains
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
-from exact_mdp.solvers.endless.average import solve_average
+from exact_mdp.solvers.endless.average import AverageSolution, solve_average
 from exact_mdp.solvers.endless.graph import Graph, Mask
 from exact_mdp.solvers.endless.quotient import Derived, derived, first_of, toward
 from exact_mdp.solvers.exact.find import best_average, expansion, falling_costs, one_sign, reaching
@@ -64,7 +65,7 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
     started = perf_counter()
     parts = structure(mdp)
     if parts is None:
-        return _rounded(mdp, started)
+        return rounded(mdp)
     one_sign(mdp, parts.sign)
     whole = parts.finite()
     part = whole.without_losing()
@@ -101,25 +102,30 @@ def _decided(whole: Derived, part: Derived, solution: Solution) -> bool:
     return bool((gain.value + doubt <= 0)[left_out].all())
 
 
-def _rounded(mdp: MDP, started: float) -> Solution:
-    """Return exact values, rounded once."""
-    proof = expansion(mdp, "total") if mdp.goal is None else reaching(mdp)
+def rounded(mdp: MDP, criterion: str = "total") -> Solution:
+    """Return exact values, of an average reward gain and bias, rounded once."""
+    started, average = perf_counter(), criterion == "average"
+    proof = reaching(mdp) if mdp.goal is not None and not average else expansion(mdp, criterion)
     value = proof.value_float
     one_sign(mdp, proof.infinite_sign)
     with np.errstate(invalid="ignore"):
         error = np.where(np.isfinite(value), np.spacing(np.abs(value)), 0.0)
-    return Solution(
-        mdp=mdp,
-        value=value,
-        pairs=proof.pairs,
-        state_error=error,
-        regret_bound=float(2 * error.max()),
-        status=Status.DIRECT,
-        method="policy-iteration",
-        solver="policy iteration in rational arithmetic",
-        iterations=1,
-        seconds=perf_counter() - started,
-    )
+    parts: dict[str, Any] = {
+        "mdp": mdp,
+        "value": value,
+        "pairs": proof.pairs,
+        "state_error": error,
+        "regret_bound": float(2 * error.max()),
+        "status": Status.DIRECT,
+        "method": "policy-iteration",
+        "solver": "policy iteration in rational arithmetic",
+        "iterations": 1,
+        "seconds": perf_counter() - started,
+    }
+    if not average:
+        return Solution(**parts)
+    bias = proof.bias.astype(np.float64)
+    return AverageSolution(**parts, bias=bias, bias_error=np.spacing(np.abs(bias)))
 
 
 # ---- where values are infinite -------------------------------------------------------------------

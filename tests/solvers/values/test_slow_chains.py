@@ -5,7 +5,7 @@ from fractions import Fraction
 import pytest
 from oracle import limit
 
-from exact_mdp import MDP, check, evaluate
+from exact_mdp import MDP, SolverError, certify, check, evaluate, solve
 
 F = Fraction
 
@@ -68,6 +68,27 @@ def test_shares_of_time_have_all_their_digits(rows) -> None:
     mean = sum(k * share for k, share in enumerate(exact))
     assert abs(F(evaluation.mean) - mean) <= F(evaluation.start.error) <= F("1e-12") * mean
     assert evaluation.components["reward"].value == pytest.approx(float(mean))
+
+
+@pytest.mark.parametrize("sense", ["max", "min"])
+@pytest.mark.parametrize("rows", CHAINS.values(), ids=CHAINS)
+def test_the_best_average_is_exact_where_floats_cannot_bound_it(rows, sense) -> None:
+    """A second action earns half as much and stays where it is."""
+    size = len(rows)
+    stay = [[F(s == t) for t in range(size)] for s in range(size)]
+    rewards = [[k, F(k, 2)] for k in range(size)]
+    mdp = MDP.from_arrays([rows, stay], rewards, layout="ass", sense=sense)
+    proof = certify(mdp, criterion="average")
+    for best in (solve(mdp, criterion="average"), evaluate(mdp, "optimal", criterion="average")):
+        assert abs(F(best.start_value) - proof.start_value) <= F(best.start.error)
+        assert best.start.error <= 1e-12
+    assert check(mdp, solve(mdp, criterion="average"), criterion="average").passed
+
+
+def test_a_method_that_is_named_says_that_floats_cannot_bound_it() -> None:
+    mdp = MDP.from_arrays([CHAINS["3 players"]], [[k] for k in range(4)])
+    with pytest.raises(SolverError, match="rational arithmetic"):
+        solve(mdp, "policy-iteration", criterion="average")
 
 
 def test_the_rarest_states_of_a_slow_chain_are_known_to_all_digits() -> None:
