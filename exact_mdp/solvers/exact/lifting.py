@@ -8,8 +8,11 @@ A is factored once in floats. The digits of x to the base 2^k then come out one 
 exact: as long as digits stay below 2^k it is no larger than A, so that it need only be known modulo
 2^64. Long entries of A are split into limbs.
 
-A denominator q of x is found from a combination of all unknowns (`reconstruction`), and n = q x by
-rounding. The solution is checked in integers, A n = q b; where that fails, more digits are taken.
+A denominator q is found from a combination of all unknowns: of a number x of which some bits are
+known, q is the one that brings q x far closer to an integer than chance would (Wang, Guy and
+Davenport, SIGSAM Bulletin 16, 1982), and (q, q x mod 1) the shortest vector of a lattice. Then n is
+q x, rounded. The solution is checked in integers, A n = q b; where that fails, more digits are
+taken.
 """
 
 from __future__ import annotations
@@ -26,7 +29,6 @@ from scipy.sparse import linalg
 
 from exact_mdp.mdp.exact import row_sums
 from exact_mdp.mdp.table import Integers, Numbers
-from exact_mdp.solvers.exact.reconstruction import SPARE, convergents, over_one_denominator
 
 if TYPE_CHECKING:
     from flint import fmpz
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
 WIDTHS = (40, 32, 24)  # bits of a digit, in whole bytes; the first that floats can tell is taken
 FIRST, GROWTH = 24, 1.2  # digits before a denominator is looked for, and before the next attempt
+SPARE = 40  # bits by which a fraction has to be closer than chance would make it
 LACKING = 160  # bits beyond a known denominator, for factors that it may lack
 NEAR = 2.0**-44  # what moves a matrix that is singular in floats
 CHUNK = 256  # unknowns whose digits are joined at once
@@ -143,7 +146,7 @@ class Lifting:
         share = np.random.default_rng(0).integers(1, max(2, 2 ** (62 - width) // size), size)
         coming, parts, mixed = self._digits(side, lead), list[Integers](), list[Integers]()
         taken, count = 0, lead + FIRST if known is None else enough(known)
-        below, search = known, (flint.fmpz(0), flint.fmpz(1))
+        below = known
         while True:
             fresh = self._taken(coming, count - taken)
             if fresh is None:
@@ -152,14 +155,12 @@ class Lifting:
             mixed.append(fresh @ share)
             if below is None:
                 (number,) = _joined(np.concatenate(mixed)[:, None], width)
-                bits = width * (count - lead)
-                before, after, fits = convergents(flint.fmpz(number), bits, search)
-                below, search = abs(after) if fits else None, (before, after)
+                below = _denominator(flint.fmpz(number), width * (count - lead))
             if below is not None:
                 digits = np.concatenate(parts)
                 for few in sorted({min(count, enough(below)), count}):
                     numbers = _joined(digits[:few], width)
-                    candidate = over_one_denominator(numbers, width * (few - lead), below)
+                    candidate = _over_one_denominator(numbers, width * (few - lead), below)
                     if candidate is not None and _solves(rows, side, *candidate):
                         return candidate
             if count >= most:
@@ -240,6 +241,39 @@ def _joined(digits: Integers, width: int) -> list[int]:
             number = int.from_bytes(data[i * size : (i + 1) * size], "little")
             numbers.append(number + (top << 8 * size))
     return numbers
+
+
+def _over_one_denominator(
+    numbers: Sequence[int], bits: int, below: fmpz
+) -> tuple[list[fmpz], fmpz] | None:
+    """Return the fractions close to numbers / 2^bits, over a multiple of `below`.
+
+    None where the numbers are too short for their denominators.
+    """
+    top: list[fmpz] = []
+    half = flint.fmpz(1) << (bits - 1)
+    for number in numbers:
+        product = below * number
+        nearest = (product + half) >> bits
+        rest = product - (nearest << bits)
+        if rest.bit_length() > bits - SPARE:
+            factor = _denominator(rest, bits, excess=int(below.bit_length()))
+            if factor is None:
+                return None
+            below, top = below * factor, [value * factor for value in top]
+            nearest = (product * factor + half) >> bits
+        top.append(nearest)
+    return top, below
+
+
+def _denominator(number: fmpz, bits: int, excess: int = 0) -> fmpz | None:
+    """Return q such that q · number / 2^bits is far closer to an integer than by chance, or None.
+
+    That distance may be `excess` bits longer than q is.
+    """
+    basis = flint.fmpz_mat(2, 2, [number, flint.fmpz(1) << excess, flint.fmpz(1) << bits, 0]).lll()
+    rest, below = basis[0, 0], abs(basis[0, 1]) >> excess
+    return below if below and below.bit_length() + rest.bit_length() < bits - SPARE else None
 
 
 def _solves(rows: Rows, side: Sequence[Any], top: list[fmpz], below: fmpz) -> bool:
