@@ -44,7 +44,7 @@ from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
 from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.endless.chain import AverageEvaluation, ExactAverages
+from exact_mdp.solvers.endless.chain import AverageEvaluation, ExactChain, expansion, long_run
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
@@ -195,8 +195,8 @@ def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:
     best = proven(mdp, "average")
     rows = bellman_rows(step)
     alone = chain.rows(Fraction(1))
-    own = ExactAverages(alone)
-    gain, bias, second = own.expansion(own.reward)
+    own = ExactChain(alone)
+    gain, bias, second = expansion(own, own.reward)
     levels = [Level.of(each.tolist()) for each in (gain, bias, second)]
     if any(any(tops) for tops, _ in surplus(alone, *levels)):
         raise RuntimeError("the exact gain of a policy does not solve its equations")
@@ -210,7 +210,7 @@ def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:
         most = per_use(step, rounded(best.bias))
         most = most + most[best.pairs][step.pair_state]
         optimal |= gap.astype(np.float64) * SLACK <= most
-        ideal = ExactAverages(rows.of_pairs(best.pairs))
+        ideal = ExactChain(rows.of_pairs(best.pairs))
         uses = [chain.exact_weights(state) for state in range(mdp.n_states)]
         sure = [{l: Fraction(1)} for l in best.pairs.tolist()]
         forgiven = _movable(step, own, uses, gain, bias)
@@ -231,7 +231,7 @@ def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:
 
 
 def _movable(
-    step: MDP, own: ExactAverages, uses: list[dict[int, Fraction]], gain: Numbers, bias: Numbers
+    step: MDP, own: ExactChain, uses: list[dict[int, Fraction]], gain: Numbers, bias: Numbers
 ) -> Fraction:
     """Return what the rounding of floats can move of a policy's gain at the start.
 
@@ -245,8 +245,7 @@ def _movable(
     inside = own.classes.recurrent
     on_the_way = each(per_use(step, rounded(gain), rewards=False))
     on_the_way[inside] = Fraction(0)
-    moved = own.spread(own.mean(each(per_use(step, rounded(bias)))))
-    moved = moved + own.total(on_the_way, inside)
+    moved = long_run(own, each(per_use(step, rounded(bias)))) + own.total(on_the_way)
     return sum((p * moved[state] for state, p in step.start), Fraction(0))
 
 

@@ -18,8 +18,8 @@ from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.find import evaluated, visited
 from exact_mdp.solvers.exact.levels import Level, fraction, surplus
+from exact_mdp.solvers.exact.linear import evaluated, visited
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import Flow
 from exact_mdp.solvers.values.policy_chain import PolicyChain

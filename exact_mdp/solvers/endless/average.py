@@ -42,7 +42,7 @@ from exact_mdp.solvers.dynamic.methods import (
     PolicyIteration,
     ValueIteration,
 )
-from exact_mdp.solvers.endless.chain import FloatAverages, evaluated
+from exact_mdp.solvers.endless.chain import FloatChain, evaluated, expansion
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import derived
 from exact_mdp.solvers.solution import (
@@ -180,11 +180,11 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Impr
     before: tuple[Floats, Floats] | None = None
     for iteration in range(1, most + 1):
         seen.add(pairs.tobytes())
-        averages = FloatAverages(step, _taking(step, pairs))
-        _, bias, second = averages.expansion(step.reward[pairs])
+        chain = FloatChain(step, _taking(step, pairs))
+        _, bias, second = expansion(chain, step.reward[pairs])
         added = gains(step, bias)
         own = FixedPoint(value=added.value[pairs], error=added.error[pairs])
-        gain = averages.bounded_gain(own)
+        gain = chain.bounded_gain(own)
         if before is not None:
             least = RELATIVE_TOLERANCE * float(np.abs(bias).max())
             risen = (gain.value - before[0] > gain.error).any() or (bias - before[1] > least).any()

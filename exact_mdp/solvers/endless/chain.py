@@ -7,25 +7,26 @@ that n steps earn n g + h in the mean, up to terms that vanish or, where the cha
 average out; w is -h's own bias. The last equation fixes h: its long-run average is 0 (Puterman,
 Markov Decision Processes, 1994, theorem 8.2.6, corollary 8.2.9).
 
-One state of each recurrent class is its base. With y = f + P y elsewhere and y = 0 there, what is
-earned on the way to a base, and t the same for f = 1,
+One state of each recurrent class is its base, an often visited one. The share of time in each state
+is what is met between two visits of the base, over the time between them (Ross, Stochastic
+Processes, 1996, theorem 3.6.1), and so are means. What is earned on the way to a base,
 
-    mean of f in a class  =  (f + P y) / (1 + P t)   at its base
+    y = f + P y elsewhere,   y = 0 there,
 
-by renewal (Ross, Stochastic Processes, 1996, theorem 3.6.1), y less its own mean solves the second
-equation within the class, and transient states take the means of where they come to.
+less its own mean solves the second equation within the class, and transient states take the means
+of where they come to.
 
 In floats, for any h' and w', with d = r + P h' - h' and e = h' + w' - P w',
 
     min d ≤ g ≤ max d,      min e ≤ mean of h' ≤ max e       in each recurrent class.
 
 What h' is off by solves the equation of h with d - g for a reward: it is at most the residuals that
-are met on the way to a base, and the mean of h'. The share of time is what is met between two
-visits of a base, over the time between them.
+are met on the way to a base, and the mean of h'.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -44,7 +45,7 @@ from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, rows_of, transposed
-from exact_mdp.solvers.exact.linear import Matrix, equations, solved
+from exact_mdp.solvers.exact.linear import Matrix, equations, solved, visited
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, Valued
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 
 Mask = NDArray[np.bool_]
 LISTED = 1000  # states in a report
+STEPS = 64  # after which an often visited state shows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,14 +73,22 @@ class Classes:
 
     @classmethod
     def of(cls, graph: sp.csr_array) -> Classes:
-        """Return the classes of a graph (S, S): what is never left, once entered."""
+        """Return the classes of a graph (S, S): what is never left, once entered.
+
+        A base is where most come to in `STEPS` steps, of which half stay put, along the entries of
+        the graph.
+        """
         part = strong_components(graph)
         source = np.repeat(np.arange(len(part)), np.diff(graph.indptr))
         closed = np.ones(int(part.max()) + 1, dtype=bool)
         closed[part[source[part[source] != part[graph.indices]]]] = False
         label = np.where(closed, np.cumsum(closed) - 1, -1)[part]
-        recurrent = np.flatnonzero(label >= 0)
-        return cls(label=label, base=recurrent[np.unique(label[recurrent], return_index=True)[1]])
+        moves, often = graph.T.tocsr() / 2, np.ones(len(part))
+        for _ in range(STEPS):
+            often = often / 2 + moves @ often
+        order = np.lexsort((-often.astype(np.float32), label))
+        first = np.flatnonzero(np.diff(label[order], prepend=-1))
+        return cls(label=label, base=order[first])
 
     @property
     def recurrent(self) -> Mask:
@@ -97,60 +107,42 @@ class Classes:
         """(S,) the class of each state, 0 where it is transient."""
         return np.maximum(self.label, 0)
 
+    def within(self, visits: Numbers) -> Numbers:
+        """Return (S,) the share of each state of its class in visits (S,)."""
+        inside = np.where(self.recurrent, visits, visits[0] * 0)
+        return np.asarray(inside / self.sums(inside)[self.own])
 
-class Averages:
-    """Means and biases of rewards (S,) in a chain, as arrays of floats or of Fractions."""
-
-    classes: Classes
-    ones: Numbers  # (S,) a reward of 1 in every state
-
-    def total(self, constant: Numbers, stop: Mask) -> Numbers:
-        """Return y (S,): y = constant where `stop`, and constant + P y elsewhere."""
-        raise NotImplementedError
-
-    def onward(self, value: Numbers) -> Numbers:
-        """Return (C,) what P makes of `value` (S,) at the bases."""
-        raise NotImplementedError
-
-    def expansion(self, reward: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """Return gain g, bias h and w, each (S,)."""
-        gain = self.spread(self.mean(reward))
-        bias = self._bias(reward - gain)
-        return gain, bias, self._bias(-bias)
-
-    def _bias(self, earned: Numbers) -> Numbers:
-        """Return (S,) the bias of rewards whose mean is 0 in each class."""
-        bias = self._until_base(earned)
-        return np.asarray(bias - self.spread(self.mean(bias)))
-
-    def mean(self, earned: Numbers) -> Numbers:
-        """Return (C,) the long-run average of rewards (S,) in each class."""
-        return np.asarray(self._cycle(earned) / self.period)
-
-    @cached_property
-    def period(self) -> Numbers:
-        """(C,) the mean number of steps between two visits of a base."""
-        return self._cycle(self.ones)
-
-    def spread(self, means: Numbers) -> Numbers:
-        """Return (S,) the expectation of a number (C,) of the class that the chain ends in."""
-        inside, own = self.classes.recurrent, means[self.classes.own]
-        if len(means) == 1 or inside.all():
-            return np.asarray(own)
-        return self.total(np.where(inside, own, means[0] * 0), inside)
-
-    def _until_base(self, earned: Numbers) -> Numbers:
-        """Return (S,) what is earned before the chain comes to a base."""
-        at_base = self.classes.at_base
-        return self.total(np.where(at_base, earned * 0, earned), at_base)
-
-    def _cycle(self, earned: Numbers) -> Numbers:
-        """Return (C,) what is earned between two visits of a base."""
-        return np.asarray(earned[self.classes.base] + self.onward(self._until_base(earned)))
+    def sums(self, amounts: Numbers) -> Numbers:
+        """Return (C,) the sums of amounts (S,) in each class."""
+        total = np.zeros(len(self.base), dtype=amounts.dtype)
+        np.add.at(total, self.label[self.recurrent], amounts[self.recurrent])
+        return total
 
 
-class FloatAverages(Averages):
-    """The same in floats, of a policy given as probabilities of pairs (L,)."""
+def expansion(chain: FloatChain | ExactChain, reward: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """Return gain g, bias h and w, each (S,), of rewards (S,)."""
+    gain = long_run(chain, reward)
+    bias = _bias(chain, reward - gain)
+    return gain, bias, _bias(chain, -bias)
+
+
+def _bias(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
+    """Return (S,) the bias of rewards whose mean is 0 in each class."""
+    bias = chain.total(np.where(chain.classes.at_base, earned * 0, earned))
+    return np.asarray(bias - long_run(chain, bias))
+
+
+def long_run(chain: FloatChain | ExactChain, earned: Numbers) -> Numbers:
+    """Return (S,) the long-run average of rewards (S,), from each state."""
+    classes = chain.classes
+    inside, own = classes.recurrent, classes.sums(chain.law * earned)[classes.own]
+    if inside.all() or len(classes.base) == 1:
+        return np.asarray(own)
+    return np.where(inside, own, chain.total(np.where(classes.at_base, own, own * 0)))
+
+
+class FloatChain:
+    """A chain in floats, of a policy given as probabilities of pairs (L,)."""
 
     def __init__(self, mdp: MDP, weights: Floats, roundings: int = 1) -> None:
         table, pairs = mdp.table, np.flatnonzero(weights)
@@ -161,28 +153,44 @@ class FloatAverages(Averages):
         # However rarely: the matrix has lost what is below the range of floats.
         lengths = np.diff(table.offsets)[pairs]
         following = table.next[spans(table.offsets[pairs], table.offsets[pairs + 1])]
-        entries = (np.ones(len(following)), (np.repeat(source, lengths), following))
-        self.classes, self.ones = Classes.of(sp.csr_array(entries, shape)), np.ones(mdp.n_states)
-        self._systems: dict[bytes, LinearSystem] = {}
+        rare = np.full(len(following), np.finfo(np.float64).tiny)
+        entries = (rare, (np.repeat(source, lengths), following))
+        self.classes = Classes.of(self.transition + sp.csr_array(entries, shape))
 
-    def system(self, stop: Mask) -> LinearSystem:
+    def _until(self, stop: Mask) -> LinearSystem:
         """Return the equation y = c + P y, with empty rows where `stop`."""
-        key = stop.tobytes()
-        if key not in self._systems:
-            rows = rows_of(self.transition, ~stop)
-            self._systems[key] = LinearSystem(rows, 1.0, roundings=self._roundings)
-        return self._systems[key]
+        return LinearSystem(rows_of(self.transition, ~stop), 1.0, roundings=self._roundings)
 
-    def total(self, constant: Floats, stop: Mask) -> Floats:
-        """Return y (S,), refined."""
-        total = self.system(stop).approximate(constant)
+    @cached_property
+    def until_base(self) -> LinearSystem:
+        """The equation y = c + P y, with empty rows at the bases."""
+        return self._until(self.classes.at_base)
+
+    @cached_property
+    def until_class(self) -> LinearSystem:
+        """The same with empty rows in recurrent classes."""
+        return self._until(self.classes.recurrent)
+
+    @cached_property
+    def met(self) -> FixedPoint:
+        """(S,) expected visits between two of a base, bases left out."""
+        at_base, base = self.classes.at_base, self.classes.base
+        onward = np.where(at_base, 0.0, self.transition[base].sum(axis=0))
+        error = gamma(len(base) + self._roundings) * onward
+        return transposed(self.until_base).solve(onward, error)
+
+    @cached_property
+    def law(self) -> Floats:
+        """(S,) the share of time in each state of a class."""
+        often = np.maximum(self.met.value, 0.0)
+        return self.classes.within(np.where(self.classes.at_base, 1.0, often))
+
+    def total(self, constant: Floats) -> Floats:
+        """Return y (S,): y = constant at bases, and constant + P y elsewhere."""
+        total = self.until_base.approximate(constant)
         if not np.all(np.isfinite(total)):
             raise SolverError(Status.NO_BOUND, "the chain leaves some states too rarely")
         return total
-
-    def onward(self, value: Floats) -> Floats:
-        """Return (C,) floats."""
-        return np.asarray(self.transition[self.classes.base] @ value)
 
     def bounded_gain(self, step: FixedPoint) -> FixedPoint:
         """Return the gain (S,), from what a step of the policy adds to any values (S,)."""
@@ -191,7 +199,7 @@ class FloatAverages(Averages):
         half = half * SLACK + UNIT * (np.abs(low) + np.abs(high)) + TINY * (high != low)
         inside, own = self.classes.recurrent, self.classes.own
         gain = FixedPoint(value=middle[own] * inside, error=half[own] * inside)
-        return gain if inside.all() else self.system(inside).solve(gain.value, gain.error)
+        return gain if inside.all() else self.until_class.solve(gain.value, gain.error)
 
     def between(self, point: FixedPoint) -> tuple[Floats, Floats]:
         """Return (C,) the least and the greatest of numbers (S,) in each class, errors included."""
@@ -203,38 +211,44 @@ class FloatAverages(Averages):
         return low, high
 
 
-class ExactAverages(Averages):
-    """The same in Fractions, from equations with one pair for each state and rows that sum to 1."""
+class ExactChain:
+    """A chain in Fractions, from equations with one pair for each state and rows that sum to 1."""
 
     def __init__(self, rows: BellmanRows) -> None:
         """Take the Bellman equations of the chain, at discount 1."""
-        states = len(rows.scale)
-        graph = sp.csr_array((np.ones(len(rows.next)), rows.next, rows.offsets), (states, states))
+        states, scale = len(rows.scale), rows.scale[rows.pair_state[rows.pair]]
+        chance = (rows.weight / scale.astype(object)).astype(np.float64)
+        graph = sp.csr_array((chance, rows.next, rows.offsets), (states, states))
         self.classes, self._rows = Classes.of(graph), rows
-        self.ones = np.array([Fraction(1)] * states, dtype=object)
-        self._systems: dict[bytes, Matrix] = {}
 
-    @property
+    @cached_property
     def reward(self) -> Numbers:
         """(S,) the rewards."""
         parts = zip(self._rows.constant.tolist(), self._rows.scale.tolist(), strict=True)
         return np.array([Fraction(top, below) for top, below in parts], dtype=object)
 
-    def total(self, constant: Numbers, stop: Mask) -> Numbers:
-        """Return y (S,)."""
-        key = stop.tobytes()
-        if key not in self._systems:
-            self._systems[key] = equations(self._rows, ~stop)
-        return solved(self._systems[key], self._rows, constant.tolist()).fractions()
+    @cached_property
+    def law(self) -> Numbers:
+        """(S,) the share of time in each state of a class."""
+        rows, onward = self._rows, list[tuple[int, Fraction]]()
+        for base in self.classes.base.tolist():
+            entries = range(rows.offsets[base], rows.offsets[base + 1])
+            unit = int(rows.scale[base])
+            onward += [(int(rows.next[i]), Fraction(int(rows.weight[i]), unit)) for i in entries]
+        return self.classes.within(self.visits(onward))
 
-    def onward(self, value: Numbers) -> Numbers:
-        """Return (C,) Fractions."""
-        rows, base = self._rows, self.classes.base
-        first, last = rows.offsets[base], rows.offsets[base + 1]
-        entries = spans(first, last)
-        terms = rows.weight[entries].astype(object) * value[rows.next[entries]]
-        offsets = np.cumsum(last - first) - (last - first)
-        return np.asarray(np.add.reduceat(terms, offsets) / rows.scale[base].astype(object))
+    def visits(self, start: Sequence[tuple[int, Fraction]]) -> Numbers:
+        """Return (S,) expected visits from a start until a base, that arrival included."""
+        (visits,) = visited(self._rows, ~self.classes.at_base, start)
+        return visits.fractions()
+
+    @cached_property
+    def _until_base(self) -> Matrix:
+        return equations(self._rows, ~self.classes.at_base)
+
+    def total(self, constant: Numbers) -> Numbers:
+        """Return y (S,): y = constant at bases, and constant + P y elsewhere."""
+        return solved(self._until_base, self._rows, constant.tolist()).fractions()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -308,20 +322,17 @@ class AverageEvaluation(Valued, Result):
     def _visited(self) -> tuple[FixedPoint, FixedPoint]:
         if self.exact is not None:
             return self.exact
-        averages = FloatAverages(self.mdp, self.weights, self.roundings)
-        at_base, inside, own = self.classes.at_base, self.classes.recurrent, self.classes.own
-        system, begin = transposed(averages.system(at_base)), self.mdp.start_distribution
-        arrivals = system.solve(begin, UNIT * begin)
-        onward = averages.transition[self.classes.base].sum(axis=0)
-        onward = np.where(at_base, 0.0, onward)
-        met = system.solve(onward, gamma(len(self.classes.base) + self.roundings) * onward)
+        chain = FloatChain(self.mdp, self.weights, self.roundings)
+        at_base, inside, own = chain.classes.at_base, chain.classes.recurrent, chain.classes.own
+        begin, met = self.mdp.start_distribution, chain.met
+        arrivals = transposed(chain.until_base).solve(begin, UNIT * begin)
         times = np.where(at_base, 1.0, np.maximum(met.value, 0.0)) * inside
         doubt = np.where(at_base, 0.0, met.error) * inside
         period, off = (np.bincount(own, each).astype(np.float64) for each in (times, doubt))
         off = off + gamma(len(own)) * period
         if not (period > off).all():
             raise SolverError(Status.NO_BOUND)
-        base = self.classes.base[own]
+        base = chain.classes.base[own]
         mass, loose = np.maximum(arrivals.value, 0.0)[base], arrivals.error[base]
         share = mass * times / period[own]
         error = (loose * (times + doubt) + mass * doubt + share * off[own]) / (period - off)[own]
@@ -387,8 +398,8 @@ def evaluated(
 
     Raises SolverError where double precision cannot bound them.
     """
-    averages = FloatAverages(mdp, weights, roundings)
-    classes, first = averages.classes, mdp.pair_offsets[:-1]
+    chain = FloatChain(mdp, weights, roundings)
+    classes, first = chain.classes, mdp.pair_offsets[:-1]
 
     def of_policy(added: Gain) -> FixedPoint:
         """Return (S,) what a step of the policy adds, from what each pair does."""
@@ -397,19 +408,19 @@ def evaluated(
         value, off = (np.add.reduceat(weights * each, first) for each in (added.value, error))
         return FixedPoint(value=value, error=off * SLACK)
 
-    _, bias, second = averages.expansion(np.add.reduceat(weights * mdp.reward, first))
+    _, bias, second = expansion(chain, np.add.reduceat(weights * mdp.reward, first))
     step = of_policy(gains(mdp, bias))
-    gain = averages.bounded_gain(step)
+    gain = chain.bounded_gain(step)
     rest = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
     still, inside, own = np.zeros(len(bias)), classes.recurrent, classes.own
     met = np.where(classes.at_base, 0.0, rest * SLACK)
-    away = averages.system(classes.at_base).solve(still, met).error
-    low, high = averages.between(of_policy(gains(mdp, second, reward=-bias[mdp.pair_state])))
+    away = chain.until_base.solve(still, met).error
+    low, high = chain.between(of_policy(gains(mdp, second, reward=-bias[mdp.pair_state])))
     most = np.zeros(len(classes.base))
     np.maximum.at(most, own[inside], away[inside])
     off = (np.maximum(np.abs(low), np.abs(high)) + most)[own] + away
     if not inside.all():
-        off = averages.system(inside).solve(still, np.where(inside, off, rest) * SLACK).error
+        off = chain.until_class.solve(still, np.where(inside, off, rest) * SLACK).error
     return AverageEvaluation(
         mdp=mdp,
         weights=weights,

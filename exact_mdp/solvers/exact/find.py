@@ -31,13 +31,14 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
+from exact_mdp.mdp.table import Integers, Numbers, integers, spans
 from exact_mdp.solvers.endless.average import improved
-from exact_mdp.solvers.endless.chain import ExactAverages
+from exact_mdp.solvers.endless.chain import ExactChain
+from exact_mdp.solvers.endless.chain import expansion as laurent
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.exact.certificate import Certificate, Flags, exact_rows
 from exact_mdp.solvers.exact.levels import Column, Level, fraction, signs, surplus
-from exact_mdp.solvers.exact.linear import equations, solve_all
+from exact_mdp.solvers.exact.linear import evaluated
 from exact_mdp.solvers.solution import SolverError
 
 LIMIT = 200  # policies that floats try
@@ -131,8 +132,8 @@ def best_average(mdp: MDP) -> tuple[Integers, list[Level]]:
 def expanded(rows: BellmanRows, pairs: Integers) -> tuple[Integers, Flags, list[Level]]:
     """Return the pairs (S,) of an optimal policy, its recurrent states (S,), and g, h and w."""
     while True:
-        chain = ExactAverages(rows.of_pairs(pairs))
-        levels = [Level.of(each.tolist()) for each in chain.expansion(chain.reward)]
+        chain = ExactChain(rows.of_pairs(pairs))
+        levels = [Level.of(each.tolist()) for each in laurent(chain, chain.reward)]
         better = _greatest(rows, surplus(rows, *levels), pairs)
         if (better == pairs).all():
             return pairs, chain.classes.recurrent, levels
@@ -277,42 +278,6 @@ def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
 
 
 # ---- values of policies that end -----------------------------------------------------------------
-
-
-def evaluated(rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()) -> list[Level]:
-    """Return the values of the policy that takes some pairs (S,): of the rewards, or of amounts.
-
-    Amounts (L,) are over the scales of the states, as the constants of the rows are.
-    """
-    live = ~rows.terminal
-    sides = [(own[pairs] * live).tolist() for own in amounts or [rows.constant]]
-    return solve_all(equations(rows.of_pairs(pairs)), sides)
-
-
-def visited(
-    rows: BellmanRows, states: Flags, *starts: Sequence[tuple[int, Fraction]]
-) -> list[Level]:
-    """Return how often each state is visited from each start, for rows of one pair in each state.
-
-    x(t) = μ(t) + Σ x(s) γ P(s, t) over some states s; the others count arrivals.
-    """
-    sides, units = list[list[int]](), list[int]()
-    for start in starts:
-        first, unit = common([share for _, share in start])
-        side = [0] * len(rows.scale)
-        for (state, _), number in zip(start, first, strict=True):
-            side[state] += number
-        sides.append(side)
-        units.append(unit)
-    scale, levels = rows.scale.tolist(), solve_all(equations(rows, states).transposed, sides)
-    return [
-        replace(
-            level,
-            top=[number * own for number, own in zip(level.top, scale, strict=True)],
-            below=[unit * below for below in level.below],
-        )
-        for level, unit in zip(levels, units, strict=True)
-    ]
 
 
 def best(

@@ -202,6 +202,42 @@ def solved(matrix: Matrix, rows: BellmanRows, constant: Sequence[Fraction]) -> L
     return replace(level, below=[unit * below for below in level.below])
 
 
+def evaluated(rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()) -> list[Level]:
+    """Return the values of the policy that takes some pairs (S,): of the rewards, or of amounts.
+
+    Amounts (L,) are over the scales of the states, as the constants of the rows are.
+    """
+    live = ~rows.terminal
+    sides = [(own[pairs] * live).tolist() for own in amounts or [rows.constant]]
+    return solve_all(equations(rows.of_pairs(pairs)), sides)
+
+
+def visited(
+    rows: BellmanRows, states: NDArray[np.bool_], *starts: Sequence[tuple[int, Fraction]]
+) -> list[Level]:
+    """Return how often each state is visited from each start, for rows of one pair in each state.
+
+    x(t) = μ(t) + Σ x(s) γ P(s, t) over some states s; the others count arrivals.
+    """
+    sides, units = list[list[int]](), list[int]()
+    for start in starts:
+        first, unit = common([share for _, share in start])
+        side = [0] * len(rows.scale)
+        for (state, _), number in zip(start, first, strict=True):
+            side[state] += number
+        sides.append(side)
+        units.append(unit)
+    scale, levels = rows.scale.tolist(), solve_all(equations(rows, states).transposed, sides)
+    return [
+        replace(
+            level,
+            top=[number * own for number, own in zip(level.top, scale, strict=True)],
+            below=[unit * below for below in level.below],
+        )
+        for level, unit in zip(levels, units, strict=True)
+    ]
+
+
 class _Solution:
     """Solutions of A x = b: x(s) = tops[k][s] / below[group[s]] for the right side k.
 

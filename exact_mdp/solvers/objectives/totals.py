@@ -25,8 +25,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, model_of
-from exact_mdp.solvers.exact.find import best, evaluated, first_of, nearly, visited
+from exact_mdp.solvers.exact.find import best, first_of, nearly
 from exact_mdp.solvers.exact.levels import Level, combined, fraction, signs
+from exact_mdp.solvers.exact.linear import evaluated, visited
 from exact_mdp.solvers.objectives.amounts import Objectives
 
 Point = tuple[Fraction, ...]

@@ -46,10 +46,17 @@ from exact_mdp.mdp.table import (
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, rows_of, transposed
-from exact_mdp.solvers.endless.chain import AverageEvaluation, Classes, ExactAverages, Mask
+from exact_mdp.solvers.endless.chain import (
+    AverageEvaluation,
+    Classes,
+    ExactChain,
+    Mask,
+    expansion,
+    long_run,
+)
 from exact_mdp.solvers.endless.chain import evaluated as bounded_average
-from exact_mdp.solvers.exact.find import one_sign, visited
-from exact_mdp.solvers.exact.linear import MANY, equations, solved
+from exact_mdp.solvers.exact.find import one_sign
+from exact_mdp.solvers.exact.linear import MANY, equations, solved, visited
 from exact_mdp.solvers.solution import SolverError, Status
 from exact_mdp.solvers.solver import Criterion, solve
 
@@ -397,8 +404,8 @@ class PolicyChain:
     @property
     def exact_gain(self) -> Numbers:
         """(S,) the average reward per step as Fractions."""
-        averages = ExactAverages(self.rows(Fraction(1)))
-        return averages.spread(averages.mean(averages.reward))
+        chain = ExactChain(self.rows(Fraction(1)))
+        return long_run(chain, chain.reward)
 
     def ended(self, states: Mask) -> PolicyChain:
         """Return the chain with some states (S,) made terminal."""
@@ -601,18 +608,10 @@ def average(chain: PolicyChain) -> AverageEvaluation:
     except SolverError as error:
         require_few(mdp, error)
     rows = chain.rows(Fraction(1))
-    exact = ExactAverages(rows)
-    (gain, bias, _), classes = exact.expansion(exact.reward), exact.classes
-    onward = [
-        (int(rows.next[i]), Fraction(int(rows.weight[i]), int(rows.scale[base])))
-        for base in classes.base.tolist()
-        for i in range(rows.offsets[base], rows.offsets[base + 1])
-    ]
-    # What is met between two visits of a base, over the time between them.
-    parts = visited(rows, ~classes.at_base, mdp.start, onward)
-    arrivals, met = (level.fractions() for level in parts)
-    share = arrivals[classes.base[classes.own]] * met / exact.period[classes.own]
-    share[~classes.recurrent] = ZERO
+    exact = ExactChain(rows)
+    (gain, bias, _), classes = expansion(exact, exact.reward), exact.classes
+    arrivals = exact.visits(mdp.start)
+    share = arrivals[classes.base[classes.own]] * exact.law
     value, own_bias = rounded(gain), rounded(bias)
     return AverageEvaluation(
         mdp=mdp,
