@@ -284,15 +284,15 @@ def _among(parts: Structure, numbers: Sequence[int] | Integers) -> Derived:
 
 
 def _signs(parts: Structure, numbers: Integers) -> Integers:
-    """Return the signs of the best mean rewards of some components (C,)."""
+    """Return the signs of the best mean rewards of some components (C,), 0 where floats cannot.
+
+    Where that matters, all is solved exactly, as it is where rewards cancel.
+    """
     signs = np.zeros(len(numbers), dtype=np.int64)
     if len(numbers) and (best := _nearly(_among(parts, numbers))) is not None:
         own = parts.label[np.isin(parts.label, numbers)]  # all of a component earn alike
         above, below = (best.value > best.error)[:-1], (best.value < -best.error)[:-1]
         signs[np.searchsorted(numbers, own)] = above.astype(np.int64) - below
-    for i in np.flatnonzero(signs == 0).tolist():
-        _, (gain, _, _) = best_average(_among(parts, numbers[[i]]).mdp)
-        signs[i] = (gain.top[0] > 0) - (gain.top[0] < 0)
     return signs
 
 

@@ -17,7 +17,7 @@ iteration from a policy that arrives finds only such ones, as a class of better 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from math import inf
@@ -37,7 +37,7 @@ from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import expansion as laurent
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.exact.certificate import Certificate, Flags, exact_rows
-from exact_mdp.solvers.exact.levels import Column, Level, fraction, signs, surplus
+from exact_mdp.solvers.exact.levels import Level, Step, fraction, gains, signs_of, steps
 from exact_mdp.solvers.exact.linear import evaluated
 from exact_mdp.solvers.solution import SolverError
 
@@ -125,31 +125,40 @@ def best_average(mdp: MDP) -> tuple[Integers, list[Level]]:
         pairs = improved(mdp.maximised.undiscounted).pairs
     except SolverError:  # floats only suggest a policy to begin with
         pairs = mdp.pair_offsets[:-1]
-    pairs, _, levels = expanded(exact_rows(mdp, average=True), pairs)
-    return pairs, levels
+    return expanded(exact_rows(mdp, average=True), pairs)
 
 
-def expanded(rows: BellmanRows, pairs: Integers) -> tuple[Integers, Flags, list[Level]]:
-    """Return the pairs (S,) of an optimal policy, its recurrent states (S,), and g, h and w."""
-    while True:
+def expanded(rows: BellmanRows, pairs: Integers) -> tuple[Integers, list[Level]]:
+    """Return the pairs (S,) of a policy of greatest gain and bias, and the levels g, h and w."""
+
+    def evaluate(pairs: Integers) -> list[Step]:
         chain = ExactChain(rows.of_pairs(pairs))
-        levels = [Level.of(each.tolist()) for each in laurent(chain, chain.reward)]
-        better = _greatest(rows, surplus(rows, *levels), pairs)
-        if (better == pairs).all():
-            return pairs, chain.classes.recurrent, levels
-        pairs = better
+        return steps(rows, *(Level.of(each.tolist()) for each in laurent(chain, chain.reward)))
+
+    return _iterated(rows, pairs, evaluate)[:2]
 
 
-def _greatest(rows: BellmanRows, columns: Sequence[Column], keep: Integers) -> Integers:
-    """Return (S,) the first pair of each state that gains most, `keep` where it is one."""
-    first, state = rows.pair_offsets[:-1], rows.pair_state
-    left = np.ones(len(state), dtype=bool)
-    for tops, _ in columns:  # those of a state are over the same number
-        level = np.array(tops, dtype=object)
-        inside = np.where(left, level, level.min() - 1)
-        left &= np.asarray(inside == np.maximum.reduceat(inside, first)[state], dtype=bool)
-    numbers = np.where(left, np.arange(len(state)), len(state))
-    return np.where(left[keep], keep, np.minimum.reduceat(numbers, first))
+def _iterated(
+    rows: BellmanRows, pairs: Integers, evaluate: Callable[[Integers], list[Step]]
+) -> tuple[Integers, list[Level], Integers]:
+    """Return pairs (S,) that no other beats, their levels, and the sign (L,) of what each gains.
+
+    One level after the other settles ties of those before.
+    """
+    while True:
+        levels, sign = evaluate(pairs), np.zeros(len(rows.constant), dtype=np.int64)
+        for step in levels:
+            sign = np.where(sign == 0, signs_of(rows, step, pairs), sign)
+        gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
+        if not len(gaining):
+            return pairs, [level for level, _ in levels], sign
+        columns = (zip(*gains(rows, step, gaining), strict=True) for step in levels)
+        each = zip(*([fraction(*gain) for gain in column] for column in columns), strict=True)
+        pairs, most = pairs.copy(), dict[int, tuple[Fraction, ...]]()
+        for pair, gain in zip(gaining.tolist(), each, strict=True):
+            state = int(rows.pair_state[pair])
+            if state not in most or gain > most[state]:
+                most[state], pairs[state] = gain, pair
 
 
 # ---- a goal --------------------------------------------------------------------------------------
@@ -192,7 +201,8 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifi
     part, number = _closed(rows, arriving)
     _, staying = graph.end_components(graph.every(arriving & ~goal) & (arriving & ~goal)[state])
     if (rows.constant[staying] > 0).any():  # going round may pay without end
-        pairs, recurrent, (gain, bias, _) = expanded(part, part.pair_offsets[:-1])
+        pairs, (gain, bias, _) = expanded(part, part.pair_offsets[:-1])
+        recurrent = ExactChain(part.of_pairs(pairs)).classes.recurrent
         above, policy = np.array([mean > 0 for mean in gain.top]), number[pairs]
         used = np.zeros(mdp.n_pairs, dtype=bool)
         used[policy[above]] = True
@@ -289,24 +299,14 @@ def best(
     way from the first one ends, since no class of states gains anything for ever: a pair takes the
     place of another only if it is better.
     """
-    each = [replace(rows, constant=own) for own in amounts or [rows.constant]]
-    while True:
+    listed = [own.tolist() for own in amounts or [rows.constant]]
+    ones = [1] * len(rows.constant)
+
+    def evaluate(pairs: Integers) -> list[Step]:
         values = evaluated(rows, pairs, amounts)
-        sign = np.zeros(len(rows.constant), dtype=np.int64)
-        for own, value in zip(each, values, strict=True):
-            sign = np.where(sign == 0, signs(own, value, pairs), sign)
-        gaining = np.flatnonzero((sign > 0) & ~rows.terminal[rows.pair_state])
-        if not len(gaining):
-            return pairs, values, sign
-        columns = [
-            [fraction(*gain) for gain in zip(*surplus(own, value, pairs=gaining)[0], strict=True)]
-            for own, value in zip(each, values, strict=True)
-        ]
-        pairs, most = pairs.copy(), dict[int, tuple[Fraction, ...]]()
-        for pair, gain in zip(gaining.tolist(), zip(*columns, strict=True), strict=True):
-            state = int(rows.pair_state[pair])
-            if state not in most or gain > most[state]:
-                most[state], pairs[state] = gain, pair
+        return [(value, (own, ones)) for value, own in zip(values, listed, strict=True)]
+
+    return _iterated(rows, pairs, evaluate)
 
 
 def nearly(rows: BellmanRows, first: Integers) -> Integers:

@@ -9,7 +9,7 @@ With d(x) = Σ P(l, s') x(s') - x(s) for each pair l of state s, the levels of a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import lcm
@@ -142,34 +142,37 @@ def combined(levels: Sequence[Level], weights: Sequence[Any]) -> Level:
 Column = tuple[list[int], list[int]]
 """Numbers of some pairs (K,): integers, and the positive integers that they are over."""
 
+Step = tuple[Level, Column]
+"""A level x, and what each pair (L,) earns beside it, times the scale of its state."""
+
+
+def steps(rows: BellmanRows, *levels: Level) -> list[Step]:
+    """Return what pairs earn beside one level V, which is r, or beside g, h and w: 0, r - g, -h."""
+    constant, ones = rows.constant.tolist(), [1] * len(rows.constant)
+    if len(levels) == 1:
+        return [(levels[0], (constant, ones))]
+    g, h, w = levels
+    scale, state = rows.scale.tolist(), rows.pair_state.tolist()
+    mean, bias = g.each_below, h.each_below
+    each = [(own, s, mean[s], scale[s]) for own, s in zip(constant, state, strict=True)]
+    return [
+        (g, ([0] * len(state), ones)),
+        (h, ([own * m - k * g.top[s] for own, s, m, k in each], [m for _, _, m, _ in each])),
+        (w, ([-scale[s] * h.top[s] for s in state], [bias[s] for s in state])),
+    ]
+
 
 def surplus(rows: BellmanRows, *levels: Level, pairs: Integers | None = None) -> list[Column]:
     """Return what pairs, all by default, gain against one level V, or against g, h and w.
 
-    That is r + γ P V - V, or d(g), r - g + d(h) and d(w) - h. Pairs of a state have the same number
-    below where the level has one denominator.
+    That is r + γ P V - V, or d(g), r - g + d(h) and d(w) - h.
     """
-    scale, constant = rows.scale.tolist(), rows.constant.tolist()
-    if len(levels) == 1:
-        return [_column(rows, levels[0], lambda pair, _: (constant[pair], 1), pairs)]
-    g, h, w = levels
-    mean, bias = g.each_below, h.each_below
-    return [
-        _column(rows, g, lambda *_: (0, 1), pairs),
-        _column(
-            rows, h, lambda l, s: (constant[l] * mean[s] - scale[s] * g.top[s], mean[s]), pairs
-        ),
-        _column(rows, w, lambda _, s: (-scale[s] * h.top[s], bias[s]), pairs),
-    ]
+    return [gains(rows, step, pairs) for step in steps(rows, *levels)]
 
 
-def _column(
-    rows: BellmanRows,
-    x: Level,
-    earned: Callable[[int, int], tuple[int, int]],
-    pairs: Integers | None,
-) -> Column:
-    """Return earned + γ P x - x, where (a, b) earns a / (b · scale of the state)."""
+def gains(rows: BellmanRows, step: Step, pairs: Integers | None = None) -> Column:
+    """Return what pairs gain against one level x: what they earn + γ P x - x."""
+    x, earned = step
     offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
     scale, state, group = rows.scale.tolist(), rows.pair_state.tolist(), x.group.tolist()
     tops, belows = list[int](), list[int]()
@@ -178,7 +181,7 @@ def _column(
         own, here = state[pair], slice(offsets[pair], offsets[pair + 1])
         if own != last:
             last, known = own, {}
-        top, below = earned(pair, own)
+        top, below = earned[0][pair], earned[1][pair]
         key = (top, *following[here], *weight[here])
         if key not in known:
             values, unit = x.over_one([*following[here], own], group)
@@ -190,11 +193,17 @@ def _column(
 
 
 def signs(rows: BellmanRows, value: Level, own: Integers | None = None) -> Integers:
-    """Return (L,) the sign of what each pair gains against one level, r + γ P V - V.
+    """Return (L,) the sign of what each pair gains against one level, r + γ P V - V."""
+    return signs_of(rows, steps(rows, value)[0], own)
 
-    The level holds the values of the pairs `own`, if they are given: these gain nothing. Numbers of
-    some `BITS` bits, which are too small by less than 2, tell most signs; all digits the others.
+
+def signs_of(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
+    """Return (L,) the sign of what each pair gains against one level.
+
+    It is that of the pairs `own`, if they are given: these gain nothing. Numbers of some `BITS`
+    bits, which are too small by less than 2, tell most signs; all digits the others.
     """
+    value, earned = step
     spare = [max(0, below.bit_length() - 2 * BITS) for below in value.below]
     parts = zip(value.top, value.group.tolist(), strict=True)
     listed = [(top >> spare[g], value.below[g] >> spare[g]) for top, g in parts]
@@ -202,17 +211,16 @@ def signs(rows: BellmanRows, value: Level, own: Integers | None = None) -> Integ
     up, down = max(0, BITS - longest), max(0, longest - BITS)
     near = [(top << up) // (below << down) for top, below in listed]
     offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
-    scale, constant, listed_signs = rows.scale.tolist(), rows.constant.tolist(), list[int]()
-    first = 0
-    for state, earned, last in zip(rows.pair_state.tolist(), constant, offsets[1:], strict=True):
+    scale, listed_signs, first = rows.scale.tolist(), list[int](), 0
+    pairs = zip(rows.pair_state.tolist(), *earned, offsets[1:], strict=True)
+    for state, top, below, last in pairs:
         flow = sum(map(mul, weight[first:last], map(near.__getitem__, following[first:last])))
-        gain = ((earned << up) >> down) + flow - scale[state] * near[state]
+        gain = (top << up) // (below << down) + flow - scale[state] * near[state]
         listed_signs.append((gain > 0) - (gain < 0) if abs(gain) > 4 * scale[state] + 1 else 2)
         first = last
     sign = np.array(listed_signs, dtype=np.int64)
     if own is not None:
         sign[own] = 0
     open_ = np.flatnonzero(sign == 2)
-    ((exact, _),) = surplus(rows, value, pairs=open_)
-    sign[open_] = [(top > 0) - (top < 0) for top in exact]
+    sign[open_] = [(top > 0) - (top < 0) for top in gains(rows, step, open_)[0]]
     return sign
