@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, overload
 
 import numpy as np
@@ -42,22 +43,13 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 DOMINATED, EXTENDED = "dominated", "extendedly dominated"
+STEP = ("incremental cost", "incremental effect", "ICER")
 WTP = "willingness to pay"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CostEffectiveness(Pictured):
-    """Expected cost and effect of every strategy in every draw.
-
-    Attributes
-    ----------
-    strategies : tuple of N str
-    uncertainty : Uncertainty
-    draws : (D, Q)
-        Drawn parameters, in the order of `uncertainty.names`.
-    effect, cost : (D, N)
-    seed : int
-    """
+    """Expected `effect` and `cost` (D, N) of every strategy in every draw (D, Q)."""
 
     strategies: tuple[str, ...]
     uncertainty: Uncertainty
@@ -78,41 +70,36 @@ class CostEffectiveness(Pictured):
         """Return (D, N) λ E - C at a willingness to pay for a unit of effect; at W, (W, D, N)."""
         return np.multiply.outer(_prices(wtp), self.effect) - self.cost
 
-    def acceptability(self, wtp: ArrayLike) -> Floats:
-        """Return (W, N) shares of draws in which a strategy is the best, for each of W numbers.
+    def _each(self, wtp: ArrayLike) -> Floats:
+        """Return (W, D, N) net monetary benefits at one number or several."""
+        return self.net_benefit(np.atleast_1d(_prices(wtp)))
 
-        Strategies that are equally good share a draw.
-        """
-        values = self.net_benefit(np.atleast_1d(_prices(wtp)))
+    def acceptability(self, wtp: ArrayLike) -> Floats:
+        """Return (W, N) shares of draws in which a strategy is the best; equals share a draw."""
+        values = self._each(wtp)
         best = values == values.max(axis=2, keepdims=True)
         return np.asarray((best / best.sum(axis=2, keepdims=True)).mean(axis=1))
 
     def frontier(self, wtp: ArrayLike) -> list[tuple[str, float]]:
         """Return the best strategy on average, and the share of draws in which it is the best."""
-        best = self.net_benefit(np.atleast_1d(_prices(wtp))).mean(axis=1).argmax(axis=1).tolist()
-        shares = self.acceptability(wtp).tolist()
-        return [(self.strategies[n], each[n]) for n, each in zip(best, shares, strict=True)]
+        best = self._each(wtp).mean(axis=1).argmax(axis=1)
+        shares = self.acceptability(wtp)[np.arange(len(best)), best]
+        names = [self.strategies[n] for n in best.tolist()]
+        return list(zip(names, shares.tolist(), strict=True))
 
     @overload
     def evpi(self, wtp: float) -> MeanLoss: ...
     @overload
     def evpi(self, wtp: Sequence[float] | Floats) -> list[MeanLoss]: ...
     def evpi(self, wtp: ArrayLike) -> MeanLoss | list[MeanLoss]:
-        """Return what knowing all parameters before choosing a strategy would be worth.
-
-        At several numbers, a list of one for each.
-        """
+        """Return what knowing all parameters first would be worth; at several numbers, a list."""
         values = self.net_benefit(wtp)
         return evpi(values) if values.ndim == 2 else [evpi(each) for each in values]
 
     def evppi(
         self, wtp: float, groups: Mapping[str, Sequence[str]] | None = None
     ) -> dict[str, PartialInformation]:
-        """Return what knowing some parameters would be worth, with its standard error.
-
-        Groups are {name: parameter names}; each parameter alone unless given. Raises ModelError for
-        more than one willingness to pay.
-        """
+        """Return what knowing groups of parameters would be worth; unless given, each alone."""
         if _prices(wtp).ndim:
             raise ModelError("several numbers", where=WTP, fix="ask for the EVPPI at each of them")
         value = self.net_benefit(wtp)
@@ -129,32 +116,31 @@ class CostEffectiveness(Pictured):
         """
         import pandas
 
-        cost, effect = self.cost.mean(axis=0), self.effect.mean(axis=0)
-        order = sorted(range(len(cost)), key=lambda n: (cost[n], -effect[n]))
-        efficient, status = list[int](), dict[int, str]()
-        for n in order:
-            if efficient and effect[n] <= effect[efficient[-1]]:
-                status[n] = DOMINATED
-                continue
-            while len(efficient) > 1 and _ratio(cost, effect, *efficient[-2:]) >= _ratio(
-                cost, effect, efficient[-1], n
-            ):
-                status[efficient.pop()] = EXTENDED
-            efficient.append(n)
-        before = dict(zip(efficient[1:], efficient, strict=False))
-        rows = [
+        rows = pandas.DataFrame(
             {
-                "strategy": self.strategies[n],
-                "cost": cost[n],
-                "effect": effect[n],
-                "incremental cost": cost[n] - cost[before[n]] if n in before else np.nan,
-                "incremental effect": effect[n] - effect[before[n]] if n in before else np.nan,
-                "ICER": _ratio(cost, effect, before[n], n) if n in before else np.nan,
-                "status": status.get(n, "efficient"),
+                "strategy": self.strategies,
+                "cost": self.cost.mean(axis=0),
+                "effect": self.effect.mean(axis=0),
             }
-            for n in order
-        ]
-        return pandas.DataFrame(rows)
+        )
+        rows = rows.sort_values(["cost", "effect"], ascending=[True, False], ignore_index=True)
+        rows = rows.assign(**dict.fromkeys(STEP, np.nan), status="efficient")
+        efficient = list[int]()
+
+        def step(one: int, other: int) -> list[float]:
+            more, gained = (rows.loc[other, k] - rows.loc[one, k] for k in ("cost", "effect"))
+            return [more, gained, more / gained]
+
+        for n in rows.index:
+            if efficient and rows.effect[n] <= rows.effect[efficient[-1]]:
+                rows.loc[n, "status"] = DOMINATED
+                continue
+            while len(efficient) > 1 and step(*efficient[-2:])[2] >= step(efficient[-1], n)[2]:
+                rows.loc[efficient.pop(), "status"] = EXTENDED
+            efficient.append(n)
+        for one, other in pairwise(efficient):
+            rows.loc[other, list(STEP)] = step(one, other)
+        return rows
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""
@@ -164,10 +150,9 @@ class CostEffectiveness(Pictured):
         table = pandas.DataFrame(self.acceptability(at), columns=list(self.strategies))
         table.insert(0, WTP, at)
         table["best on average"] = [name for name, _ in self.frontier(at)]
-        evpi = self.evpi(at)
-        table["EVPI"] = [each.value for each in evpi]
-        errors = np.array([each.standard_error for each in evpi])
-        table["EVPI ±"] = np.where(np.isfinite(errors), errors, np.nan)  # of one draw, unknown
+        worth = [(each.value, each.standard_error) for each in self.evpi(at)]
+        table[["EVPI", "EVPI ±"]] = np.array(worth)
+        table["EVPI ±"] = table["EVPI ±"].replace(np.inf, np.nan)  # of one draw, unknown
         table["claim"] = str(self.claim)
         return table
 
@@ -186,10 +171,6 @@ def _prices(wtp: ArrayLike) -> Floats:
     if prices.ndim > 1 or not np.isfinite(prices).all():
         raise ModelError(f"{wtp!r:.60} is given", where=WTP, fix="give a number, or a list of them")
     return prices
-
-
-def _ratio(cost: Floats, effect: Floats, one: int, other: int) -> float:
-    return float((cost[other] - cost[one]) / (effect[other] - effect[one]))
 
 
 def cost_effectiveness(
@@ -248,7 +229,7 @@ def cost_effectiveness(
     solver = ModelSolver(family, chosen.names)
     for name in (effect, cost):
         known(name, solver.base.mdp.component_names, "component", "cost-effectiveness")
-    blocks, _ = drawn(chosen, n, seed, solver.block)
+    blocks = drawn(chosen, n, seed, solver.block)
     weights = [solver.base.held(policy) for policy in strategies.values()]
     totals = np.concatenate(
         [

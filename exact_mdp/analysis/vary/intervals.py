@@ -53,19 +53,7 @@ class Ranged(Estimated):
 
 @dataclass(frozen=True, kw_only=True)
 class MeanLoss(Ranged):
-    """A mean of numbers that are not negative, with an interval that allows for their skewness.
-
-    Attributes
-    ----------
-    carried : float
-        Effective number of draws that carry the mean.
-
-    Examples
-    --------
-    >>> loss = mean_loss(np.array([0.0] * 98 + [1.0, 1.0]))
-    >>> round(loss.value, 4), [round(end, 4) for end in loss.interval], loss.few
-    (0.02, [0.0007, 0.1277], True)
-    """
+    """A mean of numbers that are not negative, and the effective number of draws that carry it."""
 
     carried: float
 
@@ -76,13 +64,7 @@ class MeanLoss(Ranged):
 
 
 def confidence_of(given: object) -> Fraction:
-    """Return a confidence between 0 and 1.
-
-    Examples
-    --------
-    >>> confidence_of(0.95), confidence_of("0.9")
-    (Fraction(19, 20), Fraction(9, 10))
-    """
+    """Return a confidence between 0 and 1; a float means the decimal that it prints as."""
     confidence = exact(str(given) if isinstance(given, float) else given, "confidence")
     if not 0 < confidence < 1 or float(confidence) in (0.0, 1.0):
         raise ModelError(
@@ -104,8 +86,7 @@ def mean_loss(values: Floats) -> MeanLoss:
     plain, count = mean_of(values), len(values)
     size = float(values.max(initial=0.0))
     scaled = values / size if size > 0 else values
-    sd = float(scaled.std())
-    square = float(scaled @ scaled)
+    sd, square = float(scaled.std()), float(scaled @ scaled)
     carried = float(scaled.sum()) ** 2 / square if square > 0 else 0.0
     low, high = plain.interval
     if sd > 0:
@@ -143,8 +124,8 @@ def bootstrap(
 ) -> tuple[float, float]:
     """Return the BCa interval (Efron, JASA 82, 1987, section 4) of a weighted mean Σ w x / Σ w.
 
-    It is right in the limit of a large sample, and too narrow where few carry most of the weight,
-    so that no check rests on it. `ends` stand for draws in which all weights are 0.
+    It is too narrow where few carry most of the weight, so that no check rests on it. `ends` stand
+    for draws in which all weights are 0.
     """
     total, earned = float(weight.sum()), weight * values
     if not total > 0:
@@ -177,38 +158,27 @@ def mean_at_least(sample: Floats, doubt: float) -> float:
     AAAI 2015, theorem 1). The first twentieth of the sample chooses c.
     """
     first, rest = np.split(sample, [len(sample) // HELD_OUT])
-    if len(sample) < FEWEST or not sample.any():
+    if len(sample) < FEWEST or not first.max() > 0:
         return 0.0
-    largest = float(first.max())
-    if not largest > 0:
-        return 0.0
-    grid = largest * np.geomspace(1e-4, 2.0, THRESHOLDS)
-    promised = [_bernstein(np.minimum(first, c), c, doubt, len(rest)) for c in grid]
-    threshold = float(grid[int(np.argmax(promised))])
-    bound = _bernstein(np.minimum(rest, threshold), threshold, doubt, len(rest))
-    return max(bound, 0.0)
 
+    def bound(numbers: Floats, most: float) -> float:
+        cut, n = np.minimum(numbers, most), len(rest)
+        spread = 2 * float(cut.var(ddof=1)) * log(2 / doubt) / n
+        return float(cut.mean() - spread**0.5 - 7 * most * log(2 / doubt) / (3 * (n - 1)))
 
-def _bernstein(sample: Floats, most: float, doubt: float, n: int) -> float:
-    """Return the bound that n numbers up to `most` give that vary as a sample does."""
-    spread = 2 * float(sample.var(ddof=1)) * log(2 / doubt) / n
-    return float(sample.mean() - spread**0.5 - 7 * most * log(2 / doubt) / (3 * (n - 1)))
+    grid = float(first.max()) * np.geomspace(1e-4, 2.0, THRESHOLDS)
+    threshold = float(grid[int(np.argmax([bound(first, c) for c in grid]))])
+    return max(bound(rest, threshold), 0.0)
 
 
 def tolerances_of(regrets: Sequence[Floats], count: int = 51) -> Floats:
-    """Return tolerances Δ for acceptability curves of some policies.
-
-    0, and a geometric grid from a ten-thousandth of the largest 99 % quantile of regret up to it.
-    """
+    """Return 0, and a geometric grid up to the largest 99 % quantile of policies' regrets (D,)."""
     most = max(float(np.quantile(regret, 0.99)) for regret in regrets)
     return np.append(0.0, np.geomspace(1e-4 * most, most, count - 1)) if most > 0 else np.zeros(1)
 
 
 def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> list[dict[str, float]]:
-    """Return quantiles of a sample, with 95 % intervals that assume nothing of its shape.
-
-    Each has its probability, its value, and both ends of the interval of order statistics.
-    """
+    """Return quantiles of a sample with 95 % intervals of order statistics."""
     ordered, count = np.sort(values), len(values)
     listed = []
     for p in probabilities:
@@ -222,8 +192,7 @@ def quantiles(values: Floats, probabilities: Sequence[float] = QUANTILES) -> lis
 def upper_quantile(values: Floats, probability: float) -> float:
     """Return an order statistic that is at least a quantile, but for the chance 0.025.
 
-    The k-th smallest of n is below the quantile only where at least k draws are, of which there are
-    no more than a binomial number of n and p: the k is the least of which that chance is small.
+    The k-th smallest of n is below it only where at least k draws are, whose number is binomial.
     """
     require_draws(len(values), probability)
     chance = special.bdtr(np.arange(len(values)), len(values), probability)
@@ -231,17 +200,7 @@ def upper_quantile(values: Floats, probability: float) -> float:
 
 
 def require_draws(count: int, probability: float) -> None:
-    """Raise ModelError where even the greatest of the draws may be below a quantile: p^n > 0.025.
-
-    Examples
-    --------
-    >>> require_draws(72, 0.95)
-    >>> require_draws(71, 0.95)
-    Traceback (most recent call last):
-    exact_mdp.mdp.errors.ModelError: 71 draws do not show where 95 % of the posterior ends
-      where: draws
-      fix:   give 72 or more (--draws 72, n=72)
-    """
+    """Raise ModelError where even the greatest draw may be below a quantile: p^n > 0.025."""
     least = ceil(log(1 - SURE) / log(probability))
     if count < least:
         raise ModelError(
@@ -252,7 +211,7 @@ def require_draws(count: int, probability: float) -> None:
 
 
 def wilson(successes: ArrayLike, count: int) -> tuple[Floats, Floats]:
-    """Return the ends of Wilson's 95 % interval of a share (Wilson, JASA 22, 1927)."""
+    """Return the ends of Wilson's 95 % interval of a share."""
     share, square = np.asarray(successes) / count, NORMAL**2
     middle = (share + square / (2 * count)) / (1 + square / count)
     half = np.sqrt(share * (1 - share) / count + square / (4 * count**2)) * NORMAL

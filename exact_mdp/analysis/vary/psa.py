@@ -7,14 +7,15 @@ Medical Decision Making 37, 2017). What knowing all parameters before choosing w
 
     EVPI = E[max_π V^π] - max_π E[V^π] = E[V*] - max_π E[V^π].
 
-The best of all policies is hard to find (Steimle, Kaufman and Denton, IISE Transactions 53, 2021),
-so EVPI has two ends: the upper one takes the best policy found; the lower one lets all but the
-first action be chosen in full knowledge, EVPI ≥ min_a E[V* - Q*(start, a)]. Where reward weights
-alone are uncertain, the best policy is the optimum at their means, and the ends are one.
+The best of all policies is hard to find (Steimle, Kaufman and Denton, IISE Transactions 53, 2021):
+the upper end of EVPI takes the best policy found, the lower end min_a E[V* - Q*(start, a)] lets all
+but the first action be chosen in full knowledge. Where reward weights alone are uncertain, the best
+policy is the optimum at their means, and the ends are one.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -40,7 +41,7 @@ from exact_mdp.analysis.vary.intervals import (
     tolerances_of,
     wilson,
 )
-from exact_mdp.analysis.vary.study import Draws, Study, fingerprints, solver_of
+from exact_mdp.analysis.vary.study import Draws, Study, in_blocks, solver_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
@@ -68,17 +69,10 @@ MISSING = "EVPI among the candidates is below the lower end of EVPI"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A policy whose value is worked out in every draw.
+    """A policy that is evaluated in every draw: `weights` (L,) are probabilities of pairs.
 
-    Attributes
-    ----------
-    name : str
-    weights : (L,)
-        Probabilities of the model's pairs.
-    frequency : int
-        Draws whose optimum was found to be this policy.
-    actions : {label: action} or None
-        Where it says the same in all states of a label, and does not mix.
+    It was the optimum of `frequency` draws. `actions` are None where it mixes, or says different
+    things in states of one label.
     """
 
     name: str
@@ -89,14 +83,7 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True)
 class Information:
-    """EVPI over all policies, between two estimates; they are one where it is known which is best.
-
-    Attributes
-    ----------
-    low, high : MeanLoss
-    best : str
-        Name of the best candidate, from which `high` is computed.
-    """
+    """EVPI over all policies, between two estimates; `high` is that of the candidate `best`."""
 
     low: MeanLoss
     high: MeanLoss
@@ -109,11 +96,8 @@ class PSA(Pictured):
 
     Attributes
     ----------
-    model : str
     start : Bounded
         V* of the start at today's values.
-    uncertainty : Uncertainty
-    seed : int
     table : Study
         Of the draws: V* of the start, and the candidates' values.
     candidates : tuple of N Candidate
@@ -122,12 +106,8 @@ class PSA(Pictured):
         Statuses at subtask 0, trial 0 of a care scenario; of other models the states with a choice.
     compiled : bool
         Whether the batched loops of the care model did the work.
-    counts : (X, A) ints
-        Draws in which an action is optimal, up to rounding.
-    lost : (D, A)
-        What each action costs in the first state; (D, 0) where there is more than one.
-    cut : (D,) bool
-        Whether some chance was cut off at 1, where `compiled`.
+    counts, lost, cut : (X, A), (D, A), (D,)
+        See `study.ModelSolver.solved`.
     """
 
     model: str
@@ -216,21 +196,9 @@ class PSA(Pictured):
     ) -> dict[str, PartialInformation]:
         """Return what knowing some parameters would be worth, choosing among the candidates.
 
-        Parameters
-        ----------
-        groups : {name: parameter names}, optional
-            Each parameter, or row of parameters, alone, and those whose names begin with the same
-            word together, unless given.
-
-        Returns
-        -------
-        {name: PartialInformation}
-
-        Notes
-        -----
-        No estimate is above EVPI of the same candidates in the same draws. Where that is below the
-        lower end of EVPI over all policies, by more than twice the standard error, the candidates
-        miss policies that matter, which every estimate's `doubts` then say.
+        Groups are {name: parameter names}; unless given, each parameter or row alone, and those
+        whose names begin with the same word together. Where EVPI of the candidates is below the
+        lower end of EVPI over all policies, they miss policies that matter, as `doubts` then say.
         """
         among, least = self.evpi_of_candidates(), self.evpi().low
         apart = 2 * np.hypot(among.standard_error, least.standard_error)
@@ -248,19 +216,20 @@ class PSA(Pictured):
         """
         partly = self.evppi() if len(self) >= FEWEST else {}
         information, regret, optimal = self.evpi(), self.regret(), self.table.optimal
-        lost, tolerances = mean_loss(regret), tolerances_of([regret])
+        losses = [mean_loss(self.regret(n)) for n in range(len(self.candidates))]
+        lost, tolerances = losses[0], tolerances_of([regret])
         accepted, least, most = self.acceptability(tolerances)
         means = {"regret": lost, "EVPI": information.high, "EVPI's lower end": information.low}
         few = [f"{name} by {m.carried:.0f}" for name, m in means.items() if m.few and m.value]
         ends = f"{cell(information.low)} to {cell(information.high)}"
-        wilson = self.probability_optimal()
-        reach = float(np.maximum(wilson[2] - wilson[0], wilson[0] - wilson[1]).max(initial=0.0))
+        share, low, high = self.probability_optimal()
+        reach = float(np.maximum(high - share, share - low).max(initial=0.0))
         candidates = [
             {
                 "name": candidate.name,
                 "actions": candidate.actions,
                 "mean": mean_of(self.table.fixed[:, n]),
-                "expected_loss": _loss(mean_loss(self.regret(n))),
+                "expected_loss": _loss(losses[n]),
                 "probability_optimal": float(self.acceptability([0.0], n)[0][0]),
                 "draws_whose_optimum_it_was": candidate.frequency,
             }
@@ -327,12 +296,10 @@ class PSA(Pictured):
                 ),
                 "p_optimal": {
                     label: {
-                        action: dict(zip(("probability", "low", "high"), each, strict=True))
-                        for action, each in zip(self.actions, row, strict=True)
+                        action: {"probability": share[x, a], "low": low[x, a], "high": high[x, a]}
+                        for a, action in enumerate(self.actions)
                     }
-                    for label, row in zip(
-                        self.labels, np.stack(wilson, axis=-1).tolist(), strict=True
-                    )
+                    for x, label in enumerate(self.labels)
                 },
                 "candidates": candidates,
             },
@@ -342,8 +309,8 @@ class PSA(Pictured):
                     f"{'at subtask 0, trial 0; ' if self.compiled else ''}"
                     f"ends of Wilson's 95 % intervals are within {reach:.2g}",
                     rows=[
-                        {"": label, **dict(zip(map(str, range(len(row))), row, strict=True))}
-                        for label, row in zip(self.labels, wilson[0].tolist(), strict=True)
+                        {"": label, **{str(n): each for n, each in enumerate(row)}}
+                        for label, row in zip(self.labels, share.tolist(), strict=True)
                     ],
                     columns={"status" if self.compiled else "state": ""}
                     | {action: f"{n}:.4f" for n, action in enumerate(self.actions)},
@@ -352,8 +319,7 @@ class PSA(Pictured):
                 "candidates": Table(
                     title="policies held fixed in every draw",
                     rows=[
-                        each | {"loss": mean_loss(self.regret(n))}
-                        for n, each in enumerate(candidates)
+                        each | {"loss": loss} for each, loss in zip(candidates, losses, strict=True)
                     ],
                     columns={
                         "policy": "name",
@@ -408,9 +374,9 @@ def _middle(values: Floats) -> str:
 def groups_of(
     chosen: Uncertainty, groups: Mapping[str, Sequence[str]] | None, *, together: bool = False
 ) -> list[tuple[str, tuple[str, ...], list[int]]]:
-    """Return groups of drawn parameters: label, names, and the columns of the draws.
+    """Return groups of drawn parameters: label, names, and columns of the draws.
 
-    Unless groups are given, each part alone; `together`, parameters whose names begin alike, too.
+    Unless given, each part alone; where `together`, also parameters whose names begin alike.
     """
     place = {name: column for column, name in enumerate(chosen.names)}
     if groups is None:
@@ -452,20 +418,19 @@ def uncertain_of(
     return uncertain
 
 
-def drawn(chosen: Uncertainty, n: int | None, seed: int, block: int) -> tuple[list[Floats], int]:
-    """Return n draws in blocks, and the size of a last, smaller one."""
+def drawn(chosen: Uncertainty, n: int | None, seed: int, block: int) -> list[Floats]:
+    """Return n draws in blocks, each from a stream of its own, or rows of one's own sample."""
     sample = chosen.sample
     n = counted(len(sample) if n is None and sample is not None else n, "n")
-    streams, rest = seeded(seed, n, block)
     if sample is None:
-        return [chosen.draw(stream, count) for stream, count in streams], rest
+        return [chosen.draw(stream, count) for stream, count in seeded(seed, n, block)[0]]
     if n > len(sample):
         raise ModelError(
             f"{n:,} draws of a sample of {len(sample):,}",
             where="n",
             fix=f"ask for {len(sample):,} or fewer",
         )
-    return [sample[at : min(at + block, n)] for at in range(0, n, block)], rest
+    return in_blocks(sample[:n], block)
 
 
 @named_options
@@ -517,21 +482,18 @@ def psa(
     family = parametric(model)
     chosen, seed = uncertain_of(family, uncertain, effective_sample_size), seed_of(rng)
     solver = solver_of(family, chosen.names)
-    blocks, rest = drawn(chosen, n, seed, solver.block)
+    blocks = drawn(chosen, n, seed, solver.block)
     today, fixed_policy = solver.base.held("optimal"), solver.base.held(policy)
     same = np.array_equal(fixed_policy, today)
     given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
-    key: dict[str, object] = {}
-    if how.get("folder") is not None:
-        key = fingerprints(solver, blocks[0]) | {
-            "seed": seed,
-            "drawn": [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
-            if chosen.sample is None
-            else sha256(np.ascontiguousarray(chosen.sample).tobytes()).hexdigest(),
-            "block": solver.block,
-        }
-    pieces = [(at * solver.block, draws) for at, draws in enumerate(blocks)]
-    draws = Draws(solver, pieces, key, how, rest)
+    own = chosen.sample
+    key = {
+        "seed": seed,
+        "drawn": [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
+        if own is None
+        else sha256(np.ascontiguousarray(own).tobytes()).hexdigest(),
+    }
+    draws = Draws(solver, blocks, solver.block, key, how)
     table, optima = draws.study(())
     table = draws.with_policies(table, [weights for _, weights in given])
     picked, table, frequency = _selected(draws, table, given)
@@ -545,7 +507,7 @@ def psa(
             Candidate(
                 name=name,
                 weights=weights,
-                frequency=frequency.get(digest(weights), 0),
+                frequency=frequency[digest(weights)],
                 actions=solver.shown(weights),
             )
             for name, weights in picked
@@ -559,7 +521,7 @@ def psa(
 
 def _selected(
     draws: Draws, table: Study, given: Sequence[tuple[str, Floats]]
-) -> tuple[list[tuple[str, Floats]], Study, dict[str, int]]:
+) -> tuple[list[tuple[str, Floats]], Study, Counter[str]]:
     """Return the policies given and those that add most, their study, and how often each is best.
 
     What the policies taken so far leave to be won is V* - max_c V^c, draw by draw. Policies are
@@ -581,15 +543,15 @@ def _selected(
     order = np.argsort(-by_loss, kind="stable")[:POOL].tolist()
     frequent = np.argsort(-counts, kind="stable")[:POOL].tolist()
     weights = {number: draws.solver.weights(rows[number]) for number in {*order, *frequent}}
-    frequency: dict[str, int] = {}
-    for number, each in weights.items():
-        own_digest = digest(each)
-        frequency[own_digest] = frequency.get(own_digest, 0) + int(counts[number])
+    marks = {number: digest(each) for number, each in weights.items()}
+    frequency = Counter[str]()
+    for number, mark in marks.items():
+        frequency[mark] += int(counts[number])
     known = {digest(each) for _, each in given}
     pool: dict[str, list[int]] = {}
     for number in order:
-        if by_loss[number] > 0 and (own_digest := digest(weights[number])) not in known:
-            pool.setdefault(own_digest, []).append(number)
+        if by_loss[number] > 0 and marks[number] not in known:
+            pool.setdefault(marks[number], []).append(number)
     if not pool:
         return picked, table, frequency
     others, alike = [weights[numbers[0]] for numbers in pool.values()], list(pool.values())

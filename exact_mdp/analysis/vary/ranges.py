@@ -27,13 +27,7 @@ HALVINGS = 40  # of the distance from today's value to an end without a model
 
 
 def unit_of(parameter: Parameter) -> str:
-    """Return what a parameter is measured in, for tables and axes.
-
-    Examples
-    --------
-    >>> unit_of(Parameter(name="care", value=5, unit="$")), unit_of(Parameter(name="x", value=1))
-    ('$', 'number')
-    """
+    """Return what a parameter is measured in, for tables and axes."""
     if parameter.unit is not None:
         return parameter.unit
     if parameter.name == DISCOUNT:
@@ -79,13 +73,13 @@ class Range:
 
 
 class Ranges(dict[str, Range]):
-    """Ranges by parameter name, which have been checked: whoever takes them checks them no more."""
+    """Validated ranges by parameter name."""
 
 
 def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
-    """Return a parameter's value ± a share of it, within what it may be; for "whole" all of that.
+    """Return a parameter's value ± a share of it, within what it may be.
 
-    Where that is open, it is the value ± itself.
+    For "whole" it is all that the parameter may be, and the value ± itself where that is open.
     """
     whole = isinstance(relative, str) and relative == "whole"
     share = exact(1 if whole else relative, "relative range")
@@ -107,17 +101,8 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
 
     The range ends where named probabilities of a row sum to 1. Where the model at an end cannot be
     built or has no finite values, as at discount 1 where an episode may go on for ever, the end is
-    moved half way to today's value until it has. A model that has none today keeps its range, and
-    its analysis says so.
-
-    Examples
-    --------
-    >>> from exact_mdp.mdp.model import MDP
-    >>> from exact_mdp.mdp.parametric import parametric
-    >>> model = parametric(MDP.from_arrays([[[1]]], [1], "9/10"))
-    >>> rate = parameter_of(model, "discount")
-    >>> admitted(model, rate, around(rate))
-    Range(low=Fraction(18, 25), high=Fraction(19, 20))
+    moved half way to today's value until it has: a discount of 9/10 ends at 19/20. A model without
+    finite values today keeps its range, and its analysis refuses it.
     """
     if isinstance(unposed(model), ScenarioFamily):  # all its models can be built, and end
         return span
@@ -133,24 +118,16 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
             return False
         return mdp.discount_exact < 1 or termination(mdp).proven
 
-    def moved(end: Fraction) -> Fraction:
-        for _ in range(HALVINGS):
-            if end == today or has_values(end):
-                return end
-            end = (end + today) / 2
-        return today
-
+    ends = [low, high]
     if low < high and has_values(today):
-        low, high = moved(low), moved(high)
-    return Range(low=low, high=high)
+        for number, end in enumerate(ends):
+            halvings = (today + (end - today) / 2**k for k in range(HALVINGS))
+            ends[number] = next((x for x in halvings if x == today or has_values(x)), today)
+    return Range(low=ends[0], high=ends[1])
 
 
 def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
-    """Return stated ranges: {name: (low, high)}, each within what the parameter may be.
-
-    Raises ModelError for unknown names (the nearest one is suggested), empty ranges, and ends out
-    of range.
-    """
+    """Return stated ranges, {name: (low, high)}; raises ModelError for what is no range."""
     if isinstance(ranges, Ranges):
         return ranges
     valid = Ranges()
@@ -181,10 +158,9 @@ def ranges_of(
     ranges: Mapping[str, object] | None = None,
     relative: object | None = None,
 ) -> Ranges:
-    """Return the range of each parameter: the stated one, or today's value ± a share of it.
+    """Return the range of each parameter: the stated one, or that `around` today's value.
 
-    `names` are those of `ranges` where these are given, otherwise all; `relative` is the share, 1/5
-    unless given, or "whole": everything that a parameter may be.
+    Unless given, `names` are those of `ranges`, or else all, and `relative` is 1/5.
     """
     stated = checked(model, ranges)
     if names is None:
@@ -245,10 +221,8 @@ def load_ranges(model: Parametric, path: str | Path) -> Ranges:
     flat = {f"{prefix}.{key}" if prefix else key: value for prefix, key, value in read}
     if not flat:
         raise ModelError("no range in the file", where=str(path), fix='write "NAME" = [low, high]')
-    try:
+    with located(str(path)):
         return checked(model, flat)
-    except ModelError as error:
-        raise ModelError(error.what, where=f"{path}, {error.where}", fix=error.fix) from error
 
 
 def entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str, Any]]:
@@ -263,8 +237,8 @@ def entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
 def usual(model: Parametric) -> list[str]:
     """Return the names of the parameters to vary together: all but the discount.
 
-    The discount is not one of the tables' numbers, and a share of it is a change of another kind:
-    from 1 to 4/5 it would outweigh them all. It is varied where it is named, or where it is alone.
+    A share of the discount is a change of another kind: from 1 to 4/5 it would outweigh all others.
+    It is varied where it is named, or where it is alone.
     """
     names = [parameter.name for parameter in model.parameters]
     return [name for name in names if name != DISCOUNT] or names
@@ -276,10 +250,9 @@ def spans_of(
     ranges: Mapping[str, object] | None = None,
     relative: object | None = None,
 ) -> dict[Parameter, Range]:
-    """Return the parameters that have a range, with it, to vary them together; see `ranges_of`.
+    """Return the parameters to vary together, with their ranges.
 
-    Parameters that are 0 today, and so have no range around it, are left out unless one is stated;
-    so is the discount, see `usual`. Raises ModelError where no parameter has a range.
+    Unless ranges are stated, those that are 0 today have none, and the discount is not `usual`.
     """
     stated = checked(model, ranges)
     every = ranges_of(model, names or list(stated) or usual(model), stated, relative)

@@ -63,17 +63,7 @@ SHARES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Indices:
-    """Sobol indices of one output.
-
-    Attributes
-    ----------
-    mean, sd : float
-        Of the output over the ranges; units of reward.
-    first, total : (P,)
-        NaN where the output does not vary.
-    first_half, total_half : (P,)
-        Half the width of the intervals.
-    """
+    """Sobol indices (P,) of one output, NaN where it does not vary, and half their intervals."""
 
     mean: float
     sd: float
@@ -90,21 +80,7 @@ class Indices:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Sobol(Pictured):
-    """Sobol indices of every parameter, output by output.
-
-    Attributes
-    ----------
-    model : str
-    spans : {Parameter: Range}
-    optimal, fixed, regret : Indices
-        Of the value with the policy re-optimised, of the value with it held fixed, and of the
-        difference.
-    n : int
-        Points of the sequence.
-    confidence : float
-        Of the intervals.
-    seed : int
-    """
+    """Sobol indices of every parameter: of the optimum, the policy held fixed, and its regret."""
 
     model: str
     spans: Mapping[Parameter, Range]
@@ -187,32 +163,17 @@ class Sobol(Pictured):
         return numbers
 
     def frame(self, output: str = "optimal") -> DataFrame:
-        """Return one row for each parameter, the largest total index first.
-
-        Parameters
-        ----------
-        output : "optimal", "fixed" or "regret"
-
-        Returns
-        -------
-        pandas.DataFrame
-        """
+        """Return one row for each parameter, the largest total index of an output first."""
         import pandas
 
-        indices = self.of(output)
-        table = pandas.DataFrame(
-            {
-                "parameter": list(self.names),
-                "unit": [unit_of(parameter) for parameter in self.spans],
-                "low": [float(span.low) for span in self.spans.values()],
-                "high": [float(span.high) for span in self.spans.values()],
-                "first order (share of variance)": indices.first,
-                "first order ±": indices.first_half,
-                "total (share of variance)": indices.total,
-                "total ±": indices.total_half,
-                "claim": "estimated",
-            }
-        )
+        indices, spans = self.of(output), self.spans.items()
+        rows = [(each.name, unit_of(each), float(r.low), float(r.high)) for each, r in spans]
+        table = pandas.DataFrame(rows, columns=["parameter", "unit", "low", "high"])
+        table["first order (share of variance)"] = indices.first
+        table["first order ±"] = indices.first_half
+        table["total (share of variance)"] = indices.total
+        table["total ±"] = indices.total_half
+        table["claim"] = "estimated"
         order = np.argsort(-np.nan_to_num(indices.total), kind="stable")
         return table.iloc[order].reset_index(drop=True)
 
@@ -237,15 +198,12 @@ def sobol(
     model : Scenario, MDP or Parametric
     policy : PolicyLike
         The policy whose regret is decomposed; "optimal" is the optimum at today's values.
-    names : iterable of str, optional
-    ranges : {name: (low, high)}, optional
-    relative : Fraction, optional
-        As for `analysis.vary.one_way.tornado`: today's value ± 20 % unless given. Parameters
-        that are 0 today are left out unless a range is stated, the discount unless it is named.
+    names, ranges, relative : optional
+        As for `tornado`. Parameters that are 0 today are left out unless a range is stated, the
+        discount unless it is named.
     n : int
         A power of 2; the model is solved at n (P + 2) points.
     rng : int or numpy.random.Generator
-        0 is a seed like any other.
     confidence : float
         Of the bootstrap intervals.
     **how
@@ -258,7 +216,7 @@ def sobol(
     Raises
     ------
     ModelError
-        For unknown names, empty ranges, a wrong number of samples, or values that the model
+        For unknown names, empty ranges, an `n` that is no power of 2, and values that the model
         cannot have together.
 
     Examples
@@ -285,19 +243,16 @@ def sobol(
     draws = _design(list(spans.values()), n, default_rng(child(seed, 0)))
     table = study(family, dict(zip((p.name for p in spans), draws.T, strict=True)), [policy], **how)
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
-    every = table.optimal, table.fixed[:, 0], table.regret[:, 0]
     noise = max(NOISE * float(np.abs(table.optimal).max()), 2 * float(table.error.max()))
-    indices = {
-        name: _indices(output.reshape(n, -1), noise, resamples, confidence)
-        for name, output in zip(OUTPUTS, every, strict=True)
-    }
+    every = (table.optimal, table.fixed, table.regret)
+    indices = (_indices(each.reshape(n, -1), noise, resamples, confidence) for each in every)
     return Sobol(
         model=family.name,
         spans=spans,
         n=n,
         confidence=confidence,
         seed=seed,
-        **indices,
+        **dict(zip(OUTPUTS, indices, strict=True)),
     )
 
 
@@ -328,16 +283,10 @@ def _indices(output: Floats, noise: float, resamples: Integers, confidence: floa
     first, total = _shares(output)
     # A resample in which the output does not vary has no indices.
     again = np.array([_shares(output[each]) for each in resamples if np.ptp(both[each]) > 0])
-    z = NormalDist().inv_cdf(0.5 + confidence / 2)
-    half = z * (again.std(axis=0, ddof=1) if len(again) > 1 else np.full((2, count), np.nan))
-    return Indices(
-        mean=mean,
-        sd=float(both.std(ddof=1)),
-        first=first,
-        first_half=half[0],
-        total=total,
-        total_half=half[1],
-    )
+    spread = again.std(axis=0, ddof=1) if len(again) > 1 else np.full((2, count), np.nan)
+    one, other = NormalDist().inv_cdf(0.5 + confidence / 2) * spread
+    sd = float(both.std(ddof=1))
+    return Indices(mean=mean, sd=sd, first=first, first_half=one, total=total, total_half=other)
 
 
 def _shares(output: Floats) -> Floats:

@@ -1,13 +1,11 @@
 """A study: the optimum and given policies at many points of a model's parameters, in one table.
 
-A point is a row of values of some parameters; the others keep today's. Every point is a model of
-its own: it is solved to optimality (the policy re-optimised), and each given policy is evaluated in
-it (the policy held fixed). A tornado, a grid, Sobol indices and the draws of a probabilistic
-analysis are designs of points, and summaries of their tables.
-
-A care scenario goes through batched loops that never form the model (`solvers.care`). Small models
-are solved many at once (`solvers.batch`), others one by one. Points are done in blocks of a fixed
-size, in any number of threads or processes, so that the same points give the same bytes.
+A point gives values to some parameters; the others keep today's. In the model at each point the
+optimum is found (the policy re-optimised) and each given policy is evaluated (held fixed).
+Tornado, grid, Sobol indices and probabilistic analyses are designs of points and summaries of their
+tables. A care scenario goes through batched loops that never form the model (`solvers.care`), small
+models are solved many at once (`solvers.batch`), others one by one; blocks of points have a fixed
+size, so that any number of workers gives the same bytes.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from hashlib import sha256
 from math import inf
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
@@ -51,17 +49,12 @@ ROOM = 2**21  # numbers that are worked on at once
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Study(Result):
-    """The optimum and given policies at every point; values at the start, in units of reward.
+    """The optimum and N given policies at D points of P parameters; values at the start (reward).
 
     Attributes
     ----------
-    names : tuple of P str
-    points : (D, P)
-        Values of the parameters, floats or exact numbers.
-    optimal : (D,)
-        The policy re-optimised at each point.
-    fixed : (D, N)
-        Each policy held fixed.
+    optimal, fixed : (D,), (D, N)
+        The policy re-optimised at each point, and each policy held fixed.
     error : (D, N + 1)
         Bounds on the errors of `optimal` (column 0) and of each policy's value.
     sign : int
@@ -163,107 +156,17 @@ def study_of(
     solver = solver_of(family, names)
     weights = [solver.base.held(policy) for policy in listed(policies, "policies")]
     size = max(1, solver.block // 2)
-    key: dict[str, object] = {}
-    if how.get("folder") is not None:
-        key = fingerprints(solver, table) | {
-            "parameters": list(names),
-            "draws": sha256(np.ascontiguousarray(draws, dtype="<f8").tobytes()).hexdigest(),
-            "policies": [digest(weight) for weight in weights],
-            "block": size,
-            "compiled": solver.compiled,
-        }
-    blocks = [(at, table[at : at + size]) for at in range(0, len(table), size)]
-    return solver, Draws(solver, blocks, key, how).study(weights)[0]
+    key = {
+        "parameters": list(names),
+        "draws": sha256(np.ascontiguousarray(draws, dtype="<f8").tobytes()).hexdigest(),
+        "policies": [digest(weight) for weight in weights],
+    }
+    return solver, Draws(solver, in_blocks(table, size), size, key, how).study(weights)[0]
 
 
-@dataclass(frozen=True)
-class Draws:
-    """Draws of parameters in pieces, and where they are worked on.
-
-    Attributes
-    ----------
-    solver : ModelSolver or CareSolver
-    pieces : sequence of (int, (D, Q))
-        The number of each piece's first draw, and its draws.
-    key : {name: JSON value}
-        What tells these draws from others, where there is a folder.
-    how : How
-    rest : int
-        Draws of the last piece, where it is smaller. A folder holds it apart, so that the whole
-        ones are of use to larger samples.
-    """
-
-    solver: DrawSolver
-    pieces: Sequence[tuple[int, Numbers]]
-    key: Mapping[str, object]
-    how: How
-    rest: int = 0
-
-    def study(self, policies: Sequence[Floats]) -> tuple[Study, Arrays]:
-        """Return the study, and counts, lost and cut of `ModelSolver.solved`."""
-        solver, points = self.solver, np.concatenate([draws for _, draws in self.pieces])
-        if not solver.compiled:  # the largest numbers of all are looked at
-            self._tell(points.max(axis=0), ", in draws")
-        done = self._run("draws", partial(_block, solver, policies), self.key)
-        whole = joined(done, ("start", "start_error", "value", "error", "lost", "cut"))
-        if count := int(whole["cut"].sum()):
-            first = int(whole["cut"].argmax())
-            where = f", {count} of {len(points)} draws, the first of them draw {first}"
-            self._tell(points[first], where)
-        rows, places = distinct(np.concatenate([block["rows"] for block in done]))
-        ends = np.cumsum([len(block["rows"]) for block in done])[:-1]
-        own = zip(np.split(places, ends), done, strict=True)
-        counts = np.sum([block["counts"] for block in done], axis=0)
-        return Study(
-            names=solver.names,
-            points=points,
-            optimal=whole["start"],
-            fixed=whole["value"],
-            error=np.column_stack([whole["start_error"], whole["error"]]),
-            sign=solver.base.sign,
-            rows=rows,
-            which=np.concatenate([place[block["which"]] for place, block in own]),
-        ), {"counts": counts, "lost": whole["lost"], "cut": whole["cut"]}
-
-    def _tell(self, row: Numbers, where: str) -> None:
-        """Warn once of the chances of a scenario that are cut off at 1; workers keep silent."""
-        if isinstance(self.solver.model, ScenarioFamily):
-            values = dict(zip(self.solver.names, row.tolist(), strict=True))
-            self.solver.model.tell(values, where=where)
-
-    def with_policies(self, table: Study, policies: Sequence[Floats]) -> Study:
-        """Return the study with the values of more policies."""
-        mark, work = digest(*policies), partial(_held, self.solver, policies)
-        more = joined(self._run(f"values-{mark[:12]}", work, {**self.key, "policies": mark}))
-        fixed = np.hstack([table.fixed, more["value"]])
-        return replace(table, fixed=fixed, error=np.hstack([table.error, more["error"]]))
-
-    def _run(
-        self, what: str, work: Callable[[Any], Arrays], key: Mapping[str, object]
-    ) -> list[Arrays]:
-        """Do all pieces: compiled loops in threads, other models in processes."""
-        folder = self.how.get("folder")
-        full = len(self.pieces) - (self.rest > 0 and folder is not None)
-        last = f"{what}-last-{full}-{self.rest}", {**key, "last block": full, "draws": self.rest}
-        done = list[Arrays]()
-        parts = (what, dict(key), self.pieces[:full]), (*last, self.pieces[full:])
-        for name, own, some in parts:
-            if some:
-                how = self.how | {"folder": None if folder is None else folder_of(folder) / name}
-                done += many(work, some, key=own, what=what, threads=self.solver.compiled, **how)
-        return done
-
-
-def _block(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
-    first, draws = piece
-    return solver.solved(draws, first) | _held(solver, policies, piece)
-
-
-def _held(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
-    first, draws = piece
-    if policies:
-        return solver.values(draws, policies, first)
-    return dict.fromkeys(("value", "error"), np.empty((len(draws), 0)))
+def in_blocks(points: Numbers, size: int) -> list[Numbers]:
+    """Return points (D, P) in blocks of a size, of which the last may be smaller."""
+    return [points[at : at + size] for at in range(0, len(points), size)]
 
 
 def _column(numbers: Any) -> Numbers:
@@ -281,18 +184,17 @@ def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers
             where="points",
             fix="give one number for each point and parameter",
         )
-    names, floats = list(columns), all(c.dtype.kind == "f" for c in columns.values())
+    floats = all(column.dtype.kind == "f" for column in columns.values())
     points = np.column_stack([c if floats else c.astype(object) for c in columns.values()])
     if not len(points):
         raise ModelError("no points", where="points", fix="give at least one")
     if not floats:
         points = np.array([[exact(number, "points") for number in row] for row in points.tolist()])
     draws = float_array(points, "points")
-    for column, name in enumerate(names):
+    for name, drawn in zip(columns, draws.T, strict=True):
         parameter = parameter_of(model, name)
-        low = -np.inf if parameter.low is None else float(parameter.low)
-        high = np.inf if parameter.high is None else float(parameter.high)
-        drawn = draws[:, column]
+        low = -inf if parameter.low is None else float(parameter.low)
+        high = inf if parameter.high is None else float(parameter.high)
         wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
         if wrong.any():
             row = int(wrong.argmax())
@@ -304,13 +206,97 @@ def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers
     return points, draws
 
 
-# ---- blocks ------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Draws:
+    """Points in blocks of a size, of which the last may be smaller, and where they are worked on.
+
+    `key` tells these draws from others in a folder.
+    """
+
+    solver: DrawSolver
+    blocks: Sequence[Numbers]
+    size: int
+    key: Mapping[str, object]
+    how: How
+
+    def study(self, policies: Sequence[Floats]) -> tuple[Study, Arrays]:
+        """Return the study, and counts, lost and cut of `ModelSolver.solved`."""
+        solver, points = self.solver, np.concatenate(self.blocks)
+        if not solver.compiled:  # the largest numbers of all are looked at
+            self._tell(points.max(axis=0), ", in draws")
+        done = self._run("draws", partial(_block, solver, policies), {})
+        whole = joined(done, ("start", "start_error", "value", "error", "lost", "cut"))
+        if count := int(whole["cut"].sum()):
+            first = int(whole["cut"].argmax())
+            where = f", {count} of {len(points)} draws, the first of them draw {first}"
+            self._tell(points[first], where)
+        rows, places = distinct(np.concatenate([block["rows"] for block in done]))
+        begins = np.cumsum([0, *(len(block["rows"]) for block in done[:-1])])
+        own = [at + block["which"] for at, block in zip(begins, done, strict=True)]
+        return Study(
+            names=solver.names,
+            points=points,
+            optimal=whole["start"],
+            fixed=whole["value"],
+            error=np.column_stack([whole["start_error"], whole["error"]]),
+            sign=solver.base.sign,
+            rows=rows,
+            which=places[np.concatenate(own)],
+        ), {
+            "counts": np.sum([block["counts"] for block in done], axis=0),
+            "lost": whole["lost"],
+            "cut": whole["cut"],
+        }
+
+    def _tell(self, row: Numbers, where: str) -> None:
+        """Warn once of the chances of a scenario that are cut off at 1; workers keep silent."""
+        if isinstance(self.solver.model, ScenarioFamily):
+            values = dict(zip(self.solver.names, row.tolist(), strict=True))
+            self.solver.model.tell(values, where=where)
+
+    def with_policies(self, table: Study, policies: Sequence[Floats]) -> Study:
+        """Return the study with the values of more policies."""
+        mark, work = digest(*policies), partial(_held, self.solver, policies)
+        more = joined(self._run(f"values-{mark[:12]}", work, {"policies": mark}))
+        fixed = np.hstack([table.fixed, more["value"]])
+        return replace(table, fixed=fixed, error=np.hstack([table.error, more["error"]]))
+
+    def _run(
+        self, what: str, work: Callable[[Any], Arrays], more: Mapping[str, object]
+    ) -> list[Arrays]:
+        """Do all blocks: compiled loops in threads, other models in processes.
+
+        In a folder a smaller last one stands apart, so that larger samples can use the whole ones.
+        """
+        how: dict[str, Any] = {**self.how, "what": what, "threads": self.solver.compiled}
+        pieces = [(at * self.size, draws) for at, draws in enumerate(self.blocks)]
+        if how.get("folder") is None:
+            return many(work, pieces, key={}, **how)
+        how |= {"folder": folder_of(how["folder"]) / what, "key": self.record | more}
+        full = sum(len(draws) == self.size for draws in self.blocks)
+        last = ("work.json", f"last-{full}-{len(self.blocks[-1])}-")
+        done = many(work, pieces[:full], **how)
+        return done + many(work, pieces[full:], files=last, **how)
+
+    @cached_property
+    def record(self) -> dict[str, object]:
+        """What tells the draws from others; their models may be the same today alone."""
+        solver = self.solver
+        first = next(models(solver.model, solver.names, self.blocks[0][:1], 0))
+        marks = {"model": fingerprint(solver.base.mdp), "first_draw": fingerprint(first)}
+        return {**marks, "compiled": solver.compiled, "block": self.size, **self.key}
 
 
-def fingerprints(solver: DrawSolver, draws: Numbers) -> dict[str, object]:
-    """Return what tells a solver's models from others, which may be the same today alone."""
-    first = next(models(solver.model, solver.names, draws[:1], 0))
-    return {"model": fingerprint(solver.base.mdp), "first_draw": fingerprint(first)}
+def _block(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
+    first, draws = piece
+    none = dict.fromkeys(("value", "error"), np.empty((len(draws), 0)))
+    held = _held(solver, policies, piece) if policies else none
+    return solver.solved(draws, first) | held
+
+
+def _held(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
+    first, draws = piece
+    return solver.values(draws, policies, first)
 
 
 # ---- models that are built -----------------------------------------------------------------------
@@ -355,12 +341,8 @@ class _Part:
         self.models, self.at = models, at
         batch = Batch.of(models)
         self.batch = None if batch is None or batch.weights is None else batch
+        self.size = KEPT if self.batch is None else self.batch.rows.size  # numbers that are held
         self.sign = -1 if models[0].sense == "min" else 1
-
-    @property
-    def size(self) -> int:
-        """Numbers that are held."""
-        return KEPT if self.batch is None else self.batch.rows.size
 
     def optimum(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
         """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
@@ -382,8 +364,7 @@ class _Part:
         lost, noise = lost_by(mdp, solution)
         off = solution.state_error[mdp.pair_state]
         off = off + mdp.discount * (mdp.transition @ solution.state_error)
-        taken = np.asarray(solution.policy)
-        return solution.start.value, solution.start.error, lost, off + noise, taken
+        return solution.start.value, solution.start.error, lost, off + noise, solution.policy
 
     def held(self, weights: Floats) -> tuple[Floats, Floats]:
         """Return the value at the start and its error (D,) of a policy (L,)."""
@@ -423,19 +404,9 @@ def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
 class ModelSolver:
     """Models that are built; labels are the states in which there is a choice.
 
-    Attributes
-    ----------
-    names : tuple of Q str
-        The parameters that draws (D, Q) give.
-    base : BaseCase
-        The model at today's values, to whose pairs policies refer.
-    block, pool : int
-        Draws in one piece of work, and draws of largest regret in which policies are compared to
-        choose candidates.
-    compiled : bool
-        Whether compiled loops do the work, which threads can share.
-    labels, actions : tuples of X and A words
-        Where choices are reported, and between what.
+    `names` are the parameters that draws (D, Q) give, `base` is today's model, to whose pairs
+    policies refer, `block` draws are one piece of work, and `pool` draws of largest regret choose
+    candidates. Threads can share the work where compiled loops do it.
     """
 
     block, pool = 64, 32
@@ -444,11 +415,10 @@ class ModelSolver:
     def __init__(self, model: Parametric, names: Sequence[str]) -> None:
         self.model, self.names = model, tuple(names)
         mdp = model.at({})
-        self.base = BaseCase(mdp=mdp)
-        self.actions = mdp.actions
+        self.base, self.actions = BaseCase(mdp=mdp), mdp.actions
         self.choosing = np.flatnonzero(~mdp.forced)
         self.labels = tuple(mdp.space.labels(self.choosing))
-        self.built: dict[bytes, list[_Part]] = {}
+        self.built: dict[str, list[_Part]] = {}
         self.room = KEPT
 
     def __getstate__(self) -> dict[str, Any]:
@@ -456,7 +426,7 @@ class ModelSolver:
 
     def parts(self, draws: Numbers, first: int | None) -> Iterator[_Part]:
         """Yield the models of draws; what was built of these draws before is used again."""
-        key = repr(draws.tolist()).encode()
+        key = repr(draws.tolist())
         if key in self.built:
             yield from self.built[key]
             return
@@ -471,6 +441,10 @@ class ModelSolver:
         if numbers <= self.room:
             self.room -= numbers
             self.built[key] = made
+
+    def _at(self, draws: Numbers, first: int | None, d: int) -> str:
+        words = _moved(self.model, self.names, draws[d].tolist())
+        return words if first is None or len(self.names) <= SHOWN else f"draw {first + d}, {words}"
 
     def solved(self, draws: Numbers, first: int | None = None) -> Arrays:
         """Return the optima of (D, Q) draws.
@@ -500,18 +474,14 @@ class ModelSolver:
             "cut": np.zeros(len(draws), dtype=bool),
         }
 
-    def _at(self, draws: Numbers, first: int | None, d: int) -> str:
-        words = _moved(self.model, self.names, draws[d].tolist())
-        return words if first is None or len(self.names) <= SHOWN else f"draw {first + d}, {words}"
-
     def values(
         self, draws: Numbers, policies: Sequence[Floats], first: int | None = None
     ) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
         parts = self.parts(draws, first)
         every = [[part.held(weights) for weights in policies] for part in parts]
-        columns = np.concatenate(every, axis=2)
-        return {"value": columns[:, 0].T, "error": columns[:, 1].T}
+        value, error = np.concatenate(every, axis=2).swapaxes(0, 1)
+        return {"value": value.T, "error": error.T}
 
     def totals(
         self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
@@ -544,21 +514,17 @@ class ModelSolver:
 
     def shown(self, weights: Floats) -> dict[str, str] | None:
         """Return the action at each label, where the policy says one and the same there."""
-        mdp, shares = self.base.mdp, {}
+        mdp, actions = self.base.mdp, dict[str, str]()
         for state, label in zip(self.choosing.tolist(), self.labels, strict=True):
-            pairs = mdp.pairs_of(state)
-            share = weights[list(pairs)]
-            if share.max() != 1:
+            sure = [pair for pair in mdp.pairs_of(state) if weights[pair] == 1]
+            if not sure:
                 return None
-            shares[label] = mdp.actions[int(mdp.pair_action[pairs[int(share.argmax())]])]
-        return shares
+            actions[label] = mdp.actions[mdp.pair_action[sure[0]]]
+        return actions
 
 
 class CareSolver:
-    """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0.
-
-    Attributes and methods are those of `ModelSolver`.
-    """
+    """Batches of draws of a care scenario; labels are the statuses, at subtask 0, trial 0."""
 
     block, pool = 4096, 1000
     compiled = True
