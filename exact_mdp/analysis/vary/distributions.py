@@ -83,6 +83,10 @@ FIXED = "stated to be fixed"
 MOST_ROWS = 2000
 
 
+def _beta(mean: float, size: float) -> Numbers:
+    return mean * size, (1 - mean) * size
+
+
 def _lognormal(mean: float, sd: float) -> Numbers:
     if mean <= 0:
         return math.nan, math.nan
@@ -92,7 +96,7 @@ def _lognormal(mean: float, sd: float) -> Numbers:
 
 @dataclass(frozen=True)
 class Kind:
-    """A distribution: its own numbers, when they make one, both ways to mean and sd, its needs."""
+    """A distribution: its own numbers, when they make one, mean and sd of them, them of these."""
 
     own: tuple[str, ...]
     sound: Callable[..., bool]
@@ -157,10 +161,6 @@ NUMBERS = {*MOMENTS, *(name for kind in KINDS.values() for name in kind.own)}
 SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
 
 
-def _beta(mean: float, size: float) -> Numbers:
-    return mean * size, (1 - mean) * size
-
-
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
     """The distribution of one parameter, or the joint one of the probabilities of a row.
@@ -175,7 +175,6 @@ class Uncertain:
         Its own, in the order of `KINDS`; k + 1 concentrations of a Dirichlet.
     mean, sd : tuple of k float
     label : str
-        What the part is called; its name unless given.
     """
 
     names: tuple[str, ...]
@@ -237,7 +236,7 @@ class Uncertain:
         >>> Uncertain.of_row("from ill", ["recover", "die"], [3, 1, 6]).mean
         (0.3, 0.1)
         """
-        where, (_, least, most) = f"distribution of {label}", WITHIN[SIZE]
+        where, row, (_, least, most) = f"distribution of {label}", tuple(names), WITHIN[SIZE]
         if len(counts) != len(names) + 1:
             raise ModelError(
                 f"{len(counts)} concentrations for {len(names)} probabilities and what they leave",
@@ -248,11 +247,10 @@ class Uncertain:
             what = f"concentrations {', '.join(f'{count:g}' for count in counts)}"
             fix = "name probabilities above 0 whose sum is below 1"
             raise ModelError(what, where=where, fix=fix)
-        size, every = math.fsum(counts), tuple(counts)
+        size, numbers = math.fsum(counts), tuple(counts)
         mean = tuple(count / size for count in counts[:-1])
         sd = tuple(math.sqrt(m * (1 - m) / (size + 1)) for m in mean)
-        row = tuple(names)
-        return cls(names=row, kind="dirichlet", numbers=every, mean=mean, sd=sd, label=label)
+        return cls(names=row, kind="dirichlet", numbers=numbers, mean=mean, sd=sd, label=label)
 
     @property
     def size(self) -> float | None:
@@ -286,16 +284,16 @@ def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
     if not math.isfinite(mean) or (spread == SPREAD and not mean):
         what = f"a {'relative ' * (spread == SPREAD)}spread around {mean:g}"
         raise ModelError(what, where=where, fix="state a finite mean, and around 0 an sd")
-    scale = abs(mean or 1.0)
-    amount = said[spread] / scale if spread == "sd" else said[spread]
-    _check_within(amount, SIZE if spread == SIZE else SPREAD, where)
     if spread != SIZE:
-        return KINDS[kind].of_moments(mean, amount * scale)
+        scale = abs(mean or 1.0)
+        relative = said[spread] / scale if spread == "sd" else said[spread]
+        return KINDS[kind].of_moments(mean, _check_within(relative, SPREAD, where) * scale)
+    count = _check_within(said[SIZE], SIZE, where)
     if kind != "beta":
         fix = "state an sd or a relative_sd; a sample size is of a probability"
         what = f"an effective sample size of a {kind} distribution"
         raise ModelError(what, where=where, fix=fix)
-    return _beta(mean, amount)
+    return _beta(mean, count)
 
 
 def _check_within(value: float, what: str, where: str) -> float:
@@ -400,14 +398,12 @@ def uncertainty(
     parts, fixed = list[Uncertain](), dict[str, str]()
     for label in dict.fromkeys(label_of.get(name, name) for name in parameters):
         members = rows.get(label, (label,))
-        part: Uncertain | str = "not among the names asked for"
-        if members[0] in chosen:
-            whole = [parameters[name] for name in members]
-            part = (
-                _row(whole, label, stated, default)
-                if label in rows
-                else _alone(whole[0], _settings(stated, label), default)
-            )
+        if members[0] not in chosen:
+            part: Uncertain | str = "not among the names asked for"
+        elif label in rows:
+            part = _row([parameters[name] for name in members], label, stated, default)
+        else:
+            part = _alone(parameters[label], _settings(stated, label), default)
         if isinstance(part, str):
             fixed |= dict.fromkeys(members, part)
         else:
@@ -416,19 +412,16 @@ def uncertainty(
 
 
 def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
-    """Return one's own sample, a table."""
+    """Return one's own sample, a table with a column for each parameter."""
     if not hasattr(frame, "columns"):
         fix = "give {name: settings}, or a pandas.DataFrame of draws"
         raise ModelError(f"{type(frame).__name__} is given", where="uncertain", fix=fix)
     names = [parameter_of(model, str(name)).name for name in frame.columns]
-    sample = np.array(
-        [
-            column.astype(float)
-            if column.dtype.kind in "fiu"
-            else [_float(number, "a draw", name) for number in column]
-            for name, column in zip(names, map(np.asarray, dict(frame).values()), strict=True)
-        ]
-    ).T
+    columns = [
+        column if column.dtype.kind in "fiu" else [_float(x, "a draw", name) for x in column]
+        for name, column in zip(names, map(np.asarray, dict(frame).values()), strict=True)
+    ]
+    sample = np.array(columns, dtype=float).T
     if not sample.size or not np.isfinite(sample).all():
         raise ModelError(
             "a sample without rows, or with numbers that are not finite",
@@ -581,9 +574,8 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     ({'base.anger': {'effective_sample_size': 50}}, None)
     """
     stated: dict[str, dict[str, object]] = {}
-    for prefix, key, value in entries(
-        toml_of(read_text(path, most=SMALL), str(path), number=float)
-    ):
+    content = toml_of(read_text(path, most=SMALL), str(path), number=float)
+    for prefix, key, value in entries(content):
         name = f"{prefix}.{key}" if prefix else key
         where = f"{path}, {prefix or 'top level'}"
         if prefix and key in SETTINGS:
@@ -605,12 +597,10 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
 
 
 def row_family(mdp: MDP) -> Family:
-    """Return any model as a parametric one: the probabilities of its random rows are parameters.
+    """Return any model with the probabilities of its random rows as parameters; at most 2,000 rows.
 
-    Of each row with more than one outcome these are all probabilities but the largest, which is
-    what the others leave. Drawn together they are Dirichlet: the family's `rows` name those of each
-    row. Its rewards and its discount are parameters, too. Raises ModelError where more than 2,000
-    rows are random.
+    Of each row these are all but the largest, which is what the others leave; drawn together they
+    are Dirichlet. Rewards and the discount are parameters, too.
     """
     entries: dict[str, list[tuple[int, str]]] = {}
     rows: dict[str, tuple[str, ...]] = {}

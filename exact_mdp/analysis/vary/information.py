@@ -37,18 +37,10 @@ ROUNDED = 1e-9  # relative, for what rounding alone makes differ
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PartialInformation:
-    """EVPPI of some parameters.
+    """EVPPI of some parameters: by `regression`, and a `lower` estimate.
 
-    Attributes
-    ----------
-    names : tuple of str
-    regression : Estimated
-        The maximum of the fitted values, at most EVPI of the same candidates. The standard error
-        covers what the fit may miss, too.
-    lower : Estimated
-        What choosing by the fit is worth in other draws; in expectation at most EVPPI.
-    doubts : tuple of str
-        Why the regression's estimate is not to be relied on; none where it is.
+    The standard error of the first covers what the fit may miss, too. `doubts` say why it cannot be
+    relied on.
     """
 
     names: tuple[str, ...]
@@ -69,33 +61,14 @@ class PartialInformation:
 def evpi(values: Floats) -> MeanLoss:
     """Return the EVPI of choosing among the N candidates of values (D, N).
 
-    The largest of the N means is taken, which pulls the estimate down by less than its standard
-    error.
-
-    Examples
-    --------
-    >>> expected = evpi(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))
-    >>> expected.value
-    0.25
+    The largest mean is taken, which pulls the estimate down by less than its standard error.
     """
     best = int(values.mean(axis=0).argmax())
     return mean_loss(values.max(axis=1) - values[:, best])
 
 
 def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInformation:
-    """Return the EVPPI of q parameters: values (D, N) of the candidates in draws (D, q).
-
-    The first 20,000 draws are used. Raises ModelError for fewer than 20.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> known = rng.normal(size=(4000, 1))
-    >>> values = np.hstack([known + rng.normal(size=known.shape), 0 * known])
-    >>> expected = evppi(values, known, ("x",))  # E[max(x, 0)] = 0.3989
-    >>> abs(expected.regression.value - 0.3989) < 4 * expected.regression.standard_error
-    True
-    """
+    """Return the EVPPI of q parameters, from values (D, N) of the candidates in draws (D, q)."""
     values, draws = values[:REGRESSED], draws[:REGRESSED]
     count, candidates = values.shape
     if count < FEWEST:
@@ -117,17 +90,15 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     sides = [basis[fold].T @ ahead[fold] for fold in folds]
     gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
     fitted = basis @ _solved(gram, side)
-    rows = np.arange(count)
-    chosen = fitted.argmax(axis=1)
+    rows, chosen = np.arange(count), fitted.argmax(axis=1)
     gain = fitted[rows, chosen] - fitted[:, int(fitted.mean(axis=0).argmax())]
     most = evpi(values).value
     earned, promised = np.empty(count), float(gain.mean())
-    for k, fold in enumerate(folds):
-        rule = basis[fold] @ _solved(gram - grams[k], side - sides[k])
-        some = ahead[fold]
-        earned[fold] = some[np.arange(len(some)), rule.argmax(axis=1)]
-    taken = np.unique(chosen)
-    total, surprising = _longest(draws[:, varies], (ahead - fitted)[:, taken[taken != best]])
+    for fold, inner, other in zip(folds, grams, sides, strict=True):
+        rule = basis[fold] @ _solved(gram - inner, side - other)
+        earned[fold] = ahead[rows[fold], rule.argmax(axis=1)]
+    taken = np.setdiff1d(chosen, best)
+    total, surprising = _longest(draws[:, varies], (ahead - fitted)[:, taken])
     own, lower, carried = mean_of(ahead[rows, chosen]), mean_of(earned), mean_loss(gain)
     value, missed = min(promised, most), total / count
     apart, astray = value - lower.value, promised - own.value
@@ -155,12 +126,10 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
 
 
 def _longest(draws: Floats, residuals: Floats) -> tuple[float, bool]:
-    """Return the greatest sum of neighbouring residuals, and whether chance would hardly reach it.
+    """Return the greatest sum of residuals (D, N) that are neighbours along one of the parameters.
 
-    Residuals are (D, N); draws are neighbours along one of the parameters (D, q).
-
-    Of n standard normal sums the greatest is hardly above √(2 ln n); there are about D of each
-    length, and lengths double.
+    And whether chance would hardly reach it: of n standard normal sums the greatest is hardly above
+    √(2 ln n); there are about D of each length, and lengths double.
     """
     count = len(draws)
     spread = np.sqrt((residuals**2).mean(axis=0))
@@ -189,11 +158,13 @@ def _basis(draws: Floats) -> Floats:
     scaled = (draws - draws.mean(axis=0)) / draws.std(axis=0)
     columns = [np.ones(count)]
     for x in scaled.T:
-        columns += [x, x * x, x * x * x] if known * 3 + 1 <= count // 10 else [x]
-        if knots and known * 3 + 1 <= count // 10:
-            places = np.quantile(x, np.arange(1, knots + 1) / (knots + 1))
-            over = [np.maximum(x - place, 0.0) for place in places]
-            columns += [beyond * beyond * beyond for beyond in over]
+        if known * 3 + 1 > count // 10:
+            columns.append(x)
+            continue
+        columns += [x, x * x, x * x * x]
+        for place in np.quantile(x, np.arange(1, knots + 1) / (knots + 1)):
+            beyond = np.maximum(x - place, 0.0)
+            columns.append(beyond * beyond * beyond)
     pairs = list(combinations(range(known), 2))
     if len(columns) + len(pairs) <= min(MOST_TERMS, count // 10):
         columns += [scaled[:, i] * scaled[:, j] for i, j in pairs]

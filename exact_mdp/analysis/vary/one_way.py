@@ -1,23 +1,17 @@
 """One or two parameters at a time: value curves, the tornado diagram, the map of the optimum.
 
-Each is the study of a design of points (`.study`): both ends of every range, or a grid. At every
-point the model is solved (the policy re-optimised) and a given policy is evaluated as it stands
-(the policy held fixed); the difference is what holding it costs,
-
-    regret(θ) = V*(θ) - V_π(θ).
-
-Unless another policy is given, the one held fixed is the optimum at today's values. A bar of the
-tornado spans the values at both ends of a parameter's range (Briggs et al., Medical Decision
-Making 32, 2012); a curve may have its extremes in between, and nothing is known between the points
-of a grid.
+Each is the study of a design of points (`.study`): both ends of every range, or a grid. Holding a
+policy, by default the optimum at today's values, costs regret(θ) = V*(θ) - V_π(θ). A bar of the
+tornado spans the values at both ends of a parameter's range (Briggs et al., Medical Decision Making
+32, 2012); nothing is known between the points.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -51,10 +45,7 @@ VALUES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """The start values of the optimum and of a policy held fixed, at a value of a parameter.
-
-    `at` is 0 where none is varied.
-    """
+    """The start values of the optimum and of a policy held fixed, at a value of a parameter."""
 
     optimal: Bounded
     fixed: Bounded
@@ -65,11 +56,6 @@ class Point:
     def regret(self) -> Bounded:
         """What holding the policy costs; not below 0, whatever rounding says."""
         return regret(self.optimal, self.fixed, self.sense)
-
-    def numbers(self, end: str = "") -> dict[str, float]:
-        """Return the three values by their keys, which may have an ending."""
-        values = {"value": self.optimal, "fixed_value": self.fixed, "regret": self.regret}
-        return {f"{name}{end}": number.value for name, number in values.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,14 +79,7 @@ class Bar:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Tornado(Pictured):
-    """Bars of all parameters, the widest first, and the values at today's parameters.
-
-    Attributes
-    ----------
-    model : str
-    today : Point
-    bars : tuple of Bar
-    """
+    """Bars of all parameters, the widest first, and the values at today's parameters."""
 
     model: str
     today: Point
@@ -112,33 +91,26 @@ class Tornado(Pictured):
 
     def report(self) -> Report:
         """Return values and regrets at both ends of every range."""
-        bars = self.frame().drop(columns="claim")
-        ends = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
+        bars, today = self.frame().drop(columns="claim"), self.today
 
-        def at(what: str) -> dict[str, str]:
-            return {"at low": f"{what}_low:.6g", "at high": f"{what}_high:.6g"}
+        def table(policy: str, what: str, rows: Any = ()) -> Table:
+            columns = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
+            columns |= {"at low": f"{what}_low:.6g", "at high": f"{what}_high:.6g"}
+            title = f"start value at both ends, policy {policy}"
+            return Table(title=title, rows=rows, columns=columns | {"regret": "regret:.3g"})
 
-        bars_of = "start value at both ends, policy {}"
+        held = bars.sort_values("fixed_swing", ascending=False, kind="stable")
         return Report(
             title="tornado",
             facts={
-                **claimed("start_value", self.today.optimal),
-                "policy_value": Shown(self.today.fixed.value, self.today.fixed),
-                "regret": Shown(self.today.regret.value, self.today.regret),
+                **claimed("start_value", today.optimal),
+                "policy_value": Shown(today.fixed.value, today.fixed),
+                "regret": Shown(today.regret.value, today.regret),
                 "bars": bars.to_dict("records"),
             },
             tables={
-                "bars": Table(
-                    title=f"{bars_of.format('re-optimised')}; regret of the policy held fixed",
-                    columns=ends | at("value") | {"regret": "regret:.3g"},
-                ),
-                "held": Table(
-                    title=bars_of.format("held fixed"),
-                    rows=bars.sort_values("fixed_swing", ascending=False, kind="stable")
-                    if self.today.regret.value > 0
-                    else (),
-                    columns=ends | at("fixed_value") | {"regret": "regret:.3g"},
-                ),
+                "bars": table("re-optimised; regret of the policy held fixed", "value"),
+                "held": table("held fixed", "fixed_value", held if today.regret.value > 0 else ()),
             },
         )
 
@@ -153,8 +125,12 @@ class Tornado(Pictured):
                 "low": float(bar.low.at),
                 "today": float(bar.parameter.value),
                 "high": float(bar.high.at),
-                **bar.low.numbers("_low"),
-                **bar.high.numbers("_high"),
+                "value_low": bar.low.optimal.value,
+                "fixed_value_low": bar.low.fixed.value,
+                "regret_low": bar.low.regret.value,
+                "value_high": bar.high.optimal.value,
+                "fixed_value_high": bar.high.fixed.value,
+                "regret_high": bar.high.regret.value,
                 "swing": bar.swing,
                 "fixed_swing": bar.fixed_swing,
                 "regret": max(bar.low.regret.value, bar.high.regret.value),
@@ -166,15 +142,7 @@ class Tornado(Pictured):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Curve(Pictured):
-    """Values along one parameter's range.
-
-    Attributes
-    ----------
-    model : str
-    parameter : Parameter
-    table : Study
-        Of its values in rising order.
-    """
+    """The study of one parameter's values, in rising order."""
 
     model: str
     parameter: Parameter
@@ -270,7 +238,7 @@ def tornado(
     names : iterable of str, optional
         The parameters; those of `ranges` where these are given, otherwise all.
     ranges : {name: (low, high)}, optional
-        See `analysis.vary.ranges.load_ranges` for a file of them.
+        `load_ranges` reads a file of them.
     relative : number or "whole", optional
         Half the width of the other ranges, as a share of today's value (1/5 unless given), or all
         that a parameter may be. Such a range ends where the model does, and where the parameter
@@ -295,38 +263,25 @@ def tornado(
     """
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
-    ends = [end for span in spans.values() for end in (span.low, span.high)]
-    parameters = [parameter_of(family, name) for name in spans]
+    ends = [(name, at) for name, span in spans.items() for at in (span.low, span.high)]
+    parameters = {name: parameter_of(family, name) for name in spans}
     columns = {
-        parameter.name: [at if row // 2 == k else parameter.value for row, at in enumerate(ends)]
-        for k, parameter in enumerate(parameters)
+        name: [at if name == moved else parameter.value for moved, at in ends]
+        for name, parameter in parameters.items()
     }
     base = BaseCase(mdp=family.at({}))
-    fixed_policy = base.held(policy)
+    fixed_policy, sense = base.held(policy), base.mdp.sense
     points: list[Point] = []
     if ends:
-        points = _points(study_of(family, columns, [fixed_policy])[1], ends, base.mdp.sense)
-    bars = [
-        Bar(parameter=parameter, low=low, high=high)
-        for parameter, low, high in zip(parameters, points[::2], points[1::2], strict=True)
-    ]
+        table = study_of(family, columns, [fixed_policy])[1]
+        for (_, at), (best, own) in zip(ends, table.bounded(), strict=True):
+            points.append(Point(at=at, optimal=best, fixed=own, sense=sense))
+    pairs = zip(parameters.values(), points[::2], points[1::2], strict=True)
+    bars = [Bar(parameter=parameter, low=low, high=high) for parameter, low, high in pairs]
     bars.sort(key=lambda bar: -bar.swing)
     fixed = finite_worth(base.mdp, fixed_policy, "today's parameters")
-    now = Point(optimal=base.solution.start, fixed=fixed, sense=base.mdp.sense)
+    now = Point(optimal=base.solution.start, fixed=fixed, sense=sense)
     return Tornado(model=family.name, today=now, bars=tuple(bars))
-
-
-def _points(table: Study, values: Sequence[Fraction], sense: str) -> list[Point]:
-    error, fixed = table.error.tolist(), table.fixed[:, 0].tolist()
-    return [
-        Point(
-            at=at,
-            optimal=Bounded(value=table.optimal[row].item(), error=error[row][0]),
-            fixed=Bounded(value=fixed[row], error=error[row][1]),
-            sense=sense,
-        )
-        for row, at in enumerate(values)
-    ]
 
 
 def grid(span: Range, points: int) -> list[Fraction]:
@@ -341,15 +296,12 @@ def grid(span: Range, points: int) -> list[Fraction]:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TwoWay(Pictured):
-    """Optimal policies over a grid of two parameters.
+    """The study of a grid of two parameters, row by row, x changing first.
 
     Attributes
     ----------
     mdp : MDP
         The model at today's values.
-    x, y : Parameter
-    table : Study
-        Of the grid, row by row, x changing first.
     choices : (Y, X, S) int64
         Optimal action numbers; the lowest where floats cannot tell two apart.
     policy : (Y, X) int64
@@ -383,9 +335,9 @@ class TwoWay(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each point of the grid."""
-        values = self.table.values()
-        values.insert(0, "x", self.table.points[:, 0].astype(float))
-        values.insert(1, "y", self.table.points[:, 1].astype(float))
+        values, points = self.table.values(), self.table.points.T.astype(float)
+        values.insert(0, "x", points[0])
+        values.insert(1, "y", points[1])
         values.insert(2, "policy", self.policy.reshape(-1))
         return values
 

@@ -35,7 +35,7 @@ from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
-from exact_mdp.solvers.solution import Solution, regrets
+from exact_mdp.solvers.solution import Bounded, Solution, regrets
 from exact_mdp.solvers.values.evaluate import evaluate
 
 if TYPE_CHECKING:
@@ -81,6 +81,12 @@ class Study(Result):
         """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
         error = self.error[:, :1] + self.error[:, 1:]
         return regrets(self.optimal[:, None], self.fixed, error, self.sign)
+
+    def bounded(self) -> list[list[Bounded]]:
+        """Return at each point the value of the optimum, and of each policy."""
+        values = np.column_stack([self.optimal, self.fixed])
+        pairs = np.stack([values, self.error], axis=2).tolist()
+        return [[Bounded(value=value, error=error) for value, error in row] for row in pairs]
 
     def values(self) -> DataFrame:
         """Return one row for each point: the optimum, each policy and its regret (reward)."""
@@ -272,7 +278,7 @@ class Draws:
         pieces = [(at * self.size, draws) for at, draws in enumerate(self.blocks)]
         if how.get("folder") is None:
             return many(work, pieces, key={}, **how)
-        how |= {"folder": folder_of(how["folder"]) / what, "key": self.record | more}
+        how |= {"folder": folder_of(how["folder"]) / what, "key": {**self.record, **more}}
         full = sum(len(draws) == self.size for draws in self.blocks)
         last = ("work.json", f"last-{full}-{len(self.blocks[-1])}-")
         done = many(work, pieces[:full], **how)
@@ -364,7 +370,8 @@ class _Part:
         lost, noise = lost_by(mdp, solution)
         off = solution.state_error[mdp.pair_state]
         off = off + mdp.discount * (mdp.transition @ solution.state_error)
-        return solution.start.value, solution.start.error, lost, off + noise, solution.policy
+        taken = np.asarray(solution.policy)
+        return solution.start.value, solution.start.error, lost, off + noise, taken
 
     def held(self, weights: Floats) -> tuple[Floats, Floats]:
         """Return the value at the start and its error (D,) of a policy (L,)."""
