@@ -68,9 +68,9 @@ from exact_mdp.mdp.policies.policy import Policy as Policy
 from exact_mdp.mdp.policies.policy import PolicyLike as PolicyLike
 from exact_mdp.mdp.space import Column as Column
 from exact_mdp.mdp.space import StateSpace as StateSpace
-from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction as BackwardInduction
 from exact_mdp.solvers.dynamic.iterate import Solver as Solver
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram as LinearProgram
+from exact_mdp.solvers.dynamic.methods import BackwardInduction as BackwardInduction
 from exact_mdp.solvers.dynamic.methods import GaussSeidel as GaussSeidel
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration as ModifiedPolicyIteration
 from exact_mdp.solvers.dynamic.methods import PolicyIteration as PolicyIteration

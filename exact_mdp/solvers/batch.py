@@ -23,7 +23,14 @@ import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma, rounding_facts
+from exact_mdp.solvers.bounds.gains import (
+    SLACK,
+    TINY,
+    gamma,
+    reward_errors,
+    rounding_facts,
+    row_error,
+)
 
 MOST = 2**16  # numbers of the rows of one model: beyond it, sparse solvers are as fast
 IMPROVEMENTS = 100
@@ -31,41 +38,21 @@ IMPROVEMENTS = 100
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Batch:
-    """D models with the same L pairs and S states; rewards are those that are maximised.
+    """D models with the same L pairs and S states; rewards are those that are maximised."""
 
-    Attributes
-    ----------
-    rows : (D, L, S)
-    reward, reward_error : (D, L)
-    rate : (D,)
-        The discount γ.
-    leak, leak_error : (D, 1)
-        1 - γ, and how far that may be off.
-    terms : int
-        The most roundings in a row.
-    live : (D, S) bool
-        States that are not terminal, at discount 1; all of them below.
-    start : (D, S)
-    components : (D, L, C)
-    component_names : tuple of C str
-    state : (L,)
-    first : (S,)
-        The state of each pair, and the first pair of each state.
-    """
-
-    rows: Floats
-    reward: Floats
-    reward_error: Floats
-    rate: Floats
-    leak: Floats
-    leak_error: Floats
-    terms: int
-    live: np.ndarray
-    start: Floats
-    components: Floats
+    rows: Floats  # (D, L, S)
+    reward: Floats  # (D, L)
+    reward_error: Floats  # (D, L)
+    rate: Floats  # (D,) the discount γ
+    leak: Floats  # (D, 1) 1 - γ
+    leak_error: Floats  # (D, 1)
+    terms: int  # the most roundings in a row
+    live: np.ndarray  # (D, S) states that are not terminal, at discount 1; all of them below
+    start: Floats  # (D, S)
+    components: Floats  # (D, L, C)
     component_names: tuple[str, ...]
-    state: Integers
-    first: Integers
+    state: Integers  # (L,) the state of each pair
+    first: Integers  # (S,) the first pair of each state
 
     @classmethod
     def of(cls, models: Sequence[MDP]) -> Batch | None:
@@ -82,13 +69,11 @@ class Batch:
         return cls(
             rows=np.stack([mdp.transition.toarray() for mdp in models]),
             reward=np.stack([sign * mdp.reward for sign, mdp in zip(signs, models, strict=True)]),
-            reward_error=np.stack(
-                [f.reward_errors(mdp, 0, mdp.n_pairs) for f, mdp in zip(facts, models, strict=True)]
-            ),
+            reward_error=np.stack([reward_errors(mdp) for mdp in models]),
             rate=np.array([mdp.discount for mdp in models]),
             leak=np.array([[f.leak] for f in facts]),
             leak_error=np.array([[f.leak_error] for f in facts]),
-            terms=max(one.n_states, *(int(f.merged.max(initial=0)) for f in facts)),
+            terms=max(f.most for f in facts),
             live=np.stack([~mdp.terminal | (mdp.discount_exact < 1) for mdp in models]),
             start=np.stack([mdp.start_distribution for mdp in models]),
             components=np.stack([mdp.components for mdp in models]),
@@ -102,13 +87,15 @@ class Batch:
         reward = self.reward if reward is None else reward
         here = value[:, self.state]
         apart = value[:, None, :] - here[:, :, None]
-        lost = self.leak * here
-        gain = reward + self.rate[:, None] * np.einsum("dls,dls->dl", self.rows, apart) - lost
-        size = np.einsum("dls,dls->dl", self.rows, np.abs(apart)) + np.abs(reward) + np.abs(lost)
-        noise = gamma(self.terms + 16) * size + self.reward_error + self.leak_error * np.abs(here)
-        noise = noise * SLACK + TINY
+        ahead, flow = (
+            self.rate[:, None] * np.einsum("dls,dls->dl", self.rows, each)
+            for each in (apart, np.abs(apart))
+        )
+        gain = reward + (ahead - self.leak * here)
+        tiny = TINY * (1 + np.abs(value).max()) * (self.terms + 1)
+        error = row_error(self, self.terms, flow, reward, here) + self.reward_error + tiny
         alive = self.live[:, self.state]
-        return np.where(alive, gain, 0.0), np.where(alive, noise, 0.0)
+        return np.where(alive, gain, 0.0), np.where(alive, error * SLACK, 0.0)
 
     def solved(self, rows: Floats, reward: Floats) -> Floats:
         """Return (D, S) the values of chains (D, S, S) with rewards (D, S)."""

@@ -1,10 +1,9 @@
 """What a solver answers with: values, a policy, and the claim that it makes about them.
 
 A number leaves the toolkit as one of four types, so that a table or a plot cannot confuse them:
-`Certified` (an exact rational with a proof), `Bounded` (a float and a bound on its error that is
-sound in floating point), `Checked` (a number that rests on the degree of polynomials, which was
-checked at points and not proven; of sensitivity analyses) and `Estimated` (a sample mean and its
-standard error).
+`Certified` (an exact rational with a proof), `Bounded` (a float and a sound bound on its error),
+`Checked` (it rests on the degree of polynomials, which was checked at points, not proven; see
+sensitivity) and `Estimated` (a sample mean and its standard error).
 """
 
 from __future__ import annotations
@@ -341,7 +340,45 @@ def at_start(mdp: MDP, valued: Any) -> Bounded:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Solution(Valued, Pictured):
+class Found(Valued):
+    """Values of a model that were found, with bounds that hold in every state, and a policy."""
+
+    mdp: MDP
+    value: Floats  # (S,)
+    pairs: Integers | None  # (S,) the pair that the policy takes in each state
+    state_error: Floats  # (S,)
+    status: Status
+    iterations: int
+    seconds: float
+    claim: Claim = Claim.BOUNDED
+
+    def __post_init__(self) -> None:
+        for part in vars(self).values():
+            if isinstance(part, np.ndarray):
+                part.setflags(write=False)
+
+    @cached_property
+    def policy(self) -> Any:
+        """The policy, which also is the array (S,) of action numbers; None where one was given."""
+        if self.pairs is None:
+            return None
+        mdp = self.mdp
+        return Policy(space=mdp.space, actions=mdp.actions, rule=mdp.pair_action[self.pairs])
+
+    @property
+    def error(self) -> Floats:
+        """(S,) how far each value may be off."""
+        return self.state_error
+
+    def frame(self) -> DataFrame:
+        """Return the value, its error bound and the action of each state."""
+        columns = {"value": self.value, "error": self.error}
+        taken = {} if self.policy is None else {"action": self.policy}
+        return by_state(self.mdp, columns | taken)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Solution(Found, Pictured):
     """Values and policy of a solved model, with bounds that hold in every state.
 
     Attributes
@@ -356,10 +393,8 @@ class Solution(Valued, Pictured):
     regret_bound : float
         V*(s) - V^π(s), of costs V^π(s) - V*(s), is at most this in every state.
     status : Status
-    method : str
-        Name of the algorithm, as in `SOLVERS`.
-    solver : str
-        The solver with its settings.
+    method, solver : str
+        Name of the algorithm, as in `SOLVERS`, and the solver with its settings.
     iterations : int
     seconds : float
     claim : Claim
@@ -380,48 +415,25 @@ class Solution(Valued, Pictured):
     (['1', '0'], [[1.0, 3.0], [0.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])
     """
 
-    mdp: MDP
-    value: Floats
     pairs: Integers
-    state_error: Floats
     regret_bound: float
-    status: Status
     method: str
     solver: str
-    iterations: int
-    seconds: float
-    claim: Claim = Claim.BOUNDED
     gaps: Floats | None = None
     occupancy: Floats | None = None
     program: ProgramRun | None = None
 
-    def __post_init__(self) -> None:
-        for array in (self.value, self.pairs, self.state_error, self.gaps, self.occupancy):
-            if array is not None:
-                array.setflags(write=False)
-
-    @cached_property
-    def policy(self) -> Policy:
-        """The policy, which also is the array (S,) of the action number taken in each state."""
-        mdp = self.mdp
-        return Policy(space=mdp.space, actions=mdp.actions, rule=mdp.pair_action[self.pairs])
-
-    @property
-    def error(self) -> Floats:
-        """(S,) |V(s) - V*(s)| is at most this."""
-        return self.state_error
-
     @property
     def q(self) -> Floats:
         """(S, A) action values r + γ P V; -inf (of costs inf) where an action is not offered."""
-        never = np.inf if getattr(self.mdp, "sense", "max") == "min" else -np.inf
+        never = np.inf if self.mdp.sense == "min" else -np.inf
         table: Floats = MDP.by_action(self.mdp, self.mdp.backup(self.value), never)
         return table
 
     @property
     def gap_table(self) -> Floats:
         """(S, A) what each action loses against the value; NaN where it is not offered."""
-        sign = -1 if getattr(self.mdp, "sense", "max") == "min" else 1
+        sign = -1 if self.mdp.sense == "min" else 1
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
         with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
             lost = np.where(here == there, 0.0, sign * (here - there))
@@ -432,11 +444,6 @@ class Solution(Valued, Pictured):
         """Return the solution of `mdp`, of which this solution's model is the negation."""
         program = None if self.program is None else -self.program
         return replace(self, mdp=mdp, value=0.0 - self.value, program=program)
-
-    def frame(self) -> DataFrame:
-        """Return the value, its error bound and the action of each state."""
-        columns = {"value": self.value, "error": self.state_error, "action": self.policy}
-        return by_state(self.mdp, columns)
 
     def __repr__(self) -> str:
         return (
@@ -460,12 +467,12 @@ def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
     """Return columns (S,) beside the states, and `action` by name; by number without a model."""
     import pandas
 
-    names: dict[str, Any] = {"state": range(len(columns["action"]))}
-    if mdp is not None:
-        done = [mdp.actions[action] for action in columns["action"].tolist()]
-        names["state"] = [mdp.space.label(state) for state in range(mdp.n_states)]
-        columns = {**columns, "action": done}
-    return pandas.DataFrame({**names, **columns})
+    if mdp is None:
+        return pandas.DataFrame({"state": range(len(columns["action"])), **columns})
+    names = {"state": mdp.space.labels(range(mdp.n_states)), **columns}
+    if "action" in columns:
+        names["action"] = [mdp.actions[action] for action in columns["action"].tolist()]
+    return pandas.DataFrame(names)
 
 
 def in_decimals(numbers: Iterable[Fraction | float | None]) -> list[float]:

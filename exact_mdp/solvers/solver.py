@@ -1,7 +1,7 @@
 """One verb for every solver: `solve`, and the list of solvers.
 
-A solver is whatever `solve` accepts: an object with a `name` and a method `solve(model)`, see
-`solvers.dynamic`.
+A solver is an object with a `name` and a method `solve(model)`; `solvers.dynamic` says how to add
+one.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.solvers.bounds.bounds import is_acyclic
-from exact_mdp.solvers.dynamic.backward_induction import BackwardInduction
 from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance, opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
 from exact_mdp.solvers.dynamic.methods import (
+    BackwardInduction,
     GaussSeidel,
     ModifiedPolicyIteration,
     PolicyIteration,
@@ -51,15 +51,7 @@ Criterion = Literal["total", "average"]
 
 
 def mdp_of(model: object) -> MDP:
-    """Return a model as an MDP: itself, the compiled scenario, or what `MDP.load` reads.
-
-    An environment of Gymnasium that has its table P is taken as `MDP.from_gymnasium` takes it.
-
-    Raises
-    ------
-    ModelError
-        For anything else.
-    """
+    """Return a model as an MDP: itself, a scenario's, or that of a file or environment."""
     if isinstance(model, Scenario):
         return model.compile()
     if isinstance(model, MDP):
@@ -154,13 +146,7 @@ def solve(
     [2.5, 2.5]
     """
     solver = "auto" if solver is None else solver
-    if subject_to is not None and (solver, tol, start, criterion) != ("auto", None, None, "total"):
-        raise ModelError(
-            "limits on total rewards have one solver, which is exact",
-            where="subject_to",
-            fix="leave out solver, tol, start and criterion",
-        )
-    _check_horizon(horizon, terminal_value, start)
+    _check_fit(horizon, terminal_value, start, subject_to, (solver, tol, start, criterion))
     mdp = mdp_of(model)
     if is_average(criterion):
         require_no_horizon(horizon)
@@ -180,15 +166,23 @@ def solve(
         return least(mdp, partial(solve, solver=solver, tol=tol, start=opposite(mdp, start)))
     if endless(mdp):
         return solve_total(mdp, partial(solve, solver=solver, tol=tol))
-    if solver == "auto":
-        if is_acyclic(mdp):
-            return settled(_within(BackwardInduction().solve(mdp), tol))
-        return settled(ModifiedPolicyIteration(tol=tol, start=start).solve(mdp))
-    return settled(_set(solver, tol=tol, start=start).solve(mdp))
+    if solver == "auto" and is_acyclic(mdp):
+        check_tolerance("solve", tol)
+        return settled(_within(BackwardInduction().solve(mdp), tol))
+    chosen = ModifiedPolicyIteration() if solver == "auto" else solver
+    return settled(_set(chosen, tol=tol, start=start).solve(mdp))
 
 
-def _check_horizon(horizon: object, terminal_value: object, start: object) -> None:
-    """Raise ModelError for what has no use beside a horizon, or without one."""
+def _check_fit(
+    horizon: object, terminal_value: object, start: object, subject_to: object, given: object
+) -> None:
+    """Raise ModelError for what has no use beside limits or a horizon, or without one."""
+    if subject_to is not None and given != ("auto", None, None, "total"):
+        raise ModelError(
+            "limits on total rewards have one solver, which is exact",
+            where="subject_to",
+            fix="leave out solver, tol, start and criterion",
+        )
     if horizon is not None and start is not None:
         raise ModelError(
             "start holds values to begin the search with, and a horizon is solved in one pass",
@@ -251,9 +245,7 @@ def _set(solver: Any, **settings: Any) -> Solver:
 
 def _within(solution: Solution, tol: float | None) -> Solution:
     """Return a direct solution; warns where its error bound is above the tolerance."""
-    check_tolerance("solve", tol)
     if tol is None or solution.error_bound <= tol:
         return solution
-    message = f"the error bound is {solution.error_bound:.2g}: {Status.PRECISION}"
-    warn_of_precision(message)
+    warn_of_precision(f"the error bound is {solution.error_bound:.2g}: {Status.PRECISION}")
     return replace(solution, status=Status.PRECISION)

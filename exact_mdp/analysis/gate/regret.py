@@ -437,7 +437,7 @@ def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
     if mdp.floats:
         # Few pairs are so near to the best that it could: F ≤ E w / m, as w - γ P w ≥ m > 0.
         weights = margin_weights(mdp)
-        uses = float(weights.value.max() / weights.least.min())
+        uses = float(weights.value.max() / weights.smallest)
         open_ = loses & (least_gap <= widest(mdp, known) * (1 + 2 * uses) * SLACK)
         if open_.any():
             with suppress(SolverError):

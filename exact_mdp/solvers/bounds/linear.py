@@ -1,23 +1,15 @@
 """Solve x = c + γ P x for a nonnegative P, with a bound on the error that is sound.
 
-    LinearSystem(transition (S, S), discount, order=…).solve(constant (S,)) -> FixedPoint
-
 The values of a policy, its second moments, its expected steps and (with P transposed) its visits
-all have this form. The chain must leak: at discount 1 the rows of terminal states, where x is 0,
-have to be empty (`policy_chain` does that).
+all have this form. At discount 1 the rows of terminal states, where x is 0, have to be empty.
 
-Solving: small chains, and those whose factors are seen to be small, by elimination; others by
+Small chains, and those whose factors are seen to be small, are solved by elimination; others by
 sweeps, where a few lead there, else by BiCGSTAB, and where that does not converge by elimination
-after all, if there is room. Rows or columns dominated by their diagonal need no exchanges, so that
-factors stay within the band of the matrix: that of an order along which the chain only falls, of
-the states as numbered, or of Reverse Cuthill and McKee. Iterative refinement follows.
-
-Bounding: let k be at least |c + γ P x - x|, its rounding errors included. If e ≥ 0 satisfies
-e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is nonnegative. So the error solves the same
-equation with the residual for a constant, and is then verified with the rounding errors counted;
-where k / (1 - γ P 1) is about the same in all states, its maximum will do. That e - γ P e > 0 for
-some e > 0 also proves that the chain leaks
-(Berman and Plemmons, Nonnegative Matrices in the Mathematical Sciences, 1979, chapter 6, M35).
+after all, if there is room. Iterative refinement follows. Let k be at least |c + γ P x - x|, its
+rounding errors included. If e ≥ 0 satisfies e - γ P e ≥ k, then |x - x*| ≤ e, because (I - γP)⁻¹ is
+nonnegative. So the error solves the same equation with the residual for a constant; that
+e - γ P e > 0 for some e > 0 also proves that the chain leaks (Berman and Plemmons, Nonnegative
+Matrices in the Mathematical Sciences, 1979, chapter 6, M35).
 """
 
 from __future__ import annotations
@@ -40,14 +32,16 @@ from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
-FEW, SPARSE = 500, 5000  # states, or transitions: elimination takes milliseconds
-CHEAP, NARROW = 2e7, 4  # multiplications; how many times the entries a band has
-MOST_ENTRIES = 100_000_000  # of both factors, 12 bytes each
+# Where elimination takes milliseconds: states, or transitions; multiplications within a band, or a
+# band of so many times the entries of the chain.
+FEW, SPARSE = 500, 5000
+CHEAP, NARROW = 2e7, 4
+MOST_ENTRIES = 100_000_000  # of both factors: 12 bytes each, about a gigabyte
 REFINEMENTS = 5
 FIRST, CORRECTION = 1e-11, 1e-4  # residuals to iterate for, as parts of the constant
 SWEEPS, TRIED = 100, 6  # at most; after which to ask how fast they are
 STEPS, PATIENT = 400, 8000  # of BiCGSTAB, where elimination is possible, and where it is not
-CLOSE = 1e-12  # a sum that is nearly 1
+CLOSE = 1e-12  # how far a sum of floats that means 1 may be from it
 ALIKE = 2  # how much greater than need be an error bound may be that takes no equations
 
 Solve = Callable[[Floats], Floats]
@@ -65,18 +59,6 @@ class FixedPoint:
 class LinearSystem(ByFields):
     """The equation x = c + γ P x for one P and many c.
 
-    Attributes
-    ----------
-    transition : (S, S) csr array, nonnegative
-    discount : float
-        γ, itself rounded at most once.
-    order : (S,) ints, optional
-        Known where the chain is acyclic: every entry (s, t) has order[t] < order[s]. For a
-        transposed matrix that is the negative of the order.
-    roundings : int
-        How many times each entry of `transition` was rounded on its way from the exact number:
-        1 for rows of `MDP.transition`, about A + 2 for mixtures of them.
-
     Examples
     --------
     >>> walk = sp.csr_array([[0.5, 0.25], [0.0, 0.0]])
@@ -85,10 +67,10 @@ class LinearSystem(ByFields):
     ([2.5, 1.0], True)
     """
 
-    transition: sp.csr_array
-    discount: float = 1.0
-    order: Integers | None = None
-    roundings: int = 1
+    transition: sp.csr_array  # (S, S), nonnegative
+    discount: float = 1.0  # γ, itself rounded at most once
+    order: Integers | None = None  # (S,) where every entry (s, t) has order[t] < order[s]
+    roundings: int = 1  # of each entry of `transition` on its way from the exact number
 
     # ---- errors ------------------------------------------------------------------------------
 
@@ -231,20 +213,15 @@ class LinearSystem(ByFields):
     def swept(self, constant: Floats, enough: float, *, fine: float = 0.0) -> tuple[Floats, bool]:
         """Return x (S,) and whether its residual is `enough`; if not, sweeps would be too many.
 
-        With `fine` above 0 sweeps go on to a residual of that part of the values. Where all columns
-        sum to 1, as in equations of visits, x sums to Σ c / (1 - γ); what begins with that sum
-        keeps it, so that residuals sum to 0 and fall as fast as the chain mixes.
+        With `fine` above 0 sweeps go on to a residual of that part of the values.
         """
         from exact_mdp.solvers.kernels import linear as loops
 
-        chain, rate = self.transition, float(self.discount)
-        whole, stays = self._sums_to_one
+        chain, rate, closed = self.transition, float(self.discount), self._closed
         value, room = np.zeros((2, len(constant)))
-        if stays:
-            value += constant.sum() / (1 - rate) / len(constant)
         rows = loops.Rows(chain.indptr, chain.indices, chain.data)
         limits = (enough, fine, SWEEPS, TRIED)
-        done = loops.swept(rows, rate, constant, whole, *limits, value, room)
+        done = loops.swept(rows, rate, constant, closed, *limits, value, room)
         return np.asarray(value), bool(done)
 
     @cached_property
@@ -253,18 +230,10 @@ class LinearSystem(ByFields):
         return []
 
     @cached_property
-    def _sums_to_one(self) -> tuple[bool, bool]:
-        """Whether all rows sum to 1, and if not, whether all columns do; below discount 1."""
-        if self.discount == 1:
-            return False, False
-        each = np.ones(self.transition.shape[0])
-
-        def whole(matrix: Any) -> bool:
-            total = matrix @ each
-            return bool(max(total.max() - 1, 1 - total.min()) < CLOSE)
-
-        rows = whole(self.transition)
-        return rows, not rows and whole(self.transition.T)
+    def _closed(self) -> bool:
+        """Whether the discount is below 1, and no way leads to an end: all rows sum to 1."""
+        total = self.transition.sum(axis=1)
+        return bool(self.discount < 1 and max(total.max() - 1, 1 - total.min()) < CLOSE)
 
     def _iterated(self, constant: Floats, rtol: float) -> Floats:
         """Return x (S,) by BiCGSTAB, or by elimination once that has failed."""
@@ -291,13 +260,7 @@ class LinearSystem(ByFields):
         """Elimination, where it costs little."""
         chain = self.transition
         if chain.shape[0] <= FEW:
-            lower, upper = _reach(chain)
-            narrow = 6 * (lower + 1) * (lower + upper + 1) < chain.shape[0] ** 2  # S³ / 3 for all
-            return (
-                _banded(self.discount, lower, upper, chain)
-                if narrow
-                else _dense(self.discount, chain)
-            )
+            return _banded(self.discount, *_reach(chain), chain)
         if self.order is not None or (chain.nnz <= SPARSE and not self.work):
             order = None if self.order is None else np.argsort(self.order, kind="stable")
             return self._ordered(self._sparse, order)
@@ -345,16 +308,6 @@ class LinearSystem(ByFields):
         return lambda constant: inner(constant[order])[place]
 
 
-def _dense(discount: float, chain: sp.csr_array) -> Solve:
-    """Return LAPACK's elimination of all entries, by columns and so of the transpose."""
-    matrix = -discount * chain.toarray()
-    matrix.flat[:: len(matrix) + 1] += 1.0
-    factors, exchanged, failed = lapack.dgetrf(matrix.T, overwrite_a=True)
-    if failed:
-        raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")
-    return lambda constant: np.asarray(lapack.dgetrs(factors, exchanged, constant, trans=1)[0])
-
-
 def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
     """Return LAPACK's elimination within a band."""
     row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
@@ -392,10 +345,9 @@ def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
 
 
 def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
-    """Return the (S, S) transitions, terminal rows emptied, and (S,) rewards of `pairs` (S,)."""
-    matrix, live = mdp.transition, ~mdp.terminal
-    first, offsets = matrix.indptr[pairs], np.zeros(len(pairs) + 1, dtype=matrix.indptr.dtype)
-    np.cumsum((matrix.indptr[pairs + 1] - first) * live, out=offsets[1:])
-    places = np.arange(offsets[-1]) + np.repeat(first - offsets[:-1], np.diff(offsets))
-    parts = matrix.data[places], matrix.indices[places], offsets
-    return sp.csr_array(parts, shape=(mdp.n_states,) * 2), np.where(live, mdp.reward[pairs], 0.0)
+    """Return the (S, S) transitions and (S,) rewards of `pairs` (S,); 0 in terminal states."""
+    chain, reward, live = mdp.transition[pairs], mdp.reward[pairs], ~mdp.terminal
+    if mdp.terminal.any():
+        chain.data[np.repeat(mdp.terminal, np.diff(chain.indptr))] = 0.0
+        reward = np.where(live, reward, 0.0)
+    return chain, reward

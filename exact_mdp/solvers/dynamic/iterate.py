@@ -1,48 +1,29 @@
 """The one loop of all solvers that improve values, and what brings values nearer to the optimum.
 
-    repeat:  a pass over all pairs: T V - V, a greedy policy, bounds; then a step of the solver
+    repeat:  a pass over all pairs: T h - h, a greedy policy, bounds; then a step of the solver
 
 A pass over values h finds low and high with h + low w ≤ V^π ≤ V* ≤ h + high w, rounding apart
-(`solvers.bounds.bounds`). Once these are near enough, they are proven: widened by the greatest
-rounding error of any pair, or where that is too coarse by `verify`, which counts it pair by pair.
-Where no way leads to an end (w = 1), h need be right only up to what all values have in common, the
-`level`: d(h) = level, rather than 0 (relative value iteration, White, J. Math. Anal. Appl. 6, 1963;
-bounds by MacQueen, J. Math. Anal. Appl. 14, 1966), so that h is as small as values differ and
-loses no digits next to discount 1.
-
-Steps are
-
-    take       h ← T h
-    relax      h(s) ← (T h)(s), one state after another, upward and downward in turn: carries values
-               along a whole chain of states at once (Gauss-Seidel)
-    evaluate   h ← h + x, x = T_π h - h + γ P_π x: by sweeps, until the residual falls to a goal,
-               where chains mix soon
-    correct    the same by elimination or BiCGSTAB, however slowly chains mix; one correction a pass
-
-Where sweeps of a policy were too slow, each round relaxes, and as much is spent on that as the
-equations of a policy cost before these are solved: most policies on the way are soon improved upon.
-One that no longer changes, while bounds hardly fall, is solved for at once.
-
-Passes over large models leave out pairs that are beaten, as values have not risen enough since they
-were looked at to make up for it (MacQueen, Operations Research 15, 1967; Hastings and van Nunen,
-in Markov Decision Theory, 1977). Small models are passed over in NumPy, and policies solved for
-directly, as loading compiled loops takes longer than solving them.
+(`solvers.bounds.bounds`). Where no way leads to an end (w = 1), h need be right only up to what all
+values have in common, the `level`: d(h) = level, rather than 0 (relative value iteration, White, J.
+Math. Anal. Appl. 6, 1963; bounds by MacQueen, J. Math. Anal. Appl. 14, 1966), so that h is as small
+as values differ and loses no digits next to discount 1. Passes over large models leave out pairs
+that are beaten, as values have not risen enough since they were looked at to make up for it
+(MacQueen, Operations Research 15, 1967).
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields
-from functools import cached_property, partial, wraps
+from functools import cached_property
 from numbers import Real
 from time import perf_counter
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.model import MDP
@@ -62,56 +43,36 @@ PASSES = 3  # in NumPy, as long as solving them there: 2 to 4 do best on 50 to 4
 BAND = 8  # multiplications within a band that take the time of a transition
 PATIENCE, LONG = 20, 200  # passes without progress: near rounding errors, and anywhere
 FEW, MANY = 100, 10_000  # passes that bring too little, whatever is done between them
-S = TypeVar("S")
 
 
-class Solver(Protocol):
-    """Settings of an algorithm, and the one verb."""
+class Solver(ABC):
+    """An algorithm with its settings, and the one verb."""
 
-    @property
-    def name(self) -> str:
-        """Name of the algorithm, as in `SOLVERS`."""
+    name: ClassVar[str]
 
     def solve(self, model: MDP) -> Solution:
-        """Return values, a policy and their error bounds."""
-
-
-def of_costs(solve: Callable[[S, MDP], Solution]) -> Callable[[S, MDP], Solution]:
-    """Return a solver's method that takes models of costs too, whose negation it maximises."""
-
-    @wraps(solve)
-    def door(self: S, model: MDP) -> Solution:
-        if isinstance(model, MDP) and model.sense == "min":
-            solution: Solution = least(model, partial(solve, self))
-            return solution
+        """Return optimal values, a policy and their error bounds; see `solvers.solve`."""
+        if of_type(model, MDP, "model", "give an MDP").sense == "min":
+            costs: Solution = least(model, self.solve)
+            return costs
         with np.errstate(over="ignore", invalid="ignore"):
-            return solve(self, model)
+            return self.best(model)
 
-    return door
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Pass:
-    """What one pass over all pairs found around h, but for rounding errors."""
-
-    step: Floats  # (S,) T h - h
-    low: float  # h + low · w ≤ V^π ≤ V* ≤ h + high · w, for the greedy policy π
-    high: float
-
-    @property
-    def half(self) -> float:
-        """Half of the gap between the bounds, in units of w."""
-        return (self.high - self.low) / 2
+    @abstractmethod
+    def best(self, model: MDP) -> Solution:
+        """Return the greatest values of a model that is maximised."""
 
 
 class Values:
-    """Values h on their way to V*, and the greedy policy of the last pass."""
+    """Values h on their way to V*, and what the last pass over all pairs found around them."""
 
     def __init__(self, mdp: MDP, value: Floats) -> None:
         """Begin with `value` (S,)."""
         self.mdp, self.value, self.weights = mdp, value, margin_weights(mdp)
         self.facts, self.live = rounding_facts(mdp), ~mdp.terminal
-        self.pairs: Integers = np.full(mdp.n_states, -1)
+        self.pairs: Integers = np.full(mdp.n_states, -1)  # the greedy policy π
+        self.rise = value  # (S,) T h - h
+        self.low = self.high = 0.0  # h + low · w ≤ V^π ≤ V* ≤ h + high · w, but for rounding
         self.best, self.idle, self.stable = np.inf, 0, False
         self.passes, self.level, self.relaxed = 0, 0.0, False
         self.large = mdp.n_transitions >= LOOPS
@@ -119,99 +80,122 @@ class Values:
         self.spent, self.price = 0.0, 2.0 * PASSES * mdp.n_transitions
         if self.large:
             self.price = PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states
-        self._error, self._rise, self._before = 0.0, 0.0, np.zeros(mdp.n_states)
+        self._error, self._climbed, self._before = 0.0, 0.0, np.zeros(mdp.n_states)
         self._solved: tuple[Integers, LinearSystem] | None = None
 
     # ---- passes over all pairs -----------------------------------------------------------------
 
-    def improve(self) -> Pass:
-        """Return a pass over all pairs; a pair is left only for what is better as computed."""
+    def improve(self) -> None:
+        """Pass over all pairs; one is left only for what is better as computed."""
         mdp, before = self.mdp, self.pairs
-        if self.weights.uniform and self.live.any():
-            self._centre()
-        bottom, top = float(self.value.min()), float(self.value.max())
+        bottom, top = self._centred()
         self._error = largest_error(mdp, bottom, top)
-        if self.large:
-            from exact_mdp.solvers.kernels import bellman
-
-            self.pairs, step = before.copy(), np.empty(mdp.n_states)
-            climb = mdp.discount * float((self.value - self._before).max())
-            self._rise += climb + 4 * UNIT * (abs(climb) + abs(self._rise))
-            self._before = self.value.copy()
-            size = 2 * (top - bottom) + max(-bottom, top) + self.facts.size
-            slack = self._error + 16 * UNIT * (abs(self._rise) + size)
-            known = self.pairs, self._ceilings, self._rise, slack
-            low, high = self._blocks(bellman.improve, self.value, *known, step)
-        else:
-            step, low, high = self._improve_all()
         if not self.live.any():
-            low = high = 0.0
-        if not np.isfinite(high - low):
+            self.pairs, self.low, self.high = mdp.pair_offsets[:-1], 0.0, 0.0
+        elif self.large:
+            self._improve_compiled(bottom, top)
+        else:
+            self._improve_all()
+        half = self.half
+        if not np.isfinite(half):
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         self.passes, self.spent = self.passes + 1, self.spent + 2 * mdp.n_transitions
         self.stable = bool((self.pairs == before).all())
-        half = (high - low) / 2
         self.best, self.idle = (half, 0) if half < 0.9 * self.best else (self.best, self.idle + 1)
-        return Pass(step=step, low=low, high=high)
 
-    def _improve_all(self) -> tuple[Floats, float, float]:
-        """Return T h - h (S,), and the least and greatest ratio; what `bellman.improve` does."""
-        mdp, value, state = self.mdp, self.value, self.mdp.pair_state
-        matrix, row = mdp.transition, self._entry_pair
+    def _centred(self) -> tuple[float, float]:
+        """Leave out what all values have in common, which would cost digits; return their range."""
+        apart = self.weights.uniform and self.live.any()
+        values = self.value[self.live] if apart and self.mdp.terminal.any() else self.value
+        bottom, top = float(values.min()), float(values.max())
+        middle = (top + bottom) / 2
+        if apart and abs(middle) > top - bottom:
+            self.value = self.live * (self.value - middle)
+            self.level += self.facts.leak * middle
+            return bottom - middle, top - middle
+        return bottom, top
+
+    def _improve_all(self) -> None:
+        """Pass over a small model in NumPy, as loading compiled loops takes longer."""
+        mdp, value, state, margin = self.mdp, self.value, self.mdp.pair_state, self.weights.margin
+        matrix, row, first = mdp.transition, self._entry_pair, mdp.pair_offsets[:-1]
         own = value[state]
         ahead = np.bincount(row, matrix.data * (value[matrix.indices] - own[row]), mdp.n_pairs)
         gain = mdp.reward + (mdp.discount * ahead - self.facts.leak * own)
-        first = mdp.pair_offsets[:-1]
-        step = np.maximum.reduceat(gain, first)
-        before = np.where(self.pairs < 0, first, self.pairs)
-        better = np.flatnonzero(step > gain[before])
+        self.rise = rise = np.maximum.reduceat(gain, first)
+        pairs = np.where(self.pairs < 0, first, self.pairs)
+        better = np.flatnonzero(rise > gain[pairs])
         if len(better):
-            places = np.flatnonzero(gain == step[state])
-            before[better] = places[np.searchsorted(places, first[better])]
-        self.pairs = before
-        ratio = gain / self.weights.margin
-        low = float(ratio[before[self.live]].min(initial=np.inf))
-        return step, low, float(ratio[self._open].max(initial=-np.inf))
+            places = np.flatnonzero(gain == rise[state])
+            pairs[better] = places[np.searchsorted(places, first[better])]
+        self.pairs = pairs
+        lowest, highest = rise, rise
+        if not self.weights.uniform:
+            ratio = gain / margin
+            lowest, highest = ratio[pairs], np.maximum.reduceat(ratio, first)
+        self.low = float(lowest.min(where=self.live, initial=np.inf))
+        self.high = float(highest.max(where=self.live, initial=-np.inf))
+        if self.weights.uniform:
+            self.low, self.high = self.low / float(margin[0]), self.high / float(margin[0])
 
-    def _centre(self) -> None:
-        """Leave out what all values have in common, which would cost digits."""
-        values = self.value[self.live] if self.mdp.terminal.any() else self.value
-        span, middle = float(np.ptp(values)), float(values.max() + values.min()) / 2
-        if abs(middle) > span:
-            self.value = self.live * (self.value - middle)
-            self.level += self.facts.leak * middle
+    def _improve_compiled(self, bottom: float, top: float) -> None:
+        """Pass over a large model, blocks of states on as many threads as there are cores."""
+        from exact_mdp.solvers.kernels import bellman
 
-    def relative(self, swept: Pass) -> float:
+        mdp, ends, model = self.mdp, self._ends, self._model
+        self.pairs, self.rise = self.pairs.copy(), np.empty(mdp.n_states)
+        climb = mdp.discount * float((self.value - self._before).max())
+        self._climbed += climb + 4 * UNIT * (abs(climb) + abs(self._climbed))
+        self._before = self.value.copy()
+        size = 2 * (top - bottom) + max(-bottom, top) + self.facts.size
+        slack = self._error + 16 * UNIT * (abs(self._climbed) + size)
+        known = self.value, self.pairs, self._ceilings, self._climbed, slack, self.rise
+        extremes = np.empty((len(ends) - 1, 2))
+
+        def work(number: int, first: int, last: int) -> None:
+            bellman.improve(first, last, model, *known, extremes[number])
+
+        run_blocks(ends, work, mdp.n_transitions)
+        self.low, self.high = float(extremes[:, 0].min()), float(extremes[:, 1].max())
+
+    @property
+    def half(self) -> float:
+        """Half of the gap between the bounds, in units of w."""
+        return (self.high - self.low) / 2
+
+    def relative(self) -> float:
         """Return the tolerance where none is asked for: a part of the greatest value."""
-        centre = swept.low / 2 + swept.high / 2
+        centre = self.low / 2 + self.high / 2
         largest = float(np.abs(self.value + centre * self.weights.value).max())
         return RELATIVE_TOLERANCE * max(1.0, largest)
 
-    def floor(self, swept: Pass) -> float:
-        """Return how far rounding may have moved the bounds of a pass, at most."""
-        weights, large = self.weights, max(abs(swept.low), abs(swept.high))
-        return (self._error + large * (weights.error + 8 * UNIT)) / weights.smallest
+    def floor(self) -> float:
+        """Return how far rounding may have moved the bounds of the pass, at most."""
+        return self.weights.floor(self._error, max(abs(self.low), abs(self.high)))
 
-    def proven(self, swept: Pass) -> Bounds:
-        """Return the bounds of a pass, wider by all that rounding may have done to them."""
-        value, weight, wide = self.value, self.weights.value, self.floor(swept)
-        low, high = swept.low - wide, swept.high + wide
+    def proven(self) -> Bounds:
+        """Return the bounds of the pass, wider by all that rounding may have done to them."""
+        value, weight, wide = self.value, self.weights.value, self.floor()
+        low, high = self.low - wide, self.high + wide
         return Bounds(value=value, weight=weight, pairs=self.pairs, low=low, high=high).centred()
 
     # ---- steps ---------------------------------------------------------------------------------
 
-    def take(self, swept: Pass) -> None:
+    def take(self) -> None:
         """Move on to T h, at the level between the bounds.
 
         Once states were improved one by one, errors differ, and a change of level could bring back
         more than a sweep removes.
         """
         if not self.relaxed:
-            self._between(swept.low, swept.high)
-        self.value = self.value + self.live * (swept.step - self.level)
+            self._settle_level()
+        self.value = self.value + self.live * (self.rise - self.level)
 
     def relax(self) -> None:
-        """Improve each state in turn by what others have become."""
+        """Improve each state by what others have become, upward and downward (Gauss-Seidel).
+
+        This carries values along a whole chain of states at once.
+        """
         from exact_mdp.solvers.kernels import bellman
 
         upward = np.arange(self.mdp.n_states)
@@ -219,30 +203,36 @@ class Values:
             bellman.relax(order, self._model, self.value, self.level)
         self.relaxed, self.spent = True, self.spent + 4 * self.mdp.n_transitions
 
-    def evaluate(self, swept: Pass, goal: float) -> None:
-        """Bring values near to those of the policy, or nearer to V* for less than that costs."""
+    def evaluate(self, goal: float) -> None:
+        """Bring values near to those of the policy, or nearer to V* for less than that costs.
+
+        By sweeps of the policy, until the residual falls to a goal, where chains mix soon. Where
+        that was too slow, each round relaxes, and as much is spent on that as the equations of a
+        policy cost before these are solved: most policies on the way are soon improved upon. One
+        that no longer changes, while bounds hardly fall, is solved for at once.
+        """
         if not self.slow:
             enough, fine = goal * self.weights.smallest, 8 * UNIT * (goal == 0)
-            more, done = self.system.swept(self._left(swept), enough, fine=fine)
+            more, done = self.system.swept(self._left(), enough, fine=fine)
             if done:
                 self._add(more)
                 return
             self.price, self.slow = self.system.work / BAND or self.price, True
         due = self.spent >= self.price or (self.stable and self.idle) or goal == 0
         if due:
-            self.correct(swept)
+            self.correct()
         else:
-            self.take(swept)
+            self.take()
         if self.large and not (due and (self.stable or self.idle < 5)):
             self.relax()
 
-    def correct(self, swept: Pass, *, closely: bool = False) -> None:
-        """Solve the equations of the policy: a step of iterative refinement.
+    def correct(self, *, closely: bool = False) -> None:
+        """Solve the equations of the policy, h + γ P_π x + T_π h - h: iterative refinement.
 
         What is left of a residual weighs 1 / (1 - γ) times as much in values: where policies are
         improved by these alone, they have to be solved `closely`, or may go round for ever.
         """
-        left, system = self._left(swept), self.system
+        left, system = self._left(), self.system
         if self.weights.uniform and self.live.any() and NEARLY_ONE < self.mdp.discount < 1:
             self._add(*system.relatively(left, self.live * self.weights.margin))
         else:
@@ -251,44 +241,32 @@ class Values:
         if self.large:
             self.price = system.work / BAND or self.price
 
-    def _left(self, swept: Pass) -> Floats:
+    def _left(self) -> Floats:
         """Return what a step of the policy adds to values, beyond the level between the bounds."""
-        self._between(swept.low, swept.high)
-        left = swept.step - self.level
-        left *= self.live
-        return left
+        self._settle_level()
+        return self.live * (self.rise - self.level)
 
     def _add(self, more: Floats, common: float = 0.0) -> None:
         """Correct the values; what all of them have in common is left out where it is no matter."""
         if self.weights.uniform:
             middle = float(more.max() + more.min()) / 2
-            more -= middle
+            more = more - middle
             self.level += self.facts.leak * (middle + common)
-        more *= self.live
-        self.value = self.value + more
+        self.value = self.value + self.live * more
 
-    def _between(self, low: float, high: float) -> None:
+    def _settle_level(self) -> None:
         """Set the level to the middle between two d / m, where there is one."""
         if self.weights.uniform:
-            self.level = (low / 2 + high / 2) * float(self.weights.margin[0])
+            self.level = (self.low / 2 + self.high / 2) * float(self.weights.margin[0])
 
     @property
     def system(self) -> LinearSystem:
         """The equations of the policy."""
         if self._solved is None or not np.array_equal(self._solved[0], self.pairs):
-            self._solved = self.pairs, LinearSystem(self._chain(), self.mdp.discount)
+            self._solved = None  # two of them would take twice the memory
+            chain, _ = policy_chain(self.mdp, self.pairs)
+            self._solved = self.pairs, LinearSystem(chain, self.mdp.discount)
         return self._solved[1]
-
-    def _chain(self) -> sp.csr_array:
-        """Return the transitions of the policy, (S, S)."""
-        if not self.large:
-            return policy_chain(self.mdp, self.pairs)[0]
-        from exact_mdp.solvers.kernels import bellman
-
-        rows, states = self._rows, self.mdp.n_states
-        count = bellman.take_rows(self._model, self.pairs, rows)
-        parts = rows.data[:count], rows.indices[:count], rows.indptr  # until the next policy
-        return sp.csr_array(parts, shape=(states, states))
 
     @cached_property
     def _entry_pair(self) -> Integers:
@@ -296,36 +274,8 @@ class Values:
         return np.repeat(np.arange(self.mdp.n_pairs), np.diff(self.mdp.transition.indptr))
 
     @cached_property
-    def _open(self) -> Any:
-        """The pairs of states that are not terminal."""
-        return self.live[self.mdp.pair_state] if self.mdp.terminal.any() else slice(None)
-
-    # ---- what compiled loops take --------------------------------------------------------------
-
-    def _blocks(self, work: Any, *what: Any) -> tuple[float, float]:
-        """Run `work` on all blocks of states; return the least and the greatest ratio."""
-        ends, model = self._ends, self._model
-        extremes = np.empty((len(ends) - 1, 2))
-        if len(ends) == 2:
-            work(0, ends[1], model, *what, extremes[0])
-        else:
-            run_blocks(ends, lambda n, first, last: work(first, last, model, *what, extremes[n]))
-        low, high = zip(*extremes.tolist(), strict=True)
-        return min(low), max(high)
-
-    @cached_property
     def _ends(self) -> list[int]:
         return block_ends(self.mdp.transition.indptr[self.mdp.pair_offsets])
-
-    @cached_property
-    def _rows(self) -> Any:
-        """Room for the rows of any policy."""
-        from exact_mdp.solvers.kernels.linear import Rows
-
-        mdp, matrix = self.mdp, self.mdp.transition
-        most = np.maximum.reduceat(np.diff(matrix.indptr), mdp.pair_offsets[:-1]).sum()
-        indptr = np.zeros(mdp.n_states + 1, dtype=matrix.indptr.dtype)
-        return Rows(indptr, np.empty(most, dtype=matrix.indices.dtype), np.empty(most))
 
     @cached_property
     def _ceilings(self) -> Floats:
@@ -341,7 +291,7 @@ class Values:
 def iterate(
     mdp: MDP,
     solver: Any,
-    step: Callable[[Values, Pass, float], None],
+    step: Callable[[Values, float], None],
     *,
     tol: float | None = None,
     evaluates: bool = False,
@@ -349,16 +299,18 @@ def iterate(
 ) -> Solution:
     """Return the optimum within `tol`: passes, and a `step` of the solver after each.
 
-    `step` gets the values, the last pass, and how near values of a policy should come: a tenth of
-    the least error yet, and ever less where that has not fallen for some passes. Where it
-    `evaluates` policies and no tolerance is asked for, values are brought as near as floats can be
-    at last, so that ties show as ties. Where it does so in `exact` steps, a policy that comes back
-    ends it, once that brings its values no nearer.
+    `step` gets the values, and how near those of a policy should come: a tenth of the least error
+    yet, and ever less where that has not fallen for some passes. Where it `evaluates` policies and
+    no tolerance is asked for, values are brought as near as floats can be at last, so that ties
+    show as ties. Where it does so in `exact` steps, a policy that comes back ends it, once that
+    brings its values no nearer.
 
-    Bounds of the size of rounding errors that fall no longer say that double precision is at its
-    limit; bounds that stay large say nothing for as many passes as there are states, as values are
-    carried on by one transition in each. Where steps do not evaluate policies and `FEW` passes
-    bring nothing, or `MANY` were too few, each is followed by an evaluation of its policy.
+    Bounds near enough are proven: widened by the greatest rounding error of any pair, or where that
+    is too coarse by `verify`, which counts it pair by pair. Bounds of the size of rounding errors
+    that fall no longer say that double precision is at its limit; bounds that stay large say
+    nothing for as many passes as there are states, as values are carried on by one transition in
+    each. Where steps do not evaluate policies and `FEW` passes bring nothing, or `MANY` were too
+    few, every second one gives way to an evaluation of its policy.
     """
     started, status = perf_counter(), None
     values = Values(mdp, values_of(mdp, solver.start))
@@ -367,9 +319,9 @@ def iterate(
     polished = evaluates and not exact and tol is None
     ready = not polished
     for iteration in range(1, solver.max_iterations + 1):
-        swept = values.improve()
-        half, floor, idle = swept.half * weight, values.floor(swept) * weight, values.idle
-        limit = values.relative(swept) if tol is None else tol
+        values.improve()
+        half, floor, idle = values.half * weight, values.floor() * weight, values.idle
+        limit = values.relative() if tol is None else tol
         stalled = idle >= PATIENCE and half <= 4 * floor
         close = doubt * half <= limit or stalled
         if exact:
@@ -377,8 +329,9 @@ def iterate(
             close = again in seen and (close or idle >= 5)
             seen.add(again)
         if close and (stalled or (ready and (values.stable or not polished))):
-            reached = values.proven(swept) if tol is not None else None
-            if reached is None or reached.error > limit:
+            if tol is not None:
+                reached = values.proven()
+            if tol is None or reached.error > limit:
                 reached = verify(mdp, values.value, strict=tol is not None).centred()
             if exact:
                 status = Status.DIRECT
@@ -398,9 +351,9 @@ def iterate(
         hurried = hurried or (not evaluates and (idle >= FEW or iteration >= MANY))
         if hurried and iteration % 2:
             with suppress(SolverError):
-                values.correct(swept)
+                values.correct()
         else:
-            step(values, swept, goal)
+            step(values, goal)
     if status in (None, Status.NO_BOUND):
         status = status or Status.ITERATION_LIMIT
         reached = verify(mdp, values.value).centred()
@@ -408,11 +361,10 @@ def iterate(
 
 
 def conclude(
-    mdp: MDP, solver: Solver, bounds: Any, *, status: Status, iterations: int, started: float
+    mdp: MDP, solver: Solver, bounds: Bounds, *, status: Status, iterations: int, started: float
 ) -> Solution:
     """Return the solution; warns where its tolerance is beyond double precision.
 
-    `bounds` are Bounds, or what has a value, pairs, state_error and regret, too;
     `started` is the `perf_counter()` at which the solver began.
     """
     solution = Solution(
@@ -428,22 +380,11 @@ def conclude(
         seconds=perf_counter() - started,
     )
     if status is Status.PRECISION:
-        message = f"the error bound is {solution.error_bound:.2g}: {status}"
-        warn_of_precision(message)
+        warn_of_precision(f"the error bound is {solution.error_bound:.2g}: {status}")
     if status in (Status.ITERATION_LIMIT, Status.NO_BOUND):
         detail = f"{solution.error_bound:.2g} is the error bound after {iterations} iterations"
         raise SolverError(status, detail, solution)
     return solution
-
-
-def check_settings(solver: Any) -> None:
-    """Raise ModelError for a `tol` that is not positive, or another number below 1."""
-    name = type(solver).__name__
-    settings = {
-        field.name: getattr(solver, field.name) for field in fields(solver) if field.name != "start"
-    }
-    check_tolerance(name, settings.pop("tol", None))
-    check_counts(name, **settings)
 
 
 def check_tolerance(where: str, tol: Any) -> None:

@@ -5,20 +5,11 @@
 
 over the states that are not terminal; those have value 0. The weights α are positive and the same
 everywhere, so that the primal gives the value of every state (d'Epenoux, Management Science 10,
-1963; Puterman, Markov Decision Processes, 1994, section 6.9). What is returned as `occupancy` is
+1963; Puterman, Markov Decision Processes, 1994, section 6.9). The `occupancy` that is returned is
 the dual's solution at α = the model's start: the visits of the optimal policy.
 
-An optimiser is right to six or eight digits. The policy that it implies is evaluated, and improved
-as in policy iteration where that shows it not to be optimal, so that the answer has rounding errors
-alone; the optimiser's own objective is checked against it.
-
-What comes out is a proof by weak duality: where V + c w satisfies all constraints of the primal
-(see `solvers.bounds.bounds`), and y are the visits of a policy, which solve the equations of the
-dual,
-
-    Σ_l r(l) y(l)  ≤  optimal start value  ≤  Σ_s α(s) (V(s) + c w(s)),   α the start distribution.
-
-Both sides are worked out apart, each with its rounding errors: see `Solution.program`.
+An optimiser is right to six or eight digits. Its values are handed in as where policy iteration
+begins, so that the answer has rounding errors alone; its objective is checked against them.
 """
 
 from __future__ import annotations
@@ -35,18 +26,18 @@ from exact_mdp.mdp.errors import extra, known
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gains, gamma, rounding_facts
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, policy_chain, transposed
-from exact_mdp.solvers.dynamic.iterate import of_costs
+from exact_mdp.solvers.bounds.gains import gains
+from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, transposed
+from exact_mdp.solvers.dynamic.iterate import Solver
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
-AGREEMENT = 1e-5
+AGREEMENT = 1e-5  # of objectives; optimisers stop at parts of 1e-8 of their own scale
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearProgram:
+class LinearProgram(Solver):
     """Solve by a linear program; adds the gap of every pair and the visits of the policy.
 
     Parameters
@@ -69,23 +60,27 @@ class LinearProgram:
     def __post_init__(self) -> None:
         known(self.solver, OPTIMISERS, "solver", "LinearProgram")
 
-    @of_costs
-    def solve(self, model: MDP) -> Solution:
+    def best(self, model: MDP) -> Solution:
         """Return the optimum up to rounding, with `gaps`, `occupancy` and `program`."""
-        started = perf_counter()
-        margin_weights(model)
-        start, objective, steps = self._optimised(model)
+        started, live = perf_counter(), ~model.terminal
+        margin_weights(model)  # raises an error where no bound is possible
+        start, objective, steps = self._optimised(model, live)
         if not np.isfinite(start).all():
             raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-        solution = PolicyIteration(start=start).solve(model)
-        if objective is not None:
-            self._check(objective, model, solution.value)
-        chain, alpha = policy_chain(model, solution.pairs)[0], model.start_distribution
+        solution = PolicyIteration(start=start).best(model)
+        reached = float(solution.value[live].mean()) if live.any() else 0.0
+        scale = abs(reached) + float(np.abs(model.reward).max())
+        if not abs(objective - reached) <= AGREEMENT * scale:
+            detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"
+            raise SolverError(Status.PROGRAM_FAILED, detail)
+        chain, _ = policy_chain(model, solution.pairs)
         system = LinearSystem(chain, model.discount, order=levels(model))
-        visits = transposed(system).solve(alpha, UNIT * alpha)
-        lower, upper = _sides(model, solution, visits)
+        visits = transposed(system).approximate(model.start_distribution)
         occupancy = np.zeros(model.n_pairs)
-        occupancy[solution.pairs] = np.where(model.terminal, 0.0, visits.value)
+        occupancy[solution.pairs] = np.where(live, visits, 0.0)
+        # By weak duality the optimal start value lies between Σ r y of any policy's visits y, which
+        # is what that policy is worth, and α V of any V that satisfies the primal.
+        lower, upper = solution.start.interval
         return replace(
             solution,
             method=self.name,
@@ -96,40 +91,32 @@ class LinearProgram:
             occupancy=occupancy,
             program=ProgramRun(
                 by=self.solver,
-                variables=int((~model.terminal).sum()),
-                constraints=int((~model.terminal[model.pair_state]).sum()),
+                variables=int(live.sum()),
+                constraints=int(live[model.pair_state].sum()),
                 steps=steps,
                 lower=lower,
                 upper=upper,
             ),
         )
 
-    def _optimised(self, mdp: MDP) -> tuple[Floats, float | None, int]:
+    def _optimised(self, mdp: MDP, live: np.ndarray) -> tuple[Floats, float, int]:
         """Return the optimiser's values (S,), their mean, and its steps."""
         with extra("lp"):
             import cvxpy
-        live, scale = ~mdp.terminal, float(np.abs(mdp.reward).max())
+        values, scale = np.zeros(mdp.n_states), float(np.abs(mdp.reward).max())
         if scale == 0.0:
-            return np.zeros(mdp.n_states), None, 0
-        open_pairs = live[mdp.pair_state]
+            return values, 0.0, 0
+        open_pairs, count = live[mdp.pair_state], int(live.sum())
         own = sp.csr_array(
             (np.ones(mdp.n_pairs), mdp.pair_state, np.arange(mdp.n_pairs + 1)), mdp.transition.shape
         )
         matrix = sp.csc_array((own - mdp.discount * mdp.transition)[open_pairs][:, live])
-        value, count = cvxpy.Variable(matrix.shape[1]), matrix.shape[1]
+        value = cvxpy.Variable(count)
         above = matrix @ value >= mdp.reward[open_pairs] / scale
         problem = cvxpy.Problem(cvxpy.Minimize(np.full(count, 1 / count) @ value), [above])
         steps = optimised(problem, self.solver)
-        values = np.zeros(mdp.n_states)
         values[live] = np.asarray(value.value) * scale
         return values, float(problem.value) * scale, steps
-
-    def _check(self, objective: float, mdp: MDP, value: Floats) -> None:
-        """Raise SolverError where the optimiser's mean is not that of the values (S,) reached."""
-        reached, scale = float(value[~mdp.terminal].mean()), float(np.abs(mdp.reward).max())
-        if not abs(objective - reached) <= AGREEMENT * (abs(reached) + scale):
-            detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"
-            raise SolverError(Status.PROGRAM_FAILED, detail)
 
 
 def optimised(problem: Any, solver: str) -> int:
@@ -146,13 +133,3 @@ def optimised(problem: Any, solver: str) -> int:
     if problem.status != cvxpy.OPTIMAL:
         raise SolverError(Status.PROGRAM_FAILED, f"{solver} says {problem.status}")
     return int(problem.solver_stats.num_iters or 0)
-
-
-def _sides(mdp: MDP, solution: Solution, visits: FixedPoint) -> tuple[float, float]:
-    """Return lower and upper bound on the optimal start value, from visits and from values."""
-    reward, facts = np.where(mdp.terminal, 0.0, mdp.reward[solution.pairs]), rounding_facts(mdp)
-    below, size = float(reward @ visits.value), np.abs(visits.value)
-    error = facts.reward_errors(mdp, 0, mdp.n_pairs)[solution.pairs]
-    doubt = float(np.abs(reward) @ visits.error + error @ (size + visits.error))
-    doubt += float(gamma(mdp.n_states + 2)) * float(np.abs(reward) @ size)
-    return below - doubt * SLACK, solution.start.interval[1]

@@ -1,29 +1,40 @@
-"""Four ways to improve values until their error bound is small: one step each.
+"""Five textbook algorithms: four improve values until their error bound is small, a step at a time.
 
     value iteration              V ← T V,   (T V)(s) = max over pairs l of s of r(l) + γ P_l V
     Gauss-Seidel                 the same, state after state, upward and downward in number by turns
     modified policy iteration    π greedy for V,   V ← (T_π)^m V
     policy iteration             π greedy for V,   V ← (I - γ P_π)⁻¹ r_π
+    backward induction           V(s) ← (T V)(s) once, from the end to the start, without cycles
 
-`solvers.dynamic.iterate` has the loop: it stops by two-sided bounds, never because a step changed
-little (Haddad and Monmege, Theoretical Computer Science 735, 2018), and answers with the middle
-between them. Sources: Puterman, Markov Decision Processes, 1994, sections 6.3 to 6.5; Puterman and
-Shin, Management Science 24, 1978; Howard, Dynamic Programming and Markov Processes, 1960.
+`iterate` has the loop: it stops by two-sided bounds, never because a step changed little (Haddad
+and Monmege, Theoretical Computer Science 735, 2018), and answers with the middle between them.
+Sources: Puterman, Markov Decision Processes, 1994, sections 4.5 and 6.3 to 6.5; Puterman and Shin,
+Management Science 24, 1978; Howard, Dynamic Programming and Markov Processes, 1960.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any, ClassVar
 
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.solvers.dynamic.iterate import Pass, Values, check_settings, iterate, of_costs
-from exact_mdp.solvers.solution import Solution
+from exact_mdp.solvers.bounds.bounds import backward, is_acyclic, verify
+from exact_mdp.solvers.dynamic.iterate import (
+    Solver,
+    Values,
+    check_counts,
+    check_tolerance,
+    conclude,
+    iterate,
+)
+from exact_mdp.solvers.solution import Solution, Status
 
 
 @dataclass(frozen=True, kw_only=True)
-class Improving(ABC):
+class Improving(Solver):
     """A method that improves values step by step until their error bound is at most `tol`.
 
     Parameters
@@ -40,19 +51,18 @@ class Improving(ABC):
     max_iterations: int = 1_000_000
     start: Any = field(default=None, repr=False, compare=False)
 
-    name: ClassVar[str]
     evaluates: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        check_tolerance(type(self).__name__, self.tol)
+        check_counts(type(self).__name__, max_iterations=self.max_iterations)
 
     @abstractmethod
-    def step(self, values: Values, swept: Pass, goal: float) -> None:
+    def step(self, values: Values, goal: float) -> None:
         """Improve the values after a pass over all pairs; see `iterate`."""
 
-    @of_costs
-    def solve(self, model: MDP) -> Solution:
-        """Return the optimum within `tol`; see `solvers.solve` for what is raised."""
+    def best(self, model: MDP) -> Solution:
+        """Return the optimum within `tol`."""
         return iterate(model, self, self.step, tol=self.tol, evaluates=self.evaluates)
 
 
@@ -72,9 +82,9 @@ class ValueIteration(Improving):
 
     name: ClassVar[str] = "value-iteration"
 
-    def step(self, values: Values, swept: Pass, goal: float) -> None:
+    def step(self, values: Values, goal: float) -> None:
         """Take T V."""
-        values.take(swept)
+        values.take()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +102,9 @@ class GaussSeidel(Improving):
 
     name: ClassVar[str] = "gauss-seidel"
 
-    def step(self, values: Values, swept: Pass, goal: float) -> None:
+    def step(self, values: Values, goal: float) -> None:
         """Take T V, and sweep upward and downward."""
-        values.take(swept)
+        values.take()
         values.relax()
 
 
@@ -117,16 +127,16 @@ class ModifiedPolicyIteration(Improving):
     name: ClassVar[str] = "modified-policy-iteration"
     evaluates: ClassVar[bool] = True
 
-    def step(self, values: Values, swept: Pass, goal: float) -> None:
+    def step(self, values: Values, goal: float) -> None:
         """Evaluate the policy; the first one is greedy for the next reward alone."""
         if values.passes == 1:
-            values.take(swept)
+            values.take()
         else:
-            values.evaluate(swept, goal)
+            values.evaluate(goal)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicyIteration:
+class PolicyIteration(Solver):
     """Howard's policy iteration; the error bound is what rounding leaves.
 
     A pair is kept unless another is better as computed, and a policy that comes back ends
@@ -154,13 +164,39 @@ class PolicyIteration:
     name: ClassVar[str] = "policy-iteration"
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        check_counts(type(self).__name__, max_iterations=self.max_iterations)
 
-    @of_costs
-    def solve(self, model: MDP) -> Solution:
-        """Return the optimum up to rounding; see `solvers.solve` for what is raised."""
+    def best(self, model: MDP) -> Solution:
+        """Return the optimum up to rounding."""
 
-        def step(values: Values, swept: Pass, goal: float) -> None:
-            values.correct(swept, closely=True)
+        def step(values: Values, goal: float) -> None:
+            values.correct(closely=True)
 
         return iterate(model, self, step, evaluates=True, exact=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BackwardInduction(Solver):
+    """Solve an acyclic model in one pass, at any discount; exact but for rounding.
+
+    Examples
+    --------
+    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [[3], [0]])
+    >>> solution = BackwardInduction().solve(mdp)
+    >>> solution.value.tolist(), solution.iterations
+    ([3.0, 0.0], 1)
+    """
+
+    name: ClassVar[str] = "backward-induction"
+
+    def best(self, model: MDP) -> Solution:
+        """Return the optimum; raises ModelError where states come back to themselves."""
+        started = perf_counter()
+        if not is_acyclic(model):
+            raise ModelError(
+                "backward induction needs a model without cycles",
+                where=f"model {model.name}".strip(),
+                fix="use ModifiedPolicyIteration or PolicyIteration",
+            )
+        bounds = verify(model, backward(model, model.reward)).centred()
+        return conclude(model, self, bounds, status=Status.DIRECT, iterations=1, started=started)

@@ -131,19 +131,6 @@ def improve(
 
 
 @compiled
-def take_rows(model: Model, pairs: Integers, rows: Rows) -> int:
-    """Copy the rows of a policy's pairs (S,) side by side into `rows`; return their entries."""
-    place = 0
-    for state in range(len(pairs)):
-        if not model.ended[state]:
-            for i in span(model.indptr[pairs[state]], model.indptr[pairs[state] + 1]):
-                rows.indices[place], rows.data[place] = model.indices[i], model.data[i]
-                place += 1
-        rows.indptr[state + 1] = place
-    return place
-
-
-@compiled
 def relax(order: Integers, model: Model, value: Floats, level: float) -> None:
     """Make `value` (S,) satisfy max d = level in each state in turn, in the `order` (S,).
 

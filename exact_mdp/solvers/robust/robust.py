@@ -28,7 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from time import perf_counter
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -36,7 +36,7 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import closure
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.bounds import levels
@@ -44,25 +44,15 @@ from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
 from exact_mdp.solvers.robust.sets import Ambiguity, Block, Inner, blocks_of, entries, inner
-from exact_mdp.solvers.solution import (
-    Claim,
-    SolverError,
-    Status,
-    Valued,
-    warn_of_precision,
-)
+from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_precision
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 Nature = Literal["worst", "best"]
 DELAYS = 200  # policies and laws tried for the greatest number of steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class RobustSolution(Valued, Result):
+class RobustSolution(Found, Result):
     """Robust values with bounds that hold in every state, and who does what to reach them.
 
     Attributes
@@ -81,46 +71,9 @@ class RobustSolution(Valued, Result):
         Expected rewards there.
     """
 
-    mdp: MDP
     nature: Nature
-    value: Floats
-    state_error: Floats
-    pairs: Integers | None
     transition: sp.csr_array
     reward: Floats
-    status: Status
-    iterations: int
-    seconds: float
-    claim: Claim = Claim.BOUNDED
-
-    def __post_init__(self) -> None:
-        for array in (self.value, self.state_error, self.pairs, self.reward):
-            if array is not None:
-                array.setflags(write=False)
-
-    @property
-    def policy(self) -> Policy | None:
-        """The policy, which also is the array (S,) of action numbers; None where one was given."""
-        mdp, pairs = self.mdp, self.pairs
-        if pairs is None:
-            return None
-        return Policy(space=mdp.space, actions=mdp.actions, rule=mdp.pair_action[pairs])
-
-    @property
-    def error(self) -> Floats:
-        """(S,) the value is off by at most this."""
-        return self.state_error
-
-    def frame(self) -> DataFrame:
-        """Return the value, its error bound and the action of each state."""
-        import pandas
-
-        mdp, policy = self.mdp, self.policy
-        states = mdp.space.labels(range(mdp.n_states))
-        columns = {"state": states, "value": self.value, "error": self.state_error}
-        if policy is not None:
-            columns["action"] = [mdp.actions[action] for action in policy.tolist()]
-        return pandas.DataFrame(columns)
 
     def __repr__(self) -> str:
         return (
