@@ -204,10 +204,14 @@ def signs_of(rows: BellmanRows, step: Step, own: Integers | None = None) -> Inte
     bits, which are too small by less than 2, tell most signs; all digits the others.
     """
     value, earned = step
-    spare = [max(0, below.bit_length() - 2 * BITS) for below in value.below]
-    parts = zip(value.top, value.group.tolist(), strict=True)
-    listed = [(top >> spare[g], value.below[g] >> spare[g]) for top, g in parts]
-    longest = max(top.bit_length() - below.bit_length() for top, below in listed)
+    parts = [
+        (top, value.below[g], g) for top, g in zip(value.top, value.group.tolist(), strict=True)
+    ]
+    longest = max(top.bit_length() - below.bit_length() for top, below, _ in parts)
+    # Of a denominator so many bits are left that cutting off the others moves no number by 1.
+    most = 2 * BITS + max(0, -longest)
+    spare = [max(0, below.bit_length() - most) for below in value.below]
+    listed = [(top >> spare[g], below >> spare[g]) for top, below, g in parts]
     up, down = max(0, BITS - longest), max(0, longest - BITS)
     near = [(top << up) // (below << down) for top, below in listed]
     offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))

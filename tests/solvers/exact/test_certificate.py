@@ -271,3 +271,21 @@ def test_another_model_is_another_model() -> None:
     optimum = certified("cycle, discounted")
     assert optimum.violations(MODELS["cycle, discounted"].with_(name="other")) == []
     assert optimum.violations(MODELS["cycle"]) == ["the certificate is of another model"]
+
+
+@pytest.mark.parametrize("digits", [40, 130, 300, 2000])
+@pytest.mark.parametrize("discount", ["0", "9/10"])
+def test_tiny_numbers_of_long_denominators_change_no_sign(digits: int, discount: str) -> None:
+    """All values are far below 1, and most of their digits are behind the first 256 bits."""
+    rows = [
+        [["1/2", "1/2", 0], [0, "1/3", "2/3"], [1, 0, 0]],
+        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
+        [["1/5", "2/5", "2/5"], [0, 0, 1], ["1/7", "6/7", 0]],
+    ]
+    rewards, unit = [[3, -5, 2], [7, 6, 5], [-1, 0, 4]], F(10 ** (digits * 5 // 8) + 1, 10**digits)
+    plain = certify(MDP.from_arrays(rows, rewards, discount, layout="ass"))
+    tiny = [[unit * reward for reward in row] for row in rewards]
+    scaled = certify(MDP.from_arrays(rows, tiny, discount, layout="ass"))
+    assert scaled.violations() == []
+    assert (scaled.optimal_pairs == plain.optimal_pairs).all()
+    assert scaled.value.tolist() == [unit * value for value in plain.value]
