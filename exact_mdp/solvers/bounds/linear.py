@@ -309,15 +309,19 @@ class LinearSystem(ByFields):
 
 
 def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
-    """Return LAPACK's elimination within a band."""
+    """Return LAPACK's elimination within a band, of the transpose.
+
+    Rows that are dominated by their diagonal are columns there, and so need no exchanges.
+    """
     row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
-    places = np.zeros((2 * lower + upper + 1, chain.shape[0]), order="F")
-    places[lower + upper + row - chain.indices, chain.indices] = -discount * chain.data
+    places = np.zeros((2 * upper + lower + 1, chain.shape[0]), order="F")
+    places[lower + upper + chain.indices - row, row] = -discount * chain.data
     places[lower + upper] += 1.0
-    factors, exchanged, failed = lapack.dgbtrf(places, lower, upper, overwrite_ab=True)
+    factors, exchanged, failed = lapack.dgbtrf(places, upper, lower, overwrite_ab=True)
     if failed:
         raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")
-    return lambda constant: np.asarray(lapack.dgbtrs(factors, lower, upper, constant, exchanged)[0])
+    band = factors, upper, lower
+    return lambda constant: np.asarray(lapack.dgbtrs(*band, constant, exchanged, trans=1)[0])
 
 
 def _reach(chain: sp.csr_array) -> tuple[int, int]:
