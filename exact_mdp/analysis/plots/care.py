@@ -10,14 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from exact_mdp.analysis.plots.style import (
-    BLUE,
+    HIGH,
+    LOW,
     MARKS,
-    WHITE,
     Look,
     axes_or_new,
+    bars,
     described,
-    name_rows,
     picture,
+    shaded,
     swatch,
 )
 from exact_mdp.mdp.care.scenario import Scenario
@@ -119,28 +120,21 @@ def plot_status_transitions(
     >>> [text.get_text() for text in ax.texts], ax.get_ylabel()
     (['100', '100', '100', '100'], 'status now: anger, confusion')
     """
-    ax = axes_or_new(ax, high=6.0)
-    _vector_map(ax, law, threshold)
+    ax = _vector_map(ax, law, threshold)
     names = {"x": "status after the action", "y": f"status now: {', '.join(statuses)}"}
     return described(ax, "How the status moves in one step (chances in %)", **names)
 
 
-def _vector_map(ax: Axes, shares: Floats, threshold: float) -> None:
+def _vector_map(ax: Axes | None, shares: Floats, threshold: float) -> Axes:
     """Draw shares (2^n, 2^n), from row to column, with numbers in per cent from a threshold on."""
-    size = len(shares)
+    ax, size = axes_or_new(ax, high=6.0), len(shares)
     labels = [format(number, f"0{size.bit_length() - 1}b") for number in range(size)]
-    # Cells, not one image: it stays sharp at any size.
-    ax.pcolormesh(np.sqrt(shares), cmap="Greys", vmin=0, vmax=1, edgecolors="0.9", linewidth=0.3)
-    for row, column in np.argwhere(shares >= threshold):
-        share = shares[row, column]
-        centre: Look = {"ha": "center", "va": "center", "fontsize": 6}
-        ink = "white" if share > 0.35 else "black"
-        ax.text(column + 0.5, row + 0.5, f"{100 * share:.0f}", color=ink, **centre)
-    middles = np.arange(size) + 0.5
-    ax.set_xticks(middles, labels, rotation=90, fontsize=7, family="monospace")
-    ax.set_yticks(middles, labels, fontsize=7, family="monospace")
-    ax.tick_params(length=0)
-    ax.set(ylim=(size, 0), aspect="equal")
+    places = map(tuple, np.argwhere(shares >= threshold).tolist())
+    texts = {place: f"{100 * shares[place]:.0f}" for place in places}
+    shaded(ax, np.sqrt(shares), labels, labels, texts, fontsize=7, family="monospace")
+    ax.tick_params(axis="x", rotation=90)
+    ax.set_aspect("equal")
+    return ax
 
 
 @picture
@@ -174,19 +168,21 @@ def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> A
 def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
     """Draw the loss by status: missed where present, and seen where absent."""
     by_cost = sorted(costs.by_status.items(), key=lambda item: -sum(item[1]))
-    ax = axes_or_new(ax, [name for name, _ in by_cost] * 2)
-    fills = ((WHITE, ""), (BLUE, "//"))
-    for row, (_, losses) in enumerate(by_cost):
-        for place, loss, (fill, hatch) in zip((row - 0.2, row + 0.2), losses, fills, strict=True):
-            ax.barh(place, loss, height=0.38, facecolor=fill, edgecolor="black", hatch=hatch)
-            ax.text(loss, place, f" {loss:.2f}", va="center", fontsize=8)
-    name_rows(ax, [name for name, _ in by_cost])
+    names = [name for name, _ in by_cost]
+    drawn = [
+        (row + aside, loss, look | {"height": 0.38})
+        for row, (_, losses) in enumerate(by_cost)
+        for aside, loss, look in zip((-0.2, 0.2), losses, (LOW, HIGH), strict=True)
+    ]
+    ax = bars(axes_or_new(ax, names * 2), names, drawn)
+    for place, loss, _ in drawn:
+        ax.text(loss, place, f" {loss:.2f}", va="center", fontsize=8)
     ax.margins(x=0.12)
     return described(
         ax,
         "What errors in reading each status cost",
         x="loss against perfect perception (reward)",
-        handles=[*map(swatch, ("present, not seen", "absent, but seen"), fills)],
+        handles=[swatch("present, not seen", LOW), swatch("absent, but seen", HIGH)],
     )
 
 
@@ -210,7 +206,5 @@ def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
     >>> plot_confusion(np.eye(4)).get_xlabel()
     'perceived status'
     """
-    ax = axes_or_new(ax, high=6.0)
-    _vector_map(ax, confusion, 0.05)
-    what = "How each status is perceived (chances in %)"
+    ax, what = _vector_map(ax, confusion, 0.05), "How each status is perceived (chances in %)"
     return described(ax, what, x="perceived status", y="true status")

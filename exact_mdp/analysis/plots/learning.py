@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -59,9 +59,7 @@ def plot_learning_curves(
 
     Examples
     --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.analysis.learning.curves import learning_curve
-    >>> from exact_mdp.solvers.learning.q_learning import QLearning
+    >>> from exact_mdp import QLearning, Scenario, learning_curve
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> curve = learning_curve(mdp, QLearning(epochs=20).train(mdp, rng=0), rng=1)
     >>> plot_learning_curves(curve, window=5).get_xlabel()
@@ -69,21 +67,27 @@ def plot_learning_curves(
     """
     ax = axes_or_new(ax)
     every = curves if isinstance(curves, Mapping) else {"mean over a window": curves}
+    bands = {}
     for number, (label, curve) in enumerate(every.items()):
-        form = line(number)
         parts = np.array_split(curve.sampled, max(len(curve.sampled) // BIN, 1))
         at = np.linspace(0, len(curve.sampled) - 1, len(parts))
-        low, high = ([f(part) for part in parts] for f in (np.min, np.max))
-        band = "range of sampled means" if len(every) == 1 else None
-        ax.fill_between(at, low, high, color=form["color"], alpha=0.22, linewidth=0, label=band)
+        band = at, [part.min() for part in parts], [part.max() for part in parts]
+        bands[label] = band, smoothed(curve.value, window)
         if np.ptp(curve.value) > 0:
-            ax.plot(curve.value, ".", color=form["color"], markersize=1, alpha=0.3)
-        at, smooth = smoothed(curve.value, window)
-        ax.plot(at, smooth, linewidth=1.6, label=label, **form)
-    if optimum is not None:
-        level(ax, optimum)
+            ax.plot(curve.value, ".", color=line(number)["color"], markersize=1, alpha=0.3)
+    _banded(ax, bands, "range of sampled means", optimum)
     what = "Value of the greedy policy while it learns"
     return described(ax, what, x="epoch", y="return (reward)")
+
+
+def _banded(ax: Axes, curves: Mapping[str, Any], words: str, optimum: float | None) -> None:
+    """Draw a line (x, y) by label, and the band (x, low, high) around it."""
+    for number, (label, (band, curve)) in enumerate(curves.items()):
+        form, name = line(number), words if len(curves) == 1 else None
+        ax.fill_between(*band, color=form["color"], alpha=0.22, linewidth=0, label=name)
+        ax.plot(*curve, linewidth=1.6, label=label, **form)
+    if optimum is not None:
+        level(ax, optimum)
 
 
 @picture
@@ -113,17 +117,12 @@ def plot_value_bands(
     >>> plot_value_bands({"two runs": values}, window=5).get_xlabel()
     'epoch'
     """
-    ax = axes_or_new(ax)
-    for number, (label, curves) in enumerate(values.items()):
-        form = line(number)
+    ax, bands = axes_or_new(ax), {}
+    for label, curves in values.items():
         low, high = np.quantile(curves, [0.05, 0.95], axis=0)
-        at, middle = smoothed(curves.mean(axis=0), window)
-        below, above = smoothed(low, window)[1], smoothed(high, window)[1]
-        band = "5 to 95 % of the runs" if len(values) == 1 else None
-        ax.fill_between(at, below, above, color=form["color"], alpha=0.25, linewidth=0, label=band)
-        ax.plot(at, middle, linewidth=1.4, label=label, **form)
-    if optimum is not None:
-        level(ax, optimum)
+        middle = smoothed(curves.mean(axis=0), window)
+        bands[label] = (*smoothed(low, window), smoothed(high, window)[1]), middle
+    _banded(ax, bands, "5 to 95 % of the runs", optimum)
     what = "Exact value of the greedy policy, mean over runs"
     return described(ax, what, x="epoch", y="value (reward)")
 
@@ -151,10 +150,7 @@ def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None
 
     Examples
     --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.analysis.learning.outcomes import outcomes
-    >>> from exact_mdp.solvers.learning.q_learning import QLearning
-    >>> from exact_mdp.solvers.learning.training import train
+    >>> from exact_mdp import QLearning, Scenario, outcomes, train
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> runs = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
     >>> plot_regrets(runs).get_xlabel()
@@ -214,10 +210,7 @@ def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -
 
     Examples
     --------
-    >>> from exact_mdp import Scenario
-    >>> from exact_mdp.analysis.learning.outcomes import outcomes
-    >>> from exact_mdp.solvers.learning.q_learning import QLearning
-    >>> from exact_mdp.solvers.learning.training import train
+    >>> from exact_mdp import QLearning, Scenario, outcomes, train
     >>> mdp = Scenario.load("yuan2025").compile()
     >>> runs = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
     >>> plot_distinct({"20 epochs": runs}).get_ylabel()

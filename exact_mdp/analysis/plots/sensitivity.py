@@ -19,15 +19,19 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
+    HIGH,
     INK,
-    LINES,
-    WHITE,
+    LOW,
     Look,
     axes_or_new,
-    bars_across,
+    bar,
+    bars,
     described,
+    line,
+    lines,
     name_rows,
     picture,
+    shaded,
     swatch,
 )
 from exact_mdp.analysis.vary.intervals import tolerances_of
@@ -57,7 +61,7 @@ RADIUS = {
     "kl": "radius: KL(p‖q) of each row (nats)",
     "entropy": "radius: KL(q‖p) of each row (nats)",
 }
-LOW, HIGH = (WHITE, ""), (BLUE, "//")
+INKS = (BLACK, *INK)
 MOST_ROWS = 32
 MOST_POLICIES = 8  # in a legend
 STEEP = 50  # times the usual value, beyond which values leave the picture
@@ -85,15 +89,12 @@ def plot_gradient(gradient: Gradient, *, most: int = 15, ax: Axes | None = None)
     Fills say where the value goes: a positive elasticity of a negative value lowers it.
     """
     table = gradient.frame().dropna(subset="elasticity (% per %)").head(most)
-    ax = axes_or_new(ax, names := table["parameter"].tolist())
     rises = (table["derivative (reward per unit)"] > 0).tolist()
-    for place, length in enumerate(table["elasticity (% per %)"]):
-        bars_across(ax, place, length, HIGH if rises[place] else LOW, "")
-    name_rows(ax, names)
-    ax.axvline(0, color=BLACK, linewidth=0.8)
+    looks = [HIGH if up else LOW for up in rises]
+    drawn = zip(range(len(table)), table["elasticity (% per %)"], looks, strict=True)
     words = {True: ("raises the value", HIGH), False: ("lowers the value", LOW)}
     return described(
-        ax,
+        bars(ax, table["parameter"].tolist(), drawn),
         "Which parameters move the value most",
         gradient.model,
         x="elasticity of the value at the start (% per %)",
@@ -116,22 +117,17 @@ def plot_tornado(
     known(output, OUTPUT, "output", "output")
     middle = float(getattr(tornado.today, output).value)
 
-    def reaches(bar: Bar) -> list[tuple[float, tuple[str, str]]]:
+    def reaches(bar: Bar) -> list[tuple[float, Look]]:
         """Return both ends' reach and look, the wider first."""
         low, high = (getattr(end, output).value - middle for end in (bar.low, bar.high))
         return sorted(((low, LOW), (high, HIGH)), key=lambda end: -abs(end[0]))
 
-    bars = sorted(tornado.bars, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
-    names = [_with_range(b.parameter.name, b.low.at, b.high.at) for b in bars]
-    ax = axes_or_new(ax, names)
-    for place, bar in enumerate(bars):
-        for reach, look in reaches(bar):
-            bars_across(ax, place, reach, look, "", left=middle)
-    name_rows(ax, names)
-    ax.axvline(middle, color=BLACK, linewidth=0.8)
+    rows = sorted(tornado.bars, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
+    names = [_with_range(b.parameter.name, b.low.at, b.high.at) for b in rows]
+    drawn = ((row, *end) for row, bar in enumerate(rows) for end in reaches(bar))
     what = "regret" if output == "regret" else "value"
     return described(
-        ax,
+        bars(ax, names, drawn, middle),
         f"Tornado: the {what} at both ends of each range",
         tornado.model,
         x=f"{OUTPUT[output]} (reward)",
@@ -144,10 +140,8 @@ def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value along a parameter, the policy re-optimised and held fixed."""
     ax = axes_or_new(ax)
     table, at = curve.table, curve.table.points[:, 0].astype(float)
-    drawn = ("optimal", table.optimal), ("fixed", table.fixed[:, 0])
-    for line, (output, values) in zip(LINES, drawn, strict=False):
-        label = OUTPUT[output].partition(", ")[2]
-        ax.plot(at, values, linestyle=line, color=BLACK, label=label)
+    curves = {"policy re-optimised": table.optimal, "policy held fixed": table.fixed[:, 0]}
+    lines(ax, at, curves, inks=[BLACK])
     _mark_today(ax, float(curve.parameter.value), at.min(), at.max())
     names = {"x": _axis(curve.parameter), "y": "value at the start (reward)"}
     return described(ax, f"The value along {curve.parameter.name}", curve.model, **names)
@@ -175,13 +169,13 @@ def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = 
         if number:
             label = "another policy becomes optimal" if number == 1 else None
             ax.axvline(x[0], color="0.5", linestyle=":", linewidth=1, label=label)
-        for ratio, line, ink, how in (
+        for ratio, dashes, ink, how in (
             (piece.value, "-", BLACK, "re-optimised"),
             (piece.fixed, "--", "0.4", "held fixed"),
         ):
             if ratio is not None:
                 values = [float(ratio.at(value)) for value in at]
-                ax.plot(x, values, line, color=ink, label=f"policy {how}" if first else None)
+                ax.plot(x, values, dashes, color=ink, label=f"policy {how}" if first else None)
                 drawn += values
     sizes = np.abs(drawn)
     near = np.array(drawn)[sizes <= STEEP * (float(np.median(sizes)) or 1.0)]
@@ -227,14 +221,14 @@ def plot_thresholds(
         low, high = float(each.curve.range.low), float(each.curve.range.high)
         width = (high - low) or 1.0
         near, far = ((float(end) - low) / width for end in each.stable(reached=reached))
-        bars_across(ax, place, 1.0, LOW, "", height=0.6)
-        where: Look = {"left": near, "height": 0.6}
-        bars_across(ax, place, far - near, (BLUE, ""), "the optimal policy stays", **where)
+        bar(ax, place, 1.0, LOW, height=0.6)
+        stays: Look = {"color": BLUE, "left": near, "label": "the optimal policy stays"}
+        bar(ax, place, far - near, stays, height=0.6)
         for threshold in each.found:
             if not reached or threshold.reached:
-                x, line = (threshold.value - low) / width, ":" if threshold.touch else "-"
+                x, dashes = (threshold.value - low) / width, ":" if threshold.touch else "-"
                 ends = [place - 0.3, place + 0.3]
-                ax.plot([x, x], ends, line, color=BLACK, lw=1, label="an optimal action changes")
+                ax.plot([x, x], ends, dashes, color=BLACK, lw=1, label="an optimal action changes")
         today = (float(each.curve.parameter.value) - low) / width
         ax.plot(today, place, "D", color=BLACK, markersize=4, label="today")
         ax.text(0, place + 0.42, _number(low), ha="left", va="center", fontsize=7)
@@ -266,7 +260,8 @@ def plot_two_way(grid: TwoWay, *, ax: Axes | None = None) -> Axes:
         ]
         most = max(1, min(3, 12 // count))
         text = ", ".join(differing[:most]) + ", …" * (len(differing) > most)
-        handles.append(swatch(fill(f"policy {number}: {text}", 30), (str(shades[number]), "")))
+        look = {"color": str(shades[number]), "hatch": ""}
+        handles.append(swatch(fill(f"policy {number}: {text}", 30), look))
     colours, ends = ListedColormap([*map(str, shades)]), (-0.5, count - 0.5)
     ax.pcolormesh(x, y, shown, cmap=colours, vmin=ends[0], vmax=ends[1], shading="nearest")
     for number in np.unique(shown).tolist():
@@ -292,7 +287,7 @@ def plot_robust_curve(curve: RobustCurve, *, ax: Axes | None = None) -> Axes:
     """
     ax, radii = axes_or_new(ax), [radius for radius, _ in curve.points]
     every = [each for _, each in curve.points]
-    for label, values, line, marker, shade in (
+    for label, values, dashes, marker, shade in (
         ("robust policy, tables right", [each.robust_value for each in every], "-", "s", "0"),
         ("nominal policy, tables right", [each.value for each in every], "--", "s", "0.55"),
         ("robust policy, worst case", [each.robust.start for each in every], "-", "o", "0"),
@@ -300,7 +295,7 @@ def plot_robust_curve(curve: RobustCurve, *, ax: Axes | None = None) -> Axes:
     ):
         form: Look = {"marker": marker, "markersize": 4, "color": shade, "label": label}
         form["markerfacecolor"] = shade if shade == "0" else "white"
-        ax.plot(radii, [value.value for value in values], line, **form)
+        ax.plot(radii, [value.value for value in values], dashes, **form)
     names = {"x": RADIUS[curve.kind], "y": "value at the start (reward)"}
     return described(ax, "Values where the tables may be wrong", every[0].mdp.name, **names)
 
@@ -322,19 +317,24 @@ def plot_sobol(
         )
     order = np.argsort(-each.total, kind="stable")[:most]
     every = [_with_range(each.name, r.low, r.high) for each, r in indices.spans.items()]
-    ax = axes_or_new(ax, names := [every[place] for place in order.tolist()])
-    places = np.arange(len(order))
-    for at, lengths, half, look, label in (
-        (-0.19, each.first, each.first_half, HIGH, "first order: alone"),
-        (0.19, each.total, each.total_half, LOW, "total: alone and with others"),
-    ):
-        bars_across(ax, places + at, lengths[order], look, label, height=0.38, xerr=half[order])
-    name_rows(ax, names)
-    ax.axvline(0, color=BLACK, linewidth=0.8)
+    drawn = [
+        (row + aside, lengths[place], look | {"height": 0.38, "xerr": half[place]})
+        for aside, lengths, half, look in (
+            (-0.19, each.first, each.first_half, HIGH),
+            (0.19, each.total, each.total_half, LOW),
+        )
+        for row, place in enumerate(order.tolist())
+    ]
+    ax = bars(ax, [every[place] for place in order.tolist()], drawn)
     ax.set_xlim(right=max(1.0, ax.get_xlim()[1]))
-    legend = f"{indices.confidence:.0%} intervals"
-    what = f"Variance of the {OUTPUT[output]}"
-    return described(ax, what, indices.model, x="share of the variance", legend=legend)
+    return described(
+        ax,
+        f"Variance of the {OUTPUT[output]}",
+        indices.model,
+        x="share of the variance",
+        handles=[swatch("first order: alone", HIGH), swatch("total: alone and with others", LOW)],
+        legend=f"{indices.confidence:.0%} intervals",
+    )
 
 
 # ---- draws -------------------------------------------------------------------------------------
@@ -365,10 +365,9 @@ def plot_acceptability(
         at = np.append(np.linspace(0, near, 21), at[2:])
     for number, candidate in enumerate(draws.candidates):
         share, low, high = draws.acceptability(at, number)
-        colour, line = (BLACK, *INK)[number % 7], LINES[number % len(LINES)]
-        form: Look = {"linestyle": line, "color": colour, "marker": "o" * (len(at) == 1)}
-        ax.plot(at, share, label=candidate.name, **form)
-        ax.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
+        form = line(number, INKS)
+        ax.plot(at, share, label=candidate.name, marker="o" * (len(at) == 1), **form)
+        ax.fill_between(at, low, high, color=form["color"], alpha=0.2, linewidth=0)
     ax.set_ylim(-0.02, 1.02)
     if at.max() > 0:
         ax.set_xlim(0, at.max())
@@ -385,9 +384,7 @@ def plot_cost_effectiveness(analysis: CostEffectiveness, *, ax: Axes | None = No
     frontier = [share for _, share in analysis.frontier(at)]
     ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
     shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)
-    for place, (name, share) in enumerate(shares):
-        colour, line = (BLACK, *INK)[place % 7], LINES[place % len(LINES)]
-        ax.plot(at, share, linestyle=line, color=colour, label=name)
+    lines(ax, at, dict(shares), INKS)
     ax.set_ylim(-0.02, 1.02)
     x, y = "willingness to pay for one unit of effect", "share of draws in which it is the best"
     return described(ax, "Cost-effectiveness acceptability curves", x=x, y=y)
@@ -413,16 +410,9 @@ def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
     >>> len(plot_optimal_actions(draws).get_xticks())
     4
     """
-    ax = axes_or_new(ax)
-    share, labels = draws.probability_optimal()[0][:MOST_ROWS], draws.labels[:MOST_ROWS]
-    ax.imshow(share, cmap="Greys", vmin=0, vmax=1, aspect="auto")
-    for row, column in np.ndindex(*share.shape):
-        value = float(share[row, column])
-        ink = "white" if value > 0.55 else "black"
-        ax.text(column, row, _share(value), ha="center", va="center", color=ink, fontsize=7)
-    ax.set_xticks(range(len(draws.actions)), draws.actions)
-    ax.set_yticks(range(len(labels)), labels)
-    ax.tick_params(length=0)
+    ax, share = axes_or_new(ax), draws.probability_optimal()[0][:MOST_ROWS]
+    texts = {place: _share(float(value)) for place, value in np.ndenumerate(share)}
+    shaded(ax, share, draws.labels[:MOST_ROWS], draws.actions, texts)
     y = "status at subtask 0, trial 0" if draws.compiled else "state"
     what = "Share of draws in which each action is optimal"
     return described(ax, what, draws.model, x="action", y=y)

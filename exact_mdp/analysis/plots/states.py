@@ -1,10 +1,9 @@
 """Pictures of any model's states: what a policy does, what states are worth, how often they come.
 
-A map has a cell for each state, placed as `analysis.layout` says: by two or more columns of the
-state space, or by the `shape` of a grid world. Actions whose names are directions are arrows. The
-start has a heavy frame; where an episode ends stands the first letter of the end's label, such as
-goal or hole, or ∎. Values of states that are only numbered are bars. `place` stands for shape,
-down, across and the columns held fixed.
+A map has a cell for each state, placed as `analysis.layout` says. Actions that are directions are
+arrows. The start has a heavy frame; where an episode ends stands the first letter of the end's
+label, such as goal or hole, or ∎. Values of states that are only numbered are bars. `place` stands
+for shape, down, across and the columns held fixed.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ from exact_mdp.analysis.plots.style import (
     ORANGE,
     Look,
     axes_or_new,
+    bars,
     cell,
     described,
     fill_of,
-    name_rows,
     narrow,
     picture,
     swatch,
@@ -88,22 +87,20 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
     >>> [text.get_text() for text in ax.texts]
     ['∎', '∎', '∎', '∎', '∎', '←']
     """
-    layout = _placed(model, place)
-    ax, signs, ends = _map(layout, ax), layout.signs, _ends(model)
-    choices = taken(model, policy_of(model, policy).weights(model))
-    used, font = set[int](), _font(layout)
+    layout, ends, used = _placed(model, place), _ends(model), set[int]()
+    signs, choices = layout.signs, taken(model, policy_of(model, policy).weights(model))
+    shown: dict[int, tuple[str, Look]] = {}
     for state in layout.shown.tolist():
-        where, numbers = (int(layout.column[state]), int(layout.row[state])), choices[state]
+        numbers = choices[state]
         if state in ends:
-            cell(ax, *where, ends[state][0], fill="0.92", ink="0.2", font=font)
+            shown[state] = ends[state][0], {"fill": "0.92", "ink": "0.2"}
         elif len(numbers) > 1:
-            cell(ax, *where, joined([signs[n] for n in numbers], "mixed"), font=6)
+            shown[state] = joined([signs[n] for n in numbers], "mixed"), {"font": 6}
         else:
             used.add(numbers[0])
-            color, hatch, ink = fill_of(numbers[0])
-            cell(ax, *where, signs[numbers[0]], fill=color, ink=ink, hatch=hatch, font=font)
-    names = dict(zip(signs, model.actions, strict=True))
-    handles = [swatch(_named(signs[n], names), fill_of(n)[:2]) for n in sorted(used)]
+            shown[state] = signs[numbers[0]], fill_of(numbers[0])
+    ax, names = _map(layout, ax, shown), dict(zip(signs, model.actions, strict=True))
+    handles: list[Any] = [swatch(_named(signs[n], names), fill_of(n)) for n in sorted(used)]
     handles += _signs_of_states(ax, model, layout)
     return described(ax, "What the policy does", model.name, handles=handles)
 
@@ -168,16 +165,15 @@ def plot_states(
         ax = _bars(axes_or_new(ax), model, given, texts, label)
         signs += _counts(texts)
     else:
-        ax, scale, ends = _map(layout, ax), _scale(given[layout.shown]), _ends(model)
-        numbered = len(layout.shown) <= NUMBERED
+        scale, ends, shown = _scale(given[layout.shown]), _ends(model), dict[int, Any]()
         for state in layout.shown.tolist():
-            value, where = given[state], (int(layout.column[state]), int(layout.row[state]))
-            share = float(scale(value)) if np.isfinite(value) else 0.0
-            number = f"{value:.3g}" if numbered or not np.isfinite(value) else ""
+            value, finite = given[state], np.isfinite(given[state])
+            share = float(scale(value)) if finite else 0.0
+            number = f"{value:.3g}" if len(layout.shown) <= NUMBERED or not finite else ""
             lines = [ends[state][0] if state in ends else texts[state], number]
-            text, ink = "\n".join(filter(None, lines)), "white" if share > 0.7 else "black"
-            look: Look = {"fill": SHADES(share), "edgecolor": "0.8", "font": _font(layout)}
-            cell(ax, *where, text, ink=ink, **look)
+            look = {"fill": SHADES(share), "ink": "white" if share > 0.7 else BLACK}
+            shown[state] = "\n".join(filter(None, lines)), look | {"edgecolor": "0.8"}
+        ax = _map(layout, ax, shown)
         _colours(ax, scale, SHADES, label)
         signs += _signs_of_states(ax, model, layout)
     return described(ax, f"{what} of each state{acting}", model.name, handles=signs)
@@ -219,21 +215,17 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
     Darker cells cost more. States that are only listed have their number or name in a corner.
     """
     layout, mdp = _placed(audit.mdp, place), audit.mdp
-    ax, font = _map(layout, ax), _font(layout)
     drawn = [each for row in cells(audit, layout) for each in row if each is not None]
-    ends = _ends(mdp)
+    ends, shown = _ends(mdp), dict[int, tuple[str, Look]]()
     for each in drawn:
-        where = (int(layout.column[each.state]), int(layout.row[each.state]))
-        wrong = each.kind == "wrong"
         text = ends[each.state][0] if each.state in ends else f"{each.text}\n{each.small}".strip()
-        frame: Look = {"edgecolor": ORANGE if wrong else "0.8", "linewidth": 1.6 if wrong else 1.0}
-        ink = "0.5" if each.kind == "idle" else "black"
-        fill = LOSSES(min(each.shade, 1.0)) if wrong else "white"
-        cell(ax, *where, text, fill=fill, ink=ink, font=font, zorder=1 + wrong, **frame)
-        if each.name and font:
-            corner: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
-            name = each.name if len(each.name) <= 9 else f"{each.name[:8]}…"
-            ax.text(where[0] + 0.06, where[1] + 0.08, name, color=ink, **corner)
+        look: Look = {"edgecolor": "0.8", "ink": "0.5" if each.kind == "idle" else BLACK}
+        if each.kind == "wrong":
+            look |= {"fill": LOSSES(min(each.shade, 1.0)), "edgecolor": ORANGE}
+            look |= {"linewidth": 1.6, "zorder": 2}
+        name = each.name if len(each.name) <= 9 else f"{each.name[:8]}…"
+        shown[each.state] = text, look | {"corner": name}
+    ax = _map(layout, ax, shown)
     losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
     if losses:
         _colours(ax, Normalize(0.0, max(losses)), LOSSES, "what the state loses (reward)")
@@ -249,16 +241,16 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
 @picture
 def plot_comparison(every: PolicyComparison, *, ax: Axes | None = None) -> Axes:
     """Draw the value of each policy at the start, certified or bounded; the optimum is a line."""
-    ax, best = axes_or_new(ax, list(every.regrets)), float(every.value.value)
-    names = []
-    for row, (name, each) in enumerate(every.regrets.items()):
-        value = float(each.learned.value)
-        ax.barh(row, value if np.isfinite(value) else 0.0, color=BLUE, edgecolor=BLACK, height=0.6)
-        names.append(f"{name}\n{value:.6g} ({each.learned.claim})")
+    own = {name: each.learned for name, each in every.regrets.items()}
+    best, values = float(every.value.value), [float(each.value) for each in own.values()]
+    claims = zip(own.items(), values, strict=True)
+    names = [f"{name}\n{value:.6g} ({each.claim})" for (name, each), value in claims]
+    look: Look = {"color": BLUE, "height": 0.6}
+    lengths = np.where(np.isfinite(values), values, 0.0)
+    drawn = ((row, length, look) for row, length in enumerate(lengths.tolist()))
+    ax = bars(axes_or_new(ax, list(own)), names, drawn)
     if np.isfinite(best):
         ax.axvline(best, color=BLACK, linestyle=":", label=f"optimum {best:.6g}\n({every.claim})")
-    ax.axvline(0, color=BLACK, linewidth=0.8)
-    name_rows(ax, names)
     return described(ax, "Policies compared with the optimum", x="value at the start (reward)")
 
 
@@ -277,8 +269,8 @@ def _placed(model: MDP, place: Mapping[str, Any]) -> Layout:
     return layout
 
 
-def _map(layout: Layout, ax: Axes | None) -> Axes:
-    """Return axes with a cell for each row and column of the map, and their names."""
+def _map(layout: Layout, ax: Axes | None, shown: Mapping[int, tuple[str, Look]]) -> Axes:
+    """Draw the cells of states, a text and the look of each, and name the rows and columns."""
     high, wide = len(layout.rows), len(layout.columns)
     if ax is None:
         size = (max(4.8, min(14.0, 3.4 + 0.55 * wide)), max(2.8, min(12.0, 1.9 + 0.42 * high)))
@@ -291,14 +283,13 @@ def _map(layout: Layout, ax: Axes | None) -> Axes:
         ax.tick_params(axis="x", rotation=90)
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
+    # The size of the text in a cell; 0 where there is no room for one.
+    sizes = ((30, 10), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide > 20 else 7))
+    font = next((size for most, size in sizes if len(shown) <= most), 0)
+    for state, (text, look) in shown.items():
+        where = int(layout.column[state]), int(layout.row[state])
+        cell(ax, *where, text, **look | {"font": min(font, look.get("font", font))})
     return ax
-
-
-def _font(layout: Layout) -> float:
-    """Return the size of the text in a cell; 0 where there is no room for one."""
-    wide = len(layout.columns) > 20
-    sizes = ((30, 10), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide else 7))
-    return next((size for most, size in sizes if len(layout.shown) <= most), 0)
 
 
 def _ends(model: MDP) -> dict[int, tuple[str, str]]:

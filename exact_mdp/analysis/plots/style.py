@@ -1,24 +1,25 @@
-"""One look for every figure: colours, axes, titles, legends, bars, cells.
+"""One look for every figure: colours, axes, titles, legends, bars, lines, maps, cells.
 
 Every text is shown as it is written: names may hold "$", which matplotlib takes for a formula.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.text import Text
 
 from exact_mdp.mdp.errors import named_options
-from exact_mdp.mdp.table import Numbers
+from exact_mdp.mdp.table import Floats
 
 Arguments = ParamSpec("Arguments")
 Look = dict[str, Any]  # settings of a function of matplotlib
@@ -31,6 +32,9 @@ MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 NARROW = 4.8  # inches
 WHITE, BLUE, ORANGE, BLACK = PALETTE[0], PALETTE[2], PALETTE[3], "#000000"
 INK = (PALETTE[6], PALETTE[3], PALETTE[4], PALETTE[7], PALETTE[5], "#8C6D1F")
+DARK = 0.59  # shade on which a text is white
+LOW: Look = {"color": WHITE, "hatch": ""}  # the looks of two kinds of bars
+HIGH: Look = {"color": BLUE, "hatch": "//"}
 
 SETTINGS: dict[Any, Any] = {
     "figure.dpi": 144,
@@ -52,27 +56,17 @@ SETTINGS: dict[Any, Any] = {
 }
 
 
-def fill_of(number: int) -> tuple[str, str, str]:
+def fill_of(number: int) -> Look:
     """Return the fill, the hatching and the ink on it of one of several actions."""
     fill, hatch = PALETTE[number % len(PALETTE)], HATCHES[number % len(HATCHES)]
     dark = sum(int(fill[i : i + 2], 16) for i in (1, 3, 5)) < 330
-    return fill, hatch, "white" if dark else "black"
+    return {"fill": fill, "hatch": hatch, "ink": "white" if dark else BLACK}
 
 
 def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
-    """Let a function draw in this style, on its own axes or on given ones; texts are as written.
+    """Let a function draw in this style, on its own axes or on given ones.
 
-    The title is broken where the figure ends.
-
-    Examples
-    --------
-    >>> @picture
-    ... def plot(ax=None):
-    ...     ax = axes_or_new(ax)
-    ...     ax.set_title("from $a to $b")
-    ...     return ax
-    >>> plot().title.get_parse_math()
-    False
+    Texts are as written, and the title is broken where the figure ends.
     """
 
     @wraps(function)
@@ -123,7 +117,7 @@ def style() -> Iterator[None]:
 
 
 def axes_or_new(ax: Axes | None, names: Sequence[str] = (), high: float = 4.2) -> Axes:
-    """Return the axes, or those of a new figure in which names, of rows also, have room."""
+    """Return the axes, or those of a new figure with room for the names of its rows."""
     if ax is not None:
         return ax
     wide = 7.2 + 0.08 * max(0, max(map(len, names), default=0) - 12)
@@ -141,10 +135,9 @@ def described(
     handles: Sequence[Any] = (),
     legend: str = "",
 ) -> Axes:
-    """Return the axes with a title (what is shown, and of which model), their names, a legend.
+    """Return the axes with a title (what is shown, of which model), names, and a legend apart.
 
-    The legend has the `handles`, or what was drawn with a label, below the title `legend`, to the
-    right of the axes, or below them where the figure is narrow.
+    The legend has the `handles`, or what was drawn with a label, below its own title.
     """
     ax.set_title(f"{what} \N{EN DASH} {model}" if model else what)
     ax.set(**{key: text for key, text in (("xlabel", x), ("ylabel", y)) if text})
@@ -162,24 +155,31 @@ def narrow(ax: Axes) -> bool:
     return figure is not None and float(figure.get_size_inches()[0]) < NARROW
 
 
-def swatch(label: str, look: tuple[str, str]) -> Patch:
-    """Return a legend's handle for a fill and a hatching."""
-    return Patch(facecolor=look[0], edgecolor="black", hatch=look[1], label=label)
+def swatch(label: str, look: Look) -> Patch:
+    """Return a legend's handle for a colour and a hatching."""
+    fill = look.get("fill", look.get("color"))
+    return Patch(edgecolor=BLACK, label=label, facecolor=fill, hatch=look["hatch"])
 
 
-def bars_across(
-    ax: Axes,
-    places: float | Numbers,
-    lengths: float | Numbers,
-    look: tuple[str, str],
-    label: str,
-    **more: Any,
-) -> None:
-    """Draw horizontal bars, of a fill and a hatching."""
+def bar(ax: Axes, row: float, length: float, look: Look, **more: Any) -> None:
+    """Draw one bar across."""
     ticks: Look = {"ecolor": BLACK, "elinewidth": 1, "capsize": 2}
-    fill, hatch = look
-    form: Look = {"color": fill, "hatch": hatch, "edgecolor": BLACK} | more
-    ax.barh(places, lengths, label=label, error_kw=ticks, **form)
+    ax.barh(row, length, edgecolor=BLACK, error_kw=ticks, **look, **more)
+
+
+def bars(
+    ax: Axes | None,
+    names: Sequence[str],
+    drawn: Iterable[tuple[float, float, Look]],
+    middle: float = 0.0,
+) -> Axes:
+    """Draw rows with a name each, and bars across from a line: row, length, look."""
+    ax = axes_or_new(ax, names)
+    for row, length, look in drawn:
+        bar(ax, row, length, look, left=middle)
+    name_rows(ax, names)
+    ax.axvline(middle, color=BLACK, linewidth=0.8)
+    return ax
 
 
 def name_rows(ax: Axes, names: Sequence[str]) -> None:
@@ -188,9 +188,39 @@ def name_rows(ax: Axes, names: Sequence[str]) -> None:
     ax.invert_yaxis()
 
 
-def line(number: int) -> Look:
+def line(number: int, inks: Sequence[str] = INK) -> Look:
     """Return colour and dashes of one of several lines."""
-    return {"color": INK[number % len(INK)], "linestyle": LINES[number % len(LINES)]}
+    return {"color": inks[number % len(inks)], "linestyle": LINES[number % len(LINES)]}
+
+
+def lines(ax: Axes, x: Any, curves: Mapping[str, Any], inks: Sequence[str] = INK) -> None:
+    """Draw curves by label, each in a colour and dashes of its own."""
+    for number, (label, y) in enumerate(curves.items()):
+        ax.plot(x, y, label=label, **line(number, inks))
+
+
+def shaded(
+    ax: Axes,
+    shades: Floats,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    texts: Mapping[tuple[int, ...], str],
+    most: float | None = 1,
+    **names: Any,
+) -> Any:
+    """Draw a map with a text in some cells, the darker the greater, and return its mesh."""
+    # Cells, not one image: it stays sharp at any size.
+    look: Look = {"cmap": "Greys", "edgecolors": "0.9", "linewidth": 0.3}
+    mesh = ax.pcolormesh(shades, vmin=0, vmax=most, **look)
+    for (row, column), text in texts.items():
+        ink = "white" if shades[row, column] > DARK else BLACK
+        centre: Look = {"ha": "center", "va": "center", "fontsize": 6 + (len(columns) < 10)}
+        ax.text(column + 0.5, row + 0.5, text, color=ink, **centre)
+    ax.set_xticks(np.arange(len(columns)) + 0.5, columns, **names)
+    ax.set_yticks(np.arange(len(rows)) + 0.5, rows, **names)
+    ax.tick_params(length=0)
+    ax.set_ylim(len(rows), 0)
+    return mesh
 
 
 def level(ax: Axes, value: float, label: str = "optimum") -> None:
@@ -205,15 +235,19 @@ def cell(
     text: str,
     *,
     fill: object = WHITE,
-    ink: str = "black",
+    ink: str = BLACK,
     hatch: str = "",
     font: float = 8,
+    corner: str = "",
     **frame: Any,
 ) -> None:
-    """Draw a cell of a map, with a text; none at font 0."""
-    frame = {"edgecolor": "black"} | frame
+    """Draw a cell of a map, with a text, and a small one in its corner; none at font 0."""
+    frame = {"edgecolor": BLACK} | frame
     ax.add_patch(Rectangle((column, row), 1, 1, facecolor=fill, hatch=hatch, **frame))
     if font:
         box = {"facecolor": fill if hatch else "none", "edgecolor": "none", "pad": 1.2}
         centre: Look = {"ha": "center", "va": "center", "fontsize": font, "bbox": box}
         ax.text(column + 0.5, row + 0.5, text, color=ink, **centre)
+    if font and corner:
+        beside: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
+        ax.text(column + 0.06, row + 0.08, corner, color=ink, **beside)

@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.graph import moves
-from exact_mdp.analysis.plots.style import described, picture
+from exact_mdp.analysis.plots.style import described, picture, shaded
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import extra
 from exact_mdp.mdp.model import MDP
@@ -119,11 +119,12 @@ def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | N
     if ax is None:
         side = 2.5 + 0.22 * model.n_states
         ax = plt.subplots(figsize=(1.15 * side, side), layout="constrained")[1]
-    image = ax.imshow((doing @ model.transition).toarray(), cmap="Greys", vmin=0)
     names = [model.space.label(state).removeprefix("state ") for state in states]
-    ax.set_xticks(states, names, rotation=90, fontsize=7)
-    ax.set_yticks(states, names, fontsize=7)
-    ax.figure.colorbar(image, ax=ax, label="probability", shrink=0.8)
+    chances = (doing @ model.transition).toarray()
+    mesh = shaded(ax, chances, names, names, {}, most=None, fontsize=7)
+    ax.tick_params(axis="x", rotation=90)
+    ax.set_aspect("equal")
+    ax.figure.colorbar(mesh, ax=ax, label="probability", shrink=0.8)
     acting = "all actions equally likely" if policy is None else "as the policy acts"
     what = f"Transitions, {acting}; {outcomes:,} outcomes are too many for a graph"
     return described(ax, what, model.name, x="next state", y="state")

@@ -163,7 +163,7 @@ def test_a_policy_that_never_loses_has_a_curve_too() -> None:
 
 def test_the_heat_map_shows_shares_of_draws(draws: Any) -> None:
     ax = plots.plot_optimal_actions(draws)
-    assert np.allclose(ax.images[0].get_array(), draws.probability_optimal()[0])
+    assert np.allclose(ax.collections[0].get_array(), draws.probability_optimal()[0])
     assert [each.get_text() for each in ax.get_yticklabels()] == list(draws.labels)
 
 

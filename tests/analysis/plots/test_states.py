@@ -219,7 +219,7 @@ def test_a_graph_that_would_be_a_tangle_is_a_heat_map(policy: Any) -> None:
     mdp = dense(16, rng=3)
     ax = plots.plot_transitions(mdp, policy)
     assert "outcomes are too many for a graph" in ax.get_title(loc="left")
-    shades = np.asarray(ax.images[0].get_array())
+    shades = np.asarray(ax.collections[0].get_array())
     each = [mdp.P(action).toarray() for action in range(mdp.n_actions)]
     assert np.allclose(shades, each[0] if isinstance(policy, list) else np.mean(each, axis=0))
 
