@@ -21,7 +21,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from operator import mul
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import flint
 import numpy as np
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 FEW, MANY = 120, 4_000  # unknowns that FLINT solves faster, and those that are too many for it
 LARGEST = 20_000  # unknowns; the numbers of more would fill the memory
 MOST_CHANGES = 8  # of entries, before FLINT is asked
-FAR = 64  # bits that a shared denominator may be longer than twice the longest one
+FAR = 128  # bits that a shared denominator may be longer than twice the longest one
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,55 +125,32 @@ class Matrix:
         return Lifting(self.offsets, self.column, self.entry)
 
     @cached_property
-    def changed(self) -> Change | None:
-        """What another entry in one place changes; None where that does not help."""
+    def changed(self) -> tuple[Matrix, int, int, list[fmpz], fmpz] | None:
+        """A matrix with more in one entry; column and amount; its solution for a 1 in that row.
+
+        None where no change helps.
+        """
         entry = self.lifting.weakest() if self.changes < MOST_CHANGES else None
         if entry is None:
             return None
         i, j, amount = entry
-        matrix = Matrix.of(
-            self.size,
-            np.append(self.row, i),
-            np.append(self.column, j),
-            integers([*self.entry.tolist(), amount]),
-        )
-        matrix = replace(matrix, changes=self.changes + 1)
+        row, column = np.append(self.row, i), np.append(self.column, j)
+        other = Matrix.of(self.size, row, column, integers([*self.entry.tolist(), amount]))
+        other = replace(other, changes=self.changes + 1)
         unit = [flint.fmpz(k == i) for k in range(self.size)]
-        effect = _solve_component(matrix, unit, matrix.denominators, 0)
-        return Change(matrix, j, amount, *effect)
+        return other, j, amount, *_solve_component(other, unit, other.denominators, 0)
 
 
-class Change(NamedTuple):
-    """A matrix with `amount` more in one entry, in `column`; its solution for a 1 in that row."""
-
-    matrix: Matrix
-    column: int
-    amount: int
-    top: list[fmpz]
-    below: fmpz
-
-
-def exact_solve(matrix: Matrix, side: Sequence[Any]) -> tuple[list[fmpz], fmpz]:
-    """Return the solution of A x = b for integers b, as integers over one positive denominator.
+def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
+    """Return the solutions of A x = b for several integer b, in groups over the same denominators.
 
     Raises ZeroDivisionError where A is singular, and ModelError where thousands of unknowns depend
     on each other and floats cannot start.
 
-    Examples
-    --------
     >>> ring = Matrix.of(2, *np.array([[0, 0, 1, 1], [0, 1, 0, 1]]), np.array([2, -1, -1, 3]))
-    >>> exact_solve(ring, [1, 0]), exact_solve(ring.transposed, [0, 1])
-    (([3, 1], 5), ([1, 2], 5))
+    >>> [level.top for level in solve_all(ring, [[5, 0], [0, 5]])]
+    [[3, 1], [1, 2]]
     """
-    solution = _Solution(matrix, [side])
-    common = _lcm(solution.below)
-    factor = [common // number for number in solution.below]
-    tops = zip(solution.tops[0], solution.group, strict=True)
-    return [number * factor[g] for number, g in tops], common
-
-
-def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
-    """Return the solutions for several right sides, in groups over the same denominators."""
     solution = _Solution(matrix, sides)
     group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))
     return [Level.grouped(list(map(int, top)), below, group) for top in solution.tops]
@@ -197,8 +174,7 @@ def equations(rows: BellmanRows, states: NDArray[np.bool_] | None = None) -> Mat
 def solved(matrix: Matrix, rows: BellmanRows, constant: Sequence[Fraction]) -> Level:
     """Return V = constant + γ P V, constant (S,), for the `equations` of some rows."""
     side, unit = common(constant)
-    scaled = zip(side, rows.scale.tolist(), strict=True)
-    (level,) = solve_all(matrix, [[number * scale for number, scale in scaled]])
+    (level,) = solve_all(matrix, [[*map(mul, side, rows.scale.tolist())]])
     return replace(level, below=[unit * below for below in level.below])
 
 
@@ -229,11 +205,7 @@ def visited(
         units.append(unit)
     scale, levels = rows.scale.tolist(), solve_all(equations(rows, states).transposed, sides)
     return [
-        replace(
-            level,
-            top=[number * own for number, own in zip(level.top, scale, strict=True)],
-            below=[unit * below for below in level.below],
-        )
+        replace(level, top=[*map(mul, level.top, scale)], below=[unit * x for x in level.below])
         for level, unit in zip(levels, units, strict=True)
     ]
 
@@ -241,8 +213,7 @@ def visited(
 class _Solution:
     """Solutions of A x = b: x(s) = tops[k][s] / below[group[s]] for the right side k.
 
-    Unknowns of a step share a denominator unless it would be far longer than their own. It is put
-    in lowest terms when it has become twice as long.
+    Unknowns of a step share a denominator unless it would be far longer than their own.
     """
 
     def __init__(self, matrix: Matrix, sides: Sequence[Sequence[Any]]) -> None:
@@ -262,7 +233,7 @@ class _Solution:
             ]
             unit = _lcm(below for _, below in each)
             tops = [[n * (unit // below) for n in top] for top, below in each]
-            self._settle(states, tops, base * unit, lowest=True)
+            self._settle(states, tops, base * unit)
 
     def _by_base(self, states: Sequence[int]) -> dict[fmpz, list[int]]:
         """Return unknowns by the common denominator of those that they lead to."""
@@ -291,45 +262,27 @@ class _Solution:
 
     def _substitute(self, base: fmpz, states: Sequence[int]) -> None:
         """Solve for unknowns that do not lead to each other."""
-        pivots: list[fmpz] = []
-        numbers: list[list[fmpz]] = []
-        for s, *right in zip(states, *self._right_sides(base, states), strict=True):
-            column, entry = self._rows[s]
-            pivot = flint.fmpz(entry[column.index(s)] if s in column else 0)
-            if not pivot:
-                raise ZeroDivisionError("the matrix is singular")
-            shared = pivot if pivot > 0 else -pivot
-            for number in right:
-                shared = shared.gcd(number)
-            shared = shared if pivot > 0 else -shared
-            pivots.append(pivot // shared)
-            numbers.append([number // shared for number in right])
-        unit, longest = _lcm(pivots), max(pivot.bit_length() for pivot in pivots)
-        parts = [(states, numbers, pivots)]
-        if unit.bit_length() > 2 * longest + FAR:
-            parts = [([s], [n], [p]) for s, n, p in zip(states, numbers, pivots, strict=True)]
-        for some, tops, below in parts:
-            unit = _lcm(below)
-            each = zip(tops, below, strict=True)
-            scaled = [[n * (unit // pivot) for n in own] for own, pivot in each]
-            doubled = 1 << base.bit_length().bit_length()
-            lowest = (base * unit).bit_length() >= doubled
-            self._settle(some, list(zip(*scaled, strict=True)), base * unit, lowest=lowest)
+        pivots = [flint.fmpz(dict(zip(*self._rows[s], strict=True)).get(s, 0)) for s in states]
+        if not all(pivots):
+            raise ZeroDivisionError("the matrix is singular")
+        sides, places = self._right_sides(base, states), range(len(states))
+        far = 2 * max(pivot.bit_length() for pivot in pivots) + FAR
+        apart = _lcm(pivots).bit_length() > far
+        for some in [[i] for i in places] if apart else [places]:
+            unit = _lcm(pivots[i] for i in some)
+            tops = [[side[i] * (unit // pivots[i]) for i in some] for side in sides]
+            self._settle([states[i] for i in some], tops, base * unit)
 
-    def _settle(
-        self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz, *, lowest: bool
-    ) -> None:
-        """Keep the numbers of some unknowns, all over one denominator."""
-        if lowest:
-            listed, below = _reduced([n for top in tops for n in top], below)
-            tops = [listed[i : i + len(states)] for i in range(0, len(listed), len(states))]
+    def _settle(self, states: Sequence[int], tops: Sequence[Sequence[fmpz]], below: fmpz) -> None:
+        """Keep the numbers of some unknowns, all over one denominator in lowest terms."""
+        listed, below = _reduced([n for top in tops for n in top], below)
         number = self._number.setdefault(below, len(self.below))
         self.below += [below] * (number == len(self.below))
-        for values, top in zip(self.tops, tops, strict=True):
-            for s, own in zip(states, top, strict=True):
+        for k, values in enumerate(self.tops):
+            for s, own in zip(states, listed[k * len(states) :], strict=False):
                 values[s] = own
-        for s, *each in zip(states, *tops, strict=True):
-            self.group[s] = number if any(each) else 0
+        for s in states:
+            self.group[s] = number if any(top[s] for top in self.tops) else 0
 
 
 def _lcm(numbers: Iterable[fmpz]) -> fmpz:
@@ -360,17 +313,17 @@ def _solve_component(
 def _by_change(matrix: Matrix, side: Sequence[fmpz]) -> tuple[list[fmpz], fmpz]:
     """Return the solution by that for one other entry (Sherman and Morrison, see above)."""
     try:
-        change = matrix.changed
-        if change is None:
+        if matrix.changed is None:
             return _dense(matrix, side)
-        other, below = _solve_component(change.matrix, side, change.matrix.denominators, 0)
+        changed, column, amount, unit, over = matrix.changed
+        other, below = _solve_component(changed, side, changed.denominators, 0)
     except ZeroDivisionError:  # of the other one
         return _dense(matrix, side)
-    factor = change.below - change.amount * change.top[change.column]
+    factor, more = over - amount * unit[column], amount * other[column]
     if not factor:
         raise ZeroDivisionError("the matrix is singular")
-    more, sign = change.amount * other[change.column], 1 if factor > 0 else -1
-    top = [sign * (a * factor + b * more) for a, b in zip(other, change.top, strict=True)]
+    sign = 1 if factor > 0 else -1
+    top = [sign * (a * factor + b * more) for a, b in zip(other, unit, strict=True)]
     return _reduced(top, below * abs(factor))
 
 
