@@ -16,7 +16,7 @@ from fractions import Fraction
 from functools import cached_property
 from math import inf, ulp
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,21 +68,11 @@ def exact_rows(mdp: MDP, *, average: bool = False, pairs: Integers | None = None
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Proof(Result):
-    """A claim about a model that a checker can read: an optimum, bounds, or what totals allow.
+    """A claim about a model that a checker can read: an optimum, bounds, or what totals allow."""
 
-    Attributes
-    ----------
-    kind : str
-        What is claimed, as files call it.
-    model : str
-        `fingerprint(mdp)`, a hash of the model.
-    mdp : MDP, optional
-        The model, unless the proof was read from a file.
-    """
-
-    kind: str
-    model: str
-    mdp: MDP | None = None
+    kind: str  # what is claimed, as files call it
+    model: str  # its fingerprint
+    mdp: MDP | None = None  # unless the proof was read from a file
 
     claim: ClassVar[Claim] = Claim.CERTIFIED
     kinds: ClassVar[tuple[str, ...]]
@@ -119,7 +109,7 @@ class Proof(Result):
 
         Returns
         -------
-        Certificate, BoundedCertificate or ConstrainedSolution
+        Proof
 
         Raises
         ------
@@ -218,8 +208,6 @@ class Certificate(Proof, Pictured):
         """The optimal value of the start distribution as a claim."""
         return Certified(value=self.start_value)
 
-    # ---- values -------------------------------------------------------------------------------
-
     @property
     def sign(self) -> int:
         """1, or -1 where the numbers are costs."""
@@ -239,28 +227,20 @@ class Certificate(Proof, Pictured):
         """(S,) the optimal values as Fractions, `math.inf` or `-math.inf`; of averages the gain."""
         if self.kind == "average":
             return self._average(self.g).fractions(self.sign)
-        values: Numbers = self._with_infinite(self.h.fractions(self.sign))
-        return values
-
-    def _with_infinite(self, values: Any) -> Any:
-        infinite = self.infinite_sign
-        if not infinite.any():
-            return values
-        extended = values.copy()
-        for sign in (1, -1):
-            extended[infinite == sign] = self.sign * sign * inf
-        extended.setflags(write=False)
-        return extended
+        return self._with_infinite(self.h.fractions(self.sign))
 
     @cached_property
     def value_float(self) -> Floats:
-        """(S,) the same as floats, each correctly rounded.
-
-        Raises ModelError where one is beyond the floats.
-        """
+        """(S,) the same as floats, each correctly rounded."""
         level = self._average(self.g) if self.kind == "average" else self.h
-        values: Floats = self._with_infinite(level.floats(self.sign))
-        return values
+        return self._with_infinite(level.floats(self.sign))
+
+    def _with_infinite(self, values: Numbers) -> Numbers:
+        extended = values.copy()
+        for sign in (1, -1):
+            extended[self.infinite_sign == sign] = self.sign * sign * inf
+        extended.setflags(write=False)
+        return extended
 
     def _average(self, level: Level | None) -> Level:
         if level is None or self.kind != "average":
@@ -279,16 +259,11 @@ class Certificate(Proof, Pictured):
 
     @property
     def pairs(self) -> Integers:
-        """(S,) the policy's pairs.
-
-        Raises ModelError where the certificate was read from a file, which lacks the model.
-        """
+        """(S,) the policy's pairs."""
         mdp = model_of(None, self.mdp, "pairs")
         wanted = np.arange(mdp.n_states) * mdp.n_actions + self.policy
         offered = mdp.pair_state * mdp.n_actions + mdp.pair_action
         return np.asarray(np.searchsorted(offered, wanted))
-
-    # ---- pairs --------------------------------------------------------------------------------
 
     @cached_property
     def _gains(self) -> list[tuple[list[int], list[int]]]:
@@ -304,18 +279,13 @@ class Certificate(Proof, Pictured):
     def losses(self) -> tuple[Numbers, Numbers]:
         """(L,) what each pair loses of the gain, and, where that is nothing, of the bias."""
         self._average(self.g)
-        lost, short = (
-            _listed(fraction(-top, below) for top, below in zip(*column, strict=True))
-            for column in self._gains
-        )
+        each = (zip(*column, strict=True) for column in self._gains)
+        lost, short = (_listed(fraction(-top, below) for top, below in column) for column in each)
         return lost, np.asarray(short * (lost == 0))
 
     @cached_property
     def optimal_pairs(self) -> Flags:
-        """(L,) the pairs that attain the optimum of their state.
-
-        Raises ModelError where the certificate was read from a file, which lacks the model.
-        """
+        """(L,) the pairs that attain the optimum of their state."""
         mdp = model_of(None, self.mdp, "optimal_pairs")
         best = np.logical_and.reduce([[not top for top in tops] for tops, _ in self._gains])
         infinite = self.infinite_sign
@@ -352,18 +322,17 @@ class Certificate(Proof, Pictured):
 
     @property
     def optimal(self) -> Flags:
-        """(S, A) whether an action is optimal; False where it is not offered.
-
-        Raises ModelError where the certificate was read from a file: it lacks the model.
-        """
+        """(S, A) whether an action is optimal; False where it is not offered."""
         return np.asarray(model_of(None, self.mdp).by_action(self.optimal_pairs))
 
     def optimal_policy(self) -> Policy:
         """Return the policy that draws one of the optimal actions of each state, all alike.
 
-        Raises ModelError where the certificate was read from a file, which lacks the model; and
-        where some policy never ends and a state has several: each is right alone, and drawing among
-        them may go round for ever.
+        Raises
+        ------
+        ModelError
+            Where some policy never ends and a state has several: each is right alone, and drawing
+            among them may go round for ever.
 
         Examples
         --------
@@ -387,23 +356,17 @@ class Certificate(Proof, Pictured):
             space=mdp.space, actions=mdp.actions, rule=table, shares=optimal.astype(np.int64)
         )
 
-    # ---- views --------------------------------------------------------------------------------
-
     def frame(self) -> DataFrame:
         """Return the value of each state, its action, and what the next best action loses.
 
         In decimals, infinite beyond the range of floats; `exact` is the value as it is. Of an
         average these are gain and bias.
         """
+        value, action = in_decimals(self.value), {"action": self.policy}
         if self.kind == "average":
-            decimals = {"gain": in_decimals(self.value), "bias": in_decimals(self.bias)}
-            columns = decimals | {"action": self.policy}
+            columns = {"gain": value, "bias": in_decimals(self.bias)} | action
             return by_state(self.mdp, columns | {"exact gain": self.value, "exact bias": self.bias})
-        columns = {
-            "value": in_decimals(self.value),
-            "action": self.policy,
-            "gap": in_decimals(self.gaps),
-        }
+        columns = {"value": value} | action | {"gap": in_decimals(self.gaps)}
         return by_state(self.mdp, columns | {"exact": self.value})
 
 
@@ -445,22 +408,14 @@ class BoundedCertificate(Proof, Pictured):
         return f"BoundedCertificate({len(self.policy)} states, error ≤ {self.error_bound:.2g})"
 
     @cached_property
-    def _bounds(self) -> tuple[Floats, Floats]:
-        sign = 1 if self.sense == "max" else -1
-        bounds = [level.floats(sign) for level in (self.low, self.high)[::sign]]
-        for bound in bounds:
-            bound.setflags(write=False)
-        return bounds[0], bounds[1]
-
-    @property
     def lower(self) -> Floats:
         """(S,) a lower bound of the values."""
-        return self._bounds[0]
+        return self.low.floats() if self.sense == "max" else self.high.floats(-1)
 
-    @property
+    @cached_property
     def upper(self) -> Floats:
         """(S,) an upper bound of the values."""
-        return self._bounds[1]
+        return self.high.floats() if self.sense == "max" else self.low.floats(-1)
 
     @property
     def value(self) -> Floats:
@@ -470,16 +425,13 @@ class BoundedCertificate(Proof, Pictured):
     @property
     def error_bound(self) -> float:
         """|value - V| and |value - V^π| are at most this in every state."""
-        return float(self.error.max(initial=2.0**-51 * self._largest))
-
-    @property
-    def _largest(self) -> float:
-        return float(max(np.abs(self.lower).max(), np.abs(self.upper).max()))
+        return float(self.error.max())
 
     @property
     def error(self) -> Floats:
         """(S,) |value - V| and |value - V^π| are at most this."""
-        return (self.upper - self.lower) / 2 * (1 + 1e-12) + 2.0**-51 * self._largest
+        rounding = 2.0**-51 * float(np.abs([self.lower, self.upper]).max())
+        return (self.upper - self.lower) / 2 * (1 + 1e-12) + rounding
 
     @property
     def start(self) -> Bounded:

@@ -103,7 +103,9 @@ class Level:
 
     def floats(self, sign: int = 1) -> Floats:
         """Return (S,) the numbers, each rounded once, times a sign."""
-        return divide(sign * np.array(self.top, object), np.array(self.each_below, object))
+        numbers = divide(sign * np.array(self.top, object), np.array(self.each_below, object))
+        numbers.setflags(write=False)
+        return numbers
 
     def over_one(self, states: Sequence[int], group: Sequence[int]) -> tuple[list[int], int]:
         """Return the numbers of some states over a common denominator; `group` is the list."""
