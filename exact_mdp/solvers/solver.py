@@ -16,6 +16,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.table import COMPILED
 from exact_mdp.solvers.bounds.bounds import is_acyclic
 from exact_mdp.solvers.dynamic.iterate import Solver, check_tolerance, opposite
 from exact_mdp.solvers.dynamic.linear_program import LinearProgram
@@ -109,8 +110,8 @@ def solve(
     criterion : "total" or "average"
         What is best: the total reward, discounted as the model says, or the average reward per
         step in the long run, whatever the discount. The average is found by policy iteration, by
-        value iteration on relative values, or by a linear program; "auto" computes in rationals
-        where floats cannot bound it.
+        value iteration on relative values, or by a linear program; of small models "auto"
+        computes in rationals what floats cannot bound.
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals of components of the reward, of steps, events or sums of these
         (`solvers.objectives.amounts`). The optimum under them is exact, and the policy may draw its
@@ -155,7 +156,7 @@ def solve(
         try:
             return solve_average(mdp, _set(chosen, start=start), tol)
         except SolverError:  # the chain mixes too slowly for floats
-            if solver != "auto":
+            if solver != "auto" or mdp.n_transitions > COMPILED:
                 raise
             return _within(rounded(mdp, "average"), tol)
     if horizon is not None:
