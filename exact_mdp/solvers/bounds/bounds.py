@@ -184,12 +184,12 @@ def margin_weights(mdp: MDP) -> Weights:
 
 def _expected_steps(mdp: MDP) -> Floats:
     """Return about the greatest expected number of steps to the end, by policy iteration."""
-    live = ~mdp.terminal
+    live = np.where(mdp.terminal, 0.0, 1.0)
     pairs = mdp.pair_offsets[:-1].copy()
     for _ in range(WEIGHT_ITERATIONS):
         chain, _ = policy_chain(mdp, pairs)
-        steps = LinearSystem(chain).approximate(live.astype(np.float64))
-        gain = gains(mdp, steps, reward=live.astype(np.float64)[mdp.pair_state])
+        steps = live * LinearSystem(chain).approximate(live)
+        gain = gains(mdp, steps, reward=live[mdp.pair_state])
         # A pair that adds less than half a step leaves a margin of over a half.
         best = np.maximum.reduceat(gain.value, mdp.pair_offsets[:-1])
         if not best.max() > 0.5:

@@ -260,7 +260,11 @@ class LinearSystem(ByFields):
         """Elimination, where it costs little."""
         chain = self.transition
         if chain.shape[0] <= FEW:
-            return _banded(self.discount, *_reach(chain), chain)
+            lower, upper = _reach(chain)
+            narrow = 6 * (lower + 1) * (lower + upper + 1) < chain.shape[0] ** 2  # S³ / 3 for all
+            if narrow:
+                return _banded(self.discount, lower, upper, chain)
+            return _dense(self.discount, chain)
         if self.order is not None or (chain.nnz <= SPARSE and not self.work):
             order = None if self.order is None else np.argsort(self.order, kind="stable")
             return self._ordered(self._sparse, order)
@@ -308,20 +312,26 @@ class LinearSystem(ByFields):
         return lambda constant: inner(constant[order])[place]
 
 
-def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
-    """Return LAPACK's elimination within a band, of the transpose.
-
-    Rows that are dominated by their diagonal are columns there, and so need no exchanges.
-    """
-    row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
-    places = np.zeros((2 * upper + lower + 1, chain.shape[0]), order="F")
-    places[lower + upper + chain.indices - row, row] = -discount * chain.data
-    places[lower + upper] += 1.0
-    factors, exchanged, failed = lapack.dgbtrf(places, upper, lower, overwrite_ab=True)
+def _dense(discount: float, chain: sp.csr_array) -> Solve:
+    """Return LAPACK's elimination of all entries, by columns and so of the transpose."""
+    matrix = -discount * chain.toarray()
+    matrix.flat[:: len(matrix) + 1] += 1.0
+    factors, exchanged, failed = lapack.dgetrf(matrix.T, overwrite_a=True)
     if failed:
         raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")
-    band = factors, upper, lower
-    return lambda constant: np.asarray(lapack.dgbtrs(*band, constant, exchanged, trans=1)[0])
+    return lambda constant: np.asarray(lapack.dgetrs(factors, exchanged, constant, trans=1)[0])
+
+
+def _banded(discount: float, lower: int, upper: int, chain: sp.csr_array) -> Solve:
+    """Return LAPACK's elimination within a band."""
+    row = np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
+    places = np.zeros((2 * lower + upper + 1, chain.shape[0]), order="F")
+    places[lower + upper + row - chain.indices, chain.indices] = -discount * chain.data
+    places[lower + upper] += 1.0
+    factors, exchanged, failed = lapack.dgbtrf(places, lower, upper, overwrite_ab=True)
+    if failed:
+        raise SolverError(Status.NO_BOUND, f"elimination failed (pivot of state {failed - 1})")
+    return lambda constant: np.asarray(lapack.dgbtrs(factors, lower, upper, constant, exchanged)[0])
 
 
 def _reach(chain: sp.csr_array) -> tuple[int, int]:

@@ -417,14 +417,15 @@ def values_of(mdp: MDP, start: Any) -> Floats:
                 fix="give a solution of this model, a deterministic policy, or an action number "
                 "for each state",
             )
-        value = evaluated(mdp, np.flatnonzero(policy.weights(mdp)))
+        return evaluated(mdp, np.flatnonzero(policy.weights(mdp)))
     return np.where(mdp.terminal, 0.0, value)
 
 
 def evaluated(mdp: MDP, pairs: Integers) -> Floats:
     """Return (S,) the values of the policy that takes `pairs` (S,), up to rounding."""
     chain, reward = policy_chain(mdp, pairs)
-    return LinearSystem(chain, mdp.discount, order=levels(mdp)).approximate(reward)
+    value = LinearSystem(chain, mdp.discount, order=levels(mdp)).approximate(reward)
+    return np.where(mdp.terminal, 0.0, value)
 
 
 def given_values(mdp: MDP, start: Any) -> Floats | None:
