@@ -24,14 +24,7 @@ from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.bounds.gains import UNIT, gains
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, exact_rows
-from exact_mdp.solvers.exact.find import (
-    best,
-    certificate,
-    expansion,
-    first_of,
-    nearly,
-    reaching,
-)
+from exact_mdp.solvers.exact.find import best, certificate, expansion, first_of, reaching
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, solve
@@ -127,8 +120,7 @@ def certify(
 
 def _alone(mdp: MDP) -> Certificate:
     """Return the proof of values that are the one solution of their equations."""
-    rows = exact_rows(mdp)
-    _, (value,), sign = best(rows, nearly(rows, mdp.pair_offsets[:-1]))
+    _, (value,), sign = best(exact_rows(mdp))
     optimal = sign == 0
     rank = termination(mdp).rank if mdp.discount_exact == 1 else None
     return certificate(mdp, first_of(mdp, optimal), optimal, h=value, rank=rank)
@@ -140,7 +132,6 @@ WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the
 
 
 def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedCertificate:
-    """Return bounds that floats prove."""
     if mdp.sense == "min":
         known = None if solution is None else solution.negated(mdp.maximised)
         proof = _bounded(mdp.maximised, tol, known)

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint, row_sums
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, integers, spans
@@ -178,7 +178,7 @@ def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifica
     order = graph.distance(label >= 0, every)
     finite = order < 0
     part, number = _closed(rows, finite)
-    _, (values,), sign = best(part, nearly(part, part.pair_offsets[:-1]))
+    _, (values,), sign = best(part)
     optimal = np.zeros(mdp.n_pairs, dtype=bool)
     optimal[number[sign == 0]] = True
     optimal[~finite[state]] = (staying | _falling(graph, order))[~finite[state]]
@@ -217,12 +217,7 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifi
     nearer = inside_finite & _falling(graph, far)
     nearer[mdp.pair_offsets[:-1][~finite | goal]] = True
     first = np.searchsorted(number, first_of(mdp, nearer & np.isin(np.arange(mdp.n_pairs), number)))
-    own = nearly(part, first)
-    chain = part.of_pairs(own)
-    shape = (mdp.n_states, mdp.n_states)
-    moves = sp.csr_array((np.ones(len(chain.next)), chain.next, chain.offsets), shape)
-    ends = closure(moves.T.tocsr(), part.terminal.copy()).all()
-    own, (values,), _ = best(part, own if ends else first)
+    own, (values,), _ = best(part, first)
     policy = np.where(finite, number[own], policy)
     used = np.zeros(mdp.n_pairs, dtype=bool)
     used[policy[finite]] = True
@@ -291,26 +286,27 @@ def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
 
 
 def best(
-    rows: BellmanRows, pairs: Integers, amounts: Sequence[Numbers] = ()
+    rows: BellmanRows, first: Integers | None = None, amounts: Sequence[Numbers] = ()
 ) -> tuple[Integers, list[Level], Integers]:
     """Return optimal pairs (S,), their values, and the sign (L,) of what each pair gains.
 
-    With several amounts (L,), one after the other settles ties of those before. Every policy on the
-    way from the first one ends, since no class of states gains anything for ever: a pair takes the
-    place of another only if it is better.
+    With several amounts (L,), one after the other settles ties of those before. The search begins
+    with the pairs `first` (S,), which end, and so do all on the way: no class of states gains
+    anything for ever, as a pair takes the place of another only if it is better.
     """
-    listed = [own.tolist() for own in amounts or [rows.constant]]
-    ones = [1] * len(rows.constant)
+    each = amounts or [rows.constant]
+    listed, ones = [own.tolist() for own in each], [1] * len(rows.constant)
+    begin = rows.pair_offsets[:-1] if first is None else first
 
     def evaluate(pairs: Integers) -> list[Step]:
-        values = evaluated(rows, pairs, amounts)
+        values = evaluated(rows, pairs, each)
         return [(value, (own, ones)) for value, own in zip(values, listed, strict=True)]
 
-    return _iterated(rows, pairs, evaluate)
+    return _iterated(rows, nearly(replace(rows, constant=each[0]), begin), evaluate)
 
 
 def nearly(rows: BellmanRows, first: Integers) -> Integers:
-    """Return pairs (S,) that floats find better than the first ones, by more than rounding."""
+    """Return pairs (S,) that floats find better than the first ones, and that end as these do."""
     state, live = rows.pair_state, ~rows.terminal
     if len(state) == len(live):
         return first
@@ -339,4 +335,7 @@ def nearly(rows: BellmanRows, first: Integers) -> Integers:
         pairs = pairs.copy()
         own, place = np.unique(state[better], return_index=True)
         pairs[own] = better[place]
-    return pairs
+    chain = rows.of_pairs(pairs)
+    graph = sp.csr_array((np.ones(len(chain.next)), chain.next, chain.offsets), (len(live),) * 2)
+    ends = rows.terminal | (row_sums(chain.weight, chain.offsets) < chain.scale)
+    return pairs if closure(graph.T.tocsr(), ends).all() else first

@@ -25,7 +25,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, model_of
-from exact_mdp.solvers.exact.find import best, first_of, nearly
+from exact_mdp.solvers.exact.find import best, first_of
 from exact_mdp.solvers.exact.levels import Level, combined, fraction, signs
 from exact_mdp.solvers.exact.linear import evaluated, visited
 from exact_mdp.solvers.objectives.amounts import Objectives
@@ -119,8 +119,7 @@ def optimum(
     """
     whole, unit = common([Fraction(w) for w in weights])
     rows = replace(of.rows, constant=of.weighted(whole))
-    pairs = nearly(rows, of.mdp.pair_offsets[:-1] if first is None else first)
-    pairs, (value,), _ = best(rows, pairs)
+    pairs, (value,), _ = best(rows, first)
     return pairs, combined([value], [Fraction(1, unit)])
 
 
@@ -132,10 +131,7 @@ def extreme(of: Objectives, weights: Weights, first: Integers | None = None) -> 
     size = len(weights)
     ties = [[1] * size, *([int(i == k) for i in range(size)] for k in range(size))]
     whole, _ = common([Fraction(w) for w in weights])
-    amounts = [of.weighted(each) for each in (whole, *ties)]
-    rows = replace(of.rows, constant=amounts[0])
-    pairs = nearly(rows, of.mdp.pair_offsets[:-1] if first is None else first)
-    _, _, sign = best(rows, pairs, amounts)
+    _, _, sign = best(of.rows, first, [of.weighted(each) for each in (whole, *ties)])
     return attained(of, first_of(of.mdp, sign == 0))
 
 
