@@ -5,9 +5,8 @@ all that it needs, its seed too. joblib does the work, by its threads or process
 its backends: `with joblib.parallel_config(backend="dask")` sends it to a Dask cluster.
 
 With a folder, every finished piece is written at once, whole or not at all, and is read instead of
-done again when the same work is called once more. The folder's record is JSON and says all that the
-pieces depend on: the model, the settings, the seed. A folder is used again only by work with the
-same record, so that pieces of two different ones cannot be mixed.
+done again when work with the same record is called once more; the record is JSON and says all that
+the pieces depend on, so that pieces of two different works cannot be mixed.
 """
 
 from __future__ import annotations
@@ -38,9 +37,7 @@ Work = Callable[[Any], Mapping[str, Any]]
 
 ATTEMPTS = 4  # at all pieces, where processes die
 DIGEST = "sha256"  # the name of the array that holds the digest of the others
-
-MOST = 1100
-"""Times its own size: pieces are compressed as far as they go, and their arrays may be constant."""
+MOST = 1100  # times its own size: deflate packs constant arrays by 1,032 at most
 
 
 def many(
@@ -55,53 +52,21 @@ def many(
     progress: bool = False,
     what: str = "runs",
 ) -> list[Arrays]:
-    """Return `work(piece)` for every piece, in their order.
+    """Return `work(piece)` for every piece, in their order; what `work` raises is raised as it is.
 
-    Parameters
-    ----------
-    work : callable
-        From a piece to {name: array}; a function at the top of a module, or a `functools.partial`
-        of one, so that it can be sent to other processes. Threads of a worker share it.
-    pieces : sequence
-        Anything that can be pickled.
-    key : mapping
-        JSON values that say what this work is: model, settings, seed. Not how many pieces, where
-        earlier pieces stay the same when more are asked for.
-    n_jobs : int, optional
-        Processes: 1 works in this one, None on all cores, or on all workers of the backend that
-        `joblib.parallel_config` names.
-    threads : bool
-        Threads of this process instead, for work that needs no interpreter lock, unless
-        `joblib.parallel_config` names a backend.
-    folder : path, optional
-        Where finished pieces are kept; those of an earlier call with the same key are used again.
-    files : (str, str)
-        Name of the folder's record, and the beginning of the names of its pieces.
-    progress : bool
-        Show a bar on standard error where that is a terminal.
-    what : str
-        What pieces are called, for the bar and for messages.
+    `work` leads from what can be pickled to {name: array}, and can be sent to other processes;
+    `key` has the JSON values that say what it is: model, settings, seed. `n_jobs` are processes:
+    None takes all cores, or all workers of the backend that `joblib.parallel_config` names. With
+    `threads` they are threads of this process, for work that needs no interpreter lock. Finished
+    pieces are kept in the `folder`, under a record and a stem that are its `files`; `what` they are
+    called is said by the bar and by messages.
 
-    Returns
-    -------
-    list of {name: array}
-
-    Raises
-    ------
-    ModelError
-        Where the folder holds other work or a damaged file, or `n_jobs` is not a count. What `work`
-        raises is raised as it is.
-
-    Examples
-    --------
     >>> [piece["x"].item() for piece in many(dict, [{"x": 1}, {"x": 2}], key={})]
     [1, 2]
     """
     n_jobs = None if n_jobs is None else counted(n_jobs, "n_jobs")
     record, stem = files
-    place = (
-        None if folder is None else _opened(folder_of(folder), dict(key), name=record, what=what)
-    )
+    place = None if folder is None else _opened(folder_of(folder), key, name=record, what=what)
     paths = [place and place / f"{stem}{index:06d}.npz" for index in range(len(pieces))]
     known = ((index, read_piece(path)) for index, path in enumerate(paths) if path)
     done = {index: arrays for index, arrays in known if arrays is not None}
@@ -199,12 +164,8 @@ def folder_of(given: object) -> Path:
 
 
 def _opened(folder: Path, record: Mapping[str, object], *, name: str, what: str) -> Path:
-    """Return the folder, made where it is missing, after checking that it is of this record.
-
-    The record has the JSON values that the pieces depend on, `name` is its file, and `what` says
-    in messages what the folder holds.
-    """
-    text = json.dumps(record, indent=2)
+    """Return the folder, made where it is missing, after checking that it is of this record."""
+    text = json.dumps(dict(record), indent=2)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -232,10 +193,7 @@ def _opened(folder: Path, record: Mapping[str, object], *, name: str, what: str)
 
 
 def write_piece(path: Path, arrays: Mapping[str, Numbers]) -> None:
-    """Write arrays, of no Python objects, as an .npz file; equal arrays give equal bytes.
-
-    A digest of them all is written with them, so that no other content is taken for theirs.
-    """
+    """Write arrays and a digest of them all as an .npz file; equal arrays give equal bytes."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays, **{DIGEST: _digest(arrays)})
     write_atomically(path, buffer.getvalue())
@@ -290,11 +248,8 @@ class How(TypedDict, total=False):
 def seeded(seed: int, n: int, block: int) -> tuple[list[tuple[SeedSequence, int]], int]:
     """Return blocks, each a stream and how many draws to take from it, and the size of a last one.
 
-    Examples
-    --------
-    >>> pieces, rest = seeded(0, 5, 2)
-    >>> [count for _, count in pieces], rest
-    ([2, 2, 1], 1)
+    >>> [count for _, count in seeded(0, 5, 2)[0]]
+    [2, 2, 1]
     """
     rest = n % block
     sizes = [block] * (n // block) + [rest] * (rest > 0)

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.mdp.table import Integers
+from exact_mdp.solvers.bounds.gains import gamma
 from exact_mdp.solvers.solution import Solution
-
-ROUNDOFF = 2.0**-53
 
 
 def settled(solution: Solution) -> Solution:
@@ -33,7 +32,7 @@ def settled(solution: Solution) -> Solution:
     matrix, rate = mdp.transition, mdp.discount
     q = mdp.reward + rate * (matrix @ value)
     size = np.abs(mdp.reward) + rate * float(np.abs(value).max())
-    doubt = (np.diff(matrix.indptr) + 8) * ROUNDOFF * size + rate * float(error.max())
+    doubt = gamma(np.diff(matrix.indptr) + 8) * size + rate * float(error.max())
     first, state = mdp.pair_offsets[:-1], mdp.pair_state
     best = np.maximum.reduceat(q - doubt, first)[state]
     near = (q + doubt >= best) & ~mdp.terminal[state]
@@ -46,17 +45,16 @@ def settled(solution: Solution) -> Solution:
     for number in range(int(turn.max()) + 1):  # each state's first rival, then its second, …
         rival = rivals[turn == number]
         holder = pairs[state[rival]]
-        earned = mdp.reward[rival] - mdp.reward[holder]
-        difference = (matrix[rival] - matrix[holder]).tocoo()
-        row, next_state, share = difference.row, difference.col, difference.data
+        held, earned = matrix[holder], mdp.reward[rival] - mdp.reward[holder]
+        apart = matrix[rival] - held
+        row, share = np.repeat(np.arange(len(rival)), np.diff(apart.indptr)), apart.data
         # Both rows sum to 1: values may be counted from any other. Counted from that of the
         # likeliest next state, the number that was rounded to make the row sum to 1 drops out.
-        step = share * (value[next_state] - value[_likeliest(matrix[holder])][row])
-        more = earned + rate * np.bincount(row, step, len(rival))
-        terms = np.bincount(row, minlength=len(rival)) + 8
-        moved = np.abs(earned) + rate * np.bincount(row, np.abs(step), len(rival))
-        unknown = rate * np.bincount(row, np.abs(share) * error[next_state], len(rival))
-        better = more > terms * ROUNDOFF * moved + unknown
+        step = share * (value[apart.indices] - value[_likeliest(held)][row])
+        unknown = np.abs(share) * error[apart.indices]
+        sums = [np.bincount(row, each, len(rival)) for each in (step, np.abs(step), unknown)]
+        noise = gamma(np.diff(apart.indptr) + 8) * (np.abs(earned) + rate * sums[1])
+        better = earned + rate * sums[0] > noise + rate * sums[2]
         pairs[state[rival[better]]] = rival[better]
     return solution if np.array_equal(pairs, solution.pairs) else replace(solution, pairs=pairs)
 

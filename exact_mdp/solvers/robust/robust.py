@@ -2,25 +2,17 @@
 
     V(s) = max over pairs l of s of  min over laws q in U_l of  Σ q_i (r_i + γ V(s_i))
 
-or with either side turned round: robust and cooperative, to maximise and to minimise. The sets are
-(s, a)-rectangular: nature chooses for each pair on its own, and may choose anew in every step. The
-equations of the present policy and laws are solved in turn with choosing both anew; where that does
-not bring the bounds closer, a step of value iteration does (Iyengar, Mathematics of Operations
-Research 30, 2005; Kaufman and Schaefer, INFORMS Journal on Computing 25, 2013).
+or with either side turned round. Sets are (s, a)-rectangular: nature chooses for each pair on its
+own, and may choose anew in every step. The equations of the present policy and laws are solved in
+turn with choosing both anew; where that does not bring the bounds closer, a step of value iteration
+does (Iyengar, Mathematics of Operations Research 30, 2005; Kaufman and Schaefer, INFORMS Journal on
+Computing 25, 2013). T is the robust Bellman operator, and w is positive but for terminal states:
 
-Bounds. T is the robust Bellman operator. Let w be positive but for terminal states, and let every
-row leave a margin against the worst law for it,
-
-    m(s) = w(s) - γ max over the pairs l of s, and the laws q of l, of Σ q w  > 0.
-
-As nature's optimum σ satisfies σ(V + c w) ≤ σ(V) + c γ max Σ q w for c ≥ 0, on either side,
-
+    m(s) = w(s) - γ max over the pairs l of s, and the laws q of l, of Σ q w  > 0,
     T V - V ≤ c m  gives  V* ≤ V + c w   (c ≥ 0),     T V - V ≥ c m  gives  V* ≥ V + c w   (c ≤ 0),
 
-V* the fixed point of T, unique because T is a contraction in the norm weighted by w. A margin thus
-proves that episodes end under every policy and every choice of nature. The weights are levels where
-the model is acyclic, else 1 where γ < 1, else the greatest expected number of steps, nature siding
-with delay.
+on either side, as nature's optimum σ satisfies σ(V + c w) ≤ σ(V) + c γ max Σ q w for c ≥ 0. A
+margin proves that episodes end under every policy and every choice of nature.
 """
 
 from __future__ import annotations
@@ -209,11 +201,6 @@ class Game:
         share = self.weights[self.pairs]
         return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
 
-    @cached_property
-    def order(self) -> Integers | None:
-        """(S,) levels where the model is acyclic, whatever nature does; None where it is not."""
-        return levels(self.mdp)
-
     def ask(self, value: Floats, *, delay: bool = False) -> Inner:
         """Return what nature makes of each of `pairs`, at values (S,).
 
@@ -263,11 +250,11 @@ class Game:
 def margins(game: Game) -> tuple[Floats, Floats]:
     """Return weights (S,), and verified margins (T,) of the states that are not terminal.
 
-    Raises ModelError where some policy and some laws never end at discount 1, SolverError where
-    double precision does not suffice.
+    Weights are levels where the model is acyclic, else 1 where γ < 1, else the greatest expected
+    number of steps, nature siding with delay.
     """
-    if game.order is not None:
-        weight = game.order.astype(np.float64)
+    if (order := levels(game.mdp)) is not None:
+        weight = order.astype(np.float64)
     elif game.mdp.discount < 1:
         weight = (~game.mdp.terminal).astype(np.float64)
     else:
@@ -331,10 +318,11 @@ def _iterate(
 ) -> tuple[Status, Floats, Floats, Inner, int]:
     """Return values and their errors (S,), from what nature makes of them, and the iterations."""
     live, value, rate = game.live, np.zeros(game.mdp.n_states), game.mdp.discount
+    order = levels(game.mdp)  # whatever nature does
     if not len(live):
         return Status.CONVERGED, value, value.copy(), game.ask(value), 0
     weight, margin = margins(game)
-    shifted = rate < 1 and game.order is None  # all values may lack the same
+    shifted = rate < 1 and order is None  # all values may lack the same
     most, best, trust, step = float(weight.max()), np.inf, np.inf, value
     for iteration in range(1, max_iterations + 1):
         asked = game.ask(value)
@@ -361,6 +349,6 @@ def _iterate(
         step = value.copy()
         step[live] = better
         chain, earned = game.chain(asked.laws, game.choice(asked.value))
-        value, trust = LinearSystem(chain, rate, order=game.order).approximate(earned), size
+        value, trust = LinearSystem(chain, rate, order=order).approximate(earned), size
     detail = f"{robust_error(game, value, margin)[0] * most:.2g} is the error bound after "
     raise SolverError(Status.ITERATION_LIMIT, detail + f"{max_iterations} iterations")

@@ -1,26 +1,16 @@
 """Sets of laws around the rows of a model, and what nature picks from them.
 
 A row of pair l has outcomes i with nominal probability p_i, next state s_i and reward g_i, and is
-worth Σ q_i x_i under another law q, x_i = g_i + γ V(s_i). Outcomes, not next states, are what
-nature weighs: two outcomes may lead to one state with different rewards. Rows of floats, whose sums
-are 1 only nearly, count divided by their sums. Outcomes that a row does not have stay impossible.
-Sets of all rows are independent, and nature chooses anew whenever a pair is used, knowing state and
-action (a dynamic model; Iyengar, Mathematics of Operations Research 30, 2005): for the stationary
-policies here a nature that chooses once and for all does as well.
+worth Σ q_i x_i under another law q, x_i = g_i + γ V(s_i). Outcomes that a row does not have stay
+impossible. Sets of all rows are independent, and nature chooses anew whenever a pair is used: for
+the stationary policies here a nature that chooses once and for all does as well (Iyengar,
+Mathematics of Operations Research 30, 2005).
 
-Intervals (Givan, Leach and Dean, Artificial Intelligence 122, 2000; Nilim and El Ghaoui,
-Operations Research 53, 2005):
-
-    {q : lower_i ≤ q_i ≤ upper_i, Σ q_i = 1}
-
-Least Σ q x: outcomes in rising order of x get their upper bound as long as the rest can still have
-its lower bound. L1 balls {q : Σ |q_i - p_i| ≤ ρ} (Strehl and Littman, Journal of Computer and
-System Sciences 74, 2008): ρ/2 of the mass moves from the greatest x to the least. Both are exact up
-to rounding.
-
-Rows of about the same length are put side by side in one block (K, n), n a power of two, so that
-one call of NumPy asks nature about all of them. A row that is shorter is filled up with copies of
-its first outcome of probability 0, which have the same value and so change nothing.
+    {q : lower_i ≤ q_i ≤ upper_i, Σ q_i = 1}   Givan, Leach and Dean, Artificial Intelligence 122,
+        2000: in rising order of x, outcomes get their upper bound as long as the rest can still
+        have its lower bound
+    {q : Σ |q_i - p_i| ≤ ρ}   Strehl and Littman, Journal of Computer and System Sciences 74, 2008:
+        ρ/2 of the mass moves from the greatest x to the least
 """
 
 from __future__ import annotations
@@ -44,7 +34,10 @@ ROOM = 2**22  # outcomes in one block
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """K rows of n outcomes."""
+    """K rows of n outcomes side by side, so that one call of NumPy asks nature about all of them.
+
+    A shorter row is filled up with copies of its first outcome of probability 0.
+    """
 
     place: Integers  # (K,) positions of the rows among the pairs that were asked for
     pair: Integers  # (K,)
@@ -76,7 +69,7 @@ class Intervals:
     Attributes
     ----------
     lower, upper : (N,)
-        In the order of `mdp.table.next`. Make them with `relative` or `absolute`.
+        In the order of `mdp.table.next`; `relative` and `absolute` make them.
 
     Examples
     --------
@@ -183,17 +176,11 @@ class Intervals:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ball:
-    """Laws within a radius of the nominal row.
-
-    Attributes
-    ----------
-    radius : float or (L,)
-        One for all pairs, or one for each.
-    """
+    """Laws within a radius of the nominal row."""
 
     NAME: ClassVar[str]
 
-    radius: Any
+    radius: Any  # one for all pairs, or (L,) one for each
 
     def __post_init__(self) -> None:
         radius: Any = self.radius
@@ -286,17 +273,15 @@ def blocks_of(model: MDP, pairs: Integers) -> list[Block]:
 def side_by_side(
     pairs: Integers, rows: tuple[Integers, Integers], outcomes: tuple[Integers, Floats, Floats]
 ) -> list[Block]:
-    """Return rows (U,) by where they start and their length, in blocks.
+    """Return rows (U,) by where they start and their length, in blocks of about the same length.
 
     Outcomes are next states, probabilities, which need not sum to 1, and rewards.
     """
     (start, length), (following, probability, gain), blocks = rows, outcomes, []
     width = 2 ** np.ceil(np.log2(length)).astype(np.int64)
     for n in np.unique(width).tolist():
-        alike = np.flatnonzero(width == n)
-        for first in range(0, len(alike), max(1, ROOM // n)):
-            place = alike[first : first + max(1, ROOM // n)]
-            column = np.arange(n)
+        alike, column = np.flatnonzero(width == n), np.arange(n)
+        for place in np.array_split(alike, -(-len(alike) * n // ROOM)):
             filled = column >= length[place][:, None]
             outcome = start[place][:, None] + np.where(filled, 0, column)
             p = np.where(filled, 0.0, probability[outcome])
@@ -345,7 +330,7 @@ def inner(
         n = payoff.shape[1]
         # A payoff is rounded four times; the mass of a law misses the set by (2 n + 6) units, over
         # payoffs that are up to twice `size` apart; the sum is rounded n times.
-        error = (float(gamma(8 * n + 32)) * size + TINY * n * (size > 0)) * SLACK
+        error = (gamma(8 * n + 32) * size + TINY * n * (size > 0)) * SLACK
         low[block.place] = worst - error - (short if against else 0.0)
         high[block.place] = worst + error + (0.0 if against else short)
         middle[block.place] = worst
