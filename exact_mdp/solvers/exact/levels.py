@@ -123,10 +123,10 @@ class Level:
 
     def mean(self, weights: Iterable[tuple[int, Fraction]]) -> Fraction:
         """Return Σ weight · x(s), of pairs of a state and a weight."""
-        states, shares = zip(*weights, strict=True)
-        values, unit = self.over_one(states, self.group.tolist())
-        parts, below = common(shares)
-        return Fraction(sum(map(mul, values, parts)), unit * below)
+        listed = [*weights]
+        values, unit = self.over_one([state for state, _ in listed], self.group.tolist())
+        parts, below = common([weight for _, weight in listed])
+        return fraction(sum(map(mul, values, parts)), unit * below)
 
 
 def combined(levels: Sequence[Level], weights: Sequence[Any]) -> Level:

@@ -31,13 +31,7 @@ import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, suggest
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
-from exact_mdp.mdp.graph import (
-    SHOWN,
-    components,
-    reachable,
-    termination,
-    ways_out,
-)
+from exact_mdp.mdp.graph import SHOWN, components, reachable, termination, ways_out
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Numbers, exact, integers, multiply, ones
@@ -45,33 +39,20 @@ from exact_mdp.solvers.exact.checker import Model
 from exact_mdp.solvers.exact.duals import Totals
 
 REWARD, STEPS = "reward", "steps"
+FACTOR = r"\s*([+-])?\s*(?:([0-9./]+)\s*\*\s*)?"  # of a term in a sum
 Column = tuple[Numbers, Numbers]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Objectives:
-    """Objectives of a model with S states and L pairs.
-
-    Attributes
-    ----------
-    mdp : MDP
-    texts, names : tuple of str
-        How the objectives were written, and what they are called.
-    rows : BellmanRows
-        The equations that all objectives share, without constants.
-    amounts : tuple of (L,) integers
-        Expected amount of each pair, times its state's scale; negated in a model of costs, so that
-        more is better in all.
-    ending : MDP
-        A model that earns where an objective does: it says which states are terminal here.
-    """
+    """Objectives of a model with S states and L pairs; more is better in all."""
 
     mdp: MDP
-    texts: tuple[str, ...]
+    texts: tuple[str, ...]  # as they were written
     names: tuple[str, ...]
-    rows: BellmanRows
-    amounts: tuple[Numbers, ...]
-    ending: MDP
+    rows: BellmanRows  # the equations that all share, without constants
+    amounts: tuple[Numbers, ...]  # (L,) expected amounts times scale, negated in a model of costs
+    ending: MDP  # earns where an objective does: it says which states are terminal here
 
     @classmethod
     def of(cls, mdp: MDP, texts: Sequence[str]) -> Objectives:
@@ -146,10 +127,8 @@ class Objectives:
             return
         ending, mdp = termination(self.ending), self.mdp
         if ending.proven:
-            if (
-                mdp.goal is not None
-                and (beside := reachable(mdp) & self.ending.terminal & ~mdp.goal).any()
-            ):
+            goal = np.ones_like(mdp.terminal) if mdp.goal is None else mdp.goal
+            if (beside := reachable(mdp) & self.ending.terminal & ~goal).any():
                 raise ModelError(
                     "no total is finite: a policy may end beside the goal",
                     where=mdp.space.place(int(np.flatnonzero(beside)[0])),
@@ -161,11 +140,8 @@ class Objectives:
         (_, label), then = components(mdp), self.rows.next
         back = inside[then] & (label[then] == label[mdp.pair_state[self.rows.pair]])
         stays = np.logical_and.reduceat(back, self.rows.offsets[:-1]) & inside[mdp.pair_state]
-        endless = [
-            name
-            for name, amount in zip(self.names, self.amounts, strict=True)
-            if (amount[stays] != 0).any()
-        ]
+        each = zip(self.names, self.amounts, strict=True)
+        endless = [name for name, amount in each if (amount[stays] != 0).any()]
         shown = ", ".join(f"({mdp.space.label(s)})" for s in ending.trapped[:SHOWN].tolist())
         raise ModelError(
             f"{endless[0]!r} has no finite total: a policy need not end, and counts it for ever"
@@ -194,30 +170,26 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
     if body in known:
         return name, [(Fraction(1), body)]
     terms, at = Terms(), 0
-    sign = re.compile(r"\s*([+-])?\s*(?:([0-9./]+)\s*\*\s*)?")
-    names = sorted(known, key=len, reverse=True)
+    each = "|".join(map(re.escape, sorted(known, key=len, reverse=True)))
+    term = re.compile(rf"{FACTOR}({each})\s*(?=[+-]|$)")
     while at < len(body):
-        start = sign.match(body, at)
-        assert start is not None
-        place = start.end()
-        amount = next(
-            (n for n in names if body.startswith(n, place) and _ends(body, place + len(n))), None
-        )
-        if amount is None or (terms and start[1] is None):
-            part = re.split(r"[-+*]", body[place:])[0].strip() or body
+        found = term.match(body, at)
+        if found is None or (terms and found[1] is None):
+            rest = re.sub(f"^{FACTOR}", "", body[at:])
+            part = re.split(r"[-+*]", rest)[0].strip() or body
+            written = part in known
             raise ModelError(
                 f"{body[at:]!r} is no part of a sum"
-                if part in known
+                if written
                 else f"nothing to count is called {part!r}",
                 where=f"objective {text!r}",
                 fix="write each term as NAME or NUMBER*NAME, with + or - between: name=2*a-b"
-                if part in known
+                if written
                 else f"{suggest(part, known)}; a sum is written name=2*a-b",
             )
-        factor = exact(start[2] or "1")
-        terms.append((-factor if start[1] == "-" else factor, amount))
-        at = place + len(amount)
-        at += len(body[at:]) - len(body[at:].lstrip())
+        factor = exact(found[2] or "1")
+        terms.append((-factor if found[1] == "-" else factor, found[3]))
+        at = found.end()
     if not terms:
         raise ModelError(
             "the objective names nothing to count",
@@ -225,10 +197,6 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
             fix=suggest("", known),
         )
     return name, terms
-
-
-def _ends(body: str, place: int) -> bool:
-    return body[place:].lstrip()[:1] in ("", "+", "-")
 
 
 def _combined(mdp: MDP, terms: Terms) -> Column:
@@ -257,11 +225,7 @@ def _column(mdp: MDP, name: str) -> Column:
         return mdp.component(name)
     if name == STEPS:
         return (~mdp.over)[mdp.pair_state].astype(np.int64), ones(mdp.n_pairs)
-    return _happening(mdp, name)
-
-
-def _happening(mdp: MDP, name: str) -> Column:
-    """Return the probabilities (L,) of an event, or of stepping into a label, in the same form."""
+    # The probability of an event, or of stepping into a label.
     weight, below = mdp.table.integer_weights()
     if name in mdp.events:
         assert mdp.table.event is not None

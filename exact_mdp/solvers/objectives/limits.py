@@ -63,11 +63,12 @@ class Limit:
     bound: Fraction
 
     def __str__(self) -> str:
-        return f"{self.name} {'>=' if self.sign > 0 else '<='} {self.bound}"
+        return self.text()
 
-    def text(self, digits: int) -> str:
-        """Return the limit with its bound in decimals."""
-        return f"{self.name} {'>=' if self.sign > 0 else '<='} {shown(self.bound, digits)}"
+    def text(self, digits: int | None = None) -> str:
+        """Return the limit, its bound in decimals where a number of digits is given."""
+        bound = self.bound if digits is None else shown(self.bound, digits)
+        return f"{self.name} {'>=' if self.sign > 0 else '<='} {bound}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -82,14 +83,12 @@ class ConstrainedSolution(TotalsProof):
     feasible : bool
         Whether a policy keeps them.
     flow : Flow
-        Expected visits of pairs under the policy: the optimal one, or one that keeps the moved
-        limits.
+        Expected visits of pairs under the optimal policy, or one that keeps the moved limits.
     price : tuple of Fraction
         Of each limit: what the optimum gains for each unit by which the limit is moved. Where it is
         infeasible, the weights that prove it.
     dual : Level
-        What no policy exceeds: the total of the reward, or 0 times it where that is infeasible, and
-        of the limited totals times their prices.
+        Values that no policy exceeds, of the reward where feasible and the limits by their prices.
     shift : Fraction
         The least t such that limits that are all moved by t can be kept: 0 where it is feasible.
 
@@ -149,10 +148,7 @@ class ConstrainedSolution(TotalsProof):
 
     @property
     def closest(self) -> dict[str, Fraction]:
-        """The closest limits that can be kept, all moved by the same step.
-
-        By name, or by the whole limit where a name has several.
-        """
+        """The closest limits that can be kept, by name, or by limit where a name has several."""
         return bounds(self.limits, self.moved)
 
     @property
@@ -168,12 +164,10 @@ class ConstrainedSolution(TotalsProof):
     @cached_property
     def randomises(self) -> dict[int, dict[str, Fraction]]:
         """The states in which the policy draws its action: {state: {action: probability}}."""
-        mdp = self.of.mdp
-        return {
-            state: {mdp.actions[mdp.pair_action[pair]]: chance for pair, chance in own.items()}
-            for state, own in self.flow.chances(self.of).items()
-            if len(own) > 1
-        }
+        mdp, chances = self.of.mdp, self.flow.chances(self.of).items()
+        drawn = {state: own.items() for state, own in chances if len(own) > 1}
+        action = mdp.pair_action
+        return {s: {mdp.actions[action[l]]: p for l, p in own} for s, own in drawn.items()}
 
     @cached_property
     def rule(self) -> Numbers:
@@ -182,13 +176,12 @@ class ConstrainedSolution(TotalsProof):
         In states that are never visited, the first that is optimal for the reward and the prices.
         """
         of, mdp = self.of, self.of.mdp
-        rule = np.full((mdp.n_states, mdp.n_actions), ZERO, dtype=object)
         whole, unit = common(self.weights)
         rows = replace(of.rows, constant=of.weighted(whole))
         best = first_of(mdp, signs(rows, combined([self.dual], [unit])) == 0)
-        rule[np.arange(mdp.n_states), mdp.pair_action[best]] = ONE
-        for state, own in self.flow.chances(of).items():
-            rule[state] = ZERO
+        chances = {s: {pair: ONE} for s, pair in enumerate(best.tolist())} | self.flow.chances(of)
+        rule = np.full((mdp.n_states, mdp.n_actions), ZERO, dtype=object)
+        for state, own in chances.items():
             for pair, chance in own.items():
                 rule[state, mdp.pair_action[pair]] = chance
         return rule
@@ -204,16 +197,19 @@ class ConstrainedSolution(TotalsProof):
 
         `keeps` says of each limit whether the policy keeps it.
         """
+        near = [limit.text(10) for limit in self.moved]
+        each = zip(self.limits, self.price, near, keeps or near, strict=True)
         rows = [
-            {"limit": str(limit), "total": totals[limit.name], "price": price, "closest": near}
-            for limit, price, near in zip(
-                self.limits, self.price, (limit.text(10) for limit in self.moved), strict=True
-            )
+            {
+                "limit": str(x),
+                "total": totals[x.name],
+                "price": price,
+                "closest": moved,
+                "kept": word,
+            }
+            for x, price, moved, word in each
         ]
-        columns = {"limit": "limit", "total": "total:.10g"}
-        if keeps:
-            rows = [row | {"kept": word} for row, word in zip(rows, keeps, strict=True)]
-            columns |= {"kept": "kept"}
+        columns = {"limit": "limit", "total": "total:.10g"} | ({"kept": "kept"} if keeps else {})
         if self.feasible:
             note = "price: what the optimum gains for one point by which the limit is moved"
             columns |= {"price": "price:.10g"}
@@ -226,10 +222,8 @@ class ConstrainedSolution(TotalsProof):
         """Return one row for each limit: the total, the price, and the closest limit."""
         import pandas
 
-        rows = [
-            (str(limit), self.totals[limit.name], price, moved.bound)
-            for limit, moved, price in zip(self.limits, self.moved, self.price, strict=True)
-        ]
+        each = zip(self.limits, self.price, self.moved, strict=True)
+        rows = [(str(x), self.totals[x.name], price, moved.bound) for x, price, moved in each]
         return pandas.DataFrame(rows, columns=["limit", "total", "price", "closest"])
 
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,11 @@ import numpy as np
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, common
+from exact_mdp.mdp.table import Integers, Numbers, common
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, model_of
 from exact_mdp.solvers.exact.find import best, first_of
-from exact_mdp.solvers.exact.levels import Level, combined, fraction, signs
+from exact_mdp.solvers.exact.levels import Level, combined, signs
 from exact_mdp.solvers.exact.linear import evaluated, visited
 from exact_mdp.solvers.objectives.amounts import Objectives
 
@@ -47,26 +48,22 @@ class Flow:
 
     def chances(self, of: Objectives) -> dict[int, dict[int, Fraction]]:
         """Return the probability of each pair {state: {pair: probability}} in states visited."""
-        taken: dict[int, dict[int, Fraction]] = {}
-        for pair, number in sorted(self.numbers().items()):
-            taken.setdefault(int(of.mdp.pair_state[pair]), {})[pair] = number
-        return {
-            state: {pair: number / sum(own.values()) for pair, number in own.items()}
-            for state, own in sorted(taken.items())
-        }
+        chances, state = dict[int, dict[int, Fraction]](), of.mdp.pair_state
+        for own, some in groupby(sorted(self.numbers().items()), lambda each: int(state[each[0]])):
+            visits = dict(some)
+            total = sum(visits.values())
+            chances[own] = {pair: number / total for pair, number in visits.items()}
+        return chances
 
     def totals(self, of: Objectives) -> Point:
         """Return what the pairs earn of each objective; more is better."""
-        top, below = self.visits.over_one(range(len(self.pairs)), self.visits.group.tolist())
         scale = of.rows.scale[of.mdp.pair_state[self.pairs]].tolist()
-        each, unit = common([Fraction(1, number) for number in scale])
-        return tuple(
-            fraction(
-                sum(n * k * a for n, k, a in zip(top, each, own[self.pairs].tolist(), strict=True)),
-                below * unit,
-            )
-            for own in of.amounts
-        )
+
+        def earned(amount: Numbers) -> Fraction:
+            each = zip(amount[self.pairs].tolist(), scale, strict=True)
+            return self.visits.mean(enumerate(Fraction(top, below) for top, below in each))
+
+        return tuple(map(earned, of.amounts))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,15 +77,11 @@ class Attained:
     values: tuple[Level, ...]
     total: Point
 
-    def gains(self, of: Objectives, weights: Weights) -> Integers:
-        """Return (L,) the sign of what each pair gains on the weighted values."""
-        whole, _ = common([Fraction(w) for w in weights])
-        rows = replace(of.rows, constant=of.weighted(whole))
-        return signs(rows, combined(self.values, whole), self.pairs)
-
     def optimal(self, of: Objectives, weights: Weights) -> bool:
         """Return whether no pair gains: then no policy exceeds the weighted values, in no state."""
-        return not (self.gains(of, weights) > 0).any()
+        whole, _ = common([Fraction(w) for w in weights])
+        rows = replace(of.rows, constant=of.weighted(whole))
+        return not (signs(rows, combined(self.values, whole), self.pairs) > 0).any()
 
 
 def flow_under(
@@ -137,18 +130,10 @@ def extreme(of: Objectives, weights: Weights, first: Integers | None = None) -> 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TotalsProof(Proof):
-    """What is proven about totals of a model.
+    """What is proven about totals of a model."""
 
-    Attributes
-    ----------
-    objectives : tuple of str
-        What is counted, as `solvers.objectives.amounts` reads it.
-    rank : (S,) int64, optional
-        Proof that every policy ends, at discount 1.
-    """
-
-    objectives: tuple[str, ...]
-    rank: Integers | None
+    objectives: tuple[str, ...]  # what is counted, as `solvers.objectives.amounts` reads it
+    rank: Integers | None  # (S,) proof that every policy ends, at discount 1
 
     @cached_property
     def of(self) -> Objectives:
