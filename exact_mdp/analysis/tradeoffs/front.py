@@ -36,6 +36,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import Integers, common
+from exact_mdp.solvers.exact.duals import worth
 from exact_mdp.solvers.exact.levels import Level, combined
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import Attained, Point, TotalsProof, about, extreme
@@ -52,21 +53,14 @@ LONGEST = 200  # states that lead to each other: a front of two totals takes a m
 class Edge:
     """Two neighbouring vertices, by number, and what one total costs of another between them.
 
-    Attributes
-    ----------
-    start, end : int
-    change : tuple of Fraction
-        Totals of the end less those of the start.
-    rate : Fraction or tuple of Fraction
-        With two totals, how much of the second one point of the first costs; with three, the
-        change for each point by which the first that differs rises.
-    weights : tuple of Fraction, optional
-        With two totals, the weights for which both vertices, and all mixtures, are optimal.
+    With two totals, `rate` is how much of the second one point of the first costs, and both are
+    optimal for `weights`; with three, the change for each point by which the first that differs
+    rises.
     """
 
     start: int
     end: int
-    change: Point
+    change: Point  # totals of the end less those of the start
     rate: Fraction | Point
     weights: Point | None = None
 
@@ -82,18 +76,10 @@ class Corner:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Front(TotalsProof, Pictured):
-    """The exact Pareto front of expected totals from the start, and its proof.
+    """The exact Pareto front of expected totals from the start, and its proof."""
 
-    Attributes
-    ----------
-    attained : tuple of Attained
-        A deterministic policy for each vertex, in rising order of the first total.
-    corners : tuple of Corner
-        Weights at which the best vertex changes.
-    """
-
-    attained: tuple[Attained, ...]
-    corners: tuple[Corner, ...]
+    attained: tuple[Attained, ...]  # a policy for each vertex, by rising first total
+    corners: tuple[Corner, ...]  # weights at which the best vertex changes
 
     kinds: ClassVar[tuple[str, ...]] = ("front",)
 
@@ -121,28 +107,18 @@ class Front(TotalsProof, Pictured):
     @property
     def edges(self) -> list[Edge]:
         """The edges between neighbouring vertices."""
-        vertices, edges = self.vertices, []
-        size = len(self.names)
+        vertices, edges, two = self.vertices, list[Edge](), len(self.names) == 2
         shared: dict[tuple[int, int], list[Point]] = {}
         for corner in self.corners:
             for both in combinations(corner.best, 2):
                 shared.setdefault(both, []).append(corner.weights)
         for (i, j), corners in sorted(shared.items()):
-            if len(corners) < size - 1:
-                continue
-            change = tuple(b - a for a, b in zip(vertices[i], vertices[j], strict=True))
-            first = next(step for step in change if step)
-            each = tuple(step / abs(first) for step in change)
-            two = size == 2
-            edges.append(
-                Edge(
-                    start=i,
-                    end=j,
-                    change=change,
-                    rate=abs(each[1]) if two else each,
-                    weights=corners[0] if two else None,
-                )
-            )
+            if two or len(corners) > 1:
+                change = tuple(b - a for a, b in zip(vertices[i], vertices[j], strict=True))
+                first = next(step for step in change if step)
+                each = tuple(step / abs(first) for step in change)
+                rate, weights = (abs(each[1]), corners[0]) if two else (each, None)
+                edges.append(Edge(start=i, end=j, change=change, rate=rate, weights=weights))
         return edges
 
     @property
@@ -159,11 +135,11 @@ class Front(TotalsProof, Pictured):
     def distance(self, policy: PolicyLike) -> Fraction:
         """Return by how much all totals of a policy could be better at once: 0 on the front.
 
-        It is the least (H(w) - w · totals) over the corners w, whose weights sum to 1.
+        It is the least H(w) - w · totals over the corners w, whose weights sum to 1.
         """
         of = self.of
         own = flow_of(of, policy).totals(of)
-        return min(c.dual.mean(of.mdp.start) - _worth(c.weights, own) for c in self.corners)
+        return min(c.dual.mean(of.mdp.start) - worth(c.weights, own) for c in self.corners)
 
     def report(self, policies: Mapping[str, PolicyLike] | None = None) -> Report:
         """Return vertices, edges and facets; `policies` by name are placed beside the front."""
@@ -282,8 +258,8 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     for weights in search.corners():
         best = search.best[weights]
         shares = tuple(Fraction(w, sum(weights)) for w in weights)
-        most = _worth(shares, best.total)
-        tight = (i for i, a in enumerate(order) if _worth(shares, a.total) == most)
+        most = worth(shares, best.total)
+        tight = (i for i, a in enumerate(order) if worth(shares, a.total) == most)
         dual = combined(best.values, shares)
         corners.append(Corner(weights=shares, dual=dual, best=tuple(tight)))
     corners.sort(key=lambda corner: corner.weights)
@@ -311,13 +287,13 @@ class _Search:
 
     def look(self, weights: Weights) -> None:
         """Keep an optimal policy for weights, and as a vertex where it is a new one."""
-        known = max(self.vertices, key=lambda a: _worth(weights, a.total), default=None)
+        known = max(self.vertices, key=lambda a: worth(weights, a.total), default=None)
         if known is not None and known.optimal(self.of, weights):
             self.best[weights] = known
             return
         new = extreme(self.of, weights, None if known is None else known.pairs)
         self.best[weights] = new
-        if known is None or _worth(weights, new.total) > _worth(weights, known.total):
+        if known is None or worth(weights, new.total) > worth(weights, known.total):
             self._add(new)
 
     def _add(self, new: Attained) -> None:
@@ -348,7 +324,3 @@ def _clipped(polygon: list[Weights], normal: Sequence[int]) -> list[Weights]:
         if here >= 0:
             inside.append(point)
     return list(dict.fromkeys(inside))
-
-
-def _worth(weights: Sequence[Any], values: Sequence[Fraction]) -> Fraction:
-    return sum((w * v for w, v in zip(weights, values, strict=True)), Fraction(0))

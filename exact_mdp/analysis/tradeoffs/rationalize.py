@@ -31,7 +31,7 @@ from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.solvers.exact.duals import allowed
+from exact_mdp.solvers.exact.duals import allowed, worth
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.simplex import maximise
@@ -62,50 +62,25 @@ class Cut:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Interval:
-    """Multipliers of one weight for which a policy is optimal, or None; and what proves it.
-
-    Attributes
-    ----------
-    low, high : Fraction, infinite, or None
-    at_low, at_high : Level, optional
-        What no policy exceeds at the ends; at infinity, of this component alone.
-    cuts : tuple of Flow
-        Visits of policies that are better beyond the ends.
-    """
+    """Multipliers of one weight for which a policy is optimal, or None; and what proves it."""
 
     low: Fraction | None
     high: Fraction | float | None
-    at_low: Level | None
+    at_low: Level | None  # what no policy exceeds at the ends; at infinity, of this alone
     at_high: Level | None
-    cuts: tuple[Flow, ...]
+    cuts: tuple[Flow, ...]  # visits of policies that are better beyond the ends
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Rationalization(TotalsProof):
-    """The least change of the weights of a reward under which a policy is optimal from the start.
+    """The least change of the weights of a reward that makes a policy optimal from the start."""
 
-    Attributes
-    ----------
-    change : Fraction
-        The greatest relative change of a weight: 1 where nothing less than dropping weights does.
-    multipliers : tuple of Fraction
-        One for each component of the reward, 1 today.
-    flow : Flow
-        Expected visits of pairs under the policy.
-    dual : Level
-        What no policy exceeds under the weights.
-    cuts : tuple of Cut
-        Policies that nothing less than the change makes worse than this one, with multipliers.
-    intervals : tuple of Interval
-        The multipliers of each component alone under which the policy is optimal, with proofs.
-    """
-
-    change: Fraction
-    multipliers: tuple[Fraction, ...]
-    flow: Flow
-    dual: Level
-    cuts: tuple[Cut, ...]
-    intervals: tuple[Interval, ...]
+    change: Fraction  # the greatest relative one: 1 where nothing less than dropping weights does
+    multipliers: tuple[Fraction, ...]  # one for each component of the reward, 1 today
+    flow: Flow  # expected visits of pairs under the policy
+    dual: Level  # what no policy exceeds under the weights
+    cuts: tuple[Cut, ...]  # policies that nothing less makes worse than this one
+    intervals: tuple[Interval, ...]  # of each component alone
 
     kinds: ClassVar[tuple[str, ...]] = ("weights",)
 
@@ -126,10 +101,7 @@ class Rationalization(TotalsProof):
 
     @property
     def alone(self) -> dict[str, tuple[Fraction, Fraction | float] | None]:
-        """The multipliers of 0 or more of each component, the others unchanged, that do it, too.
-
-        The upper end may be infinite; None where there are none.
-        """
+        """The multipliers of each component alone, 0 or more, that do it, too; None without any."""
         return {
             name: None if own.low is None or own.high is None else (own.low, own.high)
             for name, own in zip(self.of.names, self.intervals, strict=True)
@@ -141,13 +113,10 @@ class Rationalization(TotalsProof):
 
     def report(self) -> Report:
         """Return the weights, the change, and for each weight what it does alone."""
+        said = {name: ends and f"{ends[0]} to {ends[1]}" for name, ends in self.alone.items()}
         rows = [
-            {
-                "name": name,
-                "weight": weight,
-                "alone": "none" if ends is None else f"{ends[0]} to {ends[1]}",
-            }
-            for (name, weight), ends in zip(self.weights.items(), self.alone.values(), strict=True)
+            {"name": name, "weight": weight, "alone": said[name] or "none"}
+            for name, weight in self.weights.items()
         ]
         table = Table(
             title="multipliers of the weights",
@@ -239,8 +208,7 @@ class _Search:
     def beaten(self, weights: Sequence[Fraction]) -> Level | None:
         """Return what proves that the policy is optimal for weights; None after one beats it."""
         pairs, value = optimum(self.of, weights)
-        own = sum((w * v for w, v in zip(weights, self.totals, strict=True)), ZERO)
-        if value.mean(self.of.mdp.start) == own:
+        if value.mean(self.of.mdp.start) == worth(weights, self.totals):
             return value
         flow = flow_under(self.of, pairs)
         lead = tuple(a - b for a, b in zip(flow.totals(self.of), self.totals, strict=True))

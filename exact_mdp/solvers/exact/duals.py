@@ -143,7 +143,7 @@ def front(totals: Totals, proof: Any) -> Iterator[str]:
     cells: list[list[Point]] = [[] for _ in vertices]
     for corner in proof.corners:
         wanted(len(corner.weights) == size, "not one weight for each objective")
-        totals_of = [_mixed(corner.weights, vertex.total) for vertex in vertices]
+        totals_of = [worth(corner.weights, vertex.total) for vertex in vertices]
         most = max(totals_of, default=Fraction())
         tight = [number for number, own in enumerate(totals_of) if own == most]
         for number in tight:
@@ -159,7 +159,8 @@ def front(totals: Totals, proof: Any) -> Iterator[str]:
         yield "a vertex is not one: others are as good for all weights"
 
 
-def _mixed(weights: Point, values: Point) -> Fraction:
+def worth(weights: Sequence[Any], values: Point) -> Fraction:
+    """Return the weighted sum of some values."""
     return sum((w * v for w, v in zip(weights, values, strict=True)), Fraction())
 
 
@@ -229,7 +230,7 @@ def weights(totals: Totals, proof: Any) -> Iterator[str]:
         return [a - b for a, b in zip(totals.earns(flow), own, strict=True)]
 
     def best(at: Point, values: Any) -> bool:
-        return values is not None and totals.bounds(at, values, _mixed(at, own))
+        return values is not None and totals.bounds(at, values, worth(at, own))
 
     if not best(proof.multipliers, proof.dual):
         yield "the values do not prove the policy optimal for the weights"
