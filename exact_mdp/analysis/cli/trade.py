@@ -10,12 +10,11 @@ from typing import Any
 
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import check_outputs, number_of
-from exact_mdp.analysis.perception.errors import error_costs
-from exact_mdp.analysis.perception.values import confusion_at, value_under_counts
+from exact_mdp.analysis.perception import confusion_at, error_costs, value_under_counts
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.mdp.care.perception import Counted, read, read_counts, status_size
+from exact_mdp.mdp.care.perception import LEVEL, Counted, read, read_counts, status_size
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
@@ -188,10 +187,10 @@ def perception(
     counted = None
     if counts is not None:
         spread = value_under_counts(mdp, chosen, counts, rng=seed, n=draws)
-        mean = {"mean": spread.value.value, "standard_error": spread.value.standard_error}
-        rest = {"interval": list(spread.interval), "level": spread.level}
-        rest |= {"draws": len(spread.draws), "seed": seed, "claim": spread.value.claim}
-        said = f"{spread.level:.0%} in {between(*spread.interval)} (estimated)"
+        mean = {"mean": spread.value, "standard_error": spread.standard_error}
+        rest = {"interval": list(spread.interval), "level": LEVEL}
+        rest |= {"draws": draws, "seed": seed, "claim": spread.claim}
+        said = f"{LEVEL:.0%} in {between(*spread.interval)} (estimated)"
         counted = Shown(mean | rest, said)
     return given.report(
         costs.report(),

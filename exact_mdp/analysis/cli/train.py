@@ -14,10 +14,10 @@ from exact_mdp.analysis.learning.outcomes import outcomes
 from exact_mdp.mdp.errors import located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report
 from exact_mdp.solvers.learning import training
 from exact_mdp.solvers.learning.q_learning import QLearning
-from exact_mdp.solvers.learning.sampler import as_policy
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Schedule
 from exact_mdp.solvers.solver import solve
 
@@ -83,7 +83,7 @@ def train(
         return report
     policy, table = files = Path(out, "policy.csv"), Path(out, "q.npy")
     rows, run = results.rows, runs[0]
-    as_policy(mdp, rows.space, results.policies[0]).write(policy)
+    Policy(space=rows.space, actions=mdp.actions, rule=results.policies[0]).write(policy)
     free = np.flatnonzero(rows.offered[np.unique(rows.key[~mdp.forced])].any(axis=0))
     content = io.BytesIO()
     np.save(content, run.q if rows.space == mdp.space else run.q[:, free])

@@ -25,8 +25,7 @@ from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.table import Floats
 
 if TYPE_CHECKING:
-    from exact_mdp.analysis.perception.errors import ErrorCosts
-    from exact_mdp.analysis.perception.values import AccuracyCurves
+    from exact_mdp.analysis.perception import AccuracyCurves, ErrorCosts
 
 DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), (0, (3, 1, 1, 1, 1, 1)))
 RADIUS = 0.36  # of a status, where the statuses lie on a circle of radius 1

@@ -57,7 +57,7 @@ def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     Raises
     ------
     ModelError
-        Where the matrix does not fit the statuses, or a row is not a distribution.
+        Where a row of the matrix is no distribution, or it does not fit the statuses.
 
     Examples
     --------
@@ -119,19 +119,17 @@ def checked(confusion: ArrayLike, *, size: int, where: str, places: Sequence[str
             fix=f"give {size} true by {size} perceived statuses",
         )
     for true, row in enumerate(matrix):
-        with located(places[true] if places else f"{where}, row {true}"):
-            if len(wrong := np.flatnonzero(~(row >= 0))):
-                seen = int(wrong[0])
-                raise ModelError(
-                    f"status {label(true)} is seen as {label(seen)} with probability "
-                    f"{row[seen]:.12g}",
-                    fix="give a number from 0 to 1",
-                )
-            if not abs(row.sum() - 1) <= FLOAT_ROW_TOLERANCE:
-                raise ModelError(
-                    f"the row of status {label(true)} sums to {row.sum():.12g}, not 1",
-                    fix="correct a probability in this row, or add what is missing",
-                )
+        wrong = np.flatnonzero(~(row >= 0)).tolist()
+        if wrong:
+            chance = f"with probability {row[wrong[0]]:.12g}"
+            what = f"status {label(true)} is seen as {label(wrong[0])} {chance}"
+            fix = "give a number from 0 to 1"
+        elif not abs(row.sum() - 1) <= FLOAT_ROW_TOLERANCE:
+            what = f"the row of status {label(true)} sums to {row.sum():.12g}, not 1"
+            fix = "correct a probability in this row, or add what is missing"
+        else:
+            continue
+        raise ModelError(what, where=places[true] if places else f"{where}, row {true}", fix=fix)
     return matrix
 
 
@@ -211,13 +209,7 @@ class Counted:
 
     @property
     def mean(self) -> Floats:
-        """(Z, Z) the confusion matrix: frequencies, or posterior means with a prior.
-
-        Raises
-        ------
-        ModelError
-            Where a status was never seen and there is no prior.
-        """
+        """(Z, Z) the confusion matrix: frequencies, or posterior means with a prior."""
         if self.prior == 0 and self.missing:
             more = " and others" if len(self.missing) > 4 else ""
             raise ModelError(
@@ -236,13 +228,7 @@ class Counted:
         return tuple(map(label, np.flatnonzero(self.counts.sum(axis=1) == 0).tolist()))
 
     def samples(self, rng: np.random.Generator, n: int) -> Floats:
-        """Return (n, Z, Z) matrices drawn from the posterior.
-
-        Raises
-        ------
-        ModelError
-            Without a prior, under which what was not seen would be impossible.
-        """
+        """Return (n, Z, Z) matrices drawn from the posterior, for which there has to be a prior."""
         if self.prior == 0:
             fix = f"give one, such as prior=1/{len(self.counts)}"
             raise ModelError("no prior to draw from", where="counts", fix=fix)
@@ -254,7 +240,7 @@ class Counted:
             raise ModelError(what, where="counts", fix="raise it")
         return np.asarray(drawn / total)
 
-    def rates(self, statuses: Sequence[str], level: float = LEVEL) -> dict[str, dict[str, Rate]]:
+    def rates(self, statuses: Sequence[str]) -> dict[str, dict[str, Rate]]:
         """Return `sensitivity` and `specificity` of each status by name, the first the highest bit.
 
         Examples
@@ -268,15 +254,13 @@ class Counted:
 
         def rate(rows: NDArray[np.bool_]) -> Rate:
             right, total = int(self.counts[rows][:, rows].sum()), int(self.counts[rows].sum())
-            ends = stats.binomtest(right, total).proportion_ci(level) if total else (0.0, 1.0)
+            ends = stats.binomtest(right, total).proportion_ci(LEVEL) if total else (0.0, 1.0)
             return Rate(right=right, total=total, low=float(ends[0]), high=float(ends[1]))
 
-        numbers, shift = np.arange(len(self.counts)), len(statuses) - 1
-        present = {name: (numbers >> (shift - k) & 1) == 1 for k, name in enumerate(statuses)}
-        return {
-            name: {"sensitivity": rate(bit), "specificity": rate(~bit)}
-            for name, bit in present.items()
-        }
+        numbers, shifts = np.arange(len(self.counts)), range(len(statuses))[::-1]
+        present = [(numbers >> shift & 1) == 1 for shift in shifts]
+        both = [{"sensitivity": rate(bit), "specificity": rate(~bit)} for bit in present]
+        return dict(zip(statuses, both, strict=True))
 
 
 def counted(
@@ -313,7 +297,6 @@ def counted(
 
 
 def _tally(pairs: Iterable[Sequence[Any]], size: int, prior: float) -> Counted:
-    """Return the counts of places, true and perceived statuses."""
     column, table = statuses_of(size), np.zeros((size, size), dtype=np.int64)
 
     def status(value: Any) -> int:

@@ -14,8 +14,7 @@ and 0 at the end, unless `bootstrap_end` is set. Costs are learned as rewards, w
 the solution of an MDP, and a constant α leaves noise that never settles: give it a `rate_power`.
 
 The defaults are those of Yuan et al. (2025), "Learning Algorithm Design and Training": 6,000 epochs
-of 30 episodes, α = 0.05, γ = 0.95, one row for each status, ε = 0.1. Sampling only: nothing here
-looks at a probability except to draw from it.
+of 30 episodes, α = 0.05, γ = 0.95, one row for each status, ε = 0.1.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import as_discount, counted
-from exact_mdp.solvers.learning.sampler import Seed, as_policy, rows_of, stream, tables
+from exact_mdp.solvers.learning.sampler import Seed, rows_of, stream, tables
 from exact_mdp.solvers.learning.schedules import (
     PAPER_CONSTANT,
     PAPER_RATE,
@@ -132,10 +131,7 @@ class QLearning:
             raise ModelError(f"{name} is {getattr(self, name)!r}", where="QLearning", fix=fix)
 
     def train(self, model: MDP, rng: Seed) -> TrainingRun:
-        """Return one run; the same seed gives the same bytes.
-
-        ModelError names columns that do not tell apart states which offer different actions.
-        """
+        """Return one run; the same seed gives the same bytes."""
         return Trainer(self, model).run(rng)
 
 
@@ -188,7 +184,7 @@ class TrainingRun(Brief):
 
     def policy(self, mdp: MDP) -> Policy:
         """Return the final greedy policy."""
-        return as_policy(mdp, self.space, self.final)
+        return Policy(space=self.space, actions=mdp.actions, rule=self.final)
 
 
 class Trainer:
@@ -219,12 +215,11 @@ class Trainer:
         snapshots = np.zeros((own.epochs if own.snapshot_episode else 0, rows), dtype=np.int32)
         last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int32)
         returns = np.zeros(own.epochs)
-        random = stream(rng)
         from exact_mdp.solvers import kernels
 
         steps, cut_short = kernels.learn(
             self.tables,
-            random,
+            stream(rng),
             both,
             acting,
             counts,
@@ -243,8 +238,8 @@ class Trainer:
             last,
             returns,
         )
-        policies, which = distinct(np.concatenate([snapshots, last]))
-        numbers = which.astype(np.int32)
+        policies, numbers = distinct(np.concatenate([snapshots, last]))
+        numbers = numbers.astype(np.int32)
         q = (acting / (1 + double)).reshape(rows, self.mdp.n_actions)
         if self.costs:  # learned as rewards, told as the costs that they are
             q, returns = 0.0 - q, 0.0 - returns
@@ -269,10 +264,9 @@ class Trainer:
             "last": (np.int32, (min(own.last, own.epochs * own.episodes),)),
             "returns": (np.float64, (own.epochs,)),
         }
-        for name, (kind, shape) in recorded.items():
-            array = getattr(run, name)
-            if array.dtype != kind or array.shape != shape:
-                return False
+        arrays = {name: getattr(run, name) for name in recorded}
+        if recorded != {name: (array.dtype, array.shape) for name, array in arrays.items()}:
+            return False
         numbers, taken = np.concatenate([run.snapshots, run.last]), run.policies.astype(np.int64)
         within = (numbers >= 0).all() and (numbers < len(taken)).all()
         known = (taken >= 0).all() and (taken < actions).all()

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.mdp.validate import RNG, seed_of
@@ -40,14 +39,13 @@ class Rows:
     offered: NDArray[np.bool_]
 
 
-def rows_of(model: MDP, columns: Sequence[str] | None = None) -> Rows:
+def rows_of(mdp: MDP, columns: Sequence[str] | None = None) -> Rows:
     """Return the rows of a Q-table that reads `columns` of the state.
 
     Unless given, these are the status alone where the model has one and all columns otherwise.
-    ModelError names an unknown column, and states with a choice that share a row and offer
-    different actions.
+    States with a choice that share a row have to offer the same actions.
     """
-    mdp, names = model, model.space.names
+    names = mdp.space.names
     if columns is None:
         columns = ("status",) if "status" in names else names
     chosen = tuple(columns)
@@ -56,12 +54,12 @@ def rows_of(model: MDP, columns: Sequence[str] | None = None) -> Rows:
     else:
         space = StateSpace(columns=tuple(mdp.space.column(name) for name in chosen))
         key = mdp.space.rows(space.columns)
-    mine: Numbers = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
+    mine = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
     mine[mdp.pair_state, mdp.pair_action] = True
     offered = np.zeros((space.size, mdp.n_actions), dtype=bool)
-    free: NDArray[np.bool_] = np.logical_not(mdp.forced)
+    free = ~mdp.forced
     np.logical_or.at(offered, key[free], mine[free])
-    unlike = free & np.logical_xor(mine, offered[key]).any(axis=1)
+    unlike = free & (mine != offered[key]).any(axis=1)
     if unlike.any():
         raise ModelError(
             "states that share a row of the Q-table offer different actions",
@@ -70,7 +68,7 @@ def rows_of(model: MDP, columns: Sequence[str] | None = None) -> Rows:
         )
     inside = np.logical_not(offered.any(axis=1))[key]
     np.logical_or.at(offered, key[inside], mine[inside])
-    offered[np.logical_not(offered.any(axis=1)), 0] = True
+    offered[~offered.any(axis=1), 0] = True
     return Rows(space=space, key=key, offered=offered)
 
 
@@ -97,7 +95,7 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
         total += len(entry[-1])
     starts = [state for state, weight in mdp.start if weight]
     weights = [float(weight) for _, weight in mdp.start if weight]
-    laid_out: Tables = kernels.Tables(
+    return kernels.Tables(
         low=low,
         high=high,
         entry=np.concatenate(entry),
@@ -111,13 +109,6 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
         row_offsets=row_offsets.astype(np.int64),
         row_entry=row_entry.astype(np.int64),
     )
-    return laid_out
-
-
-def as_policy(mdp: MDP, space: StateSpace, choices: Sequence[int] | Numbers) -> Policy:
-    """Return the policy of (K,) action numbers over the rows of a Q-table."""
-    rule: Numbers = np.asarray(choices, dtype=np.int64)
-    return Policy(space=space, actions=mdp.actions, rule=rule)
 
 
 def stream(rng: Seed) -> Numbers:

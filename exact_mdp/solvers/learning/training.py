@@ -8,6 +8,7 @@ are threads, as the compiled loop needs no interpreter lock, unless joblib is gi
 
 from __future__ import annotations
 
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,7 @@ from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
 from exact_mdp.solvers.parallel import damaged, many
 
 FILES = ("training.json", "runs-")
-ARRAYS = ("q", "policies", "snapshots", "last", "returns")
-NUMBERS = ("steps", "cut_short")
-SHORT = 2**15  # actions that older files count in 16 bits
+RECORDED = [field.name for field in fields(TrainingRun) if field.name != "space"]
 
 
 @named_options
@@ -107,7 +106,7 @@ def train(
 def _run(trainer: Trainer, root: SeedSequence, number: int) -> dict[str, Numbers]:
     """Return a run as arrays, which is what crosses between processes."""
     run = trainer.run(child(root, number))
-    return {name: np.asarray(getattr(run, name)) for name in (*ARRAYS, *NUMBERS)}
+    return {name: np.asarray(getattr(run, name)) for name in RECORDED}
 
 
 def _read(
@@ -119,11 +118,9 @@ def _read(
     array.
     """
     try:
-        fields: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
-        fields |= {name: arrays[name].item() for name in NUMBERS}
-        if fields["policies"].dtype == np.int16 and trainer.mdp.n_actions <= SHORT:
-            fields["policies"] = fields["policies"].astype(np.int32)
-        run = TrainingRun(space=trainer.rows.space, **fields)
+        recorded: dict[str, Any] = {name: arrays[name] for name in RECORDED}
+        recorded |= {name: array.item() for name, array in recorded.items() if not array.ndim}
+        run = TrainingRun(space=trainer.rows.space, **recorded)
         if trainer.possible(run):
             return run
     except (KeyError, TypeError, ValueError):  # arrays that are missing, or do not fit together

@@ -15,12 +15,13 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Numbers, spans
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
-from exact_mdp.solvers.learning.sampler import Rows, as_policy
+from exact_mdp.solvers.learning.sampler import Rows
 from exact_mdp.solvers.values.evaluate import evaluate
 
 NUMBERS = 2**22  # of a table over pairs and policies
@@ -79,7 +80,8 @@ class Layers:
 def policy_values(mdp: MDP, rows: Rows, policies: Numbers) -> FixedPoint:
     """Return the start values (U,) of policies (U, K), an action number for each of K rows."""
     if levels(mdp) is None:
-        evaluations = [evaluate(mdp, as_policy(mdp, rows.space, policy)) for policy in policies]
+        each = (Policy(space=rows.space, actions=mdp.actions, rule=rule) for rule in policies)
+        evaluations = [evaluate(mdp, policy) for policy in each]
         return FixedPoint(
             value=np.array([each.mean for each in evaluations]),
             error=np.array([each.start.error for each in evaluations]),

@@ -20,7 +20,6 @@ from matplotlib.axes import Axes
 
 import exact_mdp as em
 from exact_mdp import analysis, paper_repro, solvers
-from exact_mdp.analysis.perception.values import value_under_counts
 from exact_mdp.analysis.plots.pictures import PICTURES
 from exact_mdp.mdp.result import Pictured, Result
 
@@ -104,9 +103,6 @@ MADE: dict[str, Callable[[], object]] = {
     "TwoWay": lambda: em.two_way(SMALL, *NAMES, points=3),
     "WorstPoint": lambda: em.worst_point(SMALL, "optimal", {"base.anger": ("1/25", "3/50")}),
     "ValueFunction": lambda: em.curve(SMALL, "base.anger"),
-    "UncertainValue": lambda: value_under_counts(
-        care(), "optimal", em.Counted(counts=50 * np.eye(16, dtype=int), prior=1 / 16), rng=0, n=20
-    ),
 }
 
 

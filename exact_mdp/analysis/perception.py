@@ -1,0 +1,361 @@
+"""What errors of perception cost a policy: values under many confusions, and the costly errors.
+
+A policy π reads the perceived status z, drawn from C(s, ·). With the occupancy d and the action
+values Q of the mixed policy π_C that it makes of the true status (`mdp.care.perception`),
+
+    dV / dC(s, z) = Σ_x d(x, s) Σ_a π(a | x, z) Q(x, s, a),
+    V^π - V^π_C = Σ_{s, z} C(s, z) Σ_x d(x, s) Σ_a (π(a | x, s) - π(a | x, z)) Q^π(x, s, a),
+
+where Q^π are the action values of whoever reads rightly from the next step on (performance
+difference: Kakade and Langford, ICML 2002, lemma 6.1). With D steps at most, n roundings in each
+and R the greatest reward of an outcome, a value is off by at most γ(D n) D R (Higham, Accuracy and
+Stability of Numerical Algorithms, 2002, section 3.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from exact_mdp.analysis.vary.intervals import Ranged, mean_of
+from exact_mdp.mdp.care.perception import (
+    LEVEL,
+    Counted,
+    by_place,
+    checked,
+    independent,
+    status_names,
+    status_size,
+)
+from exact_mdp.mdp.errors import ModelError, known, listed
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import PolicyLike
+from exact_mdp.mdp.report import Report, Shown, Table, at_most
+from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.table import Floats, float_of
+from exact_mdp.mdp.validate import RNG, seed_of
+from exact_mdp.solvers.bounds.bounds import levels
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
+from exact_mdp.solvers.solution import Bounded
+from exact_mdp.solvers.values.layers import Layers
+from exact_mdp.solvers.values.policy_chain import policy_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+ALL = "all"
+BATCH = 256  # matrices evaluated at once
+
+
+class Passes:
+    """Passes over the states of a model with statuses, of P places and Z statuses.
+
+    No value that is computed here is off by more than `rounding`.
+    """
+
+    def __init__(self, mdp: MDP, policy: PolicyLike) -> None:
+        self.mdp, self.statuses = mdp, status_size(mdp)
+        if levels(mdp) is None:
+            raise ModelError(
+                "states come back to themselves, and what errors of perception cost is computed "
+                "where they do not",
+                where=f"model {mdp.name}".strip(),
+                fix="use a scenario, whose trials and subtasks are counted",
+            )
+        offered = by_place(mdp, np.ones(mdp.n_pairs)) > 0
+        differ = np.flatnonzero((offered != offered[:, :1]).any(axis=(1, 2)))
+        if len(differ):
+            raise ModelError(
+                "the available actions reveal the status",
+                where=f"{mdp.space.place(int(differ[0]) * self.statuses)} and its other statuses",
+                fix="offer the same actions in every status of a place",
+            )
+        self.table = by_place(mdp, policy_of(mdp, policy).weights(mdp))  # by *perceived* status
+        self.layers = Layers(mdp)
+        steps, size = len(self.layers.blocks), self.statuses
+        widest = int(np.diff(mdp.table.offsets).max())
+        largest = steps * float(np.abs(mdp.table.gains()).max(initial=0.0)) * SLACK
+        terms = steps * (widest + 2 * size + 2 * mdp.n_actions + 12) + mdp.n_states + 4 * size
+        self.rounding = (float(gamma(terms)) * largest + TINY * terms) * SLACK
+
+    def weights(self, confusions: Floats) -> Floats:
+        """Return (L, N) probabilities of pairs in each *true* status, of confusions (N, Z, Z)."""
+        mdp, regular = self.mdp, self.mdp.space.regular
+        mixed = (confusions[:, None] @ self.table).reshape(-1, regular, mdp.n_actions)
+        inside = mdp.pair_state < regular  # the end has a single pair
+        weights = np.ones((mdp.n_pairs, len(confusions)))
+        weights[inside] = mixed[:, mdp.pair_state[inside], mdp.pair_action[inside]].T
+        total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
+        return np.asarray(weights / total[mdp.pair_state])
+
+    def start_values(self, confusions: Floats) -> Floats:
+        """Return (N,) the start values of the policy under confusions (N, Z, Z)."""
+        value, _ = self.layers.mean(self.weights(confusions))
+        return np.asarray(self.mdp.start_distribution @ value)
+
+
+# ---- values along accuracies, and under counts ---------------------------------------------------
+
+
+def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
+    """Return the confusion (Z, Z) at one accuracy of a status, the others perfect, or of all."""
+    if not 0 <= accuracy <= 1:
+        raise ModelError(f"accuracy is {accuracy}", where="accuracy", fix="choose from 0 to 1")
+    names = status_names(model)
+    known(status, (*names, ALL), "status", "accuracy")
+    rates = [accuracy if status in (name, ALL) else 1.0 for name in names]
+    return independent(rates, rates)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AccuracyCurves(Pictured):
+    """Values of a policy on perceptions along accuracies, status by status and for all.
+
+    Attributes
+    ----------
+    levels : (M,)
+    values : {status, or "all": (M,)}
+        The value where this status is perceived with the accuracy and the others perfectly.
+    error : float
+        No value is off by more than this.
+    """
+
+    levels: Floats
+    values: dict[str, Floats]
+    error: float
+
+    def frame(self) -> DataFrame:
+        """Return one row for each accuracy, one column for each status and for all."""
+        import pandas
+
+        return pandas.DataFrame({"accuracy": self.levels} | self.values)
+
+
+def accuracy_curves(
+    model: MDP,
+    policy: PolicyLike = "optimal",
+    *,
+    levels: Iterable[float] | None = None,
+    statuses: Sequence[str] | None = None,
+) -> AccuracyCurves:
+    """Return the value of a policy that takes what it perceives for true, along accuracies.
+
+    With accuracy x a status is read rightly with probability x, present or absent, the statuses
+    independently.
+
+    Parameters
+    ----------
+    model : MDP
+        With a column `status`.
+    policy : PolicyLike
+    levels : iterable of float, optional
+        Accuracies; 51 from 0.5 to 1 unless given.
+    statuses : sequence of str, optional
+        The curves; one for each status and "all" unless given.
+
+    Returns
+    -------
+    AccuracyCurves
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> curves = accuracy_curves(Scenario.load("yuan2025").compile(), levels=[0.9, 1])
+    >>> curves.values["all"].round(4).tolist()
+    [140.7766, 146.2359]
+    """
+    grid = np.linspace(0.5, 1.0, 51)
+    if levels is not None:
+        grid = np.array([float_of(level, "levels") for level in listed(levels, "levels")])
+    passes, curves = Passes(model, policy), {}
+    names = (*status_names(model), ALL)
+    for name in names if statuses is None else listed(statuses, "statuses"):
+        matrices = np.stack([confusion_at(model, x, name) for x in grid.tolist()])
+        curves[name] = passes.start_values(matrices)
+    return AccuracyCurves(levels=grid, values=curves, error=passes.rounding)
+
+
+def value_under_counts(
+    model: MDP, policy: PolicyLike, counts: Counted, *, rng: RNG, n: int = 2000
+) -> Ranged:
+    """Return the mean value of a policy over n confusions drawn from the posterior of counts.
+
+    Its interval is the credible one, of `LEVEL`.
+    """
+    drawn = rng if isinstance(rng, np.random.Generator) else np.random.default_rng(seed_of(rng))
+    passes = Passes(model, policy)
+    sizes = [min(BATCH, n - first) for first in range(0, n, BATCH)]
+    draws = np.concatenate([passes.start_values(counts.samples(drawn, size)) for size in sizes])
+    low, high = np.quantile(draws, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]).tolist()
+    mean = mean_of(draws)
+    return Ranged(value=mean.value, standard_error=mean.standard_error, low=low, high=high)
+
+
+# ---- the costly errors ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ErrorCosts(Pictured):
+    """Which errors of perception cost a policy most.
+
+    Attributes
+    ----------
+    statuses : tuple of str
+        Names of the bits, the most significant first.
+    value, perfect : Bounded
+        The policy's value under the perception, and where it sees the truth.
+    derivative : (Z, Z)
+        dV / dC(s, z); only differences within a row have a meaning of their own.
+    loss : (Z, Z)
+        What reading s as z loses; the sum is `perfect` less `value`.
+    rates : {status: (by sensitivity, by specificity)}
+        The value that one unit more of a status's sensitivity or specificity brings, the reading
+        of the other statuses held as it is.
+    error : float
+        No entry of `derivative` or `loss`, and no rate, is off by more than this.
+    """
+
+    statuses: tuple[str, ...]
+    value: Bounded
+    perfect: Bounded
+    derivative: Floats
+    loss: Floats
+    rates: dict[str, tuple[float, float]]
+    error: float
+
+    @property
+    def marginal(self) -> Floats:
+        """(Z, Z) what each unit of probability moved from s read rightly to z loses."""
+        return np.asarray(np.diag(self.derivative)[:, None] - self.derivative)
+
+    @property
+    def by_status(self) -> dict[str, tuple[float, float]]:
+        """Loss by status: missed where present, and seen where absent.
+
+        An error in which several statuses are misread counts for each of them in equal parts, so
+        that these, too, sum to the whole loss.
+        """
+        number, shift = np.arange(len(self.loss)), np.arange(len(self.statuses))[::-1]
+        wrong = (number[:, None] ^ number)[:, :, None] >> shift & 1
+        share = wrong / np.maximum(wrong.sum(axis=2, keepdims=True), 1)
+        split, present = self.loss[:, :, None] * share, number[:, None] >> shift & 1
+        sums = [
+            [float(split[present[:, bit] == there, :, bit].sum()) for there in (1, 0)]
+            for bit in range(len(shift))
+        ]
+        return {name: (lost, seen) for name, (lost, seen) in zip(self.statuses, sums, strict=True)}
+
+    def frame(self) -> DataFrame:
+        """Return one row for each pair of statuses that is confused, the costliest first."""
+        import pandas
+
+        form, loss, marginal = f"0{len(self.statuses)}b", self.loss, self.marginal
+        rows = [
+            (format(true, form), format(seen, form), loss[true, seen], marginal[true, seen])
+            for true, seen in np.ndindex(loss.shape)
+            if true != seen
+        ]
+        names = ["true", "perceived", "loss (reward)", "loss per unit of probability (reward)"]
+        return pandas.DataFrame(sorted(rows, key=lambda row: -row[2]), columns=names)
+
+    def report(self) -> Report:
+        """Return the value, what the errors of each status cost, and the costliest confusions."""
+        names = ("missed", "seen", "by_sensitivity", "by_specificity")
+        frame, digits = self.frame(), ".4f"
+        true, seen, loss, marginal = frame.columns
+        headings = ("missed", "seen wrongly", "per unit of sensitivity", "of specificity")
+        each = {title: f"{name}:{digits}" for title, name in zip(headings, names, strict=True)}
+        costs = {"loss": f"{loss}:{digits}", "per unit of probability": f"{marginal}:{digits}"}
+        confusions = {"loss": self.loss, "marginal": self.marginal, "error_bound": self.error}
+        return Report(
+            title="errors of perception",
+            facts={
+                "claim": Shown(self.value.claim),
+                "taken_as_true": self.value,
+                "errors": {
+                    status: dict(zip(names, (*lost, *self.rates[status]), strict=True))
+                    for status, lost in self.by_status.items()
+                },
+                "confusions": Shown(confusions),
+            },
+            tables={
+                "errors": Table(
+                    title="what errors cost where the status seen is taken for true (within "
+                    f"{at_most(self.error)})",
+                    columns={"status": "", **each},
+                ),
+                "costliest": Table(
+                    title="the costliest confusions",
+                    rows=frame,
+                    columns={"true": true, "perceived": seen, **costs},
+                    first=12,
+                ),
+            },
+        )
+
+
+def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCosts:
+    """Return which errors of perception cost a policy most, at the margin and in all.
+
+    Parameters
+    ----------
+    model : MDP
+        Compiled from a scenario.
+    policy : policy
+        It reads the perceived status.
+    confusion : (Z, Z) array
+        The probabilities of the perceived status (columns) given the true one (row).
+
+    Returns
+    -------
+    ErrorCosts
+
+    Raises
+    ------
+    ModelError
+        Where the model has no statuses, or the matrix does not fit them.
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, error_costs, independent
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> costs = error_costs(mdp, "optimal", independent([0.9] * 4, [0.9] * 4))
+    >>> whole = costs.perfect.value - costs.value.value
+    >>> bool(abs(costs.loss.sum() - whole) < 1e-9), max(costs.by_status, key=costs.by_status.get)
+    (True, 'disengagement')
+    """
+    passes = Passes(model, policy)
+    size, table = passes.statuses, passes.table
+    matrix = checked(confusion, size=size, where="confusion matrix")
+    matrix = np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
+    weights = passes.weights(np.stack([matrix, np.eye(size)]))
+    value, q = passes.layers.mean(weights)
+    value_read, perfect = (model.start_distribution @ value).tolist()
+    met = passes.layers.visits(weights[:, :1])[:, 0][: model.space.regular].reshape(-1, size)
+    # (P, Z, Z): what acting by z is worth in s
+    by_seen, true_by_seen = (by_place(model, each) @ table.transpose(0, 2, 1) for each in q.T)
+    derivative = np.einsum("ps,psz->sz", met, by_seen)
+    short = np.diagonal(true_by_seen, axis1=1, axis2=2)[:, :, None] - true_by_seen
+    loss = matrix * np.einsum("ps,psz->sz", met, short)
+    # Visits sum to the steps at most, and no difference of values exceeds twice the largest.
+    error = 4 * size * len(passes.layers.blocks) * passes.rounding * SLACK
+    names, number = status_names(model), np.arange(size)
+    rates = {}
+    for name, flip in zip(names, 1 << np.arange(len(names))[::-1], strict=True):
+        right, present = ((number[:, None] ^ number) & flip) == 0, number & flip > 0
+        gain = (matrix + matrix[:, number ^ flip]) * (derivative - derivative[:, number ^ flip])
+        gain = (gain * right).sum(axis=1)
+        rates[name] = float(gain[present].sum()), float(gain[~present].sum())
+    return ErrorCosts(
+        statuses=names,
+        value=Bounded(value=value_read, error=passes.rounding),
+        perfect=Bounded(value=perfect, error=passes.rounding),
+        derivative=derivative,
+        loss=loss,
+        rates=rates,
+        error=error,
+    )

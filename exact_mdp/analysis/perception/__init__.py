@@ -1,1 +1,0 @@
-"""What it costs to act on a perceived status."""
