@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
@@ -58,8 +58,6 @@ class Audit(Pictured):
         reward and the priced totals.
     regret : Regret
         Values and regret, at the start (`regret.at_start`) and in every state (`.by_state`).
-    where : callable
-        Makes `visits` and `disagreements` when they are first asked for.
     max_regret, max_relative_regret : Fraction, optional
         The limits; without either, the regret has to be zero.
     interval : RegretInterval, optional
@@ -69,7 +67,6 @@ class Audit(Pictured):
 
     criterion: Total
     regret: Regret
-    where: Callable[[], Findings] = field(repr=False)
     max_regret: Fraction | None = None
     max_relative_regret: Fraction | None = None
     interval: RegretInterval | None = None
@@ -150,7 +147,7 @@ class Audit(Pictured):
 
     @cached_property
     def _findings(self) -> Findings:
-        visits, wrong = self.where()
+        visits, wrong = self.criterion.findings(self.regret)
         return visits, wrong if self.feasible else ()
 
     @property

@@ -151,8 +151,7 @@ def check(
         about = UnderLimits.of(chain, subject_to)
 
     def audit(exactly: bool | None) -> Audit:
-        regret, where = about.loss(exactly)
-        return Audit(criterion=about, regret=regret, where=where, **most)
+        return Audit(criterion=about, regret=about.regret(exactly), **most)
 
     last = exact_values is None and cheap(mdp, LAST_CYCLE)
     try:

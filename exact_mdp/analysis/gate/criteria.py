@@ -1,26 +1,17 @@
 """What an audit is about: the total reward, the reward per step, or the total under limits.
 
-The total reward: what is lost, and where, is said in `analysis.gate.regret` and
-`analysis.gate.disagreements`. The reward per step:
+The reward per step is lost where less can be earned later, and where a policy stays and earns less:
 
-    regret = g* - g = Σ d(s) (g*(s) - E g*(s')) + Σ μ(s) (g*(s) - r + h*(s) - E h*(s'))
+    g* - g = Σ d(s) (g*(s) - E g*(s')) + Σ μ(s) (g*(s) - r + h*(s) - E h*(s'))
 
-with the expectations over what the policy does in s, d its expected visits to states that it leaves
-for good, and μ the share of time that it spends in the others. In the first, only what can still be
-earned per step counts; in the others it has lost none of that. So each state has a price, and these
-sum to the regret. One use of a pair can move the gain by what was rounded in its own row (e in
-`analysis.gate.forgiveness`, with h* for the values), so that what is forgiven is the mean of that,
-and on the way to where the policy stays what the row can move of g*: of both policies.
+with d its visits to states that it leaves for good, and μ the share of time in the others. Under
+limits c_k ≥ b_k, with prices λ_k (`solvers.objectives.limits`), every policy π has
 
-The total under limits c_k ≥ b_k, with r* the optimum and λ_k their prices
-(`solvers.objectives.limits`): no policy earns more of r + λ c than V, r* = μ V - λ b, and
+    r* - r(π) = Σ_l x_π(l) gap(l) + λ (c(π) - b)
 
-    r* - r(π) = Σ_l x_π(l) gap(l) + λ (c(π) - b)    for every policy π,
-
-x_π being its expected visits and gap what a pair falls short of V where r + λ c is earned
-(Lagrangian duality: Altman, Constrained Markov Decision Processes, 1999, chapter 3). So an audit of
-the priced model names the states in which the regret arises; the last term is the value of the room
-that π leaves under its limits. A policy that breaks them may earn more than r*, and fails.
+with its visits x_π and what pairs fall short of the optimum V where r + λ c is earned (Altman,
+Constrained Markov Decision Processes, 1999, chapter 3): an audit of the priced model names the
+states; the last term is the value of the room left under the limits.
 """
 
 from __future__ import annotations
@@ -34,11 +25,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, Loss, findings, listed
+from exact_mdp.analysis.gate.disagreements import Findings, findings, listed
 from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.analysis.gate.forgiveness import per_use, rounded
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
-from exact_mdp.mdp.exact import bellman_rows
+from exact_mdp.analysis.gate.waiting import taking
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
@@ -57,16 +48,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain, average
 class Verdict:
     """One thing that was checked, such as "the regret" "at most 1/2", and what was found.
 
-    Attributes
-    ----------
-    subject, limit : str
-    decision : bool or None
-        Whether it holds; None where bounds or records leave that open, which does not pass.
-    text : str
-        What was found.
-
-    Examples
-    --------
     >>> verdict = Verdict("the regret", "zero", False, "it is 2")
     >>> verdict.name, verdict.passed, verdict.told
     ('the regret is zero', False, 'the regret is not zero: it is 2')
@@ -74,7 +55,7 @@ class Verdict:
 
     subject: str
     limit: str
-    decision: bool | None
+    decision: bool | None  # None where bounds or records leave it open, which does not pass
     text: str
 
     @property
@@ -106,17 +87,10 @@ def number(value: Certified | Bounded) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Total:
-    """The total reward of a policy, discounted as the model says.
-
-    Attributes
-    ----------
-    chain : PolicyChain
-    optimum : Certificate or Bounds, optional
-        That of the model, which is found unless it is given.
-    """
+    """The total reward of a policy, discounted as the model says."""
 
     chain: PolicyChain
-    optimum: Certificate | Bounds | None = None
+    optimum: Certificate | Bounds | None = None  # that of the model, found unless it is given
 
     name: ClassVar[str] = "total"
     least: ClassVar[str] = "zero"  # what the regret has to be where no limit of it is given
@@ -133,10 +107,13 @@ class Total:
         """Whether there is an optimum to compare with."""
         return True
 
-    def loss(self, exact: bool | None) -> Loss:
-        """Return what the policy loses against the optimum, and where; exactly, or in bounds."""
-        lost = policy_regret(self.chain, exact=exact, optimum=self.optimum)
-        return lost, partial(findings, self.chain, lost)
+    def regret(self, exact: bool | None) -> Regret:
+        """Return what the policy loses against the optimum: exactly, or in bounds."""
+        return policy_regret(self.chain, exact=exact, optimum=self.optimum)
+
+    def findings(self, lost: Regret) -> Findings:
+        """Return where the policy loses what it loses."""
+        return findings(self.chain, lost)
 
     def verdicts(self) -> Iterator[Verdict]:
         """Yield the verdicts beside those on the regret."""
@@ -163,123 +140,112 @@ class Average(Total):
         """How rewards add up, in words."""
         return "reward per step"
 
-    def loss(self, exact: bool | None) -> Loss:
-        """Return what the policy loses per step, and where; exactly unless that takes long."""
-        mdp, given = self.chain.mdp, self.chain
-        rewards, step = mdp.maximised, mdp.maximised.undiscounted
-        chain = PolicyChain(mdp=step, chosen=given.chosen, policy=given.policy)
+    @cached_property
+    def own(self) -> AverageEvaluation:
+        """What the policy earns per step; raises SolverError where floats cannot tell."""
+        return average(self._undiscounted)
+
+    @cached_property
+    def _undiscounted(self) -> PolicyChain:
+        return replace(self.chain, mdp=self.chain.mdp.maximised.undiscounted)
+
+    def regret(self, exact: bool | None) -> Regret:
+        """Return what the policy loses per step: exactly unless that takes long."""
+        mdp = self.chain.mdp
         exact = cheap(mdp, LAST_CYCLE) if exact is None else exact
-        own: AverageEvaluation | None = None
+        return (self._certified() if exact else self._bounded()).of_sense(mdp.sense)
+
+    def findings(self, lost: Regret) -> Findings:
+        """Return where the policy loses what it loses; bounds do not tell."""
+        chain = self._undiscounted
         try:
-            own = average(chain)
-            visits = own.visits
+            visits = self.own.visits
         except SolverError:
-            if not exact:
-                raise
-            visits = np.full(mdp.n_states, np.nan)  # the verdict stands without them
-        if exact:
-            lost = _certified(rewards, step, chain)
-            gap = np.add.reduceat(chain.weights * lost.gap, mdp.pair_offsets[:-1])
-            disagreements = listed(chain, lost, np.stack([gap, visits, visits * gap]), gap > 0)
-        else:
-            assert own is not None
-            lost, disagreements = _bounded(rewards, own), ()
-        return lost.of_sense(mdp.sense), partial(_both, visits, disagreements)
+            visits = np.full(chain.mdp.n_states, np.nan)
+        if isinstance(lost.at_start, Bounded):
+            return visits, ()
+        gap = np.add.reduceat(chain.weights * lost.gap, chain.mdp.pair_offsets[:-1])
+        return visits, listed(chain, lost, np.stack([gap, visits, visits * gap]), gap > 0)
+
+    def _certified(self) -> Regret:
+        """Return the exact regret, of rewards.
+
+        One use of a pair can move the gain by what was rounded in its own row, and on the way to
+        where the policy stays by what that moves of g*: the means of both are forgiven.
+        """
+        chain = self._undiscounted
+        step, best = chain.mdp, proven(self.chain.mdp.maximised, "average")
+        alone = chain.rows()
+        own = ExactChain(alone)
+        gain, bias, second = expansion(own, own.reward)
+        levels = [Level.of(each.tolist()) for each in (gain, bias, second)]
+        if any(any(tops) for tops, _ in surplus(alone, *levels)):
+            raise RuntimeError("the exact gain of a policy does not solve its equations")
+        learned = sum((p * gain[state] for state, p in step.start), Fraction(0))
+        lost, short = best.losses
+        gap = np.where(own.classes.recurrent[step.pair_state], lost + short, lost)
+        optimal = np.asarray(gap == 0, dtype=bool)
+        forgiven = Fraction(0)
+        if step.floats:
+            # The rounding of a row, and of the best one, can cause the whole gap.
+            most = per_use(step, rounded(best.bias))
+            most = most + most[best.pairs][step.pair_state]
+            optimal |= gap.astype(np.float64) * SLACK <= most
+            forgiven = _movable(chain, own, gain, bias)
+            ideal = taking(step, best.pairs)
+            forgiven += _movable(ideal, ExactChain(ideal.rows()), best.value, best.bias)
+        return Regret(
+            optimal=Certified(value=best.start_value),
+            learned=Certified(value=learned),
+            at_start=Certified(value=best.start_value - learned),
+            optimal_value=best.value_float,
+            learned_value=gain.astype(np.float64),
+            by_state=(best.value - gain).astype(np.float64),
+            optimal_pairs=optimal,
+            unclear=np.zeros(step.n_pairs, dtype=bool),
+            gap=np.where(optimal, 0.0, gap.astype(np.float64)),
+            optimum=None,
+            movable=partial(Fraction, forgiven),
+        )
+
+    def _bounded(self) -> Regret:
+        mdp, own = self.chain.mdp.maximised, self.own
+        solution = solve(mdp, criterion="average")
+        taken = np.zeros(mdp.n_pairs, dtype=bool)
+        taken[solution.pairs] = True
+        return Regret(
+            optimal=solution.start,
+            learned=own.start,
+            at_start=regret(solution.start, own.start),
+            optimal_value=solution.value,
+            learned_value=own.value,
+            by_state=np.maximum(solution.value - own.value, 0.0),
+            optimal_pairs=np.ones(mdp.n_pairs, dtype=bool),
+            unclear=~taken,
+            gap=np.zeros(mdp.n_pairs),
+            optimum=None,
+        )
 
 
-def _both(visits: Floats, disagreements: tuple[Disagreement, ...]) -> Findings:
-    return visits, disagreements  # an audit can be pickled, and a lambda cannot
-
-
-def _certified(mdp: MDP, step: MDP, chain: PolicyChain) -> Regret:
-    best = proven(mdp, "average")
-    rows = bellman_rows(step)
-    alone = chain.rows(Fraction(1))
-    own = ExactChain(alone)
-    gain, bias, second = expansion(own, own.reward)
-    levels = [Level.of(each.tolist()) for each in (gain, bias, second)]
-    if any(any(tops) for tops, _ in surplus(alone, *levels)):
-        raise RuntimeError("the exact gain of a policy does not solve its equations")
-    learned = sum((p * gain[state] for state, p in mdp.start), Fraction(0))
-    lost, short = best.losses
-    gap = np.where(own.classes.recurrent[mdp.pair_state], lost + short, lost)
-    optimal = np.asarray(gap == 0, dtype=bool)
-    forgiven = Fraction(0)
-    if mdp.floats:
-        # The rounding of a row, and of the best one, can cause the whole gap.
-        most = per_use(step, rounded(best.bias))
-        most = most + most[best.pairs][step.pair_state]
-        optimal |= gap.astype(np.float64) * SLACK <= most
-        ideal = ExactChain(rows.of_pairs(best.pairs))
-        uses = [chain.exact_weights(state) for state in range(mdp.n_states)]
-        sure = [{l: Fraction(1)} for l in best.pairs.tolist()]
-        forgiven = _movable(step, own, uses, gain, bias)
-        forgiven += _movable(step, ideal, sure, best.value, best.bias)
-    return Regret(
-        optimal=Certified(value=best.start_value),
-        learned=Certified(value=learned),
-        at_start=Certified(value=best.start_value - learned),
-        optimal_value=best.value_float,
-        learned_value=gain.astype(np.float64),
-        by_state=(best.value - gain).astype(np.float64),
-        optimal_pairs=optimal,
-        unclear=np.zeros(mdp.n_pairs, dtype=bool),
-        gap=np.where(optimal, 0.0, gap.astype(np.float64)),
-        optimum=None,
-        movable=partial(Fraction, forgiven),
-    )
-
-
-def _movable(
-    step: MDP, own: ExactChain, uses: list[dict[int, Fraction]], gain: Numbers, bias: Numbers
-) -> Fraction:
-    """Return what the rounding of floats can move of a policy's gain at the start.
-
-    `uses` are the probabilities of its pairs in each state.
-    """
+def _movable(chain: PolicyChain, own: ExactChain, gain: Numbers, bias: Numbers) -> Fraction:
+    """Return what the rounding of floats can move of a policy's gain at the start."""
+    step, uses = chain.mdp, [chain.exact_weights(state) for state in range(chain.mdp.n_states)]
 
     def each(by_pair: Floats) -> Numbers:
         means = [sum(p * Fraction(float(by_pair[l])) for l, p in use.items()) for use in uses]
         return np.array(means, dtype=object)
 
-    inside = own.classes.recurrent
     on_the_way = each(per_use(step, rounded(gain), rewards=False))
-    on_the_way[inside] = Fraction(0)
+    on_the_way[own.classes.recurrent] = Fraction(0)
     moved = long_run(own, each(per_use(step, rounded(bias)))) + own.total(on_the_way)
     return sum((p * moved[state] for state, p in step.start), Fraction(0))
 
 
-def _bounded(mdp: MDP, own: AverageEvaluation) -> Regret:
-    solution = solve(mdp, criterion="average")
-    best = Bounded(value=solution.start.value, error=solution.start.error)
-    mine = Bounded(value=own.start.value, error=own.start.error)
-    taken = np.zeros(mdp.n_pairs, dtype=bool)
-    taken[solution.pairs] = True
-    return Regret(
-        optimal=best,
-        learned=mine,
-        at_start=regret(best, mine),
-        optimal_value=solution.value,
-        learned_value=own.value,
-        by_state=np.maximum(solution.value - own.value, 0.0),
-        optimal_pairs=np.ones(mdp.n_pairs, dtype=bool),
-        unclear=~taken,
-        gap=np.zeros(mdp.n_pairs),
-        optimum=None,
-    )
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class UnderLimits(Total):
-    """The total reward of a policy that has to keep limits on other totals, exactly.
+    """The total reward of a policy that has to keep limits on other totals, exactly."""
 
-    Attributes
-    ----------
-    best : ConstrainedSolution
-        The optimum, proven.
-    """
-
-    best: ConstrainedSolution
+    best: ConstrainedSolution  # the optimum, proven
 
     least = "at most 0"
     against = ", against the best policy that keeps the limits"
@@ -339,23 +305,28 @@ class UnderLimits(Total):
         )
         return of.mdp.with_(table=table, goal=None)
 
-    def loss(self, exact: bool | None) -> Loss:
-        """Return the regret against the optimum under limits, and where it arises.
+    @cached_property
+    def _total(self) -> Total:
+        """The audit of the priced model."""
+        return Total(chain=replace(self.chain, mdp=self.priced))
 
-        Where no policy keeps the limits, there is no optimum: it is NaN, and so is the regret.
-        """
-        chain = PolicyChain(mdp=self.priced, chosen=self.chain.chosen, policy=self.chain.policy)
-        priced, disagreements = Total(chain=chain).loss(True)
-        best, none = self.best.start or Certified(value=nan), np.full_like(priced.by_state, nan)
+    def regret(self, exact: bool | None) -> Regret:
+        """Return the regret against the optimum under limits; NaN where no policy keeps them."""
+        best = self.best.start or Certified(value=nan)
         lost = replace(
-            priced,
+            self._total.regret(True),
             optimal=best,
             learned=Certified(value=self.earned),
             at_start=Certified(value=self.best.of.sign * (best.value - self.earned)),
         )
         if not self.feasible:
+            none = np.full_like(lost.by_state, nan)
             lost = replace(lost, by_state=none, optimal_value=none)
-        return lost, disagreements
+        return lost
+
+    def findings(self, lost: Regret) -> Findings:
+        """Return where the policy loses what it loses, of the priced model."""
+        return self._total.findings(lost)
 
     def verdicts(self) -> Iterator[Verdict]:
         """Yield the verdict on each limit, and on whether any policy keeps them all."""

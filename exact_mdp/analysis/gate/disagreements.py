@@ -7,7 +7,7 @@ These sum to the regret of the policy π. Where it waits for ever, see `analysis
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,10 +57,6 @@ class Disagreement:
 
 Findings = tuple[Floats, tuple[Disagreement, ...]]
 """A policy's visits (S,), and where it does not act optimally."""
-
-
-Loss = tuple[Regret, Callable[[], Findings]]
-"""What a policy loses, and a function that finds where: a verdict does not need it."""
 
 
 def findings(chain: PolicyChain, regret: Regret) -> Findings:
