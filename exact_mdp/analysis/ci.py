@@ -1,13 +1,10 @@
 """What continuous integration shows of a check: JUnit XML, and the pages of GitHub Actions.
 
-In the report, one test case stands for each verdict; a check that came to none has a single case
-with an error. Some systems show a failure's `message` and some only its text, so the text holds all
-of it. The elements are those that the xunit2 form of pytest and Jenkins has in common; characters
-that XML cannot hold become "?".
-
-A runner of GitHub reads every line that a step prints: one that begins with `::` is a command to
-it, and so is `##[` anywhere in a line. Names come from models and files, so such lines are changed.
-See "Workflow commands for GitHub Actions" in GitHub's documentation.
+One test case stands for each verdict, or for an error. Some systems show a failure's `message` and
+some only its text, so the text holds all of it. The elements are those that the xunit2 form of
+pytest and Jenkins has in common. A runner of GitHub takes a line that begins with `::`, or has
+`##[` anywhere, for a command ("Workflow commands for GitHub Actions" in its documentation); names
+come from models and files, so such lines are changed.
 """
 
 from __future__ import annotations

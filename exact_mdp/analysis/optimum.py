@@ -1,13 +1,9 @@
 """An optimum by a solver in floating point, by exact arithmetic, or by both against each other.
 
 Where both are asked for, |V_float(s) - V(s)| must be at most the bound that the solver states, in
-every state, and the proof of the exact values must pass its checker: otherwise one of the two
-programs is wrong, and neither is believed.
-
-The optimum depends on the status alone where, for every status, one action is optimal in all states
-of that status that have a choice and that some policy reaches from the start:  ⋂ over such states s
-of {a : a optimal in s}  is not empty. Ties count: where two actions are equally good in one state,
-either serves.
+every state, and the proof must pass its checker: otherwise one of the two programs is wrong, and
+neither is believed. The optimum depends on the status alone where, for every status, one action is
+optimal in all states of that status that have a choice and are reached by some policy.
 """
 
 from __future__ import annotations
@@ -54,24 +50,15 @@ class Contradiction(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Optimum:
-    """Optimal values, a policy and every optimal pair, by what vouches for them.
-
-    Attributes
-    ----------
-    mdp : MDP
-    solution : Solution or None
-        None where the solver could not bound its error.
-    certificate : Certificate or None
-        What is given comes from it where there is one, else from the solution.
-    """
+    """Optimal values, a policy and every optimal pair, by what vouches for them."""
 
     mdp: MDP
-    solution: Solution | None
+    solution: Solution | None  # None where the solver could not bound its error
     certificate: Certificate | None
 
     @property
     def best(self) -> Any:
-        """What vouches for the values."""
+        """What vouches for the values: the certificate where there is one."""
         return self.solution if self.certificate is None else self.certificate
 
     @cached_property
@@ -288,13 +275,6 @@ def optimum(
 
     Raises ModelError and SolverError as `solve` does, unless the exact answer was asked for where a
     solver gives up; Contradiction. A tolerance that is not met is warned of.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[["1/3", "2/3"], [0, 1]]], [[1], [0]])
-    >>> best = optimum(mdp, "policy-iteration")
-    >>> round(best.start.value, 9), best.start.claim.value, best.optimal.tolist()
-    (1.5, 'bounded', [True, True])
     """
     known(method, [*SOLVERS, "auto"], "method", "method")
     check_tolerance("tol", tol)

@@ -1,31 +1,14 @@
 """A pytest fixture that compares policies with the exact optimum of a model.
 
-    def test_policy(policy_gate):
-        policy_gate("yuan2025", "policy.json", max_regret=0.1)
+    policy_gate("yuan2025", "policy.json", max_regret=0.1)
+    policy_gate("yuan2025", train, max_regret=0.5, runs=100, share="9/10", alpha="1/100", rng=0)
 
-`policy_gate(model, policy, *, max_regret=None, max_relative_regret=None, set=(), discount=None,
-kind="auto", horizon=None, subject_to=None, confidence=None, by="robust")` takes an `MDP`, or any
-MODEL of the command line (a scenario's name, a `.toml`, `.npz` or `.umb` file, `gymnasium:ID`) with
-`set` and `discount` as `--set` and `--discount`, and any policy or Q-table that `analysis.check`
-takes. It looks for files beside the test first, then in the working directory. The test fails,
-naming the costly states, where the regret is above a limit, or above zero where none is given;
-otherwise the audit is returned for further assertions:
-
-    audit = policy_gate(mdp, q_table, max_relative_regret="1/100")
-    assert audit.agreement == 1
-
-A trainer that is random is judged by many of its seeds: with `runs`, the policy is a function that
-trains with a seed. The test fails where the share of seeds within the limits is proven to be below
-`share`, which happens by chance with probability `alpha` at most, and stops as soon as it is known:
-
-    def test_trainer(policy_gate):
-        policy_gate("yuan2025", train, max_regret=0.5, runs=100, share="9/10", alpha="1/100", rng=0)
-
-`share`, `alpha`, `rng` (0 unless given) and `prove` are those of `analysis.check_trainer`; a list
-of policies may stand in place of the function.
-
-What was found is recorded as properties of the test in pytest's own JUnit report (`--junitxml`).
-pytest finds the plugin where exact-mdp is installed; `-p no:exact_mdp` leaves it out.
+The model is an `MDP`, or any MODEL of the command line, with `set` and `discount` as its options;
+files are looked for beside the test first. All else is what `analysis.check` takes, or with `runs`,
+for a trainer that is random, `analysis.check_trainer`. The test fails, naming the costly states,
+where a limit does not hold; otherwise the audit is returned for further assertions. What was found
+is recorded as properties of the test in pytest's own JUnit report (`--junitxml`). pytest finds the
+plugin where exact-mdp is installed; `-p no:exact_mdp` leaves it out.
 """
 
 from __future__ import annotations

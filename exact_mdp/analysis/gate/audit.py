@@ -123,12 +123,17 @@ class Audit(Pictured):
     def relative_regret(self) -> float | None:
         """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
         lost, best = self.value, self.regret.optimal
-        low, high = (best.value, best.value) if isinstance(best, Certified) else best.interval
+        low, high = self._optimal_ends
         if not isfinite(float(best)) or low <= 0 <= high:
             return None
-        return (
-            inf if isinf(float(lost)) else float(Fraction(lost.value) / abs(Fraction(best.value)))
-        )
+        if isinf(float(lost)):
+            return inf
+        return float(Fraction(lost.value) / abs(Fraction(best.value)))
+
+    @property
+    def _optimal_ends(self) -> tuple[Fraction | float, Fraction | float]:
+        best = self.regret.optimal
+        return (best.value, best.value) if isinstance(best, Certified) else best.interval
 
     @property
     def regret_interval(self) -> tuple[float, float] | None:
@@ -197,14 +202,14 @@ class Audit(Pictured):
         """Return the disagreements, by the number of the state; `full` adds expected visits."""
         import pandas
 
-        names = ["state", "label", "learned", "optimal", "cost", "share", "gap"]
-        names += ["expected_visits"] * full
         rows = [
-            row | {"state": row["number"], "label": row["state"]}
+            row
+            | {"label": row["state"], "state": row["number"]}
             | {"optimal": " or ".join(row["optimal_actions"])}
             for row in self._rows()
-        ]  # fmt: skip
-        return pandas.DataFrame(rows, columns=names).set_index("state")
+        ]
+        names = ["state", "label", "learned", "optimal", "cost", "share", "gap", "expected_visits"]
+        return pandas.DataFrame(rows, columns=names[: 8 if full else 7]).set_index("state")
 
     def _rows(self) -> list[dict[str, Any]]:
         """Return each disagreement with its share of all that is lost, where that is finite."""
@@ -261,12 +266,11 @@ class Audit(Pictured):
             name = f"at most {shown(self.max_regret, 10)}"
             yield _decided("the regret", name, regret.decided(self.max_regret), text)
         if share is not None:
-            ratio, best = self.relative_regret, regret.optimal
+            ratio = self.relative_regret
             decision: bool | None = False
             text = "it is undefined, because the optimal value is, or may be, 0"
             if ratio is not None:
-                ends = (best.value, best.value) if isinstance(best, Certified) else best.interval
-                low, high = sorted(share * abs(Fraction(end)) for end in ends)
+                low, high = sorted(share * abs(Fraction(end)) for end in self._optimal_ends)
                 decision = regret.decided(low) or (False if regret.decided(high) is False else None)
                 text = f"it is {ratio:.6g} ({regret.claim})"
             yield _decided("the relative regret", f"at most {shown(share, 10)}", decision, text)
@@ -451,7 +455,7 @@ class Audit(Pictured):
         )
         changes = Table(
             title="rows of the policy, each changed alone",
-            rows=[vars(change) for change in why.rows] if why else (),
+            rows=why.rows if why else (),
             columns={"row": "row", "yours": "learned", "better": "best", "gain": "gain"},
         )
         notes = [UNEXPLAINED] if explain and self.unexplained else []

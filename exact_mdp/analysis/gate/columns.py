@@ -1,15 +1,12 @@
 """The best policy that reads some columns of the state only, with a proof that it is the best.
 
-A policy over the statuses cannot act differently in different trials. What is lost by that alone,
-whatever the learning, is V*(start) less the greatest V^π(start) of the policies that read the same
-columns, a combinatorial problem (NP-hard: Littman, Memoryless policies, From Animals to Animats 3,
-1994). All states in which these columns agree form a *row*, in which a policy takes one action.
-
-A relaxation allows a set of actions in each row, and every state chooses among them knowing the
-full state. Its value is at most V + c w, where r + γ P V - V ≤ c m for every allowed pair, with the
-weights w and margins m of `solvers.bounds.bounds`, rounding included; no policy that takes allowed
-actions is worth more, mixed ones included. Branch and bound (Land and Doig, Econometrica 28, 1960)
-splits the relaxation of the greatest bound at the row in which any single action costs most.
+All states in which these columns agree form a *row*, in which a policy takes one action; to find
+the best is NP-hard (Littman, Memoryless policies, From Animals to Animats 3, 1994). A relaxation
+allows a set of actions in each row, and every state chooses among them knowing the full state. Its
+value is at most V + c w, where r + γ P V - V ≤ c m for every allowed pair, with the weights w and
+margins m of `solvers.bounds.bounds`, rounding included; it bounds mixed policies, too. Branch and
+bound (Land and Doig, Econometrica 28, 1960) splits the relaxation of the greatest bound at the row
+in which any single action costs most.
 """
 
 from __future__ import annotations
@@ -54,32 +51,15 @@ CELLS = 2**21  # pairs times relaxations solved at once
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BestPolicy(Result):
-    """The best policy found that reads some columns, and how good any other can be.
-
-    Attributes
-    ----------
-    columns : tuple of str
-    policy : Policy
-    value : Bounded
-        Its value at the start.
-    upper_bound : float
-        No deterministic policy that reads these columns has a higher value at the start; of costs,
-        none has a lower one.
-    mixed_upper_bound : float
-        No policy at all has a higher value: the optimal value, which bounds mixed ones, too.
-    proven : bool
-        Whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding.
-    nodes : int
-        Relaxations solved.
-    """
+    """The best policy found that reads some columns, and how good any other can be."""
 
     columns: tuple[str, ...]
     policy: Policy
-    value: Bounded
-    upper_bound: float
-    mixed_upper_bound: float
-    proven: bool
-    nodes: int
+    value: Bounded  # at the start
+    upper_bound: float  # of any deterministic policy that reads them; of costs, a lower one
+    mixed_upper_bound: float  # the same of any policy at all: the optimal value
+    proven: bool  # whether `upper_bound` is the value itself, up to 1e-9 of it, or to rounding
+    nodes: int  # relaxations solved
 
     @property
     def error(self) -> float:
@@ -171,17 +151,8 @@ def best_policy(
 class Rows:
     """The K rows that some columns make of a model's states, and relaxations over its A actions.
 
-    Attributes
-    ----------
-    mdp : MDP
-    space : StateSpace
-        The columns; where these are all, the model's states, each with a row of its own.
-    asked : (K,) bool
-        Whether a state of the row has a choice and can be reached from the start.
-    available : (K, A) bool
-        Actions that all states of the row with a choice offer.
-    batch : int
-        Relaxations to solve at once.
+    Of a row, `asked` (K,) says whether a state with a choice can be reached, and `available` (K, A)
+    which actions all its states with a choice offer. `batch` relaxations are solved at once.
     """
 
     def __init__(self, mdp: MDP, columns: Sequence[str]) -> None:
@@ -314,17 +285,7 @@ class Cycles:
 
 
 class _Search:
-    """Branch and bound over the rows.
-
-    Attributes
-    ----------
-    value, error, choice
-        The best policy so far: value at the start, bound on its error, actions (K,).
-    upper : float
-        No policy has a higher value.
-    nodes : int
-        Relaxations solved.
-    """
+    """Branch and bound over the rows: `choice` (K,) is best so far, no policy is above `upper`."""
 
     def __init__(self, rows: Rows) -> None:
         self.rows, self.nodes, self.number = rows, 0, count()

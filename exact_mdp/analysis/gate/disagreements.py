@@ -26,37 +26,18 @@ LISTED = 4  # actions that a text names in one state
 
 @dataclass(frozen=True, kw_only=True)
 class Disagreement:
-    """A state in which a policy does something that is not optimal.
-
-    Attributes
-    ----------
-    state : int
-    label : str
-    learned : str
-        The action taken; where the policy mixes, "P ACTION, …" with their probabilities; of more
-        than LISTED the likeliest, or "any of N" where all are as likely.
-    optimal : tuple of str
-        All optimal actions.
-    gap : float
-        Optimal value of the state less that of doing this once and acting optimally from then on;
-        where the policy waits for ever (`analysis.gate.waiting`), less that of waiting.
-    expected_visits : float
-        Discounted visits of the policy from the start; at discount 1 their expected number.
-    cost : float
-        expected_visits · gap, and what is lost by waiting; these sum to the regret.
-    """
+    """A state in which a policy does something that is not optimal."""
 
     state: int
     label: str
-    learned: str
-    optimal: tuple[str, ...]
-    gap: float
-    expected_visits: float
-    cost: float
+    learned: str  # the action taken, or those drawn from with their probabilities
+    optimal: tuple[str, ...]  # all optimal actions
+    gap: float  # what doing this once loses; where it waits for ever, what waiting loses
+    expected_visits: float  # discounted, from the start
+    cost: float  # expected_visits · gap, and what is lost by waiting; these sum to the regret
 
 
-Findings = tuple[Floats, tuple[Disagreement, ...]]
-"""A policy's visits (S,), and where it does not act optimally."""
+Findings = tuple[Floats, tuple[Disagreement, ...]]  # visits (S,), and where it is not optimal
 
 
 def findings(chain: PolicyChain, regret: Regret) -> Findings:

@@ -1,24 +1,19 @@
-"""The value of a mixed policy in rational arithmetic, and each pair's exact distance to the best.
+"""The value of any policy, and its visits, in rational arithmetic.
 
-A state in which a policy takes pair l with probability π(l) has the row Σ_l π(l) P_l and the reward
-Σ_l π(l) r(l). These are built in integers from the Bellman rows of the model and the exact
-probabilities of the actions. That the equations have one solution is known wherever the optimum has
-been proven: a rank that falls along every pair, or w > γ P w, holds for mixtures of rows, too.
+The rows Σ_l π(l) P_l and rewards Σ_l π(l) r(l) are built in integers. That the equations have one
+solution is known wherever the optimum has been proven: a rank that falls along every pair, or
+w > γ P w, holds for mixtures of rows, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.solvers.exact.certificate import Certificate
-from exact_mdp.solvers.exact.levels import Level, fraction, surplus
+from exact_mdp.solvers.exact.levels import Level, fraction
 from exact_mdp.solvers.exact.linear import evaluated, visited
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import Flow
@@ -52,17 +47,6 @@ def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
 
 
 def exact_visits(chain: PolicyChain) -> Level:
-    """Return the expected discounted visits of a policy from the start.
-
-    They solve d(t) = μ(t) + γ Σ_s d(s) P(s, t) over the states reached; terminal states count
-    arrivals.
-    """
+    """Return the expected discounted visits from the start; terminal states count arrivals."""
     (visits,) = visited(chain.rows(), chain.reached & ~chain.mdp.terminal, chain.mdp.start)
     return visits
-
-
-def exact_gaps(mdp: MDP, best: Certificate, pairs: Iterable[int]) -> dict[int, tuple[int, int]]:
-    """Return V*(s) - Q*(l) of some pairs as numerator and denominator, both integers."""
-    asked = np.unique(np.array(list(pairs), dtype=np.int64))
-    ((tops, belows),) = surplus(bellman_rows(mdp), best.h, pairs=asked)
-    return {l: (-a, b) for l, a, b in zip(asked.tolist(), tops, belows, strict=True)}

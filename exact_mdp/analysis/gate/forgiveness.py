@@ -4,16 +4,12 @@ A float stands for whatever it was rounded from, half a unit in its last place t
 first order that moves the difference of two policies' values at the start by at most
 
     Σ_l |v(l) - u(l)| ρ(l) + M_l(x),    x_i = v(l) (r_i + γ V^*(s_i)) - u(l) (r_i + γ V^π(s_i))
-    M_l(x) = min_c Σ_i ω_i |x_i - c|
+    M_l(x) = min_c Σ_i ω_i |x_i - c|,   c the median, as errors of a row sum to 0
 
-with u and v the expected uses of pair l, ρ half a unit in the last place of its expected reward,
-and ω_i of the probability of its outcome i. As these sum to 1, their errors sum to 0, and any c may
-be taken off x; the median is best. What both policies do alike moves both alike. A regret of at
-most that is none. A pair ties with the best action where its gap is at most e(l) + γ Σ P(l, s')
-F(s') + F(s), with e(l) = ρ(l) + M_l(r + γ V), and F what the optimum collects of that.
-
-All of this is bounded from above. Nothing is forgiven where all rewards, or all probabilities, were
-given exactly, nor of 0 and of a probability of 1; beside floats, exact numbers count as these.
+with u and v the expected uses of pair l, ρ and ω_i half a unit of its expected reward and of the
+probability of outcome i. A pair ties with the best action where its gap is at most e(l) + γ Σ P(l,
+s') F(s') + F(s), with e(l) = ρ(l) + M_l(r + γ V) and F what the optimum collects of that. All is
+bounded from above; exact numbers, 0 and a probability of 1 are forgiven nothing.
 """
 
 from __future__ import annotations

@@ -1,16 +1,11 @@
 """Why a policy loses: what it reads of the state, and the errors of its Q-table.
 
     V*(start) - V^π(start) = [V*(start) - best] + [best - V^π(start)]
-
-The first bracket is what no policy that reads the same columns can avoid (`analysis.gate.columns`),
-the second what was learned wrongly on top. A Q-table is compared with the optimal action values,
-
     error(s, a) = Q(row(s), a) - Q*(s, a)
 
-over the pairs of all states with a choice that any policy can reach, infinities left out. A table
-that shares rows among states cannot be right everywhere, and a greedy policy can be optimal under
-large errors. What the table promises at the start, max_a Q, stands beside its greedy policy's value
-there.
+The first bracket is what no policy that reads the same columns can avoid (`analysis.gate.columns`),
+the second what was learned wrongly on top. Errors are those of all states with a choice that any
+policy can reach, infinities left out; a greedy policy can be optimal under large ones.
 """
 
 from __future__ import annotations
@@ -33,36 +28,19 @@ from exact_mdp.solvers.solution import Bounded, Certified, difference, in_float
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 
-@dataclass(frozen=True, kw_only=True)
-class RowChange:
-    """A row of a policy's table, changed alone to the action that gains most at the start."""
-
-    row: str
-    learned: str
-    best: str
-    gain: float
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Representation:
     """What the columns that a policy reads allow, and what was learned wrongly on top.
 
-    Attributes
-    ----------
-    best : BestPolicy
-        For the columns that the policy reads.
-    loss : Certified or Bounded
-        The first bracket: what no learner that reads these columns can avoid. Where the search for
-        the best policy did not end, it may be smaller, by up to `uncertainty`.
-    learning_error : Certified or Bounded
-        The second, which then is larger by as much; below 0 where the policy mixes and gains by it.
+    Where the search for the best policy did not end, the loss may be smaller by `uncertainty`, and
+    the learning error larger. That is below 0 where the policy mixes and gains by it.
     """
 
     mdp: MDP
     policy: Policy
-    best: BestPolicy
-    loss: Certified | Bounded
-    learning_error: Certified | Bounded
+    best: BestPolicy  # of the columns that the policy reads
+    loss: Certified | Bounded  # the first bracket
+    learning_error: Certified | Bounded  # the second
 
     @classmethod
     def of(cls, mdp: MDP, policy: Policy, lost: Regret) -> Representation:
@@ -109,7 +87,7 @@ class Representation:
         return {"representation": Shown(details, str(why)), "rows": Shown(why.rows)}
 
     @cached_property
-    def rows(self) -> tuple[RowChange, ...]:
+    def rows(self) -> tuple[dict[str, Any], ...]:
         """The rows of a deterministic policy's table whose change alone gains, the most first."""
         if not self.policy.deterministic:
             return ()
@@ -127,8 +105,8 @@ class Representation:
             if gain[k] > 2 * errors.max():
                 label = rows.space.label(int(row[k])) or "all states"
                 names = {"learned": mdp.actions[own[row[k]]], "best": mdp.actions[action[k]]}
-                changes[label] = RowChange(row=label, gain=float(gain[k]), **names)
-        return tuple(sorted(changes.values(), key=lambda change: -change.gain))
+                changes[label] = {"row": label, **names, "gain": float(gain[k])}
+        return tuple(sorted(changes.values(), key=lambda change: -change["gain"]))
 
 
 def _columns(mdp: MDP, policy: Policy) -> tuple[str, ...]:
@@ -138,29 +116,14 @@ def _columns(mdp: MDP, policy: Policy) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class QError:
-    """Errors of a Q-table against the optimal action values.
+    """Errors of a Q-table against the optimal action values."""
 
-    Attributes
-    ----------
-    largest : float
-        The greatest |error|.
-    where : str
-        State and action of that error.
-    mean : float
-        Mean error: above 0 where the table promises too much.
-    root_mean_square : float
-    visited : float
-        Root mean square error of the actions taken, each weighted by the policy's visits.
-    promised : float
-        max_a Q at the start; of costs, min_a Q.
-    """
-
-    largest: float
-    where: str
-    mean: float
+    largest: float  # of |error|
+    where: str  # state and action of that error
+    mean: float  # above 0 where the table promises too much
     root_mean_square: float
-    visited: float
-    promised: float
+    visited: float  # the same of the actions taken, each weighted by the policy's visits
+    promised: float  # max_a Q at the start; of costs, min_a Q
 
     def __str__(self) -> str:
         return (
@@ -173,8 +136,8 @@ class QError:
 def q_error(mdp: MDP, policy: Policy, optimal: Floats, used: Floats) -> QError | None:
     """Return the errors of the table that a policy is greedy in; None where nothing is asked.
 
-    `optimal` are the optimal action values (L,), `used` (L,) the expected uses of pairs. Where some
-    are used for ever, only these have a weight, each the same.
+    By optimal action values (L,), and the expected uses of pairs (L,): where some are used for
+    ever, only these have a weight, each the same.
     """
     assert policy.values is not None
     # (K, A) over the states, or the columns that the policy reads; (N, S, A) by time

@@ -2,15 +2,10 @@
 
     regret(s) = V*(s) - V^π(s) = Σ_s' d_s(s') gap(s', π(s')),    gap(s, a) = V*(s) - Q*(s, a)
 
-with d_s the discounted visits of π that begins in s. V* comes with a certificate that its checker
-has accepted, and V^π solves the policy's equations exactly. Large models and long cycles are
-bounded in floating point: V* ≤ V + c w and V^π ≥ V + c' w as in `solvers.bounds.bounds`. Even there
-a regret of 0 can be certified: Q*(l) - V(s) lies between two floats, rounding included, and where
-all that a policy does in each state that it reaches is proven to be optimal, so is the policy.
-
-Where all numbers are exact, an action is optimal where its gap is 0. With floats among them, it
-ties with the best where its gap is at most what their rounding can move
-(`analysis.gate.forgiveness`), decided by doubles where their errors allow it, else exactly.
+with d_s the discounted visits of π that begins in s. Large models and long cycles are bounded in
+floating point; even there a regret of 0 is certified where every action that a policy takes is
+proven to be optimal. With floats among the given numbers, an action ties with the best where its
+gap is at most what their rounding can move (`analysis.gate.forgiveness`).
 """
 
 from __future__ import annotations
@@ -25,17 +20,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.gate.exact_policy import exact_gaps, exact_policy
+from exact_mdp.analysis.gate.exact_policy import exact_policy
 from exact_mdp.analysis.gate.forgiveness import forgiven, rounded, ties, widest
 from exact_mdp.analysis.gate.waiting import taking, to_blame
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.exact import bellman_rows
 from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import ratio
 from exact_mdp.mdp.result import Brief, Pictured
-from exact_mdp.mdp.table import LARGEST, Floats, shown
+from exact_mdp.mdp.table import LARGEST, Floats, Integers, shown
 from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.bounds import Bounds, lower, margin_weights, verify
@@ -45,7 +41,7 @@ from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
 from exact_mdp.solvers.exact.find import first_of
-from exact_mdp.solvers.exact.levels import Level
+from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, at_start, regret
 from exact_mdp.solvers.solver import mdp_of, solve
 from exact_mdp.solvers.values.evaluate import evaluate
@@ -76,37 +72,21 @@ LONGEST = 40  # letters of an exact number in a table
 class Regret(Brief):
     """What the optimum and a policy are worth, and the difference.
 
-    Attributes
-    ----------
-    optimal, learned, at_start : Certified or Bounded
-        Values of the start distribution, and the regret there.
-    optimal_value, learned_value, by_state : (S,)
-        Values and regret of every state, as floats; NaN at discount 1 in states that the policy
-        never reaches and need not end from.
-    optimal_pairs : (L,) bool
-        Optimal pairs: all and only these where certified; where bounded, all that the bounds do
-        not prove to lose more than rounding can move.
-    unclear : (L,) bool
-        Pairs among them that the bounds do not prove to be optimal; none where certified.
-    gap : (L,)
-        What a pair falls short of the optimum, 0 for optimal pairs.
-    optimum : Certificate or Bounds, optional
-        What vouches for the optimal values; None of an average reward.
-    movable : function
-        Works out `forgiven`. Of a bounded optimum, against the policy that its bounds are about.
+    Optimal pairs are all and only these where certified; where bounded, all that the bounds do not
+    prove to lose more than rounding can move.
     """
 
-    optimal: Certified | Bounded
+    optimal: Certified | Bounded  # at the start, as the next two
     learned: Certified | Bounded
     at_start: Certified | Bounded
-    optimal_value: Floats
+    optimal_value: Floats  # (S,), as the next two; NaN where a policy that need not end never comes
     learned_value: Floats
     by_state: Floats
-    optimal_pairs: Flags
-    unclear: Flags
-    gap: Floats
-    optimum: Certificate | Bounds | None
-    movable: Callable[[], Fraction] = Fraction
+    optimal_pairs: Flags  # (L,)
+    unclear: Flags  # (L,) those of them that the bounds do not prove to be optimal
+    gap: Floats  # (L,) what a pair falls short of the optimum, 0 for optimal pairs
+    optimum: Certificate | Bounds | None  # what vouches for the values; None of an average reward
+    movable: Callable[[], Fraction] = Fraction  # works out `forgiven`
 
     def __repr__(self) -> str:
         optimal, learned = float(self.optimal.value), float(self.learned.value)
@@ -159,15 +139,14 @@ def policy_regret(
     exact: bool | None = None,
     optimum: Certificate | Bounds | None = None,
 ) -> Regret:
-    """Return what a policy is worth against the optimum of its model.
+    """Return what a policy is worth against the optimum of its model, which may be known already.
 
-    `exact` asks for rational arithmetic, or for bounds; unless given, the model's size decides, or
-    an `optimum` that another policy's regret was found with, which is not computed again.
+    `exact` asks for rational arithmetic, or for bounds; unless given, the model's size decides.
     """
     mdp = chain.mdp
     if mdp.sense == "min":
-        chain = PolicyChain(mdp=mdp.maximised, chosen=chain.chosen, policy=chain.policy)
-        return policy_regret(chain, exact=exact, optimum=optimum).of_sense(mdp.sense)
+        negated = replace(chain, mdp=mdp.maximised)
+        return policy_regret(negated, exact=exact, optimum=optimum).of_sense(mdp.sense)
     if endless(mdp):
         exact = True  # bounds are of models in which every policy ends
     if exact is None:
@@ -181,18 +160,17 @@ def limit_of(name: str, limit: object) -> Fraction:
     """Return a limit of the regret, checked."""
     value = exact_number(limit, name)
     if not 0 <= value <= LARGEST:
-        what, fix = (
-            (", beyond the floats", "choose less") if value > 0 else ("", "choose 0 or more")
-        )
-        raise ModelError(f"{name} is {shown(value)}{what}", where=name, fix=fix)
+        beyond, fix = ("", "choose 0 or more")
+        if value > 0:
+            beyond, fix = (", beyond the floats", "choose less")
+        raise ModelError(f"{name} is {shown(value)}{beyond}", where=name, fix=fix)
     return value
 
 
 def cheap(mdp: MDP, cycle: int = EXACT_CYCLE) -> bool:
     """Return whether rational arithmetic is quick: few transitions, cycles of few states."""
-    if mdp.n_transitions > (EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME):
-        return False
-    return _longest_cycle(mdp) <= cycle
+    most = EXACT_TRANSITIONS if mdp.space.untimed is None else EXACT_IN_TIME
+    return mdp.n_transitions <= most and _longest_cycle(mdp) <= cycle
 
 
 @once
@@ -206,15 +184,9 @@ def _longest_cycle(mdp: MDP) -> int:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PolicyComparison(Pictured):
-    """What policies are worth at the start.
+    """What policies are worth at the start, in the order given."""
 
-    Attributes
-    ----------
-    regrets : {name: Regret}
-        In the order given; `.learned` is the policy's value, `.at_start` its regret.
-    """
-
-    regrets: dict[str, Regret]
+    regrets: dict[str, Regret]  # `.learned` is a policy's value, `.at_start` its regret
 
     @property
     def value(self) -> Certified | Bounded:
@@ -368,10 +340,12 @@ def _differences(best: Level, own: Level) -> Floats:
 
 
 def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags, Floats]:
-    """Return which pairs are optimal, and the gaps of the others.
+    """Return which pairs are optimal, up to ties with an `ideal` policy, and the gaps of others."""
 
-    Ties of floats are among them where there is an `ideal` policy.
-    """
+    def exact_gaps(asked: Integers) -> dict[int, tuple[int, int]]:
+        ((tops, belows),) = surplus(bellman_rows(mdp), best.h, pairs=asked)
+        return {l: (-a, b) for l, a, b in zip(asked.tolist(), tops, belows, strict=True)}
+
     near = gains(mdp, best.value_float)
     # The noise covers that the values are rounded, too.
     gap, doubt = -near.value, near.noise * SLACK + TINY
@@ -382,12 +356,12 @@ def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags
         with suppress(SolverError):
             limit = ties(ideal, rounded(best.value_float))
             equal = others & (gap + doubt <= limit)
-            open_ = np.flatnonzero(others & ~equal & (gap - doubt <= limit)).tolist()
-            for pair, (top, bottom) in exact_gaps(mdp, best, open_).items():
+            open_ = np.flatnonzero(others & ~equal & (gap - doubt <= limit))
+            for pair, (top, bottom) in exact_gaps(open_).items():
                 equal[pair] = Fraction(top, bottom) <= Fraction(float(limit[pair]))
             optimal |= equal
             rough &= ~equal
-    for pair, (top, bottom) in exact_gaps(mdp, best, np.flatnonzero(rough).tolist()).items():
+    for pair, (top, bottom) in exact_gaps(np.flatnonzero(rough)).items():
         gap[pair] = top / bottom
     return optimal, np.where(optimal, 0.0, np.maximum(gap, 0.0))
 
@@ -457,18 +431,9 @@ def _optimum(mdp: MDP) -> Bounds:
 
 
 class ActionBounds:
-    """What bounds on V* say of each pair.
+    """What bounds on V* say of each pair: `low` and `high` of Q*(l) - V(s), and the gap.
 
-    Attributes
-    ----------
-    added : Gain
-        What each pair adds to the values V that the bounds are around.
-    low, high : (L,)
-        Bounds of Q*(l) - V(s).
-    gap, least_gap : (L,)
-        What the pair falls short of the optimum: the best guess, and a lower bound.
-    open : (L,) bool
-        Whether another pair of the state may be better.
+    `least_gap` bounds the gap from below; `open` is where another pair of the state may be better.
     """
 
     def __init__(self, mdp: MDP, optimum: Bounds) -> None:

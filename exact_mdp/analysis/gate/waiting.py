@@ -1,21 +1,15 @@
 """Waiting for ever: at discount 1 an action may keep the optimal value and never attain it.
 
-Where nothing is earned for ever, V*(s) = r + P V* holds for actions that stay, too; the value is
-that of those who leave. Such an action of s belongs to an optimal policy exactly if other optimal
-actions lead from its next states to where the optimum may stay, without coming back to s.
-
-What a policy loses by waiting is lost in a class of states that it never leaves, by the state s at
-which it comes in:
+Such an action belongs to an optimal policy exactly if other optimal actions lead from its next
+states to where the optimum may stay, without coming back. What a policy loses by waiting is lost in
+a class of states that it never leaves, by the state s at which it comes in with probability e(s):
 
     regret = Σ_s d(s) gap(s) + Σ_s e(s) (V*(s) - V^π(s))
 
-with d the visits of the states that it leaves again, and e(s) the probability that it comes into
-such a class at s. To blame are the states of the class in which an optimal action may lead out of
-it. Where none does, because the optimum stays in a part of the class, or earns more for ever there,
-those are to blame in which the policy departs from the optimal one of the certificate: a policy
-that does not is as good. Among these, an action cannot be used for ever where V + w > P w, with the
-w of the proof (`solvers.exact.checker`), since the mean of V + w - P w in the class is what it
-loses. Where there are several states, each has an equal share.
+To blame are the states of the class in which an optimal action may lead out of it; else those in
+which the policy departs from the optimal one of the certificate, first where V + w > P w with the w
+of the proof (`solvers.exact.checker`): no optimal policy can use such an action for ever. Where
+there are several states, each has an equal share.
 """
 
 from __future__ import annotations
@@ -91,7 +85,7 @@ def arrivals(chain: PolicyChain, label: Integers) -> Floats:
 def shares(chain: PolicyChain, by_state: Floats, gap: Floats, wrong: Flags) -> Floats:
     """Return (S,) what is lost by waiting, charged to the states (S,) that are `wrong`.
 
-    By the regret and the gap of each state (S,); where a gap is not 0, that is what is lost.
+    Where the gap (S,) of a state is not 0, that is what is lost there.
     """
     label = final_class(chain)
     inside = (label >= 0) & chain.reached

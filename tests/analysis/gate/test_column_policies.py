@@ -116,15 +116,16 @@ def test_rows_of_a_policy_that_gain_by_a_change() -> None:
     assert audit.representation is not None
     changes = audit.representation.rows
     assert len(changes) > 3
-    assert [each.gain for each in changes] == sorted((e.gain for e in changes), reverse=True)
+    gains = [each["gain"] for each in changes]
+    assert gains == sorted(gains, reverse=True)
     own = {format(s, "04b"): mdp.actions[int(a)]
            for s, a in enumerate(audit.policy.table.argmax(axis=1))}  # fmt: skip
     for each in changes:
-        label = each.row.removeprefix("status ")
-        assert own[label] == each.learned
-        better = check(mdp, own | {label: each.best})
+        label = each["row"].removeprefix("status ")
+        assert own[label] == each["learned"]
+        better = check(mdp, own | {label: each["best"]})
         gain = audit.regret.at_start.value - better.regret.at_start.value
-        assert each.gain == pytest.approx(float(gain), abs=1e-9)
+        assert each["gain"] == pytest.approx(float(gain), abs=1e-9)
 
 
 def test_a_start_policy_is_never_lost() -> None:

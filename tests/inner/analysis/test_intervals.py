@@ -16,7 +16,7 @@ from records import NAMES, POLICY, STAGES, estimated, recorded, staged_policy
 from scipy import integrate, optimize, stats
 
 from exact_mdp import MDP, ModelError, Policy, Robust, check, solve
-from exact_mdp.analysis.gate.data.bounds import robust_bounds
+from exact_mdp.analysis.gate.data.robust import robust_bounds
 from exact_mdp.analysis.gate.data.posterior import drawn, drawn_regrets
 from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.analysis.vary.intervals import bootstrap, mean_at_least
@@ -81,7 +81,7 @@ def test_nature_may_send_a_row_where_nobody_saw_it_go(seed: int) -> None:
     value, start = rng.normal(size=4), mdp.start_distribution
     for most in (False, True):
         sign, extreme = -1.0 if most else 1.0, sets.worth(value, most=most)
-        law, p = extreme.chosen[0][[0]].toarray()[0], row / row.sum()
+        law, p = extreme.piece()[0][[0]].toarray()[0], row / row.sum()
         assert law.sum() == pytest.approx(1)
         assert p[p > 0] @ np.log(p[p > 0] / law[p > 0]) <= sets.radius[0] + 1e-9
         assert abs(extreme.bound[0] - value @ law / 2) < 1e-8

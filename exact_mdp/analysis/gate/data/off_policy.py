@@ -1,15 +1,10 @@
 """What a policy is worth by the trajectories themselves, which another policy made.
 
-An episode of the behaviour b with return G = Σ γ^t r_t counts for the policy π with the weight
-w = Π π(a_t | s_t) / b(a_t | s_t):
-
-    E_b[w G] = V^π   (ordinary importance sampling),    V^π ≈ Σ w G / Σ w   (weighted),
-
-of effective sample size (Σ w)² / Σ w² (Precup, Sutton and Singh, ICML 2000). The mean of
-X = w (G - least return) ≥ 0 is bounded from below at a stated confidence, for any weights, by
-`mean_at_least`, and V^π from above likewise, by X = w (greatest return - G).
-An episode that was cut off may go on with any return in its range. V* is bounded by the sets of
-`analysis.gate.data.bounds` at half the doubt, and V^π by its trajectories at the other half.
+An episode of the behaviour b with return G = Σ γ^t r_t has the weight w = Π π(a_t | s_t) / b(a_t |
+s_t), so that E_b[w G] = V^π, which Σ w G / Σ w estimates with an effective sample size of (Σ w)² /
+Σ w² (Precup, Sutton and Singh, ICML 2000). V^π is bounded at half the doubt by the means of
+w (G - least return) ≥ 0 and w (greatest return - G) ≥ 0 (`mean_at_least`), where an episode that
+was cut off may go on with any return; V* at the other half as in `analysis.gate.data.robust`.
 """
 
 from __future__ import annotations
@@ -121,7 +116,11 @@ class OffPolicy:
                 where="returns",
                 fix="state a range that holds them",
             )
-        low, high = seen.bounds(bounds.range, mdp.discount, doubt / 4)
+        left = np.where(seen.cut, mdp.discount**seen.steps, 0.0)
+        above = np.clip(seen.returns + left * lowest, lowest, highest) - lowest
+        below = highest - np.clip(seen.returns + left * highest, lowest, highest)
+        low = min(lowest + mean_at_least(seen.weight * above, doubt / 4), highest)
+        high = max(highest - mean_at_least(seen.weight * below, doubt / 4), lowest)
         best = bounds.at_start(mdp.maximised, bounds.best)
         w, terms = seen.weight, seen.weight * seen.returns
         total = float(w.sum())
@@ -185,17 +184,6 @@ class _Trajectories(NamedTuple):
     steps: Integers
     cut: Flags
     entered: int  # episodes that stop in a state that is taken for an end
-
-    def bounds(self, ends: Ends, rate: float, doubt: float) -> Ends:
-        """Return bounds of V^π, each wrong with a probability of at most `doubt`."""
-        least, most = ends
-        left = np.where(self.cut, rate**self.steps, 0.0)
-        low = np.clip(self.returns + left * least, least, most)
-        high = np.clip(self.returns + left * most, least, most)
-        return (
-            min(least + mean_at_least(self.weight * (low - least), doubt), most),
-            max(most - mean_at_least(self.weight * (most - high), doubt), least),
-        )
 
 
 def _trajectories(

@@ -1,17 +1,13 @@
 """The posterior distribution of a policy's regret, given what was recorded.
 
-Rows of different pairs are independent. Before the records each is Dirichlet with the same
-parameter for every state that may follow, which add up to `prior` (1 unless given; 1/S for each of
-S states is Perks's prior, Journal of the Institute of Actuaries 73, 1947); after them the counts
-are added. The start is such a row, too, unless it was given. A reward is one of those that were
-seen with that next state, in proportion to Dirichlet weights of their own counts (Rubin's Bayesian
-bootstrap, Annals of Statistics 9, 1981), and the mean of the pair where a next state was never seen
-to follow. Every draw is a model that is solved (`solvers.batch`), and a draw of the regret.
+Rows of different pairs, and a start that was not given, are independent and Dirichlet: before the
+records with the same parameter for every state, `prior` in all; after them the counts are added. A
+reward is one of those seen with that next state, with Dirichlet weights of their own counts (Rubin,
+The Bayesian bootstrap, Annals of Statistics 9, 1981). Every draw is a model that is solved.
 
-The interval goes from 0 to an order statistic of the draws that is at least the posterior's
-quantile of the confidence in 97.5 % of samples. It has no lower end above 0: the regret is a
-maximum, so that the noise of every draw adds to it. Where actions tie the true regret is 0, but
-some other action looks better in nearly every draw. A posterior therefore proves no loss.
+The interval goes from 0 to an order statistic that is at least the posterior's quantile in 97.5 %
+of samples. It has no lower end above 0: the regret is a maximum, so that noise adds to it in every
+draw, and where actions tie nearly every draw shows a loss. A posterior therefore proves no loss.
 """
 
 from __future__ import annotations
@@ -19,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -32,7 +27,6 @@ from exact_mdp.analysis.gate.data.interval import (
     observations_of,
     of_process,
 )
-from exact_mdp.analysis.vary.base_case import digest
 from exact_mdp.analysis.vary.intervals import (
     Ranged,
     quantiles,
@@ -41,7 +35,6 @@ from exact_mdp.analysis.vary.intervals import (
     upper_quantile,
 )
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats, exact, float_of, shown
@@ -60,15 +53,9 @@ MOST_ROOM = 10**8  # of one draw
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PosteriorInterval(RegretInterval):
-    """A credible interval, from 0 upward.
+    """A credible interval, from 0 upward."""
 
-    Attributes
-    ----------
-    draws : (D,)
-        The regret in each model drawn.
-    """
-
-    draws: Floats
+    draws: Floats  # (D,) the regret in each model drawn
 
     def open_text(self, limit: Fraction) -> str:
         """Return how probable it is that the limit is kept."""
@@ -100,7 +87,7 @@ class Posterior:
     n : int
         Draws; few do not show a high quantile, and are refused.
     rng : int or Generator
-    n_jobs, folder, progress
+    n_jobs, progress
         Where the work is done, as `solvers.parallel.many` takes it; results do not change.
 
     Examples
@@ -120,7 +107,6 @@ class Posterior:
     n: int = DRAWS
     rng: RNG = 0
     n_jobs: int | None = 1
-    folder: str | Path | None = None
     progress: bool = False
     by: ClassVar[str] = "posterior"
 
@@ -143,23 +129,11 @@ class Posterior:
         n = counted(self.n, "the number of draws, n,", 2)
         require_draws(n, level)
         own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)
-        key: dict[str, Any] = {
-            "model": fingerprint(mdp),
-            "counts": digest(observations_of(mdp).astype(np.float64)),
-            "episodes": mdp.episodes,
-            "policy": digest(own),
-            "horizon": horizon,
-            "prior": prior,
-            "seed": seed,
-            "draws": n,
-            "draws_per_file": BLOCK,
-        }
         blocks = many(
             partial(_block, mdp.maximised, observations_of(mdp) > 0, own, prior),
             seeded(seed, n, BLOCK)[0],
-            key=key,
+            key={},
             n_jobs=self.n_jobs,
-            folder=self.folder,
             progress=self.progress,
             what="draws",
         )
@@ -284,10 +258,7 @@ def _block(
     mdp: MDP, known: np.ndarray, own: Floats, prior: float, piece: tuple[SeedSequence, int]
 ) -> Arrays:
     sequence, count = piece
-    rng, size = (
-        np.random.default_rng(sequence),
-        max(1, ROOM // mdp.transition.shape[0] // mdp.n_states),
-    )
+    rng, size = np.random.default_rng(sequence), max(1, ROOM // mdp.n_pairs // mdp.n_states)
     parts = [min(size, count - done) for done in range(0, count, size)]
     regrets = [drawn_regrets(drawn(mdp, known, prior, rng, part), own) for part in parts]
     return {"regret": np.concatenate(regrets)}

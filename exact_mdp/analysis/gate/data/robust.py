@@ -1,14 +1,31 @@
-"""An interval of the regret that holds for every model that the records allow: see `bounds`."""
+"""Regret bounded for every model that the records allow, distribution-free.
+
+The sets of `analysis.gate.data.sets` hold all rows at once with the stated confidence, and so do
+bounds for every model P within them (robust solves: Iyengar, Mathematics of Operations Research 30,
+2005): L^π ≤ V^π ≤ U^π and L* ≤ V* ≤ U*, hence V* - V^π ≤ U* - L^π. That lets nature choose two
+models. Under one P the regret D is the optimum of a model of advantages (Kakade and Langford, ICML
+2002): D(s) = max over pairs l of s of A_P(l) + γ P_l D, A_P(l) = Q^π(l) - V^π(s). With c between
+L^π and U^π, h half their distance and π(l) the probability of l,
+
+    A_P(l) = (1 - π(l)) (r_l + γ P_l c) - Σ_{k ≠ l} π(k) (r_k + γ P_k c) + γ (P_l - P_π) (V^π - c),
+
+its last term at most γ Σ |P_l - P_π| h: h at the shares seen, and the largest h times what a row
+may move by, √(2 KL) (Pinsker). Every bound is that of a monotone operator T: v + e / (1 - γ) is one
+from above if T v ≤ v + e. At discount 1 T keeps a range that the user states valid however often.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import ClassVar
+from functools import cached_property, partial
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
+import tqdm
 
-from exact_mdp.analysis.gate.data.bounds import RobustBounds, robust_bounds
 from exact_mdp.analysis.gate.data.interval import (
     Ends,
     RegretInterval,
@@ -22,8 +39,27 @@ from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.bounds.linear import LinearSystem
+from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
+
+IMPROVEMENTS = 50
+SWEEPS = 1000
+SMALL = 1e-10  # of the range: steps not worth another one; bounds hold wherever the search ends
+Sides = tuple[Floats, Floats]  # bounds (S,) from below and from above
+
+
+class Step(NamedTuple):
+    """An operator at some values: a bound of each state's (or pair's), and its linear piece."""
+
+    bound: Floats
+    piece: Callable[[], tuple[sp.csr_array, Floats]]
+
+
+Operator = Callable[[Floats], Any]  # gives a `Step`, or `Rows` of the sets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,3 +172,201 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
             where=mdp.where(int(pair[first])),
             fix="state a range that holds all totals (--returns LOW,HIGH, returns=(low, high))",
         )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobustBounds:
+    """Values and regret of a policy, from below and above, for every model within sets of rows."""
+
+    sets: RowSets
+    range: Ends  # where the values of all states lie
+    own: Sides  # of V^π
+    best: Sides  # of V*
+    lost: Sides  # of V* - V^π
+
+    def at_start(self, mdp: MDP, whose: Sides) -> Ends:
+        """Return the bounds of a value at the start, in the sense of the model given."""
+        low, high = (self.sets.at_start(whose[most], most=bool(most)) for most in (0, 1))
+        return (low, high) if mdp.sense == "max" else (-high, -low)
+
+    @property
+    def regret(self) -> Ends:
+        """Bounds of the regret at the start."""
+        low, high = self.at_start(self.sets.mdp, self.lost)
+        return max(low, 0.0), high
+
+
+def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> RobustBounds:
+    """Return the bounds for a policy (L,), with total rewards within `returns`; (N, L) by time."""
+    if own.ndim == 2:
+        return _by_stage(sets, own)
+    ends = _range(sets) if returns is None else returns
+    at = Operators(sets=sets, own=own, ends=ends)
+    mine = at.settled(at.policy(0), 0), at.settled(at.policy(1), 1)
+    best = at.settled(at.optimum(0), 0), at.settled(at.optimum(1), 1)
+    advantages = at.advantages(*mine)
+    lost = []
+    for most in (0, 1):
+        apart = np.maximum(best[most] - mine[1 - most], 0.0)
+        gaining = at.gaining(most, advantages[most], best[most], mine[1 - most])
+        lost.append(at.settled(gaining, most, apart))
+    return RobustBounds(sets=sets, range=ends, own=mine, best=best, lost=(lost[0], lost[1]))
+
+
+def _by_stage(sets: RowSets, own: Floats) -> RobustBounds:
+    """Return the bounds of episodes of N steps; nature may choose other rows at each time."""
+    zero = np.zeros(sets.mdp.n_states)
+    mine = best = lost = (zero, zero)
+    for time in tqdm.trange(len(own) - 1, -1, -1, desc="stages", disable=None, delay=2):
+        ends = _totals(sets, len(own) - time)
+        at = Operators(sets=sets, own=own[time], ends=ends)
+        advantages, later = at.advantages(*mine), best
+        rounding = [4 * UNIT * sets.mdp.n_actions * sign for sign in (-1, 1)]
+        value = [at.policy(most)(mine[most]).bound for most in (0, 1)]
+        value = [v + off * np.abs(v) for v, off in zip(value, rounding, strict=True)]
+        mine = value[0], value[1]
+        best = at.optimum(0)(best[0]).bound, at.optimum(1)(best[1]).bound
+        gain = []
+        for most, better in ((0, np.maximum), (1, np.minimum)):
+            step = at.gaining(most, advantages[most], later[most], mine[1 - most])
+            gain.append(better(step(lost[most]).bound, best[most] - mine[1 - most]))
+        lost = np.maximum(gain[0], 0.0), np.maximum(gain[1], 0.0)
+    return RobustBounds(sets=sets, range=_totals(sets, len(own)), own=mine, best=best, lost=lost)
+
+
+def _range(sets: RowSets) -> Ends:
+    lost = 1 - sets.mdp.discount_exact
+    if not lost:
+        raise ModelError(
+            "at discount 1 the records alone do not say how long an episode may go on",
+            where="returns",
+            fix="state where total rewards lie: returns=(low, high), --returns LOW,HIGH; or "
+            "choose a discount below 1",
+        )
+    low, high = sets.of_a_step
+    return low / float(lost) * SLACK, high / float(lost) * SLACK
+
+
+def _totals(sets: RowSets, steps: int) -> Ends:
+    """Return where the total of some steps lies, in every model of the sets."""
+    low, high = sets.of_a_step
+    weight = float(np.cumsum(sets.mdp.discount ** np.arange(steps))[-1]) * SLACK
+    return low * weight * SLACK, high * weight * SLACK
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Operators:
+    """The operators of V^π, V* and D."""
+
+    sets: RowSets
+    own: Floats  # (L,) the policy's probabilities of pairs
+    ends: Ends  # what a state may be worth of which nobody knows what follows
+
+    @cached_property
+    def mixing(self) -> sp.csr_array:
+        """(S, L) the policy."""
+        offsets = self.sets.mdp.pair_offsets
+        return sp.csr_array((self.own, np.arange(len(self.own)), offsets))
+
+    def policy(self, most: int) -> Operator:
+        """Return the operator of V^π, from below or above."""
+        rows = partial(self.sets.worth, most=bool(most))
+        return partial(self._step, rows, lambda bound: self.mixing, self.ends[most])
+
+    def optimum(self, most: int) -> Operator:
+        """Return the operator of V*."""
+        rows = partial(self.sets.worth, most=bool(most))
+        return partial(self._step, rows, self._best, self.ends[most])
+
+    def gaining(self, most: int, advantage: Floats, best: Floats, own: Floats) -> Operator:
+        """Return the operator of D: no action gains more than with a model for each side.
+
+        `best` (S,) bounds the V* that follows, and `own` (S,), from the other side, V^π here.
+        """
+        side = bool(most)
+        apart = self.sets.worth(best, most=side).bound - own[self.sets.mdp.pair_state]
+
+        def rows(value: Floats) -> Step:
+            nature = self.sets.worth(value, most=side, rewards=False)
+            joint = advantage + nature.bound
+            bound = np.minimum(joint, apart) if most else np.maximum(joint, apart)
+
+            def piece() -> tuple[sp.csr_array, Floats]:
+                alone = joint == bound
+                laws = nature.piece()[0].multiply(alone.astype(np.float64)[:, None])
+                return sp.csr_array(laws), np.where(alone, advantage, apart)
+
+            return Step(bound, piece)
+
+        return partial(self._step, rows, self._best, (self.ends[1] - self.ends[0]) * most)
+
+    def _step(
+        self, rows: Operator, choose: Callable[[Floats], sp.csr_array], gain: float, value: Floats
+    ) -> Step:
+        """Return what the pairs chosen make of the states, worth `gain` where nobody knows."""
+        unknown, pairs = self.sets.unknown, rows(value)
+        mixing = choose(pairs.bound)
+
+        def piece() -> tuple[sp.csr_array, Floats]:
+            laws, constant = pairs.piece()
+            mixed = sp.csr_array(mixing @ laws)
+            if unknown.any():
+                mixed = sp.csr_array(mixed.multiply((~unknown).astype(np.float64)[:, None]))
+            return mixed, np.where(unknown, gain, mixing @ constant)
+
+        return Step(np.where(unknown, gain, mixing @ pairs.bound), piece)
+
+    def _best(self, gain: Floats) -> sp.csr_array:
+        """Return (S, L) the choice of the best pair of each state."""
+        mdp = self.sets.mdp
+        best = np.maximum.reduceat(gain, mdp.pair_offsets[:-1])
+        taken = first_of(mdp, gain == best[mdp.pair_state])
+        chosen = np.ones(len(taken)), taken, np.arange(len(taken) + 1)
+        return sp.csr_array(chosen, (len(taken), len(gain)))
+
+    def advantages(self, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+        """Return bounds (L,) of A_P(l) in every model P, with V^π that follows within bounds."""
+        mdp, own, mixing = self.sets.mdp, self.own, self.mixing
+        middle = (low + high) / 2
+        half = np.maximum(high - middle, middle - low)
+        least, most = (self.sets.worth(middle, most=side).bound for side in (False, True))
+        moved = np.minimum(np.sqrt(2 * self.sets.radius) * SLACK, 2.0) * float(half.max())
+        state = mdp.pair_state
+        apart = abs(mdp.transition - (mixing @ mdp.transition)[state]) @ half
+        others = (mixing @ moved)[state] - own * moved
+        coupled = mdp.discount * (apart + (1 - own) * moved + others) * SLACK
+        size = np.maximum(np.abs(least), np.abs(most))
+        coupled += 8 * UNIT * (mdp.n_actions + 4) * ((mixing @ size)[state] + size)
+        advantages = []
+        for mine, theirs, sign in ((least, most, -1), (most, least, 1)):
+            rest = (mixing @ theirs)[state] - own * theirs
+            advantages.append(np.where(own == 1, 0.0, (1 - own) * mine - rest + sign * coupled))
+        return advantages[0], advantages[1]
+
+    def settled(self, step: Operator, side: int, first: Floats | None = None) -> Floats:
+        """Return (S,) bounds of an operator's fixed point: from below at side 0, above at 1.
+
+        `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over.
+        """
+        sign, take = (1, np.minimum) if side else (-1, np.maximum)
+        known = np.where(self.sets.over, 0.0, self.ends[side]) if first is None else first
+        mdp = self.sets.mdp
+        left, scale = float(1 - mdp.discount_exact), SMALL * (self.ends[1] - self.ends[0])
+        if not left:
+            for _ in range(SWEEPS):
+                value = np.asarray(take(known, step(known).bound))
+                if np.abs(value - known).max() <= scale:
+                    break
+                known = value
+            return value
+        value = known
+        for _ in range(IMPROVEMENTS):
+            after = step(value)
+            over = max(float((sign * (after.bound - value)).max()), 0.0) / left * SLACK
+            known = take(known, value + sign * (over + 4 * UNIT * (np.abs(value) + over)))
+            chain, constant = after.piece()
+            target = LinearSystem(chain, mdp.discount).approximate(constant)
+            if np.abs(target - value).max() <= scale:
+                break
+            value = target
+        return np.asarray(known)

@@ -1,18 +1,15 @@
 """Which rows the records allow: a set around each counted row, all of them right at once.
 
-A pair seen n times, with shares p of m states that followed, has an unknown row q. For any prior w
-over rows the likelihood ratio M_n = ∫ Π_i (q'_i / q_i)^c_i w(dq') has mean 1 at every n, so that it
-ever exceeds 1/δ with probability at most δ (Ville, 1939). With w Dirichlet of parameters 1/m,
+A pair seen n times, with shares p of m states that followed, has an unknown row q. The likelihood
+ratio of a Dirichlet mixture against q has mean 1 at every n, so that it ever exceeds 1/δ with
+probability at most δ (Ville, 1939). With parameters 1/m,
 
     n KL(p ‖ q) ≤ log(1/δ) + Σ c_i log p_i - log [ Γ(1) / Γ(n + 1) Π Γ(c_i + 1/m) / Γ(1/m) ]
 
-(with the uniform prior: Jonsson and others, NeurIPS 2020, proposition 1). It holds for all n at
-once, however actions were chosen, and allows for states that were never seen to follow. The mean μ
-of rewards in a stated range, scaled to [0, 1], obeys n kl(mean seen, μ) ≤ log((n + 1) / δ) by the
-same argument; or rewards are *known*, a function of state, action and next state. The start is a
-row, too, unless the user gave it. Each of the K = states × actions that could have been counted,
-and the start, gets δ = (1 - confidence) / (K + 1), a pair half of it for its rewards unless these
-are known. Rows that nobody counted are as certain as the model says.
+(with the uniform prior: Jonsson and others, NeurIPS 2020, proposition 1), however actions were
+chosen. The mean μ of rewards in a range, scaled to [0, 1], obeys n kl(mean seen, μ) ≤ log((n + 1) /
+δ) likewise. Each of K = states × actions, and a start that was not given, gets δ = (1 - confidence)
+/ (K + 1), a pair half of it for its rewards unless these are known.
 """
 
 from __future__ import annotations
@@ -42,30 +39,14 @@ Given = Literal["known"] | tuple[object, object] | None
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RowSets:
-    """A set of rows for each pair of a model with counts.
+    """A set of rows for each pair of a model with counts."""
 
-    Attributes
-    ----------
-    mdp : MDP
-        Of rewards, not costs.
-    counted : (L,)
-        Observations of each pair; 0 for rows that are certain.
-    doubt : float
-        The probability that some row is outside of its set.
-    known : bool
-        Whether rewards are known.
-    rewards : (float, float)
-        Where they lie.
-    episodes : float, optional
-        How many the start was counted from; None where it is known.
-    """
-
-    mdp: MDP
-    counted: Floats
-    doubt: float
-    known: bool
-    rewards: Ends
-    episodes: float | None = None
+    mdp: MDP  # of rewards, not costs
+    counted: Floats  # (L,) observations; 0 for rows that are as certain as the model says
+    doubt: float  # the probability that some row is outside of its set
+    known: bool  # whether state, action and next state decide the reward
+    rewards: Ends  # where they lie
+    episodes: float | None  # how many the start was counted from; None where it is known
 
     @classmethod
     def of(cls, mdp: MDP, doubt: float, rewards: Given = None) -> RowSets:
@@ -107,18 +88,16 @@ class RowSets:
             episodes=mdp.episodes,
         )
 
-    @cached_property
+    @property
     def unknown(self) -> Flags:
         """(S,) states of which nobody knows what follows: episodes were cut off there."""
-        flags: Flags = cut_off(self.mdp)
-        return flags
+        return cut_off(self.mdp)
 
     @cached_property
     def over(self) -> Flags:
         """(S,) ends, worth 0 in every model of the sets: no row counted, nobody cut off."""
         left = np.logical_or.reduceat(self.counted > 0, self.mdp.pair_offsets[:-1])
-        flags: Flags = self.mdp.terminal & ~left & ~self.unknown
-        return flags
+        return np.asarray(self.mdp.terminal & ~left & ~self.unknown)
 
     @property
     def of_a_step(self) -> Ends:
@@ -248,24 +227,17 @@ class RowSets:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
-    """What nature makes of all pairs at some values.
-
-    Attributes
-    ----------
-    bound : (L,)
-        A bound, rounding included, of the reward and the discounted value that follows.
-    """
+    """What nature makes of all pairs at some values: reward and discounted value that follows."""
 
     sets: RowSets
-    bound: Floats
+    bound: Floats  # (L,) rounding included
     reward: Floats
     blocks: list[Block]
     found: Inner
     far: int
 
-    @cached_property
-    def chosen(self) -> tuple[sp.csr_array, Floats]:
-        """(L, S) the laws that nature chose, and (L,) the rewards under them."""
+    def piece(self) -> tuple[sp.csr_array, Floats]:
+        """Return the laws (L, S) that nature chose, and the rewards (L,) under them."""
         sets, mdp = self.sets, self.sets.mdp
         place, following, weight, earned = entries(self.blocks, self.found.laws)
         following = np.where(following == mdp.n_states, self.far, following)
