@@ -11,11 +11,6 @@ for all thresholds at once.
 A weight v of the mean asks for the most of (1 - v) CVaR + v E Z = (1 - v) (η + V_η / α), where V_η
 is the greatest λ E Z - E (η - Z)⁺, with λ = α v / (1 - v). Of equal values the greater mean is
 taken. All numbers are integers over one denominator for each state.
-
->>> from exact_mdp import MDP
->>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
->>> best_cvar(MDP.from_outcomes(rows), "1/2").value
-Fraction(4, 1)
 """
 
 from __future__ import annotations
@@ -443,15 +438,7 @@ def share_of(level: object) -> Fraction:
 
 
 def tail_mean(returns: Iterable[tuple[Fraction, Fraction]], level: Fraction) -> Fraction:
-    """Return the mean of the worst share of returns, which rise, with their probabilities.
-
-    >>> str(
-    ...     tail_mean(
-    ...         [(Fraction(0), Fraction(1, 4)), (Fraction(4), Fraction(3, 4))], Fraction(1, 2)
-    ...     )
-    ... )
-    '2'
-    """
+    """Return the mean of the worst share of returns, which rise, with their probabilities."""
     left, total = level, Fraction(0)
     for value, probability in returns:
         part = min(left, probability)

@@ -28,27 +28,18 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+RULES = 20  # rows of a policy with a memory that a table shows
 WEIGHTS = (Fraction(0), Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(99, 100))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MeanCVaR(Pictured):
-    """Best policies for several weights of the mean, and given policies.
-
-    Attributes
-    ----------
-    mdp : MDP
-    level : Fraction
-        The share of the worst episodes.
-    optima : tuple of CVaROptimum
-        By rising weight of the mean.
-    policies : {name: (mean, CVaR)}
-    """
+    """Best policies for several weights of the mean, and given policies."""
 
     mdp: MDP
-    level: Fraction
-    optima: tuple[CVaROptimum, ...]
-    policies: Mapping[str, tuple[Fraction, Fraction]]
+    level: Fraction  # the share of the worst episodes
+    optima: tuple[CVaROptimum, ...]  # by rising weight of the mean
+    policies: Mapping[str, tuple[Fraction, Fraction]]  # mean and CVaR by name
 
     claim = Claim.CERTIFIED
 
@@ -58,70 +49,55 @@ class MeanCVaR(Pictured):
 
     def report(self) -> Report:
         """Return the best policy for the worst episodes, and those for weighted means."""
-        best = self.optima[0]
-        points = [
-            {"weight": o.weight, "mean": o.mean, "cvar": o.value, "threshold": o.threshold}
-            for o in self.optima
-        ]
-        beside = [
-            {"policy": name, "mean": mean, "cvar": value}
-            for name, (mean, value) in self.policies.items()
-        ]
-        rules = [
-            {"state": self.mdp.space.label(state), "from": low, "to": high, "action": action}
-            for state, low, high, action in best.rules()
-        ]
-        return Report(
-            title="mean of the worst episodes",
-            facts={
-                "claim": Shown(self.claim),
-                "measure": Shown("cvar"),
-                "value": Shown(best.value, Certified(value=best.value)),
-                "level": Shown(self.level, f"the worst {self.level} of the episodes"),
-                "mean": Shown(best.mean, Certified(value=best.mean)),
-                "threshold": best.threshold,
-                "distribution": Shown(best.distribution()),
-                "points": points,
-                "policies": Shown(beside),
-                "policy": rules,
-            },
-            tables={
-                "points": Table(
-                    title="mean against the worst episodes",
-                    rows=self.frame(),
-                    columns={"policy": "policy", "mean": "mean:.10g", "of the worst": "CVaR:.10g"},
-                    note="the best policies remember the reward so far; each is exact, and best "
-                    "for its weight",
-                ),
-                "policy": Table(
-                    title="best policy for the worst episodes, by state and reward so far",
-                    columns={
-                        "state": "state",
-                        "from": "from:.10g",
-                        "to": "to:.10g",
-                        "action": "action",
-                    },
-                    first=RULES,
-                    note="--policy-out FILE writes it",
-                ),
-            },
+        best, label = self.optima[0], self.mdp.space.label
+        facts = {
+            "claim": Shown(self.claim),
+            "measure": Shown("cvar"),
+            "value": Shown(best.value, Certified(value=best.value)),
+            "level": Shown(self.level, f"the worst {self.level} of the episodes"),
+            "mean": Shown(best.mean, Certified(value=best.mean)),
+            "threshold": best.threshold,
+            "distribution": Shown(best.distribution()),
+            "points": [
+                {"weight": o.weight, "mean": o.mean, "cvar": o.value, "threshold": o.threshold}
+                for o in self.optima
+            ],
+            "policies": Shown(
+                [{"policy": name, "mean": m, "cvar": v} for name, (m, v) in self.policies.items()]
+            ),
+            "policy": [
+                {"state": label(state), "from": low, "to": high, "action": action}
+                for state, low, high, action in best.rules()
+            ],
+        }
+        points = Table(
+            title="mean against the worst episodes",
+            rows=self.frame(),
+            columns={"policy": "policy", "mean": "mean:.10g", "of the worst": "CVaR:.10g"},
+            note="the best policies remember the reward so far; each is exact, and best for its "
+            "weight",
         )
+        rules = Table(
+            title="best policy for the worst episodes, by state and reward so far",
+            columns={"state": "state", "from": "from:.10g", "to": "to:.10g", "action": "action"},
+            first=RULES,
+            note="--policy-out FILE writes it",
+        )
+        tables = {"points": points, "policy": rules}
+        return Report(title="mean of the worst episodes", facts=facts, tables=tables)
 
     def frame(self) -> DataFrame:
         """Return one row for each best policy, and for each given one."""
         import pandas
 
-        best = [
-            (f"best, weight {shown(o.weight)} of the mean", o.mean, o.value) for o in self.optima
-        ]
-        rows = [*best, *((name, *point) for name, point in self.policies.items())]
+        best = {
+            f"best, weight {shown(o.weight)} of the mean": (o.mean, o.value) for o in self.optima
+        }
+        rows = [*best.items(), *self.policies.items()]
         return pandas.DataFrame(
             {"policy": name, "mean": float(mean), "CVaR": float(value), "claim": "certified"}
-            for name, mean, value in rows
+            for name, (mean, value) in rows
         )
-
-
-RULES = 20  # rows of a policy with a memory that a table shows
 
 
 def mean_cvar(

@@ -58,18 +58,10 @@ STEPS = 64  # after which an often visited state shows
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Classes:
-    """The recurrent classes of a chain, C in number.
+    """The recurrent classes of a chain, C in number."""
 
-    Attributes
-    ----------
-    label : (S,) int64
-        The class of each state; -1 where it is transient.
-    base : (C,) int64
-        One state of each.
-    """
-
-    label: Integers
-    base: Integers
+    label: Integers  # (S,) the class of each state; -1 where it is transient
+    base: Integers  # (C,) one state of each
 
     @classmethod
     def of(cls, graph: sp.csr_array) -> Classes:
@@ -255,25 +247,6 @@ class ExactChain:
 class AverageEvaluation(Valued, Result):
     """What a policy earns per step in the long run, and what a start is worth beyond it.
 
-    Attributes
-    ----------
-    mdp : MDP
-        The model, at discount 1.
-    weights : (L,)
-        Probability of each pair given its state, rounded `roundings` times at most.
-    policy : Policy, optional
-        The policy; None where it was given as probabilities of pairs.
-    classes : Classes
-        The recurrent classes: `label` (S,), -1 in transient states.
-    value, bias : (S,)
-        Gain, the average reward per step from each state, and bias; see `solvers.endless.chain`.
-    error, bias_error : (S,)
-        How far they may be from the exact ones.
-    exact : (FixedPoint, FixedPoint), optional
-        `share` and `arrivals`, where they were found in rational arithmetic.
-
-    Examples
-    --------
     >>> from exact_mdp.solvers import evaluate
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], ["4/5", "1/5"]]], [[5], [-1]])
     >>> evaluation = evaluate(mdp, [0, 0], criterion="average")
@@ -281,16 +254,16 @@ class AverageEvaluation(Valued, Result):
     ((2.69230..., 2.69230...), [0.6154, 0.3846])
     """
 
-    mdp: MDP
-    weights: Floats
+    mdp: MDP  # at discount 1
+    weights: Floats  # (L,) of pairs given their states, rounded `roundings` times at most
     roundings: int
-    policy: Policy | None
+    policy: Policy | None  # None where it was given as probabilities of pairs
     classes: Classes
-    value: Floats
+    value: Floats  # (S,) the gain
     error: Floats
-    bias: Floats
+    bias: Floats  # (S,)
     bias_error: Floats
-    exact: tuple[FixedPoint, FixedPoint] | None = None
+    exact: tuple[FixedPoint, FixedPoint] | None = None  # share and arrivals, if from rationals
 
     claim: ClassVar[Claim] = Claim.BOUNDED
 
@@ -313,13 +286,9 @@ class AverageEvaluation(Valued, Result):
         """(S,) the share of time that is spent in each state in the long run, from the start."""
         return self._visited[0]
 
-    @property
-    def arrivals(self) -> FixedPoint:
-        """(S,) expected visits from the start until a base, that arrival included."""
-        return self._visited[1]
-
     @cached_property
     def _visited(self) -> tuple[FixedPoint, FixedPoint]:
+        """Shares, and expected visits from the start until a base, that arrival included."""
         if self.exact is not None:
             return self.exact
         chain = FloatChain(self.mdp, self.weights, self.roundings)
@@ -343,7 +312,7 @@ class AverageEvaluation(Valued, Result):
     def visits(self) -> Floats:
         """(S,) the share of time; in transient states the expected visits from the start."""
         recurrent = self.classes.recurrent
-        return np.where(recurrent, self.share.value, np.maximum(self.arrivals.value, 0.0))
+        return np.where(recurrent, self.share.value, np.maximum(self._visited[1].value, 0.0))
 
     @cached_property
     def components(self) -> dict[str, Bounded]:

@@ -31,20 +31,11 @@ COARSER = 16  # between one limit of a clear loss and the next
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Derived:
-    """A model of S' states and L' pairs, the last state its end, and where its pairs are from.
-
-    Attributes
-    ----------
-    mdp : MDP
-    label : (S,) int64
-        The state that each one of the other model became.
-    source : (L',) int64
-        The pair that each one is made of; -1 - i for rest number i; the pair of the end has L.
-    """
+    """A model of S' states and L' pairs, the last state its end, and where its pairs are from."""
 
     mdp: MDP
-    label: Integers
-    source: Integers
+    label: Integers  # (S,) the state that each one of the other model became
+    source: Integers  # (L',) the pair that each is made of; -1 - i for rest i; L for the end
 
     def without_losing(self) -> Derived:
         """Return a model in which every policy ends: without pairs that lose clearly in circles.

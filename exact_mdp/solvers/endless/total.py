@@ -1,35 +1,20 @@
 """The total reward at discount 1 where some policy never ends: where it is infinite, and the rest.
 
-End components decide, each by the sign of its best mean reward g:
+End components decide, each by the sign of its best mean reward g: positive is worth +∞ wherever it
+can be reached without a risk of -∞; negative is never worth staying in, and -∞ where nothing else
+can be reached for sure; and where g = 0 and no reward is positive, the pairs that earn nothing can
+be used for ever, for 0. In any other model exact levels say what the value is (`exact.find`).
 
-    g > 0   worth +∞ wherever it can be reached without a risk of -∞
-    g < 0   never worth staying in: -∞ where nothing else can be reached for sure
-    g = 0   where no reward of the component is positive, the pairs that earn nothing can be used
-            for ever, and staying is worth 0
+With a goal nothing else can be stayed in: a run that never arrives is worth `unreached`, +∞ or -∞.
+Where that is -∞, and a component of positive mean can be left for the goal for sure, the least
+upper bound is +∞, and no policy attains it: a model that begins there is refused by name.
 
-In any other model the value depends on more than these signs: where rewards of both signs have a
-mean of 0, or where +∞ and -∞ can only be had together. Exact levels say what it is there
-(`solvers.exact.find`).
-
-A model with a goal follows other rules: outside the goal nothing can be stayed in. A run that never
-arrives is worth `unreached`, +∞ or -∞, in the numbers that are maximised. Where that is -∞, and a
-component of positive mean can be left for the goal for sure, going round often enough beforehand
-earns more than any number: the least upper bound is +∞, and no policy attains it. Other states may
-have it; a model that begins in one is refused by name.
-
-What is left are finite values. Parts that can be stayed in for nothing are merged, and pairs that
-lose clearly in circles are left out (`quotient`), so that every policy ends. That pairs left out
-are none the better is verified, for values V with errors e, roundings counted:
-
-    V(s) - e(s) ≥ r + P (V + e)
-
-Where the bounds of the solver that was asked are too wide for this, those of policy iteration
-decide, which are roundings alone.
-
-A policy attains the values if it takes best pairs of that model, and moves inside a merged part to
-where it leaves: never a pair just because it keeps the value of a state, which staying for ever
-would not earn (de Alfaro, Formal Verification of Probabilistic Systems, 1997, chapters 3 and 5;
-Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991).
+For finite values, parts that can be stayed in for nothing are merged, and pairs that lose clearly
+in circles are left out (`quotient`), so that every policy ends. That these are none the better is
+verified, for values V with errors e, roundings counted: V(s) - e(s) ≥ r + P (V + e). A policy takes
+best pairs of that model, and moves inside a merged part to where it leaves (de Alfaro, Formal
+Verification of Probabilistic Systems, 1997, chapters 3 and 5; Bertsekas and Tsitsiklis, Mathematics
+of Operations Research 16, 1991).
 """
 
 from __future__ import annotations
@@ -135,33 +120,18 @@ def rounded(mdp: MDP, criterion: str = "total") -> Solution:
 class Structure:
     """What is known of a model's states before any finite value is.
 
-    Attributes
-    ----------
-    mdp : MDP
-    graph : Graph
-    label : (S,) int64
-        The end component of each state, ends left out; -1 where there is none.
-    within : (L,) bool
-        The pairs of the end components.
-    sign : (S,) int64
-        1 where the value is +∞, -1 where it is -∞, else 0.
-    rest : (S,) int64
-        The number of each state's rest, a part of an end component between whose states one moves
-        at will and for nothing; -1 where there is none. With a goal it is not allowed to stay.
-    inside : (L,) bool
-        The pairs with which one moves inside a rest.
-    core : (C,) int64
-        The components where +∞ is earned, or where a goal is missed if that is worth +∞.
+    A rest is a part of an end component between whose states one moves at will and for nothing.
+    With a goal it is not allowed to stay there.
     """
 
     mdp: MDP
     graph: Graph
-    label: Integers
-    within: Mask
-    sign: Integers
-    rest: Integers
-    inside: Mask
-    core: Integers
+    label: Integers  # (S,) the end component of each state, ends left out; or -1
+    within: Mask  # (L,) the pairs of the end components
+    sign: Integers  # (S,) 1 where the value is +∞, -1 where it is -∞, else 0
+    rest: Integers  # (S,) the number of each state's rest, or -1
+    inside: Mask  # (L,) the pairs with which one moves inside a rest
+    core: Integers  # the components where +∞ is earned, or a goal is missed if that is worth +∞
 
     def finite(self) -> Derived:
         """Return the model of the finite values, in which the value of a state is its label's.
