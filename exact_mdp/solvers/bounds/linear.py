@@ -204,25 +204,13 @@ class LinearSystem(ByFields):
             return self._direct(constant)
         scaled = constant / size  # tests for convergence and breakdown are absolute
         if not self._slow:
-            value, done = self.swept(scaled, rtol, fine=4 * UNIT if rtol == FIRST else 0.0)
+            fine, states = 4 * UNIT if rtol == FIRST else 0.0, np.arange(len(scaled))
+            chain, closed = self.transition, self._closed
+            value, done = swept(chain, states, self.discount, scaled, closed, rtol, fine)
             if done:
                 return size * value
             self._slow.append(True)
         return size * self._iterated(scaled, rtol)
-
-    def swept(self, constant: Floats, enough: float, *, fine: float = 0.0) -> tuple[Floats, bool]:
-        """Return x (S,) and whether its residual is `enough`; if not, sweeps would be too many.
-
-        With `fine` above 0 sweeps go on to a residual of that part of the values.
-        """
-        from exact_mdp.solvers.kernels import linear as loops
-
-        chain, rate, closed = self.transition, float(self.discount), self._closed
-        value, room = np.zeros((2, len(constant)))
-        rows = loops.Rows(chain.indptr, chain.indices, chain.data)
-        limits = (enough, fine, SWEEPS, TRIED)
-        done = loops.swept(rows, rate, constant, closed, *limits, value, room)
-        return np.asarray(value), bool(done)
 
     @cached_property
     def _slow(self) -> list[bool]:
@@ -231,9 +219,9 @@ class LinearSystem(ByFields):
 
     @cached_property
     def _closed(self) -> bool:
-        """Whether the discount is below 1, and no way leads to an end: all rows sum to 1."""
+        """Whether all rows sum to 1: no way leads to an end."""
         total = self.transition.sum(axis=1)
-        return bool(self.discount < 1 and max(total.max() - 1, 1 - total.min()) < CLOSE)
+        return bool(max(total.max() - 1, 1 - total.min()) < CLOSE)
 
     def _iterated(self, constant: Floats, rtol: float) -> Floats:
         """Return x (S,) by BiCGSTAB, or by elimination once that has failed."""
@@ -338,6 +326,29 @@ def _reach(chain: sp.csr_array) -> tuple[int, int]:
     """Return how far transitions (S, S) lead down and up in number, at most."""
     ahead = chain.indices - np.repeat(np.arange(chain.shape[0]), np.diff(chain.indptr))
     return int(-ahead.min(initial=0)), int(ahead.max(initial=0))
+
+
+def swept(
+    matrix: sp.csr_array,
+    row: Integers,
+    discount: float,
+    constant: Floats,
+    closed: bool,
+    enough: float,
+    fine: float,
+) -> tuple[Floats, bool]:
+    """Return x (S,) and whether its residual is `enough`; if not, sweeps would be too many.
+
+    Rows of states are those of that number in a matrix, and all sum to 1 in a `closed` chain. With
+    `fine` above 0 sweeps go on to a residual of that part of the values.
+    """
+    from exact_mdp.solvers.kernels import linear as loops
+
+    value, room = np.zeros((2, len(constant)))
+    rows, rate = loops.Rows(matrix.indptr, matrix.indices, matrix.data), float(discount)
+    limits = (enough, fine, SWEEPS, TRIED)
+    done = loops.swept(rows, row, rate, constant, closed and rate < 1, *limits, value, room)
+    return np.asarray(value), bool(done)
 
 
 def transposed(system: LinearSystem) -> LinearSystem:

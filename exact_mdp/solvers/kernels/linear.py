@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from exact_mdp.mdp.forms.compiling import at, compiled, inlined, span
-from exact_mdp.mdp.table import Floats, Numbers
+from exact_mdp.mdp.table import Floats, Integers, Numbers
 
 LEAST = 1e-14  # a cosine that is nothing but rounding
 
@@ -42,6 +42,7 @@ def ahead(rows: Rows, state: int, value: Floats) -> float:
 @compiled
 def swept(
     rows: Rows,
+    row: Integers,
     discount: float,
     constant: Floats,
     whole: bool,
@@ -54,18 +55,18 @@ def swept(
 ) -> bool:
     """Improve `value` (S,) until its residual r = c + γ P x - x is `enough`, where sweeps lead so.
 
-    Where rows are `whole`, they sum to 1 and γ < 1: what r is in the middle of its range is what
-    all values still lack, times 1 - γ. The next residual is γ (P r - m), m this middle, and so
-    falls as fast as the chain mixes. Sweeps end once `most` of them would not do, as they go on.
-    Each finds r anew, so that they refine x, too: with `fine` above 0 they go on to a residual of
-    that part of the values.
+    Each state has its `row` (S,) among the rows. Where these are `whole`, they sum to 1 and γ < 1:
+    what r is in the middle of its range is what all values still lack, times 1 - γ. The next
+    residual is γ (P r - m), m this middle, and so falls as fast as the chain mixes. Sweeps end once
+    `most` of them would not do, as they go on. Each finds r anew, so that they refine x, too: with
+    `fine` above 0 they go on to a residual of that part of the values.
     """
     states, before = len(constant), np.inf
     for sweep in range(most):
         low, high, size = np.inf, -np.inf, 0.0
         for number in span(0, states):
             state = at(number)
-            left = constant[state] + (discount * ahead(rows, state, value) - value[state])
+            left = constant[state] + (discount * ahead(rows, at(row[state]), value) - value[state])
             room[state] = left
             low, high = min(low, left), max(high, left)
             if fine > 0:
