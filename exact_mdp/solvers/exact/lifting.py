@@ -67,11 +67,6 @@ class Lifting:
         """Bits of a digit; 0 where floats cannot tell digits of any width."""
         return self._widths[0] if self._widths else 0
 
-    def _narrow(self) -> None:
-        """Take narrower digits, as floats cannot tell those of the present width."""
-        del self._widths[0]
-        self._split()
-
     def _split(self) -> None:
         """Split the entries into limbs; those below the last one have products within 64 bits."""
         offsets, column, left = self._entries
@@ -105,20 +100,6 @@ class Lifting:
         amount = 1 << max(0, int(self.bits[row]) - 1)
         return row, column, amount if pivots[place] > 0 else -amount
 
-    def approximate(self, side: Sequence[Any], bits: int) -> tuple[list[int], int] | None:
-        """Return n and e such that n / 2^e is the solution to `bits` bits of b or more.
-
-        None where floats cannot start.
-        """
-        while self.width:
-            lead = self._lead(side)
-            count = lead + (bits - 1) // self.width + 1
-            digits = self._taken(self._digits(side, lead), count)
-            if digits is not None:
-                return _joined(digits, self.width), self.width * (count - lead)
-            self._narrow()
-        return None
-
     def solve(
         self, side: Sequence[Any], rows: Rows, known: fmpz | None = None
     ) -> tuple[list[fmpz], fmpz] | None:
@@ -130,7 +111,8 @@ class Lifting:
             solution = self._solved(side, rows, known)
             if solution is not None:
                 return solution
-            self._narrow()
+            del self._widths[0]  # floats cannot tell digits of this one
+            self._split()
         return None
 
     def _solved(
