@@ -1,20 +1,14 @@
 """For which weights would a policy be right? The inverse of solving, exactly.
 
 The reward is r = Σ_c w_c c with w = 1 today. A policy π is optimal from the start under w if and
-only if
+only if w · (v(π) - v(ρ)) ≥ 0 for every policy ρ, with v the expected totals of the components. The
+least change, t* = min over these w of max over c of |w_c - 1|, is a linear program whose rows are
+found as they are needed: a policy that beats π at the weights of the last one is a new row.
+Likewise for one weight alone, where the set is an interval.
 
-    w · (v(π) - v(ρ)) ≥ 0   for every policy ρ,      v: expected totals of the components,
-
-so that these weights are a polyhedral cone; w = 0 is in it, a change of 1. The least change
-
-    t* = min over these w of max over c of |w_c - 1|
-
-is a linear program whose rows are found as they are needed: for the weights of the last one, the
-model is solved exactly, and a policy ρ that beats π is a new row. Likewise for one weight x alone,
-the others being 1, where the set is an interval. The proof: values V that no policy exceeds at the
-weights found, with μ V = w · v(π); and policies ρ whose rows, by the multipliers of linear
-programming (Farkas), leave nothing below t*. (Ng and Russell, Algorithms for inverse reinforcement
-learning, ICML 2000, state the cone for policies that are optimal in all states.)
+The proof: values V that no policy exceeds at the weights found, with μ V = w · v(π); and policies
+whose rows, by the multipliers of linear programming, leave nothing below t*. (Ng and Russell, ICML
+2000, state the cone for policies that are optimal in all states.)
 """
 
 from __future__ import annotations

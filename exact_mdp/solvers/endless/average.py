@@ -1,21 +1,16 @@
 """The best average reward per step in floats, with bounds that hold: three methods, one bound.
 
-    policy iteration           evaluate g, h, w of the policy (`chain`), then take in every state a
-                               pair that is greatest in d(g); among those, in r - g + d(h); among
-                               those, in d(w) - h, with d(x) = Σ P(l, s') x(s') - x(s) (Puterman,
-                               Markov Decision Processes, 1994, section 9.2.1; the third level
-                               makes the bias the greatest, section 10.3)
-    relative value iteration   h ← h + (T h - h) / 2, with (T h)(s) = max over pairs of r + P h;
-                               where the gain is the same everywhere. Half a step at a time, so that
-                               periodic chains do no harm (sections 8.5.4 and 8.5.5)
+    policy iteration           take pairs that are greatest in (d(g), r - g + d(h), d(w) - h), in
+                               this order, with g, h, w of the policy (`chain`) and d(x) = P x - x
+    relative value iteration   h ← h + (T h - h) / 2, with T h = max over pairs of r + P h, where
+                               the gain is the same everywhere; half a step, for periodic chains
     linear program             minimise Σ g   subject to   g ≥ P g,   g + h ≥ r + P h   for each
-                               pair (section 9.3); the policy is improved as in policy iteration
+                               pair; the policy is improved as in policy iteration
 
-Whatever found it, the policy's own gain bounds the optimum from below (`chain`). From above: the
-pairs that are used for ever are those of an end component. In one of them no policy earns more per
-step than the greatest r + P h - h of its pairs, for any h. What can be earned from elsewhere is the
-greatest expectation of that bound over the component that a policy ends in: a model in which every
-policy ends, whose values `bounds` proves.
+(Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3, 8.5.4 and 8.5.5, 9.3). The
+policy's own gain bounds the optimum from below. From above: in an end component no policy earns
+more per step than the greatest r + P h - h of its pairs, for any h, and from elsewhere no more than
+the greatest expectation of that: a model in which every policy ends, whose values `bounds` proves.
 """
 
 from __future__ import annotations

@@ -2,26 +2,15 @@
 
     g = P g,      g + (I - P) h = r,      h + (I - P) w = 0
 
-g is the average reward per step, from each state; the bias h is what a start is worth beyond it, so
-that n steps earn n g + h in the mean, up to terms that vanish or, where the chain is periodic,
-average out; w is -h's own bias. The last equation fixes h: its long-run average is 0 (Puterman,
-Markov Decision Processes, 1994, theorem 8.2.6, corollary 8.2.9).
+n steps earn n g + h in the mean, up to terms that vanish or average out; the long-run average of h
+is 0 (Puterman, Markov Decision Processes, 1994, theorem 8.2.6, corollary 8.2.9). One state of each
+recurrent class, an often visited one, is its base. The share of time is what is met between two
+visits of the base, over the time between them (Ross, Stochastic Processes, 1996, theorem 3.6.1). A
+bias is what is earned on the way to a base, y = f + P y, less its mean.
 
-One state of each recurrent class is its base, an often visited one. The share of time in each state
-is what is met between two visits of the base, over the time between them (Ross, Stochastic
-Processes, 1996, theorem 3.6.1), and so are means. What is earned on the way to a base,
-
-    y = f + P y elsewhere,   y = 0 there,
-
-less its own mean solves the second equation within the class, and transient states take the means
-of where they come to.
-
-In floats, for any h' and w', with d = r + P h' - h' and e = h' + w' - P w',
-
-    min d ≤ g ≤ max d,      min e ≤ mean of h' ≤ max e       in each recurrent class.
-
-What h' is off by solves the equation of h with d - g for a reward: it is at most the residuals that
-are met on the way to a base, and the mean of h'.
+In floats, for any h' and w', min d ≤ g ≤ max d and min e ≤ mean of h' ≤ max e in each class, with
+d = r + P h' - h' and e = h' + w' - P w'. What h' is off by solves the equation of h with d - g for
+a reward: it is at most the residuals that are met on the way to a base, and the mean of h'.
 """
 
 from __future__ import annotations

@@ -1,18 +1,10 @@
 """What can be reached, what can be avoided, and where a policy can stay: the graph of the pairs.
 
-    distance   the fewest steps in which a target is reached with positive probability
-    ranks      the same for the worst choice: EVERY pair of a ranked state may lead to a lower one
-    rounds     0 where some policy reaches a target with probability 1, elsewhere the round in which
-               the state was given up
-    end_components   the maximal sets that some policy can stay in for ever, all of it used
-
-A round gives up the states that cannot reach the target without a pair that may lead to a state
-given up before. So every pair of such a state may lead to an earlier round, or leads nowhere but to
-its own. An end component is a set of states with pairs that never leave it and connect all of it;
-whatever a policy does, the states and pairs that it uses for ever are one, with probability 1
-(de Alfaro, Formal Verification of Probabilistic Systems, 1997, sections 3.1 to 3.3; Baier and
-Katoen, Principles of Model Checking, 2008, section 10.6). Maximal ones are found by splitting into
-strongly connected components, and peeling off what cannot stay, in turn.
+An end component is a set of states with pairs that never leave it and connect all of it; whatever a
+policy does, the states and pairs that it uses for ever are one, with probability 1 (de Alfaro,
+Formal Verification of Probabilistic Systems, 1997, sections 3.1 to 3.3; Baier and Katoen,
+Principles of Model Checking, 2008, section 10.6). Maximal ones are found by splitting into strongly
+connected components, and peeling off what cannot stay, in turn.
 """
 
 from __future__ import annotations
@@ -81,7 +73,11 @@ class Graph:
         return self._backward.rounds(target | (waiting == 0), pairs, waiting)[0]
 
     def rounds(self, target: Mask, pairs: Mask) -> Integers:
-        """Return (S,) 0 where some policy of `pairs` reaches the target for sure, or a round."""
+        """Return (S,) 0 where some policy of `pairs` reaches the target for sure, or a round.
+
+        A round gives up states that cannot reach the target without a pair that may lead to a state
+        given up before: every pair may lead to an earlier round, or leads nowhere but to its own.
+        """
         given_up = np.zeros(self.states, dtype=np.int64)
         for number in count(1):
             left = given_up == 0

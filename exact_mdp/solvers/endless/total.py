@@ -1,20 +1,16 @@
 """The total reward at discount 1 where some policy never ends: where it is infinite, and the rest.
 
 End components decide, each by the sign of its best mean reward g: positive is worth +∞ wherever it
-can be reached without a risk of -∞; negative is never worth staying in, and -∞ where nothing else
-can be reached for sure; and where g = 0 and no reward is positive, the pairs that earn nothing can
-be used for ever, for 0. In any other model exact levels say what the value is (`exact.find`).
-
-With a goal nothing else can be stayed in: a run that never arrives is worth `unreached`, +∞ or -∞.
-Where that is -∞, and a component of positive mean can be left for the goal for sure, the least
-upper bound is +∞, and no policy attains it: a model that begins there is refused by name.
+can be reached without a risk of -∞; negative is never worth staying in; where g = 0 and no reward
+is positive, the pairs that earn nothing can be used for ever. In any other model exact levels say
+what the value is (`exact.find`). With a goal nothing else can be stayed in: a run that never
+arrives is worth +∞ or -∞, and where that is -∞, costs may fall without end before it.
 
 For finite values, parts that can be stayed in for nothing are merged, and pairs that lose clearly
 in circles are left out (`quotient`), so that every policy ends. That these are none the better is
-verified, for values V with errors e, roundings counted: V(s) - e(s) ≥ r + P (V + e). A policy takes
-best pairs of that model, and moves inside a merged part to where it leaves (de Alfaro, Formal
-Verification of Probabilistic Systems, 1997, chapters 3 and 5; Bertsekas and Tsitsiklis, Mathematics
-of Operations Research 16, 1991).
+verified, for values V with errors e: V(s) - e(s) ≥ r + P (V + e) (de Alfaro, Formal Verification of
+Probabilistic Systems, 1997, chapters 3 and 5; Bertsekas and Tsitsiklis, Mathematics of Operations
+Research 16, 1991).
 """
 
 from __future__ import annotations

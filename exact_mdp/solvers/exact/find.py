@@ -1,18 +1,15 @@
 """Find optimal levels in rational arithmetic, with what proves them.
 
-Policy iteration: a policy is evaluated, and every state takes the first pair that is greatest in
-
-    (d(g),  r - g + d(h),  d(w) - h)      compared in this order,
-
-keeping its own where that is among them. Each change makes the value at small interest rates
-greater, so that no policy comes twice; what is left satisfies all that the checker asks for
-(Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3; Veinott, Annals of Mathematical
-Statistics 37, 1966).
+Policy iteration: every state takes the first pair that gains most on the values of a policy, or on
+(d(g), r - g + d(h), d(w) - h) in this order, until none gains. Each change makes the value at small
+interest rates greater, so that no policy comes twice; what is left satisfies all that the checker
+asks for (Puterman, Markov Decision Processes, 1994, sections 9.2.1 and 10.3; Veinott, Annals of
+Mathematical Statistics 37, 1966).
 
 With a goal whose missing is worth -∞: the states from which no policy reaches it for sure are worth
-that; g of the others says where going round pays without end; and between the rest, policy
-iteration from a policy that arrives finds only such ones, as a class of better pairs would gain
-(Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991).
+that; g of the others says where going round pays without end; and between the rest policies arrive,
+as a class of better pairs would gain (Bertsekas and Tsitsiklis, Mathematics of Operations Research
+16, 1991).
 """
 
 from __future__ import annotations

@@ -5,14 +5,10 @@ A is factored once in floats. The digits of x to the base 2^k then come out one 
     d = round(A⁻¹ (2^k r + β)),    r ← 2^k r + β - A d,    β the next digit of b
 
 (Wan, Journal of Symbolic Computation 41, 2006). A digit is as good as floats make it, but r is
-exact: as long as digits stay below 2^k it is no larger than A, so that it need only be known modulo
-2^64. Long entries of A are split into limbs.
-
-A denominator q is found from a combination of all unknowns: of a number x of which some bits are
-known, q is the one that brings q x far closer to an integer than chance would (Wang, Guy and
-Davenport, SIGSAM Bulletin 16, 1982), and (q, q x mod 1) the shortest vector of a lattice. Then n is
-q x, rounded. The solution is checked in integers, A n = q b; where that fails, more digits are
-taken.
+exact: it stays no larger than A, and need only be known modulo 2^64. A denominator q of a number x
+of which some bits are known is the one that brings q x far closer to an integer than chance would
+(Wang, Guy and Davenport, SIGSAM Bulletin 16, 1982): (q, q x mod 1) is a lattice's shortest vector.
+The solution is checked in integers, A n = q b; where that fails, more digits are taken.
 """
 
 from __future__ import annotations

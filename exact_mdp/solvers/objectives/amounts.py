@@ -3,20 +3,14 @@
 An objective is a linear combination of named amounts, `2*help-anger`, or `name=2*help-anger`:
 
     a component of the reward     its expected amount
-    reward                        all of it, as given; reward' where one of several components is
-                                  called so. Amounts in floats add up to it but for rounding
+    reward                        all of it, as given; reward' where a component is called so
     steps                         1 in every state, until all is over
     an event                      how often it happens, on average
-    a label whose states are not left again, at discount 1     1 on the step into them, so that the
-                                  total is the probability of reaching it
-
-The total of an objective under a policy π solves, with integers over the scale of each state,
-
-    scale(s) · V(s) = amount(l) + Σ_i weight(i) · V(next(i)),   l the pair that π takes in s.
+    a label that is not left      1 on the step into it, at discount 1: the probability of reaching
 
 An end stays put; there no reward, no component and no event is counted. A total at discount 1 is
-finite under every policy if every policy ends (`mdp.graph`), where a state ends that stays put and
-in which no objective earns. A run that ends beside the goal of a model has no finite total.
+finite under every policy if every policy ends, where a state ends that stays put and in which no
+objective earns. A run that ends beside the goal of a model has no finite total.
 """
 
 from __future__ import annotations
