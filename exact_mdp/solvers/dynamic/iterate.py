@@ -37,7 +37,9 @@ from exact_mdp.solvers.solution import Solution, SolverError, Status, least, war
 
 RELATIVE_TOLERANCE = 1e-9
 LOOPS = 10_000  # transitions: from here on compiled loops are worth the third of a second to load
-CACHED = 1_000_000  # transitions, 12 MB: beyond a cache, a policy's rows are read faster side by side
+CACHED = (
+    1_000_000  # transitions, 12 MB: beyond a cache, a policy's rows are read faster side by side
+)
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PRICE = 2000  # sweeps in whose time the equations of a policy are solved, where no band tells it
 PASSES = 3  # in NumPy, as long as solving them there: 2 to 4 do best on 50 to 400 states

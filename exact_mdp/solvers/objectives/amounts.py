@@ -67,28 +67,17 @@ class Objectives:
             )
         columns = [_combined(mdp, terms) for _, terms in named]
         sign = 1 if mdp.sense == "max" else -1
-        earning = np.any([top != 0 for top, _ in columns], axis=0)
-        table = replace(
-            mdp.table, gain=earning.astype(np.int64), gain_denominator=ones(mdp.n_pairs),
-        )  # fmt: skip
+        earning = np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
+        below = integers(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
+        table = replace(mdp.table, gain=earning, gain_denominator=below)
         ending = mdp.with_(table=table, goal=None, sense="max")
-        rows, first = bellman_rows(ending), mdp.pair_offsets[:-1]
-        old = rows.scale.astype(object)
-        scale = old
-        for _, bottom in columns:
-            scale = np.lcm(scale, np.lcm.reduceat(bottom.astype(object), first))
-        factor = np.repeat((scale // old)[mdp.pair_state], np.diff(rows.offsets))
-        own = scale[mdp.pair_state]
+        rows = bellman_rows(ending)  # over scales that amounts are whole numbers of
+        own = rows.scale[mdp.pair_state].astype(object)
         objectives = cls(
             mdp=mdp,
             texts=tuple(texts),
             names=names,
-            rows=replace(
-                rows,
-                scale=integers(scale.tolist()),
-                weight=integers((rows.weight * factor).tolist()),
-                constant=np.zeros(mdp.n_pairs, dtype=np.int64),
-            ),
+            rows=replace(rows, constant=np.zeros(mdp.n_pairs, dtype=np.int64)),
             amounts=tuple(
                 integers((sign * top.astype(object) * (own // bottom)).tolist())
                 for top, bottom in columns

@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from operator import mul
+from operator import sub
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import flint
@@ -31,8 +31,9 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Table
 from exact_mdp.mdp.table import Integers, Numbers, common, exact, shown
+from exact_mdp.solvers.exact.duals import worth
 from exact_mdp.solvers.exact.find import first_of
-from exact_mdp.solvers.exact.levels import Level, combined, signs, surplus
+from exact_mdp.solvers.exact.levels import Level, combined, signs
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.objectives.totals import (
@@ -287,10 +288,9 @@ def _weights(of: Objectives, limits: Sequence[Limit], price: Sequence[Fraction])
     return weights
 
 
-def _room(of: Objectives, limits: Sequence[Limit], totals: Sequence[Fraction]) -> list[Fraction]:
-    """Return by how much totals keep each limit."""
-    each = [(x, of.sign * totals[of.names.index(x.name)]) for x in limits]
-    return [x.sign * (total - x.bound) for x, total in each]
+def _kept(of: Objectives, limits: Sequence[Limit], totals: Point) -> list[Fraction]:
+    """Return what each limit is on, so that more is better."""
+    return [of.sign * x.sign * totals[of.names.index(x.name)] for x in limits]
 
 
 class _Mixture(NamedTuple):
@@ -304,11 +304,12 @@ class _Mixture(NamedTuple):
 
 def _mixture(of: Objectives, limits: Sequence[Limit]) -> _Mixture:
     """Return the best mixture of policies, or where none keeps the limits, one of least step."""
-    size, short = len(limits), True
+    size, short, bounds = len(limits), True, [limit.sign * limit.bound for limit in limits]
     slack = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
     policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
     while True:
-        columns = [[ONE, *_room(of, limits, policy.total)] for policy in policies] + slack
+        kept = [_kept(of, limits, policy.total) for policy in policies]
+        columns = [[ONE, *map(sub, own, bounds)] for own in kept] + slack
         earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
         columns += [[ZERO] + [ONE] * size] * short
         x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
@@ -317,10 +318,8 @@ def _mixture(of: Objectives, limits: Sequence[Limit]) -> _Mixture:
             short = False
             continue
         price = (Fraction(not short), *(-each for each in due))
-        for limit, own in zip(limits, price[1:], strict=True):
-            most += own * limit.sign * limit.bound
         pairs, dual = optimum(of, _weights(of, limits, price), policies[-1].pairs)
-        if dual.mean(of.mdp.start) == most:
+        if dual.mean(of.mdp.start) == most + worth(price[1:], bounds):
             shares = [(own.pairs, share) for own, share in zip(policies, x, strict=False) if share]
             return _Mixture(shares, shift, price, dual)
         policies.append(attained(of, pairs))
@@ -337,52 +336,33 @@ def _flow(of: Objectives, limits: Sequence[Limit], best: _Mixture) -> Flow:
     for pairs, share in best.shares:
         for pair, number in flow_under(of, pairs).numbers().items():
             taken[pair] = taken.get(pair, ZERO) + share * number
-    own = best.shares[0][0].copy()
+    own, bounds = best.shares[0][0].copy(), [limit.sign * limit.bound for limit in limits]
     while True:
         most = sorted(taken, key=lambda pair: (taken[pair], -pair))
         own[state[most]] = most
-        further = sorted(taken.keys() - {*own.tolist()})
-        visits = Level.of([taken[pair] for pair in sorted(taken)])
-        flow = Flow(pairs=np.array(sorted(taken), dtype=np.int64), visits=visits)
-        room = [each + best.shift for each in _room(of, limits, flow.totals(of))]
-        gains = _gains(of, limits, own, further)
-        tight = [common(gain)[0] for gain, left in zip(gains, room, strict=True) if not left]
+        further, flow = sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1], Flow.of(taken)
+        kept = _kept(of, limits, flow.totals(of))
+        room = [k - b + best.shift for k, b in zip(kept, bounds, strict=True)]
+        moves = [_instead(of, pair, own) for pair in further]
+        gains = [*zip(*(_kept(of, limits, Flow.of(x).totals(of)) for x in moves), strict=True)]
+        tight = [common(gain)[0] for gain, left in zip(gains, room, strict=False) if not left]
         free, count = flint.fmpz_mat([[0] * len(further), *tight]).nullspace()
         if not count:
             return flow
-        change = {pair: Fraction(int(free[i, 0])) for i, pair in enumerate(further)}
-        falling = [
-            (left, sum(map(mul, gain, change.values()), ZERO))
-            for gain, left in zip(gains, room, strict=True)
-            if left
-        ]
-        change |= flow_under(of, own, _sources(of, change)).numbers()
+        times = [Fraction(int(free[i, 0])) for i in range(len(further))]
+        change = {l: worth(times, [x.get(l, ZERO) for x in moves]) for l in taken}
+        falling = [(left, worth(times, x)) for x, left in zip(gains, room, strict=True) if left]
         falling += [(taken[pair], step) for pair, step in change.items()]
         length = min(left / -step for left, step in falling if step < 0)
-        moved = {pair: left + length * change.get(pair, ZERO) for pair, left in taken.items()}
+        moved = {pair: left + length * change[pair] for pair, left in taken.items()}
         taken = {pair: left for pair, left in moved.items() if left}
 
 
-def _gains(
-    of: Objectives, limits: Sequence[Limit], own: Integers, pairs: list[int]
-) -> list[list[Fraction]]:
-    """Return what some pairs gain, against a policy, of what each limit is on."""
-    values, some, gains = attained(of, own).values, np.array(pairs, dtype=np.int64), []
-    for limit in limits:
-        k = of.names.index(limit.name)
-        ((top, below),) = surplus(replace(of.rows, constant=of.amounts[k]), values[k], pairs=some)
-        sign = of.sign * limit.sign
-        gains.append([Fraction(sign * a, b) for a, b in zip(top, below, strict=True)])
-    return gains
-
-
-def _sources(of: Objectives, taken: Mapping[int, Fraction]) -> list[tuple[int, Fraction]]:
-    """Return what comes into each state where pairs are taken in place of the states' own."""
-    rows, arrivals = of.rows, list[tuple[int, Fraction]]()
-    for pair, times in taken.items():
-        state = int(rows.pair_state[pair])
-        part = slice(rows.offsets[pair], rows.offsets[pair + 1])
-        ahead = zip(rows.next[part].tolist(), rows.weight[part].tolist(), strict=True)
-        unit = int(rows.scale[state])
-        arrivals += [(state, -times), *((t, times * Fraction(w, unit)) for t, w in ahead)]
-    return arrivals
+def _instead(of: Objectives, pair: int, own: Integers) -> dict[int, Fraction]:
+    """Return how visits change where a pair is taken once in place of its state's own."""
+    rows = of.rows
+    state, part = int(rows.pair_state[pair]), slice(rows.offsets[pair], rows.offsets[pair + 1])
+    unit = int(rows.scale[state])
+    ahead = [Fraction(weight, unit) for weight in rows.weight[part].tolist()]
+    sources = [(state, -ONE), *zip(rows.next[part].tolist(), ahead, strict=True)]
+    return {pair: ONE} | flow_under(of, own, sources).numbers()

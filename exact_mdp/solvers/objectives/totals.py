@@ -11,7 +11,7 @@ Processes, 1999, chapter 3).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -41,6 +41,13 @@ class Flow:
 
     pairs: Integers
     visits: Level
+
+    @classmethod
+    def of(cls, numbers: Mapping[int, Fraction]) -> Flow:
+        """Return the visits of pairs as one flow."""
+        pairs = sorted(numbers)
+        visits = Level.of([numbers[pair] for pair in pairs])
+        return cls(pairs=np.array(pairs, dtype=np.int64), visits=visits)
 
     def numbers(self) -> dict[int, Fraction]:
         """Return the visits of each pair."""
