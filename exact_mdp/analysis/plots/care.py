@@ -92,11 +92,7 @@ def _influence(ax: Axes, start: Floats, end: Floats, amount: float) -> None:
 
 @picture
 def plot_status_transitions(
-    law: Floats,
-    statuses: Sequence[str],
-    *,
-    threshold: float = 0.1,
-    ax: Axes | None = None,
+    law: Floats, statuses: Sequence[str], *, ax: Axes | None = None
 ) -> Axes:
     """Draw the moves between status vectors as a map: the darker, the likelier.
 
@@ -105,8 +101,6 @@ def plot_status_transitions(
     law : (2^n, 2^n)
         Probabilities of the next vector (column) given the present one (row).
     statuses : sequence of n str
-    threshold : float
-        Probability from which a cell has its number, in per cent.
     ax : Axes, optional
 
     Returns
@@ -119,7 +113,7 @@ def plot_status_transitions(
     >>> [text.get_text() for text in ax.texts], ax.get_ylabel()
     (['100', '100', '100', '100'], 'status now: anger, confusion')
     """
-    ax = _vector_map(ax, law, threshold)
+    ax = _vector_map(ax, law, 0.1)
     names = {"x": "status after the action", "y": f"status now: {', '.join(statuses)}"}
     return described(ax, "How the status moves in one step (chances in %)", **names)
 

@@ -189,17 +189,15 @@ def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = 
 
 @picture
 def plot_thresholds(
-    changes: Thresholds | Mapping[str, Thresholds], *, reached: bool = False, ax: Axes | None = None
+    changes: Thresholds | Mapping[str, Thresholds], *, ax: Axes | None = None
 ) -> Axes:
     """Draw a strip for each parameter: its range, today's value, thresholds, and where it is safe.
 
-    Ranges are drawn to the same length; numbers at their ends give the scale. With `reached`,
-    changes in states that the optimum does not reach are left out.
+    Ranges are drawn to the same length; numbers at their ends give the scale.
 
     Parameters
     ----------
     changes : Thresholds or {name: Thresholds}
-    reached : bool, optional
     ax : Axes, optional
 
     Returns
@@ -220,15 +218,14 @@ def plot_thresholds(
     for place, each in enumerate(every):
         low, high = float(each.curve.range.low), float(each.curve.range.high)
         width = (high - low) or 1.0
-        near, far = ((float(end) - low) / width for end in each.stable(reached=reached))
+        near, far = ((float(end) - low) / width for end in each.stable())
         bar(ax, place, 1.0, LOW, height=0.6)
         stays: Look = {"color": BLUE, "left": near, "label": "the optimal policy stays"}
         bar(ax, place, far - near, stays, height=0.6)
         for threshold in each.found:
-            if not reached or threshold.reached:
-                x, dashes = (threshold.value - low) / width, ":" if threshold.touch else "-"
-                ends = [place - 0.3, place + 0.3]
-                ax.plot([x, x], ends, dashes, color=BLACK, lw=1, label="an optimal action changes")
+            x, dashes = (threshold.value - low) / width, ":" if threshold.touch else "-"
+            ends = [place - 0.3, place + 0.3]
+            ax.plot([x, x], ends, dashes, color=BLACK, lw=1, label="an optimal action changes")
         today = (float(each.curve.parameter.value) - low) / width
         ax.plot(today, place, "D", color=BLACK, markersize=4, label="today")
         ax.text(0, place + 0.42, _number(low), ha="left", va="center", fontsize=7)
@@ -333,7 +330,7 @@ def plot_sobol(
         indices.model,
         x="share of the variance",
         handles=[swatch("first order: alone", HIGH), swatch("total: alone and with others", LOW)],
-        legend=f"{indices.confidence:.0%} intervals",
+        legend="95% intervals",
     )
 
 

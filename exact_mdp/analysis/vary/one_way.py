@@ -188,10 +188,8 @@ def one_way(
         The parameter.
     ranges : (low, high) or {name: (low, high)}, optional
         Today's value ± 20 % unless given, within what the model admits.
-    policy : PolicyLike
-        The policy held fixed; "optimal" is the optimum at today's values.
-    relative : number, optional
-        Another share than 20 %.
+    policy, relative : optional
+        As for `tornado`.
     points : int
         Evenly spaced, the ends included.
 
@@ -367,12 +365,8 @@ def two_way(
     model : Scenario, MDP or Parametric
     x, y : str
         Different parameters.
-    policy : PolicyLike
-        The policy held fixed; "optimal" is the optimum at today's values.
-    ranges : {name: (low, high)}, optional
-        Today's value ± 20 % where left out, within what the model admits.
-    relative : number, optional
-        Another share than 20 %.
+    policy, ranges, relative : optional
+        As for `tornado`.
     points : int
         Along each side, evenly spaced, the ends included.
 
@@ -383,8 +377,7 @@ def two_way(
     Raises
     ------
     ModelError
-        For unknown names, twice the same one, empty ranges, fewer than 2 points, and where a value
-        is infinite.
+        As for `one_way`, and for twice the same parameter.
 
     Examples
     --------
@@ -399,9 +392,8 @@ def two_way(
     family = parametric(model)
     across_by, along_by = parameter_of(family, x), parameter_of(family, y)
     if x == y:
-        raise ModelError(
-            f"both parameters are {x}", where="two-way", fix="name two different parameters"
-        )
+        fix = "name two different parameters"
+        raise ModelError(f"both parameters are {x}", where="two-way", fix=fix)
     if odd := sorted(set(checked(family, ranges)) - {x, y}):
         raise ModelError(
             f"{odd[0]} has a range, and is neither of the two parameters",
@@ -412,10 +404,9 @@ def two_way(
     across, along = (grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}
     solver, table = study_of(family, columns, [policy])
-    mdp = solver.base.mdp
-    weights = [solver.weights(row) for row in table.rows]
-    actions = np.array([mdp.pair_action[np.flatnonzero(each)] for each in weights])
-    seen = np.array([reachable(mdp, pairs=each > 0) & ~mdp.forced for each in weights])
+    mdp, taken = solver.base.mdp, [solver.weights(row) > 0 for row in table.rows]
+    actions = np.array([mdp.pair_action[each] for each in taken])
+    seen = np.array([reachable(mdp, pairs=each) & ~mdp.forced for each in taken])
     numbers = distinct(np.where(seen, actions, -1)[table.which])[1]
     return TwoWay(
         mdp=mdp,

@@ -11,7 +11,7 @@ the column of θ_i from B: n (P + 2) draws for P parameters. Then
     S_i  ≈ mean of (B - mean of both) (AB_i - A) / Var,      ST_i ≈ mean of (AB_i - A)² / (2 Var)
 
 (Saltelli et al., Computer Physics Communications 181, 2010, table 2, (b) and (f)). Intervals are
-those of a normal distribution, with the spread of a bootstrap over the n points.
+normal ones of 95 %, with the spread of a bootstrap over the n points.
 """
 
 from __future__ import annotations
@@ -19,13 +19,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.random import default_rng
 
-from exact_mdp.analysis.vary.intervals import confidence_of
+from exact_mdp.analysis.vary.intervals import NORMAL
 from exact_mdp.analysis.vary.ranges import Range, spans_of, unit_of
 from exact_mdp.analysis.vary.study import study
 from exact_mdp.mdp.care.scenario import Scenario
@@ -88,7 +87,6 @@ class Sobol(Pictured):
     fixed: Indices
     regret: Indices
     n: int
-    confidence: float
     seed: int
 
     def __repr__(self) -> str:
@@ -126,7 +124,7 @@ class Sobol(Pictured):
                 "claim": "estimated",
                 "draws": self.draws,
                 "seed": self.seed,
-                "confidence": self.confidence,
+                "confidence": 0.95,
                 "ranges": Shown(
                     {p.name: [float(r.low), float(r.high)] for p, r in self.spans.items()}
                 ),
@@ -188,7 +186,6 @@ def sobol(
     relative: Fraction | None = None,
     n: int = 1024,
     rng: RNG,
-    confidence: float = 0.95,
     **how: Unpack[How],
 ) -> Sobol:
     """Return first-order and total Sobol indices over the ranges of parameters.
@@ -204,8 +201,6 @@ def sobol(
     n : int
         A power of 2; the model is solved at n (P + 2) points.
     rng : int or numpy.random.Generator
-    confidence : float
-        Of the bootstrap intervals.
     **how
         n_jobs, folder and progress; see `solvers.parallel.many`.
 
@@ -229,7 +224,6 @@ def sobol(
     >>> indices.names, indices.draws, (indices.optimal.total > indices.optimal.first).tolist()
     (('p', 'q'), 256, [True, True])
     """
-    confidence = float(confidence_of(confidence))
     n = counted(n, "n", 2)
     if n & (n - 1):
         near = 1 << (n.bit_length() - 1)
@@ -245,12 +239,11 @@ def sobol(
     resamples = default_rng(child(seed, 1)).integers(n, size=(RESAMPLES, n))
     noise = max(NOISE * float(np.abs(table.optimal).max()), 2 * float(table.error.max()))
     every = (table.optimal, table.fixed, table.regret)
-    indices = (_indices(each.reshape(n, -1), noise, resamples, confidence) for each in every)
+    indices = (_indices(each.reshape(n, -1), noise, resamples) for each in every)
     return Sobol(
         model=family.name,
         spans=spans,
         n=n,
-        confidence=confidence,
         seed=seed,
         **dict(zip(OUTPUTS, indices, strict=True)),
     )
@@ -273,7 +266,7 @@ def _design(spans: Sequence[Range], n: int, rng: np.random.Generator) -> Floats:
     return draws
 
 
-def _indices(output: Floats, noise: float, resamples: Integers, confidence: float) -> Indices:
+def _indices(output: Floats, noise: float, resamples: Integers) -> Indices:
     """Return the indices of an output (n, P + 2), whose columns are A, AB_1 … AB_P, and B."""
     both = output[:, [0, -1]]
     mean, count = float(both.mean()), output.shape[1] - 2
@@ -284,7 +277,7 @@ def _indices(output: Floats, noise: float, resamples: Integers, confidence: floa
     # A resample in which the output does not vary has no indices.
     again = np.array([_shares(output[each]) for each in resamples if np.ptp(both[each]) > 0])
     spread = again.std(axis=0, ddof=1) if len(again) > 1 else np.full((2, count), np.nan)
-    one, other = NormalDist().inv_cdf(0.5 + confidence / 2) * spread
+    one, other = NORMAL * spread
     sd = float(both.std(ddof=1))
     return Indices(mean=mean, sd=sd, first=first, first_half=one, total=total, total_half=other)
 

@@ -116,7 +116,6 @@ def test_an_index_that_is_not_there_is_not_a_number() -> None:
         ({"names": ["x"]}, "unknown parameter 'x'"),
         ({"ranges": {"p": ("1/2", "1/2")}}, "empty"),
         ({"ranges": {"p": (0, 2)}}, "outside"),
-        ({"confidence": 1.0}, "confidence"),
         ({"relative": F(0)}, "share of 0"),
         ({"policy": "nobody"}, "nobody"),
         ({"n_jobs": 0}, "n_jobs"),
