@@ -266,6 +266,14 @@ def test_degrees_of_scenarios_hold_at_further_points(readings: dict[str, str]) -
         assert other[name].value.value == own[name].value.value
 
 
+def test_a_moved_model_keeps_its_limit_and_has_the_room_that_its_rows_leave() -> None:
+    """The limit of an environment was lost where a probability moved, and kept elsewhere."""
+    mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0], time_limit=9)
+    family = moving(mdp, {"stay": [(0, 0)], "leave": [(0, 1)]})
+    assert family.room == {"stay": (0, F(3, 4)), "leave": (0, F(1, 2))}
+    assert family.at({"stay": "1/3"}).time_limit == family.at({}).time_limit == 9
+
+
 # ---- default ranges ------------------------------------------------------------------------------
 
 CONTINUING = MDP.from_arrays(

@@ -21,11 +21,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, partial
+from itertools import chain
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError, check_names, located, of_type, suggest
+from exact_mdp.mdp.forms.columns import table_of
+from exact_mdp.mdp.forms.numbers import one_kind
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.table import Numbers, OutcomeTable, beside, exact, shown
@@ -123,19 +126,19 @@ class Family:
         for what in ("degrees", "breaks", "rows", "room", "settings"):
             of_type(getattr(self, what), Mapping, what, "give a dictionary by the names")
         check_names(self.rows, "row", where="rows")
-        fill = partial(object.__setattr__, self)
-        fill("parameters", _parameters(self.parameters))
+        exactly = {
+            what: {name: _exact(given, f"{what}, {name}") for name, given in numbers.items()}
+            for what, numbers in (("breaks", self.breaks), ("room", self.room))
+        }
+        with located("degrees", instead=True):
+            degrees = {n: counted(d, f"the degree in {n}", 0) for n, d in self.degrees.items()}
+        parts = {"parameters": _parameters(self.parameters), "degrees": degrees} | exactly
+        for what, part in parts.items():
+            object.__setattr__(self, what, part)
         for what in ("degrees", "breaks", "room"):
             for name in getattr(self, what):
                 with located(what):
                     parameter_of(self, name)
-        with located("degrees", instead=True):
-            degrees = self.degrees.items()
-            fill("degrees", {n: counted(d, f"the degree in {n}", 0) for n, d in degrees})
-        fill(
-            "breaks", {name: _exact(cuts, f"breaks, {name}") for name, cuts in self.breaks.items()}
-        )
-        fill("room", {name: _exact(ends, f"room, {name}") for name, ends in self.room.items()})
 
     def at(self, values: Mapping[str, object]) -> MDP:
         """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
@@ -190,12 +193,6 @@ class Posed:
     """A family of models with one question about each of them, such as `MDP.reaching`.
 
     The rows that a question replaces are constant, and others stay: no degree grows.
-
-    Examples
-    --------
-    >>> costs = moving(MDP.from_arrays([[[0, 1], [0, 1]]], [3, 0]), {}, {"price": 3})
-    >>> Posed(family=costs, ask=MDP.negated).at({"price": 5}).reward.tolist()
-    [-5.0, 0.0]
     """
 
     family: Parametric
@@ -339,17 +336,26 @@ def moving(
                 )
             named[pair][state] = name
         moved.append(Parameter(name=name, value=values.pop(), low=Fraction(0), high=Fraction(1)))
-    rest = {pair: _rest(model, pair, states) for pair, states in named.items()}
+    today = {parameter.name: parameter.value for parameter in moved}
+    highest = dict.fromkeys(today, Fraction(1))
+    for pair, names in named.items():
+        total = sum(today[name] for name in names.values())
+        if total >= 1 or not all(today[name] for name in names.values()):
+            raise ModelError(
+                "an entry has probability 0, or the named entries are all of a row",
+                where=model.where(pair),
+                fix="name positive entries, and leave at least one of the row unnamed",
+            )
+        for name, count in Counter(names.values()).items():
+            highest[name] = min(highest[name], today[name] + (1 - total) / count)
     earned = _earned(model, rewards)
     gains = [Parameter(name=name, value=reward, unit="reward") for reward, name in earned.items()]
     rate = Parameter(name=DISCOUNT, value=model.discount_exact, low=Fraction(0), high=Fraction(1))
     return Family(
         parameters=(*moved, *gains, rate),
-        build=Moved(
-            model=model, parameters=(*moved, *gains), named=named, rest=rest, earned=earned
-        ),
+        build=Moved(model=model, parameters=(*moved, *gains), named=named, earned=earned),
         name=model.name or "model",
-        room=_rooms(moved, named),
+        room={name: (Fraction(0), high) for name, high in highest.items()},
     )
 
 
@@ -359,66 +365,63 @@ class Moved:
 
     Named entries are the parameters themselves, the others of their row share what is left in fixed
     proportions, and a reward, or the discount, is a parameter or constant.
-
-    Attributes
-    ----------
-    model : MDP
-    parameters : tuple of Parameter
-        All but the discount.
-    named : {pair: {next state: parameter name}}
-    rest : {pair: what the entries that are not named add up to}
-    earned : {reward: parameter name}
     """
 
     model: MDP
-    parameters: tuple[Parameter, ...]
-    named: Mapping[int, Mapping[int, str]]
-    rest: Mapping[int, Fraction]
-    earned: Mapping[Fraction, str]
+    parameters: tuple[Parameter, ...]  # all but the discount
+    named: Mapping[int, Mapping[int, str]]  # {pair: {next state: parameter name}}
+    earned: Mapping[Fraction, str]  # {reward: parameter name}
 
     @cached_property
-    def _parted(self) -> bool:
-        """Whether the components of a pair's reward stay what they are where its row moves."""
-        rows = map(self.model.table.row, self.named)
-        return all(len({gain for _, _, gain in row}) == 1 for row in rows)
+    def _kept(self) -> dict[str, Any]:
+        """The components of the reward, where a row that moves earns the same whatever follows."""
+        model, rows = self.model, map(self.model.table.row, self.named)
+        if any(len({gain for _, _, gain in row}) > 1 for row in rows):
+            return {}
+        parts = "component_names", "component_table"
+        return {part: getattr(model, part) for part in parts}
 
     def __call__(self, values: Mapping[str, Fraction]) -> MDP:
-        """Return the model at values of all parameters.
-
-        Components of the reward are kept where it is known what they become: where no reward moves,
-        and a row that moves earns the same whatever follows.
-        """
-        model = self.model
+        """Return the model at values of all parameters."""
+        model, rate = self.model, values[DISCOUNT]
         if all(values[p.name] == p.value for p in self.parameters):
-            return model.with_(discount=values[DISCOUNT])
+            return model.with_(discount=rate)
         moved = {r: values[name] for r, name in self.earned.items() if values[name] != r}
-        rows = []
-        for pair in range(model.n_pairs):
-            outcomes = model.table.row(pair)
-            if pair in self.named:
-                outcomes = _rebalanced(model, pair, self.named[pair], self.rest[pair], values)
-            if moved:
-                outcomes = [(p, to, moved.get(gain, gain)) for p, to, gain in outcomes]
-            rows.append((int(model.pair_state[pair]), int(model.pair_action[pair]), outcomes))
-        mdp = MDP.from_outcomes(
-            rows,
-            values[DISCOUNT],
-            start=model.start,
-            space=model.space,
-            actions=model.actions,
-            action_objects=model.action_objects,
-            name=model.name,
-            sense=model.sense,
-            labels=model.labels,
-            goal=model.goal,
-            unreached=model.unreached,
-            float_probabilities=model.float_probabilities,
-            float_rewards=model.float_rewards,
+        rows = [
+            [(p, to, moved.get(gain, gain)) for p, to, gain in self._row(pair, values)]
+            for pair in range(model.n_pairs)
+        ]
+        chances, following, gains = zip(*chain(*rows), strict=True)
+        table = table_of(
+            np.cumsum([0, *map(len, rows)]),
+            np.array(following, dtype=model.table.next.dtype),
+            one_kind(chances),
+            one_kind(gains),
+            model.n_states,
+            {},
+            by_pair=False,
+            own=True,
         )
-        if moved or model.component_table is None or not self._parted:
-            return mdp
-        names, table = model.component_names, model.component_table
-        return mdp.with_(component_names=names, component_table=table)
+        return model.with_(table=table, discount=rate, events=(), **({} if moved else self._kept))
+
+    def _row(
+        self, pair: int, values: Mapping[str, Fraction]
+    ) -> list[tuple[Fraction, int, Fraction]]:
+        """Return the outcomes of a pair, those that are named at their values."""
+        row, names = self.model.table.row(pair), self.named.get(pair, {})
+        if not names:
+            return row
+        left = 1 - sum((values[name] for name in names.values()), Fraction(0))
+        if left < 0:
+            raise ModelError(
+                f"named probabilities sum to {beside(1 - left, Fraction(1))}, more than 1",
+                where=self.model.where(pair),
+                fix="choose smaller values",
+            )
+        rest = sum((p for p, to, _ in row if to not in names), Fraction(0))
+        factor = {to: values[name] / _entry(self.model, pair, to) for to, name in names.items()}
+        outcomes = [(factor.get(to, left / rest) * p, to, gain) for p, to, gain in row]
+        return [outcome for outcome in outcomes if outcome[0]]
 
 
 def _places(model: MDP, listed: Any, where: str) -> list[tuple[int, int]]:
@@ -456,20 +459,6 @@ def _earned(model: MDP, rewards: Mapping[str, object]) -> dict[Fraction, str]:
     return named
 
 
-def _rooms(
-    entries: Sequence[Parameter], named: Mapping[int, Mapping[int, str]]
-) -> dict[str, tuple[Fraction, Fraction]]:
-    """Return how far each parameter may move until the named entries of a row sum to 1."""
-    value = {parameter.name: parameter.value for parameter in entries}
-    highest = {parameter.name: Fraction(1) for parameter in entries}
-    for names in named.values():
-        counts = Counter(names.values())
-        for name, count in counts.items():
-            others = sum((n * value[o] for o, n in counts.items() if o != name), Fraction(0))
-            highest[name] = min(highest[name], (1 - others) / count)
-    return {name: (Fraction(0), high) for name, high in highest.items()}
-
-
 def place_of(model: Parametric) -> str:
     """Return where an error in a model is, by its name where it has one."""
     return "model" if model.name == "model" else f"model {model.name}"
@@ -493,15 +482,7 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
 
 
 def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | None]:
-    """Return between which values a parameter may move while the others keep theirs.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
-    >>> family = moving(mdp, {"stay": [(0, 0)], "leave": [(0, 1)]})
-    >>> [str(end) for end in room_of(family, "stay")]
-    ['0', '3/4']
-    """
+    """Return between which values a parameter may move while the others keep theirs."""
     parameter = parameter_of(model, name)
     own = (parameter.low, parameter.high)
     within = unposed(model)
@@ -524,36 +505,3 @@ def _today(model: Parametric) -> dict[str, Fraction]:
 
 def _entry(mdp: MDP, pair: int, state: int) -> Fraction:
     return sum((p for p, following, _ in mdp.table.row(pair) if following == state), Fraction(0))
-
-
-def _rest(mdp: MDP, pair: int, states: Mapping[int, str]) -> Fraction:
-    outcomes = mdp.table.row(pair)
-    rest = sum((p for p, following, _ in outcomes if following not in states), Fraction(0))
-    if rest <= 0 or any(_entry(mdp, pair, state) == 0 for state in states):
-        raise ModelError(
-            "an entry has probability 0, or the named entries are all of a row",
-            where=mdp.where(pair),
-            fix="name positive entries, and leave at least one of the row unnamed",
-        )
-    return rest
-
-
-def _rebalanced(
-    mdp: MDP,
-    pair: int,
-    states: Mapping[int, str],
-    rest: Fraction,
-    values: Mapping[str, Fraction],
-) -> list[tuple[Fraction, int, Fraction]]:
-    left = 1 - sum((values[name] for name in states.values()), Fraction(0))
-    if left < 0:
-        raise ModelError(
-            f"named probabilities sum to {beside(1 - left, Fraction(1))}, more than 1",
-            where=mdp.where(pair),
-            fix="choose smaller values",
-        )
-    factor = dict.fromkeys(range(mdp.n_states), left / rest)
-    for state, name in states.items():
-        factor[state] = values[name] / _entry(mdp, pair, state)
-    outcomes = [(factor[to] * p, to, gain) for p, to, gain in mdp.table.row(pair)]
-    return [outcome for outcome in outcomes if outcome[0]]

@@ -83,11 +83,9 @@ def pieces(model: Parametric, name: str, origin: Fraction) -> tuple[Piece | None
     cuts = model.breakpoints(name)
     below = max((cut for cut in cuts if cut < origin), default=low)
     above = min((cut for cut in cuts if cut > origin), default=high)
-    if origin not in cuts:
-        whole = Piece(low=below, high=above)
-        left, right = whole, whole
-    else:
-        left, right = Piece(low=below, high=origin), Piece(low=origin, high=above)
+    cut = origin in cuts
+    left = Piece(low=below, high=origin if cut else above)
+    right = Piece(low=origin, high=above) if cut else left
     return None if origin == low else left, None if origin == high else right
 
 
@@ -103,15 +101,6 @@ def row_change(
 
     `base` is the model there, where it is known. Raises ModelError where rows are not polynomials
     of the degree that the model states, or where states, pairs or the start change.
-
-    Examples
-    --------
-    >>> from exact_mdp.mdp.parametric.family import moving
-    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    >>> family = moving(mdp, {"p": [(0, 0)]})
-    >>> change = row_change(family, "p", Piece(low=Fraction(0), high=Fraction(1)))
-    >>> change.transition.key.tolist(), change.transition.slope
-    ([0, 1], [1, -1])
     """
     degree = max(model.degree(name), 1)
     place = parameter_of(model, name).value if origin is None else origin
@@ -124,16 +113,12 @@ def row_change(
     for point, other in zip(points, models[1:], strict=True):
         _check_alike(models[0], other, name, point)
     steps = [rational(point - place) for point in (place, *points)]
-    changes = []
-    for entries in (transition_entries, reward_entries):
-        change = _changes(models, steps, entries)
-        changes.append(change)
+    changes = [_changes(models, steps, entries) for entries in (transition_entries, reward_entries)]
+    for change, targets in zip(changes, (models[0].n_states, 1), strict=True):
         for key, moved in zip(change.key.tolist(), change.moved, strict=True):
             if moved.degree() > degree:
-                pair = key // (models[0].n_states if entries is transition_entries else 1)
-                raise _no_polynomial(
-                    "rows are not polynomials", name, degree, models[0].where(pair)
-                )
+                where = models[0].where(key // targets)
+                raise _no_polynomial("rows are not polynomials", name, degree, where)
     rate = polynomials(steps, [[rational(mdp.discount_exact)] for mdp in models])[0]
     if rate.degree() > degree:
         raise _no_polynomial("the discount is not a polynomial", name, degree)
@@ -193,7 +178,8 @@ def _check_alike(first: MDP, other: MDP, name: str, point: Fraction) -> None:
     """Raise ModelError unless two models differ in their numbers alone."""
     for what, one, two in (
         ("states", first.n_states, other.n_states),
-        ("states and actions of pairs", _pairs(first), _pairs(other)),
+        ("states of pairs", first.pair_state.tolist(), other.pair_state.tolist()),
+        ("actions of pairs", first.pair_action.tolist(), other.pair_action.tolist()),
         ("the start", first.start, other.start),
     ):
         if one != two:
@@ -202,10 +188,6 @@ def _check_alike(first: MDP, other: MDP, name: str, point: Fraction) -> None:
                 where=f"parameter {name} = {shown(point)}",
                 fix="let a parameter change only probabilities, rewards and the discount",
             )
-
-
-def _pairs(mdp: MDP) -> tuple[bytes, bytes]:
-    return mdp.pair_state.tobytes(), mdp.pair_action.tobytes()
 
 
 def _changes(
@@ -259,52 +241,36 @@ def ratios(top: Numbers, bottom: Numbers) -> list[fmpq]:
     return [flint.fmpq(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class PolynomialRows:
-    """The rows on one piece of a parameter, of S states and L pairs."""
+    """The rows on one piece of a parameter, around the model at the value θ0 that they change from.
 
-    mdp: MDP  # at θ0
-    change: RowChange
-    rate: fmpq_poly  # the discount
-    terminal: list[bool]  # states in which nothing happens, whatever the parameter
-    reward: list[fmpq_poly]
-    # Discounted probabilities of states that are not terminal; none of terminal states.
-    following: list[list[tuple[int, fmpq_poly]]]
-    # Probabilities that change, not discounted, those of terminal states included.
-    moving: list[fmpq_poly]
+    `terminal` are the states in which nothing happens, whatever the parameter; `following` holds
+    the discounted probabilities of states that are not terminal, `moving` those that change, not
+    discounted, of terminal states too.
+    """
 
-    @classmethod
-    def of(cls, mdp: MDP, change: RowChange) -> PolynomialRows:
-        """Return the rows around the model at the value from which they change."""
-        poly = flint.fmpq_poly
-        rate = change.rate + rational(mdp.discount_exact)
+    def __init__(self, mdp: MDP, change: RowChange) -> None:
+        self.mdp, self.change = mdp, change
+        self.rate: fmpq_poly = change.rate + rational(mdp.discount_exact)
         # A state that is left, or earns, next to θ0 is terminal at that very value alone.
         ends = mdp.terminal.copy()
         ends[mdp.pair_state[change.reward.key]] = False
         ends[mdp.pair_state[change.transition.key // mdp.n_states]] = False
-        terminal: list[bool] = ends.tolist()
-        reward: list[fmpq_poly] = [poly([r]) for r in ratios(*reward_entries(mdp)[1:])]
+        self.terminal: list[bool] = ends.tolist()
+        poly = flint.fmpq_poly
+        self.reward: list[fmpq_poly] = [poly([r]) for r in ratios(*reward_entries(mdp)[1:])]
         for pair, moved in zip(change.reward.key.tolist(), change.reward.moved, strict=True):
-            reward[pair] += moved
+            self.reward[pair] += moved
         keys, top, bottom = transition_entries(mdp)
         weight: dict[int, fmpq_poly] = {
             key: poly([p]) for key, p in zip(keys.tolist(), ratios(top, bottom), strict=True)
         }
-        moving = []
+        self.moving: list[fmpq_poly] = []
         for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
             weight[key] = weight.get(key, poly()) + moved
-            moving.append(weight[key])
-        following: list[list[tuple[int, fmpq_poly]]] = [[] for _ in reward]
+            self.moving.append(weight[key])
+        self.following: list[list[tuple[int, fmpq_poly]]] = [[] for _ in self.reward]
         for key, p in sorted(weight.items()):
             pair, state = divmod(key, mdp.n_states)
-            if not terminal[mdp.pair_state[pair]] and not terminal[state]:
-                following[pair].append((state, p * rate))
-        return cls(
-            mdp=mdp,
-            change=change,
-            rate=rate,
-            terminal=terminal,
-            reward=reward,
-            following=following,
-            moving=moving,
-        )
+            if not self.terminal[mdp.pair_state[pair]] and not self.terminal[state]:
+                self.following[pair].append((state, p * self.rate))

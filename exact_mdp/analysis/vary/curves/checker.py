@@ -194,7 +194,7 @@ class _Equations:
         origin, self.section, self.sign = section.origin, section, sign
         base, piece = family.at({name: origin}), Piece(low=section.low, high=section.high)
         change = row_change(family, name, piece, origin=origin, base=base)
-        self.rows, self.cuts = PolynomialRows.of(base, change), family.breakpoints(name)
+        self.rows, self.cuts = PolynomialRows(base, change), family.breakpoints(name)
         self.state: list[int] = base.pair_state.tolist()
         self.states = [s for s, ends in enumerate(self.rows.terminal) if not ends]
         self.pairs = {s: base.pairs_of(s) for s in self.states}

@@ -59,7 +59,7 @@ class Gaps:
     values: Values
 
     def __init__(self, mdp: MDP, change: RowChange, low: Fraction, high: Fraction) -> None:
-        self.rows, self.inside = PolynomialRows.of(mdp, change), (low, high)
+        self.rows, self.inside = PolynomialRows(mdp, change), (low, high)
         self.terminal = self.rows.terminal
         self.state: list[int] = mdp.pair_state.tolist()
         self.pairs = [mdp.pairs_of(state) for state in range(mdp.n_states)]

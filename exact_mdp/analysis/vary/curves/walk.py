@@ -316,7 +316,7 @@ def _endless(at: At, mdp: MDP, change: RowChange) -> bool:
         there = at(end)
         if endless(there) or (there.terminal != mdp.terminal).any():
             return True
-    origin, rows = change.origin, PolynomialRows.of(mdp, change)
+    origin, rows = change.origin, PolynomialRows(mdp, change)
     for chance in {str(p): p for p in rows.moving}.values():  # what may happen where it becomes 0
         for root in roots(simple(chance), low - origin, high - origin):
             near = root.apart(low - origin, WIDTH)
