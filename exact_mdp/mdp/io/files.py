@@ -13,10 +13,10 @@ import io
 import os
 import stat
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import BinaryIO
 
 from exact_mdp.mdp.errors import ModelError
@@ -30,15 +30,9 @@ LARGEST = 2**32
 4 GiB for what this program writes of large models."""
 # What the path is not to blame for: a full disk, a quota, too many open files, a failing device.
 EXHAUSTED = (
-    errno.ENOSPC,
-    errno.EDQUOT,
-    errno.EFBIG,
-    errno.EIO,
-    errno.EMFILE,
-    errno.ENFILE,
-    errno.ENOMEM,
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
+    *(errno.EMFILE, errno.ENFILE, errno.ENOMEM),
 )
-
 
 # Waiting for the other end of a pipe, and taking over a terminal, are what opening could do.
 FLAGS = os.O_RDONLY | sum(
@@ -65,36 +59,25 @@ def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
         while part := sys.stdin.buffer.read(PART):
             data += part
             if len(data) > most:
-                raise too_large(path, len(data), most)
+                raise _too_large(path, len(data), most)
         yield io.BytesIO(data)
         return
-    with _open(path) as file:
-        try:
-            about = os.fstat(file.fileno())
-            if about.st_size > most:
-                raise too_large(path, about.st_size, most)
-            yield file
-        except OSError as error:
-            raise _unreadable(path, error) from error
-
-
-def _open(path: str | Path) -> BinaryIO:
-    """Return a regular file opened for reading, without waiting for the other end of a pipe."""
     try:
         handle = os.open(path, FLAGS)
-    except OSError as error:
-        raise _unreadable(path, error) from error
-    except ValueError as error:  # a null character in the name
-        raise ModelError(
-            f"cannot read the file: {error}", where=str(path), fix="check the path"
-        ) from error
-    kind = kind_of(os.fstat(handle).st_mode)
-    if not kind:
-        return os.fdopen(handle, "rb")
-    os.close(handle)
-    raise ModelError(
-        f"cannot read the file: {kind}, not a regular file", where=str(path), fix=INSTEAD[kind]
-    )
+    except (OSError, ValueError) as error:
+        raise _refused(path, "read", error) from error
+    about = os.fstat(handle)
+    if kind := kind_of(about.st_mode):
+        os.close(handle)
+        what = f"cannot read the file: {kind}, not a regular file"
+        raise ModelError(what, where=str(path), fix=INSTEAD[kind])
+    with os.fdopen(handle, "rb") as file:
+        if about.st_size > most:
+            raise _too_large(path, about.st_size, most)
+        try:
+            yield file
+        except OSError as error:
+            raise _refused(path, "read", error) from error
 
 
 def kind_of(mode: int) -> str:
@@ -114,7 +97,7 @@ def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:
         # Files that the system makes up as they are read say that their size is 0.
         data = file.read(most + 1)
     if len(data) > most:
-        raise too_large(path, len(data), most)
+        raise _too_large(path, len(data), most)
     return data
 
 
@@ -129,19 +112,17 @@ def read_text(path: str | Path, *, most: int = LARGE) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def too_large(path: str | Path, size: int, most: int) -> ModelError:
-    """Return the error for a file that is larger than what it may hold."""
-    return ModelError(
-        f"the file has {size:,} bytes, more than the {most:,} that are read",
-        where=str(path),
-        fix="check that it is the right file",
-    )
+def _too_large(path: str | Path, size: int, most: int) -> ModelError:
+    what = f"the file has {size:,} bytes, more than the {most:,} that are read"
+    return ModelError(what, where=str(path), fix="check that it is the right file")
 
 
-def _unreadable(path: str | Path, error: OSError) -> ModelError:
-    return ModelError(
-        f"cannot read the file: {error.strerror or error}", where=str(path), fix="check the path"
-    )
+def _refused(path: str | Path, verb: str, error: OSError | ValueError) -> ModelError:
+    """Return the error for a path that the system refuses, or that holds a null character."""
+    said = getattr(error, "strerror", None) or error
+    folder = verb == "write" and isinstance(error, OSError)
+    fix = "check the folder" if folder else "check the path"
+    return ModelError(f"cannot {verb} the file: {said}", where=str(path), fix=fix)
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
@@ -154,39 +135,22 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     data = content.encode("utf-8") if isinstance(content, str) else content
     try:
         kind = kind_of(target.stat().st_mode) if target.exists() else ""
-        if kind:  # the rename would put a file in its place
-            raise ModelError(
-                f"cannot write the file: there is {kind} of this name",
-                where=str(path),
-                fix="name another file",
-            )
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-            os.chmod(temporary, 0o666 & ~_umask())
-            os.replace(temporary, target)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)  # a signal may come after the rename
-            raise
-    except OSError as error:
-        if error.errno in EXHAUSTED:
+        if not kind:
+            temporary = target.with_name(f".{target.name}.{token_hex(8)}")
+            try:
+                with open(temporary, "xb") as stream:
+                    stream.write(data)
+                temporary.replace(target)
+            except BaseException:
+                temporary.unlink(missing_ok=True)  # a signal may come after the rename
+                raise
+    except (OSError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno in EXHAUSTED:
             raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
-        raise ModelError(
-            f"cannot write the file: {error.strerror}", where=str(path), fix="check the folder"
-        ) from error
-    except ValueError as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError(  # a null character in the name
-            f"cannot write the file: {error}", where=str(path), fix="check the path"
-        ) from error
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+        raise _refused(path, "write", error) from error
+    if kind:  # the rename would put a file in its place
+        what = f"cannot write the file: there is {kind} of this name"
+        raise ModelError(what, where=str(path), fix="name another file")
 
 
 @contextmanager
