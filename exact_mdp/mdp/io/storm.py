@@ -9,7 +9,6 @@ Sources: https://www.prismmodelchecker.org/manual/ThePRISMLanguage, https://jani
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from exact_mdp.mdp.errors import ModelError, extra, located, shown_text
 from exact_mdp.mdp.io.explicit import (
     INITIAL,
     Explicit,
-    actions_of,
     model_of,
     named_by,
 )
@@ -100,7 +98,6 @@ def _explicit(model: Any, name: str) -> Explicit:
     ]
     names = tuple(dict.fromkeys(words))
     given = np.array([names.index(word) for word in words], dtype=np.int64)
-    actions, action_names = actions_of(given if all(words) else None, names, offsets)
     listed = {word: list(model.labeling.get_states(word)) for word in model.labeling.get_labels()}
     flags = {word: np.isin(states, on) for word, on in sorted(listed.items()) if on}
     rewards = {word: _rewards(word, own) for word, own in model.reward_models.items()}
@@ -114,15 +111,14 @@ def _explicit(model: Any, name: str) -> Explicit:
         choice_to_branches=np.cumsum([0, *map(len, rows)]),
         target=[target for target, _ in branches],
         probability=[chance for _, chance in branches],
-        actions=actions,
-        action_names=action_names,
+        actions=given if all(words) else None,
+        action_names=names,
         initial=flags.pop(INITIAL, np.zeros(len(states), dtype=bool)),
         words=named_by(values),
         rewards=rewards,
+        titles={word: word for word in rewards},
         labels=flags,
-        titles={group: {word: word for word in own}
-                for group, own in (("rewards", rewards), ("aps", flags))},
-    )  # fmt: skip
+    )
 
 
 def _rewards(name: str, model: Any) -> dict[str, list[Fraction]]:
@@ -135,14 +131,10 @@ def _rewards(name: str, model: Any) -> dict[str, list[Fraction]]:
         )
     by_name = {}
     if model.has_state_rewards:
-        by_name["states"] = _ratios(model.state_rewards)
+        by_name["states"] = [_fraction(value) for value in model.state_rewards]
     if model.has_state_action_rewards:
-        by_name["choices"] = _ratios(model.state_action_rewards)
+        by_name["choices"] = [_fraction(value) for value in model.state_action_rewards]
     return by_name
-
-
-def _ratios(values: Iterable[Any]) -> list[Fraction]:
-    return [_fraction(value) for value in values]
 
 
 def _fraction(value: Any) -> Fraction:

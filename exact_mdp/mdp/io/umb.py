@@ -47,7 +47,6 @@ from exact_mdp.mdp.io import npz
 from exact_mdp.mdp.io.explicit import (
     REWARD,
     Explicit,
-    actions_of,
     identifier,
     model_of,
     named_by,
@@ -143,8 +142,8 @@ def _restored(umb: Any, content: Explicit, packed: str, reward: str | None) -> M
         return mdp
     gain, below = mdp.component_table.column(int(chosen.removeprefix(COMPONENT)))
     table = replace(mdp.table, gain=gain, gain_denominator=below)
-    title = content.titles["rewards"][chosen]
-    return replace(mdp, table=table, component_table=None, component_names=(title,))
+    names = (content.titles[chosen],)
+    return replace(mdp, table=table, component_table=None, component_names=names)
 
 
 # ---- reading -------------------------------------------------------------------------------------
@@ -191,9 +190,11 @@ def _content(umb: Any) -> Explicit:
     chances: Sequence[Any] = [1] * branches
     if umb.branch_to_probability is not None:
         chances = _sized(umb.branch_to_probability, branches, "branch-to-probability")
-    actions, names = _actions(umb, offsets)
-    annotated = _annotations(umb, "aps")
-    labels = {key: each["states"] for key, each in annotated.items() if "states" in each}
+    actions, names = _actions(umb, choices)
+    titles = {
+        group: {key: each.alias or key for key, each in about.get(group, {}).items()}
+        for group in ("rewards", "aps")
+    }
     return Explicit(
         name=(umb.index.model_data and umb.index.model_data.name) or "",
         state_to_choices=offsets,
@@ -207,10 +208,11 @@ def _content(umb: Any) -> Explicit:
         initial=np.array(_sized(umb.state_is_initial, states, "state-is-initial"), dtype=bool),
         words=named_by((umb.valuations or {}).get("states", ())),
         rewards=_annotations(umb, "rewards"),
-        labels={key: np.array(flags, dtype=bool) for key, flags in labels.items()},
-        titles={
-            group: {key: each.alias or key for key, each in about.get(group, {}).items()}
-            for group in ("rewards", "aps")
+        titles=titles["rewards"],
+        labels={
+            titles["aps"][key]: np.array(each["states"], dtype=bool)
+            for key, each in _annotations(umb, "aps").items()
+            if "states" in each
         },
     )
 
@@ -231,21 +233,19 @@ def _annotations(umb: Any, group: str) -> dict[str, dict[str, Any]]:
     return by_name
 
 
-def _actions(umb: Any, offsets: Integers) -> tuple[Integers, tuple[str, ...]]:
-    """Return each choice's action, and the names of actions."""
+def _actions(umb: Any, choices: int) -> tuple[Integers | None, tuple[str, ...]]:
+    """Return each choice's action, if they are stated, and the names of actions."""
     count = umb.index.transition_system.num_choice_actions
     listed = tuple(umb.choice_action_to_string or ())
     names = tuple(name or "unnamed" for name in listed) or tuple(f"a{k}" for k in range(count))
     given = None
     if umb.choice_to_choice_action is not None:
-        given = np.array(
-            _sized(umb.choice_to_choice_action, int(offsets[-1]), "actions"), dtype=np.int64
-        )
+        given = np.array(_sized(umb.choice_to_choice_action, choices, "actions"), dtype=np.int64)
         if given.max(initial=0) >= count or len(names) != count:
             raise _damaged(
                 f"{len(names)} names for {count} actions, or an action beyond them", "actions"
             )
-    return actions_of(given, names, offsets)
+    return given, names
 
 
 def _sizes(system: Any) -> dict[str, int]:
@@ -375,14 +375,7 @@ def _umb_of(model: MDP) -> Any:
 
 
 def _annotate(
-    umb: Any,
-    group: str,
-    key: str,
-    over: str,
-    values: Sequence[Any],
-    *,
-    alias: str = "",
-    about: str = "",
+    umb: Any, group: str, key: str, over: str, values: Any, *, alias: str = "", about: str = ""
 ) -> None:
     """Add an annotation; an alias is its description too, and as an identifier its name."""
     kind, numbers = _typed(values)
@@ -398,18 +391,13 @@ def _annotate(
 
 
 def _typed(values: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return values with their type: truth values, small integers, doubles, or wide rationals."""
-    kinds, typed, numeric = set(map(type, values)), _umbi().binary.SizedType, _umbi().datatypes
-    if kinds <= {bool}:
-        return typed(numeric.PrimitiveType.BOOL, 1), list(values)
-    if kinds == {float}:
-        return typed(numeric.NumericPrimitiveType.DOUBLE, 64), list(values)
-    if kinds == {int}:
-        return typed(numeric.NumericPrimitiveType.UINT, 64), list(values)
-    rationals = [Fraction(value) for value in values]
-    # The numerator is signed; each half of a rational takes a multiple of 64 bits.
-    bits = max(max(x.numerator.bit_length() + 1, x.denominator.bit_length()) for x in rationals)
-    return typed(numeric.NumericPrimitiveType.RATIONAL, 128 * -(-bits // 64)), rationals
+    """Return values with their type: truth values, doubles, or wide rationals."""
+    umbi = _umbi()
+    kind, numbers = umbi.datatypes.promote_scalars(values)
+    bits = umbi.binary.max_num_bits_for_collection_element(numbers, kind)
+    # Each half of a rational takes a multiple of 64 bits.
+    wide = kind == umbi.datatypes.NumericPrimitiveType.RATIONAL
+    return umbi.binary.SizedType(kind, 128 * -(-bits // 128) if wide else bits), numbers
 
 
 def _ratios(top: Numbers, bottom: Numbers, offsets: Numbers) -> list[Any]:
