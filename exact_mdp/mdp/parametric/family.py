@@ -339,7 +339,7 @@ def moving(
     today = {parameter.name: parameter.value for parameter in moved}
     highest = dict.fromkeys(today, Fraction(1))
     for pair, names in named.items():
-        total = sum(today[name] for name in names.values())
+        total = sum((today[name] for name in names.values()), Fraction(0))
         if total >= 1 or not all(today[name] for name in names.values()):
             raise ModelError(
                 "an entry has probability 0, or the named entries are all of a row",
