@@ -136,6 +136,41 @@ def test_a_forged_certificate_is_refused(
     assert sentence in capsys.readouterr().out
 
 
+PAIR = {"state": 0, "action": 0, "reward": 1, "denominator": 2, "next": [0, 1], "weight": [1, 1]}
+LAST = {"state": 1, "action": 0, "reward": 0, "denominator": 1, "next": [1], "weight": [1]}
+
+
+def pairs(*first: dict[str, Any]) -> dict[str, Any]:
+    """The pairs of a model of two states, of which the second is the end."""
+    return {"pairs": [*(PAIR | each for each in first), LAST]}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"discount": "3/2"}, {"discount": "-1/2"}, {"sense": "most"}, {"goal": [0]},
+        {"states": 1}, {"states": 3}, pairs(), pairs({}, {}),
+        *({"start": each} for each in (
+            {"0": "1/2"}, {"0": "3/2", "1": "-1/2"}, {"2": 1}, {}, [])),
+        *(pairs(each) for each in (
+            {"weight": [0, 2]}, {"weight": [-1, 3]}, {"weight": [1, 2]}, {"weight": [2]},
+            {"next": [0, 2]}, {"next": [-1, 1]}, {"next": [], "weight": []}, {"reward": [1]},
+            {"denominator": 0}, {"state": 2})),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_model_that_is_none_is_not_read(change: dict[str, Any], tmp_path: Path) -> None:
+    mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 1)]), END])
+    model, proof = str(tmp_path / "model.json"), str(tmp_path / "proof.json")
+    save(mdp, model)
+    certify(mdp).save(proof)
+    content = json.loads(Path(model).read_text("utf-8"))
+    assert content == content | pairs({})
+    assert check_certificate.main([model, proof]) == 0
+    Path(model).write_text(json.dumps(content | change), "utf-8")
+    assert check_certificate.main([model, proof]) == 2
+
+
 @pytest.mark.parametrize(
     "change",
     [{"unreached": "5"}, {"goal": None, "unreached": "5"}, {"goal": [0]}, {"discount": "1/2"}],
