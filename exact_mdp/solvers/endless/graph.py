@@ -59,6 +59,12 @@ class Graph:
         """Return (S,) True for states with one of some pairs (L,)."""
         return np.bincount(self.pair_state[pairs], minlength=self.states) > 0
 
+    def falling(self, distance: Integers) -> Mask:
+        """Return (L,) the pairs that may lead to a smaller distance (S,), where that is not -1."""
+        far = np.where(distance < 0, self.states, distance)
+        least = np.minimum.reduceat(far[self.next], self.offsets[:-1])
+        return np.asarray(least < far[self.pair_state])
+
     def distance(self, target: Mask, pairs: Mask) -> Integers:
         """Return (S,) the fewest steps along `pairs` (L,) to the target, -1 where no way leads."""
         one = np.ones(self.states, dtype=np.int64)

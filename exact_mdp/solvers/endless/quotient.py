@@ -135,9 +135,7 @@ def derived(
 
 def toward(graph: Graph, distance: Integers, pairs: Mask, chosen: Integers) -> None:
     """Write into `chosen` (S,) one of some pairs (L,) that may fall, where the distance is > 0."""
-    far = np.where(distance < 0, graph.states, distance)
-    falls = np.minimum.reduceat(far[graph.next], graph.offsets[:-1]) < far[graph.pair_state]
-    first_of(graph, falls & pairs & (distance > 0)[graph.pair_state], chosen)
+    first_of(graph, graph.falling(distance) & pairs & (distance > 0)[graph.pair_state], chosen)
 
 
 def first_of(graph: Graph, pairs: Mask, chosen: Integers) -> None:

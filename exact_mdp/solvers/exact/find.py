@@ -28,7 +28,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint, row_sums
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, integers, spans
+from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.endless.average import improved
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import expansion as laurent
@@ -63,24 +63,17 @@ def certificate(
         **none | parts,
     )
     optimal = draft.optimal_pairs if optimal is None else optimal
-    start = draft.sign * _at_start(draft, [(state, p) for state, p in mdp.start if p])
-    return replace(draft, start_value=start, unique=one_optimum(mdp, optimal))
+    infinite = one_sign(mdp, draft.infinite_sign)
+    start = (draft.g if kind == "average" and draft.g else draft.h).mean(mdp.start)
+    start_value = draft.sign * (inf * infinite if infinite else start)
+    return replace(draft, start_value=start_value, unique=one_optimum(mdp, optimal))
 
 
-def _at_start(draft: Certificate, start: Sequence[tuple[int, Fraction]]) -> Fraction | float:
-    if draft.kind == "average":
-        assert draft.g is not None
-        return draft.g.mean(start)
-    infinite = one_sign(draft.mdp, draft.infinite_sign)
-    return inf * infinite if infinite else draft.h.mean(start)
-
-
-def one_sign(mdp: MDP | None, sign: Numbers) -> int:
+def one_sign(mdp: MDP, sign: Numbers) -> int:
     """Return the sign, of those (S,) where values are infinite, that states of the start have.
 
     Raises ModelError where some of them have the one and some the other.
     """
-    assert mdp is not None
     signs = {int(sign[state]) for state, weight in mdp.start if weight} - {0}
     if len(signs) > 1:
         raise ModelError(
@@ -178,7 +171,7 @@ def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifica
     _, (values,), sign = best(part)
     optimal = np.zeros(mdp.n_pairs, dtype=bool)
     optimal[number[sign == 0]] = True
-    optimal[~finite[state]] = (staying | _falling(graph, order))[~finite[state]]
+    optimal[~finite[state]] = (staying | graph.falling(order))[~finite[state]]
     return certificate(
         mdp,
         first_of(mdp, optimal),
@@ -193,32 +186,29 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifi
     """Return the proof where a run that misses the goal is worth -∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
     order = graph.rounds(goal, every)
-    arriving, bias = order == 0, Level.over([0] * mdp.n_states, 1)
+    arriving, every_pair = order == 0, np.arange(mdp.n_pairs)
     above, policy = np.zeros(mdp.n_states, dtype=bool), mdp.pair_offsets[:-1]
+    bias = Level.over([0] * mdp.n_states, 1)
     part, number = _closed(rows, arriving)
     _, staying = graph.end_components(graph.every(arriving & ~goal) & (arriving & ~goal)[state])
     if (rows.constant[staying] > 0).any():  # going round may pay without end
         pairs, (gain, bias, _) = expanded(part, part.pair_offsets[:-1])
         recurrent = ExactChain(part.of_pairs(pairs)).classes.recurrent
-        above, policy = np.array([mean > 0 for mean in gain.top]), number[pairs]
-        used = np.zeros(mdp.n_pairs, dtype=bool)
-        used[policy[above]] = True
+        above, policy = arriving & [mean > 0 for mean in gain.top], number[pairs]
+        used = np.isin(every_pair, policy[above])
         order = np.where(above, graph.distance(recurrent & above, used), order)
     if (bad := above & (mdp.start_distribution > 0)).any():
         raise falling_costs(mdp, bad)
     finite = arriving & ~above
     part, number = _closed(rows, finite)
-    inside_finite = np.zeros(mdp.n_pairs, dtype=bool)
-    inside_finite[number] = finite[state[number]]
-    far = graph.distance(goal, inside_finite)
-    nearer = inside_finite & _falling(graph, far)
+    among = np.isin(every_pair, number) & finite[state]
+    nearer = among & graph.falling(graph.distance(goal, among))
     nearer[mdp.pair_offsets[:-1][~finite | goal]] = True
-    first = np.searchsorted(number, first_of(mdp, nearer & np.isin(np.arange(mdp.n_pairs), number)))
-    own, (values,), _ = best(part, first)
+    own, (values,), _ = best(part, np.searchsorted(number, first_of(mdp, nearer)))
     policy = np.where(finite, number[own], policy)
-    used = np.zeros(mdp.n_pairs, dtype=bool)
-    used[policy[finite]] = True
-    top = [x if f else b for x, b, f in zip(values.top, bias.top, finite, strict=True)]
+    used = np.isin(every_pair, policy[finite])
+    each = zip(values.top, bias.top, finite.tolist(), above.tolist(), strict=True)
+    top = [x if inside else b * infinite for x, b, inside, infinite in each]
     group = np.where(finite, values.group, len(values.below))
     inside = graph.every(arriving) & arriving[state]
     return certificate(
@@ -240,41 +230,25 @@ def falling_costs(mdp: MDP, states: Flags) -> ModelError:
     )
 
 
-def _falling(graph: Graph, distance: Integers) -> Flags:
-    """Return (L,) the pairs that may lead to a smaller distance, of those that are not -1."""
-    far = np.where(distance < 0, graph.states, distance)
-    least = np.minimum.reduceat(far[graph.next], graph.offsets[:-1])
-    return np.asarray(least < far[graph.pair_state])
-
-
 def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
     """Return the equations between some states (S,), and the pairs (K,) that these have.
 
-    Pairs that lead elsewhere are left out; another state has its first pair, and stays for nothing.
+    Pairs that lead elsewhere are left out; another state counts as an end, with its first pair.
     """
-    owner, first = rows.pair_state, rows.pair_offsets[:-1]
-    stays = states[owner] & np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
-    stays[first[~states]] = True
+    owner, inside = rows.pair_state, np.logical_and.reduceat(states[rows.next], rows.offsets[:-1])
+    stays = states[owner] & inside
+    stays[rows.pair_offsets[:-1][~states]] = True
     number = np.flatnonzero(stays)
-    own = owner[number]
-    inside = states[own]
-    lengths = np.where(inside, np.diff(rows.offsets)[number], 1)
-    offsets = np.concatenate([[0], np.cumsum(lengths)])
-    loops = offsets[:-1][~inside]
-    entries = spans(rows.offsets[number[inside]], rows.offsets[number[inside] + 1])
-    following, weight = np.empty(offsets[-1], dtype=np.int64), np.empty(offsets[-1], dtype=object)
-    others = np.ones(offsets[-1], dtype=bool)
-    others[loops] = False
-    following[others], following[loops] = rows.next[entries], own[~inside]
-    weight[others], weight[loops] = rows.weight[entries], rows.scale[own[~inside]]
+    first, last = rows.offsets[number], rows.offsets[number + 1]
+    entries = spans(first, last)
     part = BellmanRows(
-        pair_offsets=np.searchsorted(own, np.arange(len(states) + 1)),
+        pair_offsets=np.searchsorted(owner[number], np.arange(len(states) + 1)),
         terminal=rows.terminal | ~states,
         scale=rows.scale,
-        constant=np.where(inside, rows.constant[number], 0),
-        offsets=offsets,
-        next=following,
-        weight=integers(weight.tolist()),
+        constant=np.where(states[owner[number]], rows.constant[number], 0),
+        offsets=np.append(0, np.cumsum(last - first)),
+        next=rows.next[entries],
+        weight=rows.weight[entries],
     )
     return part, number
 
