@@ -41,13 +41,13 @@ from exact_mdp.mdp.parametric.row_change import Piece, PolynomialRows, row_chang
 from exact_mdp.mdp.table import shown
 
 if TYPE_CHECKING:
-    from flint import fmpq_poly
+    from flint import fmpq, fmpq_poly
 
 
 Bracket = tuple[Fraction, Fraction]
 Values = tuple[Sequence["fmpq_poly"], "fmpq_poly"]
 """N of each state, and D: values are N / D."""
-Shares = Sequence[Sequence[tuple[int, Fraction]]]
+Mix = Sequence[Sequence[tuple[int, "fmpq"]]]
 """Of each state, the pairs that a policy takes there, with their probabilities."""
 
 
@@ -60,15 +60,7 @@ copyreg.pickle(flint.fmpq_poly, _reduced)  # FLINT's polynomials cannot be pickl
 
 @dataclass(frozen=True, kw_only=True)
 class RationalFunction:
-    """A ratio of two polynomials, with coefficients from the constant up.
-
-    Examples
-    --------
-    >>> RationalFunction(numerator=(Fraction(1),), denominator=(Fraction(1), Fraction(-1))).at(
-    ...     Fraction(1, 2)
-    ... )
-    Fraction(2, 1)
-    """
+    """A ratio of two polynomials, with coefficients from the constant up."""
 
     numerator: tuple[Fraction, ...]
     denominator: tuple[Fraction, ...]
@@ -102,7 +94,7 @@ class RationalFunction:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Section:
+class Section(Piece):
     """An interval on which rows are polynomials of y, the distance from `origin`."""
 
     low: Fraction
@@ -149,13 +141,13 @@ def piece_violations(
     family: Parametric,
     name: str,
     pieces: Sequence[CurvePiece],
-    shares: Shares | None,
+    mix: Mix | None,
     *,
     sign: int = 1,
 ) -> list[str]:
     """Return what does not hold of pieces of a model that maximises: nothing where all is sound.
 
-    `shares` is the policy held fixed; sign is -1 where values at the start are costs.
+    `mix` is the policy held fixed; sign is -1 where values at the start are costs.
     """
     wrong, last = list[str](), pieces[0]
     equations: _Equations | None = None
@@ -168,8 +160,8 @@ def piece_violations(
         else:
             joined, before = last.high == piece.low, equations.open
         wrong += equations.not_optimal(piece)
-        if shares is not None:
-            wrong += equations.not_of(piece, shares)
+        if mix is not None:
+            wrong += equations.not_of(piece, mix)
         if before is not None:
             turning = [*before.values(), *equations.open.values()]
             joined = joined and equations.turn_at_once(turning, piece.low)
@@ -192,13 +184,13 @@ class _Equations:
 
     def __init__(self, family: Parametric, name: str, section: Section, sign: int) -> None:
         origin, self.section, self.sign = section.origin, section, sign
-        base, piece = family.at({name: origin}), Piece(low=section.low, high=section.high)
-        change = row_change(family, name, piece, origin=origin, base=base)
+        base = family.at({name: origin})
+        change = row_change(family, name, section, origin=origin, base=base)
         self.rows, self.cuts = PolynomialRows(base, change), family.breakpoints(name)
         self.state: list[int] = base.pair_state.tolist()
         self.states = [s for s, ends in enumerate(self.rows.terminal) if not ends]
         self.pairs = {s: base.pairs_of(s) for s in self.states}
-        self.start = [(s, rational(w)) for s, w in base.start if not self.rows.terminal[s]]
+        self.start = [(s, w) for s, w in base.start if not self.rows.terminal[s]]
         self.slack = {  # 1 - γ Σ P, over states that are not terminal
             pair: flint.fmpq_poly([1]) - sum(p for _, p in self.rows.following[pair])
             for pairs in self.pairs.values()
@@ -218,9 +210,9 @@ class _Equations:
         if any(section.low < cut < section.high for cut in self.cuts):
             yield "rows pass to other polynomials inside a section"
         chances = [p for pair in self.slack for _, p in self.rows.following[pair]]
-        if not all(nonnegative(p, low, high) for p in _different([*chances, *self.slack.values()])):
+        if not all(nonnegative(p, low, high) for p in different([*chances, *self.slack.values()])):
             yield "a probability is negative, or probabilities pass 1"
-        elif not all(positive(s, low, high) for s in _different(self.slack.values())):
+        elif not all(positive(s, low, high) for s in different(self.slack.values())):
             falls, ends = self._nearer(None), (self._nearer(low), self._nearer(high))
             if (
                 falls is None
@@ -250,7 +242,7 @@ class _Equations:
                 return None
             near.update(layer)
             left = [state for state in left if state not in near]
-        return _different(chances)
+        return different(chances)
 
     def not_optimal(self, piece: CurvePiece) -> Iterator[str]:
         """Yield why the values of a piece may not be the optimal ones throughout."""
@@ -299,11 +291,11 @@ class _Equations:
         numerators, scale = values
         shift = flint.fmpq_poly([rational(self.section.origin), 1])
         top, below = (poly(shift) for poly in value.polynomials())
-        start = sum((w * numerators[s] for s, w in self.start), flint.fmpq_poly())
+        start = weighed(self.start, numerators)
         if below.degree() < 0 or self.sign * top * scale != start * below:
             yield f"the value at the start from {at} on is another one"
 
-    def not_of(self, piece: CurvePiece, shares: Shares) -> Iterator[str]:
+    def not_of(self, piece: CurvePiece, mix: Mix) -> Iterator[str]:
         """Yield why the fixed policy's values may be others."""
         at, values, value = shown(piece.low[1]), piece.fixed_values, piece.fixed
         if values is None or value is None:
@@ -312,8 +304,8 @@ class _Equations:
         if not positive(values[1], *self._inside(piece.low[0], piece.high[1])):
             yield f"the denominator of the policy held fixed from {at} on is not positive"
         for state in self.states:
-            mix = (rational(share) * self._gap(values, pair) for pair, share in shares[state])
-            if sum(mix, flint.fmpq_poly()):
+            gaps = (share * self._gap(values, pair) for pair, share in mix[state])
+            if sum(gaps, flint.fmpq_poly()):
                 yield f"the policy held fixed has another value in state {state} from {at} on"
         yield from self._not_the_start(values, value, at)
 
@@ -327,5 +319,11 @@ class _Equations:
         return {roots_on(each, low, high) for each in [*turning, shared]} == {1}
 
 
-def _different(polynomials: Iterable[fmpq_poly]) -> list[fmpq_poly]:
+def weighed(weights: Iterable[tuple[int, Fraction]], polynomials: Sequence[fmpq_poly]) -> fmpq_poly:
+    """Return a sum of some of the polynomials, each with a weight."""
+    return sum((rational(weight) * polynomials[k] for k, weight in weights), flint.fmpq_poly())
+
+
+def different(polynomials: Iterable[fmpq_poly]) -> list[fmpq_poly]:
+    """Return every polynomial once."""
     return [*{str(p): p for p in polynomials}.values()]

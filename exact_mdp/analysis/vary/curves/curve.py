@@ -28,15 +28,18 @@ from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.analysis.vary.curves.checker import (
     Bracket,
     CurvePiece,
+    Mix,
     RationalFunction,
     piece_violations,
+    weighed,
 )
 from exact_mdp.analysis.vary.curves.roots import roots, roots_on, sign, simple
-from exact_mdp.analysis.vary.curves.walk import NEARLY_ONE, WIDTH, below_one, pieces_of
+from exact_mdp.analysis.vary.curves.walk import WIDTH, pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import rational
+from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, Posed, parameter_of, parametric
@@ -50,6 +53,8 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 if TYPE_CHECKING:
     from flint import fmpq_poly
     from pandas import DataFrame
+
+NEARLY_ONE = 1 - Fraction(1, 2**40)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,8 +222,7 @@ class ValueFunction(Pictured):
         assert piece.fixed_values is not None
         start = self.mdp.start
         (best, d), (mine, e) = (
-            (sum((rational(w) * tops[s] for s, w in start), flint.fmpq_poly()), below)
-            for tops, below in (piece.values, piece.fixed_values)
+            (weighed(start, tops), below) for tops, below in (piece.values, piece.fixed_values)
         )
         room = rational(most) * d * e - (best * e - mine * d)
         return [room + rational(share) * best * e, room - rational(share) * best * e]
@@ -236,10 +240,9 @@ class ValueFunction(Pictured):
                 wrong.append(f"no piece covers {shown(end[1])}")
         if ends[-1] != (self.range.high,) * 2:
             wrong.append(f"no piece covers {shown(self.range.high)}")
-        shares = None if self.chain is None else _shares(self.chain)
         sign = -1 if self.mdp.sense == "min" else 1
         return wrong + piece_violations(
-            self.family, self.parameter.name, self.pieces, shares, sign=sign
+            self.family, self.parameter.name, self.pieces, _mix(self.chain), sign=sign
         )
 
     def report(self, within: Sequence[Interval] | None = None) -> Report:
@@ -393,13 +396,12 @@ def curve(
     if mdp.sense == "min":
         family, sign = Posed(family=family, ask=attrgetter("maximised")), -1
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
-    if name == DISCOUNT and ranges is None and relative is None and span.high < 1:
-        span = Range(low=span.low, high=NEARLY_ONE)
-    span = below_one(family, name, span)
-    chain, mix = None if policy is None else PolicyChain.of(mdp, policy), None
-    if chain is not None:
-        mix = [[(pair, rational(w)) for pair, w in each] for each in _shares(chain)]
-    pieces, sweeps = pieces_of(family, name, span, sign, mix)
+    if name == DISCOUNT:
+        if ranges is None and relative is None and span.high < 1:
+            span = Range(low=span.low, high=NEARLY_ONE)
+        span = _below_one(family, span)
+    chain = None if policy is None else PolicyChain.of(mdp, policy)
+    pieces, sweeps = pieces_of(family, name, span, sign, _mix(chain))
     if chain is not None and chain.policy is not None:
         ends = np.logical_and.reduce([np.array(each.gaps.terminal) for each in sweeps])
         open_ = np.flatnonzero(chain.policy.silent(mdp) & mdp.terminal & ~ends)
@@ -421,6 +423,21 @@ def curve(
     )
 
 
-def _shares(chain: PolicyChain) -> list[list[tuple[int, Fraction]]]:
-    """Return the pairs that a policy takes in each state, with their probabilities."""
-    return [[*chain.exact_weights(state).items()] for state in range(chain.mdp.n_states)]
+def _below_one(family: Parametric, span: Range) -> Range:
+    """Return a range of the discount that ends below 1 where some policy never ends at 1."""
+    if span.high < 1 or not endless(family.at({DISCOUNT: 1})):
+        return span
+    if span.low >= NEARLY_ONE:
+        raise ModelError(
+            "at discount 1 some policy never ends",
+            where=f"parameter {DISCOUNT}",
+            fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
+        )
+    return Range(low=span.low, high=NEARLY_ONE)
+
+
+def _mix(chain: PolicyChain | None) -> Mix | None:
+    if chain is None:
+        return None
+    weights = map(chain.exact_weights, range(chain.mdp.n_states))
+    return [[(pair, rational(weight)) for pair, weight in each.items()] for each in weights]

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 import flint
 import numpy as np
 
+from exact_mdp.analysis.vary.curves.checker import Mix, Values
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.model import MDP
@@ -37,11 +38,6 @@ if TYPE_CHECKING:
 
 LARGEST = 300  # states of a model with cycles
 CYCLIC_DEGREE = 200
-
-Mix = Sequence[Sequence[tuple[int, "fmpq"]]]
-"""Of each state, the pairs that a policy takes there, with their probabilities."""
-Values = tuple[Sequence["fmpq_poly"], "fmpq_poly"]
-"""N of each state, and D: the values of a policy are N / D."""
 
 
 class Gaps:
@@ -104,14 +100,6 @@ class Gaps:
             )
 
     # ---- the values of a policy ------------------------------------------------------------------
-
-    def start(self, values: Values) -> tuple[fmpq_poly, fmpq_poly]:
-        """Return N and D of the value at the start."""
-        numerators, scale = values
-        total = flint.fmpq_poly()
-        for state, weight in self.rows.mdp.start:
-            total += numerators[state] * rational(weight)
-        return total, scale
 
     def values_of(self, mix: Mix) -> Values:
         """Return the values of a policy."""

@@ -21,17 +21,24 @@ import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.vary.base_case import unending
-from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, RationalFunction, Section
-from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps, Mix, Values
+from exact_mdp.analysis.vary.curves.checker import (
+    Bracket,
+    CurvePiece,
+    Mix,
+    RationalFunction,
+    Section,
+    Values,
+    different,
+    weighed,
+)
+from exact_mdp.analysis.vary.curves.gap_polynomials import Gaps
 from exact_mdp.analysis.vary.curves.roots import Root, odd_part, roots, sign, simple, variations
 from exact_mdp.analysis.vary.ranges import Range
-from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP, once
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric
+from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.parametric.row_change import (
-    Piece,
     PolynomialRows,
     RowChange,
     row_change,
@@ -45,21 +52,17 @@ WIDTH = Fraction(1, 10**12)
 GRID = 10**13
 ATTEMPTS = 400
 
-NEARLY_ONE = 1 - Fraction(1, 2**40)
-
 At = Callable[[Fraction], MDP]
 
 
 class Sweep:
     """A walk over one section of a parameter, on which rows are polynomials; `mix` is held."""
 
-    def __init__(self, base: MDP, change: RowChange, sign: int, mix: Mix | None) -> None:
-        low, high = change.piece.low, change.piece.high
-        assert low is not None
-        assert high is not None
-        self.origin, self.sign = change.origin, sign
-        self.low, self.high = low - self.origin, high - self.origin
-        self.section = Section(low=low, high=high, origin=self.origin)
+    def __init__(
+        self, base: MDP, section: Section, change: RowChange, sign: int, mix: Mix | None
+    ) -> None:
+        self.section, self.origin, self.sign = section, section.origin, sign
+        self.low, self.high = section.low - self.origin, section.high - self.origin
         self.gaps = Gaps(base, change, self.low, self.high)
         self.fixed = None if mix is None else self.gaps.values_of(mix)
         self.ahead: dict[int, list[tuple[Root, bool]]] = {}
@@ -99,7 +102,7 @@ class Sweep:
 
     def ratio(self, values: Values) -> RationalFunction:
         """Return the value at the start as a function of the parameter, with the sign of costs."""
-        top, below = self.gaps.start(values)
+        top, below = weighed(self.gaps.rows.mdp.start, values[0]), values[1]
         shared = top.gcd(below)
         shift = flint.fmpq_poly([rational(-self.origin), 1])
         return RationalFunction.of((self.sign * (top / shared)(shift), (below / shared)(shift)))
@@ -252,53 +255,36 @@ def pieces_of(
     `mix` is a policy held fixed. Raises ModelError where some policy never ends at discount 1.
     """
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
-
-    @lru_cache
-    def at(value: Fraction) -> MDP:
-        return family.at({name: value})
-
+    at = lru_cache(lambda value: family.at({name: value}))
     pieces, sweeps, policy = list[CurvePiece](), list[Sweep](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
-        base, change = _middle(family, at, name, low, high)
-        if _endless(at, base, change):
+        section, base, change = _middle(family, at, name, low, high)
+        if _endless(at, base, section, change):
             raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
-        sweep = Sweep(base, change, sign, mix)
+        sweep = Sweep(base, section, change, sign, mix)
         pieces += sweep.pieces(optimum(base)[0] if policy is None else policy)
         policy = sweep.policy
         sweeps.append(sweep)
     return pieces, sweeps
 
 
-def below_one(family: Parametric, name: str, span: Range) -> Range:
-    """Return a range of the discount that ends below 1 where some policy never ends at 1."""
-    if name != DISCOUNT or span.high < 1 or not endless(family.at({name: 1})):
-        return span
-    if span.low >= NEARLY_ONE:
-        raise ModelError(
-            "at discount 1 some policy never ends",
-            where=f"parameter {name}",
-            fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
-        )
-    return Range(low=span.low, high=NEARLY_ONE)
-
-
 def _middle(
     family: Parametric, at: At, name: str, low: Fraction, high: Fraction
-) -> tuple[MDP, RowChange]:
+) -> tuple[Section, MDP, RowChange]:
     """Return the model in the middle of a section, and how it changes; next to it if a chance is 0.
 
     What may happen there may then happen next to it, too. A chance that moves is 0 at few points.
     """
     for share in chain([Fraction(1, 2)], (Fraction(37 + k, 97 + 2 * k) for k in count())):
-        origin = low + (high - low) * share
-        base = at(origin)
-        change = row_change(family, name, Piece(low=low, high=high), origin=origin, base=base)
+        section = Section(low=low, high=high, origin=low + (high - low) * share)
+        base = at(section.origin)
+        change = row_change(family, name, section, origin=section.origin, base=base)
         if np.isin(change.transition.key, transition_entries(base)[0]).all():
             break
-    return base, change
+    return section, base, change
 
 
-def _endless(at: At, mdp: MDP, change: RowChange) -> bool:
+def _endless(at: At, mdp: MDP, section: Section, change: RowChange) -> bool:
     """Return whether some policy never ends in a section, its ends included, at discount 1.
 
     Or earns where all is over, which is then over at one value of the parameter alone.
@@ -309,17 +295,15 @@ def _endless(at: At, mdp: MDP, change: RowChange) -> bool:
         return True
     if mdp.discount_exact < 1 or change.rate or levels(mdp) is not None:
         return False
-    low, high = change.piece.low, change.piece.high
-    assert low is not None
-    assert high is not None
-    for end in (low, high):
+    for end in (section.low, section.high):
         there = at(end)
         if endless(there) or (there.terminal != mdp.terminal).any():
             return True
-    origin, rows = change.origin, PolynomialRows(mdp, change)
-    for chance in {str(p): p for p in rows.moving}.values():  # what may happen where it becomes 0
-        for root in roots(simple(chance), low - origin, high - origin):
-            near = root.apart(low - origin, WIDTH)
+    origin = section.origin
+    low, high = section.low - origin, section.high - origin
+    for chance in different(PolynomialRows(mdp, change).moving):
+        for root in roots(simple(chance), low, high):  # what may happen where it becomes 0
+            near = root.apart(low, WIDTH)
             if near.low < near.high or endless(at(near.low + origin)):
                 return True
     return False
