@@ -64,17 +64,7 @@ LIMITS = (  # kinds of errors, what is said of them, and the fix
 
 @contextmanager
 def answering() -> Iterator[None]:
-    """Raise NoAnswer where code that is called ends the process by `sys.exit` or `os._exit`.
-
-    Examples
-    --------
-    >>> try:
-    ...     with answering():
-    ...         sys.exit(0)
-    ... except NoAnswer as error:
-    ...     print(error)
-    sys.exit(0) was called before there was an answer
-    """
+    """Raise NoAnswer where code that is called ends the process by `sys.exit` or `os._exit`."""
     before = _exit_by(sys.exit)
     try:
         yield

@@ -10,7 +10,7 @@ second parameter moves in steps: for each of its values the first one's pieces a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from html import escape
@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.layout import Layout, arrange
+from exact_mdp.analysis.layout import arrange
 from exact_mdp.analysis.pages.page import render
-from exact_mdp.analysis.vary.base_case import held_at
+from exact_mdp.analysis.vary.base_case import actions_of, held_at
 from exact_mdp.analysis.vary.curves import curve as exact_curves
 from exact_mdp.analysis.vary.curves.checker import RationalFunction
 from exact_mdp.analysis.vary.curves.curve import ValueFunction
@@ -37,7 +37,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import shown
-from exact_mdp.mdp.validate import counted
+from exact_mdp.mdp.validate import Flags, counted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -224,10 +224,15 @@ def _prove(family: Parametric, curve: ValueFunction) -> None:
 def _data(explorer: Explorer) -> dict[str, Any]:
     first = explorer.curves[0]
     mdp, layout = first.mdp, arrange(first.mdp)
-    sets = _Sets(mdp, layout)
+    known: dict[tuple[str, ...], int] = {}
+
+    def numbers(pairs: Flags) -> list[int]:
+        """Return the number of the set of actions, by pairs (L,), of each state."""
+        return [known.setdefault(each, len(known)) for each in actions_of(mdp, pairs)]
+
     drawn = len(layout.rows) * len(layout.columns) <= MOST_CELLS
-    curves = [_curve(curve, sets) for curve in explorer.curves]
-    taken = None if first.chain is None else sets.numbers(first.chain.chosen > 0)
+    curves = [_curve(curve, numbers) for curve in explorer.curves]
+    taken = None if first.chain is None else numbers(first.chain.chosen > 0)
     every = np.array([piece["sets"] for curve in curves for piece in curve["pieces"]])
     moving = np.flatnonzero((every != every[0]).any(axis=0)).tolist()
     for curve in curves:  # of each piece but the first, only what has changed
@@ -245,8 +250,8 @@ def _data(explorer: Explorer) -> dict[str, Any]:
         "second": explorer.second and _parameter(explorer.second),
         "grid": [_exact(value) for value in explorer.grid],
         "curves": curves,
-        "sets": [list(each) for each in sets.known],
-        "signs": list(sets.sign.items()),
+        "sets": [list(each) for each in known],
+        "signs": [*zip(mdp.actions, layout.signs, strict=True)],
         "taken": taken,
         "sense": mdp.sense,
         "idle": np.flatnonzero(~mdp.asked).tolist(),
@@ -266,7 +271,7 @@ def _data(explorer: Explorer) -> dict[str, Any]:
     }
 
 
-def _curve(curve: ValueFunction, sets: _Sets) -> dict[str, Any]:
+def _curve(curve: ValueFunction, numbers: Callable[[Flags], list[int]]) -> dict[str, Any]:
     """Return the pieces of a curve, and the different values of the policy held fixed."""
     fixed = list(dict.fromkeys(piece.fixed for piece in curve.pieces if piece.fixed is not None))
     return {
@@ -276,28 +281,13 @@ def _curve(curve: ValueFunction, sets: _Sets) -> dict[str, Any]:
                 "high": [_exact(end) for end in piece.high],
                 "value": _whole(piece.value),
                 "fixed": fixed.index(piece.fixed) if piece.fixed is not None else None,
-                "sets": sets.numbers(piece.optimal),
+                "sets": numbers(piece.optimal),
             }
             for piece in curve.pieces
         ],
         "fixed": [_whole(each) for each in fixed],
         "certified": [_exact(point) for point in certified(curve)],
     }
-
-
-class _Sets:
-    """Numbers for sets of actions, and what they are called: "wait or prompt"."""
-
-    def __init__(self, mdp: MDP, layout: Layout) -> None:
-        self.mdp, self.known = mdp, dict[tuple[str, ...], int]()
-        self.sign = dict(zip(mdp.actions, layout.signs, strict=True))
-
-    def numbers(self, pairs: Any) -> list[int]:
-        """Return the number of each state's set, of pairs (L,) bool."""
-        names: list[list[str]] = [[] for _ in range(self.mdp.n_states)]
-        for pair in np.flatnonzero(pairs).tolist():
-            names[self.mdp.pair_state[pair]].append(self.mdp.actions[self.mdp.pair_action[pair]])
-        return [self.known.setdefault(tuple(each), len(self.known)) for each in names]
 
 
 def _parameter(parameter: Parameter) -> dict[str, str]:

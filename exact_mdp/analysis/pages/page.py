@@ -17,12 +17,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def render(template: str, **data: Any) -> str:
-    """Return the page of a template in the folder `templates`; a name that lacks is an error.
-
-    >>> page = render("base.html.j2")
-    >>> "<title></title>" in page, "no medical advice" in page
-    (True, True)
-    """
+    """Return the page of a template in the folder `templates`; an undefined name is an error."""
     page: str = environment().get_template(template).render(data)
     return page
 

@@ -24,6 +24,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Family, Parametric, Posed
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.solution import Bounded, Solution
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
@@ -32,15 +33,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseCase:
-    """A model at today's values; it is solved once, when that is first asked for.
-
-    Examples
-    --------
-    >>> rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 1, 0)])]
-    >>> base = BaseCase(mdp=MDP.from_outcomes(rows, 1))
-    >>> base.held("optimal").tolist(), base.solution.start_value
-    ([0.0, 1.0, 1.0], 2.0)
-    """
+    """A model at today's values; it is solved once, when that is first asked for."""
 
     mdp: MDP
 
@@ -64,6 +57,14 @@ class BaseCase:
         mdp = self.mdp
         taken = mdp.pair_action == np.asarray(choice)[mdp.pair_state]
         return np.where(mdp.forced[mdp.pair_state], 1.0, taken.astype(float))
+
+
+def actions_of(mdp: MDP, pairs: Flags) -> list[tuple[str, ...]]:
+    """Return the names of the actions that a set of pairs (L,) has in each state."""
+    names: list[list[str]] = [[] for _ in range(mdp.n_states)]
+    for pair in np.flatnonzero(pairs).tolist():
+        names[mdp.pair_state[pair]].append(mdp.actions[mdp.pair_action[pair]])
+    return [tuple(each) for each in names]
 
 
 def finite_optimum(mdp: MDP, where: str) -> Solution:

@@ -1,24 +1,16 @@
 """How much a policy can lose where each row's probabilities may be off, and what hedging costs.
 
-Uncertainty is (s, a)-rectangular: each row has a set of laws around the tables' one, and nature
-picks from each on its own, against the agent or with it. The sets are those of Iyengar (Mathematics
-of Operations Research 30, 2005).
-
-Four values at the start, the policy re-optimised against the sets (robust) or held as it is
-(nominal), under the tables' laws or nature's worst, give
+Uncertainty is (s, a)-rectangular: nature picks from a set of laws around each row, on its own
+(Iyengar, Mathematics of Operations Research 30, 2005).
 
     price of robustness = nominal value of the nominal policy - nominal value of the robust one,
     worst-case gain     = worst case of the robust policy - worst case of the nominal one
 
 (Bertsimas and Sim, Operations Research 52, 2004, for the price).
 
-An error in a table is something else: all states read the same tables, so that nature has one
-choice of the parameters. To find the worst is hard in general (Wiesemann, Kuhn and Rustem,
-Mathematics of Operations Research 38, 2013). Here corners of their ranges are searched: each
-parameter begins at the end at which the policy is worth less while the others keep today's values;
-then the one parameter is moved to its other end that lowers the value most, until none does. The
-worst case is no better than the value at the corner that this ends in. Whether it is worse, at
-another corner or inside, is not known: the worst case is estimated.
+An error in a table is something else: all states read the same tables. The worst choice of such
+parameters is hard to find (Wiesemann, Kuhn and Rustem, Mathematics of Operations Research 38,
+2013). Here a local search over corners of their ranges gives a point that is estimated to be it.
 """
 
 from __future__ import annotations
@@ -31,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.vary.base_case import finite_optimum, finite_worth
+from exact_mdp.analysis.vary.base_case import actions_of, finite_optimum, finite_worth
 from exact_mdp.analysis.vary.ranges import spans_of
 from exact_mdp.analysis.vary.study import solver_of
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
@@ -40,7 +32,7 @@ from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed
+from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import Pictured, Result
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
@@ -62,14 +54,11 @@ class Robust(Result):
     ----------
     mdp : MDP
     policy : (L,)
-        Probability of each pair under the nominal policy: the optimum of the tables as they are,
-        or one that was given.
+        Probability of each pair under the nominal policy.
     value, worst, best : Bounded
         The nominal policy's value with the tables as they are, and at nature's worst and best.
-    robust : RobustSolution
-        The best policy against nature's worst, and its worst case.
-    optimistic : RobustSolution
-        The best policy with nature's best.
+    robust, optimistic : RobustSolution
+        The best policies against nature's worst and with its best, and their values there.
     robust_value, robust_best : Bounded
         The robust policy's value with the tables as they are, and at nature's best.
     """
@@ -116,29 +105,17 @@ class Robust(Result):
 
     def report(self) -> Report:
         """Return the values under the tables, and under nature's worst and best."""
-        mdp = self.mdp
+        label = self.mdp.space.label
+        before = actions_of(self.mdp, self.policy > 0)
+        after = actions_of(self.mdp, _weights(self.robust) > 0)
         changes = [
-            {
-                "state": mdp.space.label(state),
-                "before": " or ".join(
-                    mdp.actions[mdp.pair_action[pair]]
-                    for pair in mdp.pairs_of(state)
-                    if self.policy[pair] > 0
-                ),
-                "after": mdp.actions[mdp.pair_action[np.asarray(self.robust.pairs)[state]]],
-            }
-            for state in self.changed.tolist()
+            {"state": label(s), "before": " or ".join(before[s]), "after": after[s][0]}
+            for s in self.changed.tolist()
         ]
-        best = {"value": self.optimistic.start.value, "error_bound": self.optimistic.start.error}
-        worst = {"value": self.robust.start.value, "error_bound": self.robust.start.error}
+        own, worst, best = self.robust_value, self.robust.start, self.optimistic.start
         values = [
             {"policy": "held", "right": self.value, "worst": self.worst, "best": self.best},
-            {
-                "policy": "robust",
-                "right": self.robust_value,
-                "worst": self.robust.start,
-                "best": self.robust_best,
-            },
+            {"policy": "robust", "right": own, "worst": worst, "best": self.robust_best},
         ]
         columns = {"tables right": "right", "worst case": "worst", "best case": "best"}
         return Report(
@@ -146,11 +123,11 @@ class Robust(Result):
             facts={
                 **claimed("start_value", self.value),
                 "nature": "dynamic, independent in each state and action",
-                "worst_case": Shown(worst | {"nominal_policy": self.worst}),
-                "best_case": Shown(best | {"nominal_policy": self.best}),
+                "worst_case": Shown(plain(worst) | {"nominal_policy": self.worst}),
+                "best_case": Shown(plain(best) | {"nominal_policy": self.best}),
                 "price_of_robustness": self.price,
                 "worst_case_gain": self.gain,
-                "robust_policy_value": Shown(self.robust_value),
+                "robust_policy_value": Shown(own),
                 "policy_changes": changes,
                 "seconds": Shown(self.robust.seconds),
             },
@@ -274,7 +251,7 @@ def robust(
     Raises
     ------
     ModelError
-        As `solvers.robust.robust.solve_robust` does.
+        As `solve_robust` does.
 
     Examples
     --------
@@ -377,7 +354,7 @@ class WorstPoint(Result):
 
     def report(self) -> Report:
         """Return the value there, and the corner."""
-        value = {"value": self.value.value, "error_bound": self.value.error, "claim": self.claim}
+        value = plain(self.value) | {"claim": self.claim}
         point = {name: float(at) for name, at in self.point.items()}
         said = f"at best {cell(self.value)}, not proven to be the worst point (estimated)"
         return Report(

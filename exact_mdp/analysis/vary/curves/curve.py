@@ -25,6 +25,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.regret import limit_of
 from exact_mdp.analysis.optimum import of_every_state
+from exact_mdp.analysis.vary.base_case import actions_of
 from exact_mdp.analysis.vary.curves.checker import (
     Bracket,
     CurvePiece,
@@ -252,7 +253,9 @@ class ValueFunction(Pictured):
                 **_between(each.low, each.high),
                 **_ratio(each.value),
                 **({} if each.fixed is None else {"fixed": _ratio(each.fixed)}),
-                "policy": of_every_state(self.mdp, _actions(self.mdp, each.optimal)),
+                "policy": of_every_state(
+                    self.mdp, [best for best, *_ in actions_of(self.mdp, each.optimal)]
+                ),
             }
             for each in self.pieces
         ]
@@ -342,13 +345,6 @@ def _point(bracket: Bracket) -> Fraction:
 
 def _ratio(ratio: RationalFunction) -> dict[str, Any]:
     return {"numerator": list(ratio.numerator), "denominator": list(ratio.denominator)}
-
-
-def _actions(mdp: MDP, optimal: np.ndarray) -> list[str]:
-    """Return the first optimal action of each state."""
-    marked = np.flatnonzero(optimal)
-    first = marked[np.flatnonzero(np.diff(mdp.pair_state[marked], prepend=-1))]
-    return [mdp.actions[action] for action in mdp.pair_action[first]]
 
 
 @named_options

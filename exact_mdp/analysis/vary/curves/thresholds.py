@@ -16,8 +16,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from exact_mdp.analysis.vary.base_case import actions_of
 from exact_mdp.analysis.vary.curves.curve import ValueFunction, curve
 from exact_mdp.analysis.vary.ranges import Range, range_of, unit_of
 from exact_mdp.mdp.care.scenario import Scenario
@@ -28,13 +28,11 @@ from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.report import Report, Table
 from exact_mdp.mdp.result import Pictured
 from exact_mdp.mdp.table import shown
+from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.solution import Claim
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,24 +300,20 @@ def _found(curve: ValueFunction) -> Iterator[Threshold]:
             yield Threshold(low=low, high=high, switches=switches, touch=True)
 
 
-def _switches(mdp: MDP, before: Mask, after: Mask, met: tuple[Mask, ...]) -> tuple[Switch, ...]:
+def _switches(mdp: MDP, before: Flags, after: Flags, met: tuple[Flags, ...]) -> tuple[Switch, ...]:
     """Return the states whose optimal pairs (L,) change; `met`: what policies may take, (L,)."""
     states = np.unique(mdp.pair_state[before != after]).tolist()
     if not states:
         return ()
     seen = np.any([reachable(mdp, pairs=pairs) for pairs in met], axis=0)
-
-    def actions(state: int, optimal: Mask) -> tuple[str, ...]:
-        taken = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
-        return tuple(mdp.actions[mdp.pair_action[pair]] for pair in taken)
-
+    below, above = actions_of(mdp, before), actions_of(mdp, after)
     return tuple(
         Switch(
             state=state,
             label=mdp.space.label(state),
             columns=dict(mdp.space.as_dict(state)),
-            before=actions(state, before),
-            after=actions(state, after),
+            before=below[state],
+            after=above[state],
             reached=bool(seen[state]),
         )
         for state in states
