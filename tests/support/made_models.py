@@ -153,3 +153,13 @@ def corridor(names: list[str]) -> MDP:
     rows = [(s, 0, [(1, s + 1, 1)]) for s in range(last)] + [(last, 0, [(1, last, 0)])]
     rows += [(s, 1, [(1, s, 0)]) for s in range(last)]
     return MDP.from_outcomes(sorted(rows), discount="1/2", states=names, actions=names[:2])
+
+
+def under(mdp: MDP, policy: Any) -> MDP:
+    """Return the model that offers one action (S,) in each state: those of a policy."""
+    wanted = np.flatnonzero(mdp.pair_action == np.asarray(policy)[mdp.pair_state])
+    return mdp.with_(
+        table=mdp.table.of_pairs(wanted),
+        pair_state=mdp.pair_state[wanted],
+        pair_action=mdp.pair_action[wanted],
+    )

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from objective_models import totals, with_components
+from objective_models import totals, vertices, with_components
 
 from exact_mdp import MDP, ModelError, Scenario, certify, evaluate, rationalize, solve, tradeoff
 
@@ -21,30 +21,12 @@ F = Fraction
 Point = tuple[Fraction, ...]
 
 
-def hull(points: list[Point]) -> list[Point]:
-    """The vertices of the front of points in the plane: the chain that falls and bends down."""
-    chain: list[Point] = []
-    for p in sorted(set(points)):
-        while chain and chain[-1][1] <= p[1]:
-            chain.pop()
-        while len(chain) > 1 and not bends(chain[-2], chain[-1], p):
-            chain.pop()
-        chain.append(p)
-    return chain
-
-
-def bends(a: Point, b: Point, c: Point) -> bool:
-    return (b[0] - a[0]) * (c[1] - b[1]) < (b[1] - a[1]) * (c[0] - b[0])
-
-
 @settings(max_examples=60)
 @given(mdp=with_components(2))
 def test_two_totals_are_the_hull_of_all_policies(mdp: MDP) -> None:
     sign = 1 if mdp.sense == "max" else -1
-    every = totals(mdp, ["c0", "c1"])
     front = tradeoff(mdp, ["c0", "c1"])
-    wanted = hull([tuple(sign * v for v in point) for point in every])
-    assert front.vertices == sorted(tuple(sign * v for v in point) for point in wanted)
+    assert front.vertices == sorted(vertices(totals(mdp, ["c0", "c1"]), sign))
     assert front.violations() == []
     assert len(front.edges) == len(front.vertices) - 1
     for edge in front.edges:
@@ -66,21 +48,21 @@ def test_three_totals_bound_all_policies_and_are_attained(mdp: MDP, data: Any) -
     names = ["c0", "c1", "c2"]
     every = [tuple(sign * v for v in point) for point in totals(mdp, names)]
     front = tradeoff(mdp, names)
-    vertices = [tuple(sign * v for v in point) for point in front.vertices]
+    found = [tuple(sign * v for v in point) for point in front.vertices]
     assert front.violations() == []
-    assert set(vertices) <= set(every)
+    assert set(found) <= set(every)
     for weights in product(range(1, 5), repeat=3):
-        assert best(weights, vertices) == best(weights, every)
-    for vertex in vertices:  # none is dominated
+        assert best(weights, found) == best(weights, every)
+    for vertex in found:  # none is dominated
         assert not any(
             p != vertex and all(a >= b for a, b in zip(p, vertex, strict=True)) for p in every
         )
-    assert {i for _, tight in front.facets for i in tight} <= set(range(len(vertices)))
+    assert {i for _, tight in front.facets for i in tight} <= set(range(len(found)))
     point = data.draw(st.sampled_from(every))
     number = every.index(point)
     policy = list(product(*(mdp.pairs_of(s) for s in range(mdp.n_states))))[number]
     far = front.distance(mdp.pair_action[list(policy)])
-    assert far == min((best(c.weights, vertices) - best(c.weights, [point])) for c in front.corners)
+    assert far == min((best(c.weights, found) - best(c.weights, [point])) for c in front.corners)
 
 
 def best(weights: Any, points: list[Point]) -> Fraction:
@@ -111,15 +93,8 @@ def test_events_and_labels_are_counted() -> None:
         (1, 0, [(1, 1, 0)]),
         (2, 0, [(1, 2, 0)]),
     ]
-    home, away = (
-        [
-            False,
-            True,
-            False,
-        ],
-        [False, False, True],
-    )
-    mdp = MDP.from_outcomes(rows, labels={"home": home, "away": away})
+    labels = {"home": [False, True, False], "away": [False, False, True]}
+    mdp = MDP.from_outcomes(rows, labels=labels)
     front = tradeoff(mdp, ["home", "quick=-1*steps"])
     assert front.vertices == [(F(1, 2), F(-1)), (F(1), F(-3, 2))]
     assert front.edges[0].rate == 1
@@ -141,8 +116,7 @@ def test_steps_go_on_where_a_component_is_earned_for_ever(mdp: MDP) -> None:
     """Against all policies; the components of one are those that `evaluate` finds."""
     sign = 1 if mdp.sense == "max" else -1
     front = tradeoff(mdp, ["c0", "steps"])
-    wanted = hull([tuple(sign * v for v in point) for point in totals(mdp, ["c0", "steps"])])
-    assert front.vertices == sorted(tuple(sign * v for v in point) for point in wanted)
+    assert front.vertices == sorted(vertices(totals(mdp, ["c0", "steps"]), sign))
     assert front.violations() == []
     components = evaluate(mdp, front.policies[0]).components
     assert components["c0"] == pytest.approx(float(front.vertices[0][0]), abs=1e-9)
@@ -152,10 +126,8 @@ def test_an_end_that_earns_components_for_ever_has_no_finite_total_at_discount_1
     rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
     parts = {"a": [3, -1], "b": [-3, 1], "c": [1, 0]}
     mdp = MDP.from_outcomes(rows, components=parts)
-    for names in (["c", "steps"], ["a", "c"]):
-        with pytest.raises(
-            ModelError, match=f"'{'steps' if 'steps' in names else 'a'}' has no fin"
-        ):
+    for names, endless in ((["c", "steps"], "steps"), (["a", "c"], "a")):
+        with pytest.raises(ModelError, match=f"'{endless}' has no finite total"):
             tradeoff(mdp, names)
     evaluation = evaluate(mdp, [0, 0])
     assert evaluation.components == {"a": -math.inf, "b": math.inf, "c": 1.0, "rest": -1.0}
@@ -258,7 +230,7 @@ def test_amounts_of_very_different_size(size: int) -> None:
                 amounts.append(rng.randint(-3, 3) * rng.choice([1, size]))
         mdp = MDP.from_outcomes(rows, "9/10", components=parts)
         front = tradeoff(mdp, ["a", "b"])
-        assert front.vertices == hull(totals(mdp, ["a", "b"]))
+        assert front.vertices == sorted(vertices(totals(mdp, ["a", "b"]), 1))
         assert front.violations() == []
 
 

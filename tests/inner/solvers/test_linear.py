@@ -12,6 +12,7 @@ from flint import fmpz
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import gridworld
+from oracle import solved
 
 from exact_mdp import ModelError, certify
 from exact_mdp.mdp.table import integers
@@ -28,18 +29,10 @@ def matrix_of(size: int, entries: Entries) -> Matrix:
 
 
 def eliminated(size: int, entries: Entries, side: list[int]) -> list[F] | None:
-    """The solution by Gauss and Jordan, None where there is not just one."""
-    rows = [[F(entries.get((i, j), 0)) for j in range(size)] + [F(side[i])] for i in range(size)]
-    for k in range(size):
-        chosen = next((i for i in range(k, size) if rows[i][k]), None)
-        if chosen is None:
-            return None
-        rows[k], rows[chosen] = rows[chosen], rows[k]
-        rows[k] = [number / rows[k][k] for number in rows[k]]
-        for i in range(size):
-            if i != k and rows[i][k]:
-                rows[i] = [a - rows[i][k] * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return [row[-1] for row in rows]
+    """The solution in fractions, None where there is not just one."""
+    rows = [{j: F(a) for (k, j), a in entries.items() if k == i and a} for i in range(size)]
+    found = solved(rows, [*map(F, side)])
+    return found and found[0]
 
 
 def solution(matrix: Matrix, side: list[int]) -> list[F]:

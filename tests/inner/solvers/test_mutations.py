@@ -10,8 +10,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from made_models import under
 
 from exact_mdp import MDP, Certificate, ModelError, best_cvar, certify, rationalize, solve, tradeoff
 from exact_mdp.analysis.cli.policies import KINDS
@@ -168,16 +168,6 @@ def claims(content: dict[str, Any], mdp: MDP, folder: Path) -> tuple[Any, ...]:
     return (
         (values, attained, said.start_value, said.unique, said.model, said.sense),
         (right, right, truth.start_value, truth.unique, truth.model, truth.sense),
-    )
-
-
-def under(mdp: MDP, policy: list[int]) -> MDP:
-    """Return the model with one pair in each state: that of a policy."""
-    wanted = np.flatnonzero(mdp.pair_action == np.array(policy)[mdp.pair_state])
-    return mdp.with_(
-        table=mdp.table.of_pairs(wanted),
-        pair_state=mdp.pair_state[wanted],
-        pair_action=mdp.pair_action[wanted],
     )
 
 

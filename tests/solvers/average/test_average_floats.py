@@ -27,23 +27,16 @@ def test_evaluations_are_within_their_bounds(rows: Rows, data: st.DataObject) ->
     mdp, chances = rows.model().with_(start=rows.n_states - 1), {}
     for s in range(rows.n_states):
         actions = [a for t, a, *_ in rows.pairs if t == s]
-        weights = data.draw(
-            st.lists(st.integers(0, 3), min_size=len(actions), max_size=len(actions))
-        )
+        weights = data.draw(st.tuples(*[st.integers(0, 3)] * len(actions)))
         weights = weights if any(weights) else [1] * len(actions)
         chances |= {(s, a): F(w, sum(weights)) for a, w in zip(actions, weights, strict=True)}
-    given_as = np.array(
-        [float(chances[row[:2]]) for row in sorted(rows.pairs, key=lambda r: r[:2])]
-    )
+    given_as = np.array([float(chances[key]) for key in sorted(row[:2] for row in rows.pairs)])
     evaluation = evaluate(mdp, given_as, criterion="average")
     chain = mixed(rows.pairs, chances)
     # what a float cannot say exactly moves the numbers by little more
     gain, bias = gain_and_bias(chain)
-    slack = (
-        1e-9
-        * (1 + float(max(map(abs, bias))))
-        * (evaluation.weights != np.rint(evaluation.weights)).any()
-    )
+    drawn = (evaluation.weights != np.rint(evaluation.weights)).any()
+    slack = 1e-9 * (1 + float(max(map(abs, bias)))) * drawn
     assert (off(evaluation.value, gain) <= evaluation.error + slack).all()
     assert (off(evaluation.bias, bias) <= evaluation.bias_error + 1e3 * slack).all()
     times = [
@@ -61,10 +54,8 @@ def test_gains_that_are_equal_but_for_rounding_do_not_hide_what_is_better(seed: 
     rng, rows = np.random.default_rng(seed), []
     for s in range(30):
         for a in range(1 + s % 3):
-            near = {
-                int(s + d) % 30: int(w)
-                for d, w in zip(rng.integers(-2, 4, 3), (1, 2, 4), strict=True)
-            }
+            each = zip(rng.integers(-2, 4, 3).tolist(), (1, 2, 4), strict=True)
+            near = {(s + d) % 30: w for d, w in each}
             total, reward = sum(near.values()), F(int(rng.integers(-4, 5)), 10)
             rows.append((s, a, [(F(w, total), t, reward) for t, w in near.items()]))
     ends = set(rng.integers(0, 30, 2).tolist())
@@ -77,19 +68,8 @@ def test_gains_that_are_equal_but_for_rounding_do_not_hide_what_is_better(seed: 
 
 def test_a_reset_chain_of_low_gain_is_solved() -> None:
     """41 states in a row, up with 1/2 and back with 1/2; 1 at the top: 2^-40 and less."""
-    states = 41
-    rows = [
-        (
-            s,
-            0,
-            [
-                ("1/2", min(s + 1, states - 1), int(s == states - 1)),
-                ("1/2", 0, int(s == states - 1)),
-            ],
-        )
-        for s in range(states)
-    ]
-    mdp = MDP.from_outcomes(rows)
+    chances = [(s, min(s + 1, 40), int(s == 40)) for s in range(41)]
+    mdp = MDP.from_outcomes([(s, 0, [("1/2", t, r), ("1/2", 0, r)]) for s, t, r in chances])
     exact = certify(mdp, criterion="average").start_value
     assert exact == F(1, 2**40)
     solution = solve(mdp, criterion="average")

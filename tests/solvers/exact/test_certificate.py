@@ -11,6 +11,7 @@ from cases import CASES, Case
 from certificates import CYCLE, MODELS, certified
 from flint import fmpz
 from hypothesis import given, settings
+from made_models import under
 from oracle import every_policy_ends, solve_exact
 from strategies import Rows, exact_gains, exact_values, model_of, models
 
@@ -63,17 +64,9 @@ def check_reference(rows: Rows, proof: Certificate, mdp: MDP) -> None:
         assert {int(mdp.pair_action[a]) for a in chosen} == set(optimal[s])
 
 
-def exact_policy_values(mdp: MDP, proof: BoundedCertificate) -> list[F]:
-    """The values of the policy, from the certificate of the model that offers it alone."""
-    pairs = [mdp.pair(s, int(a)) for s, a in enumerate(proof.policy)]
-    rows = [(s, 0, mdp.table.row(pair)) for s, pair in enumerate(pairs)]
-    only = MDP.from_outcomes(rows, mdp.discount_exact)
-    return list(certify(only).value)
-
-
 def check_bounds(mdp: MDP, proof: BoundedCertificate) -> None:
     assert proof.violations() == []
-    best, taken = list(certify(mdp).value), exact_policy_values(mdp, proof)
+    best, taken = (list(certify(model).value) for model in (mdp, under(mdp, proof.policy)))
     lower, upper, middle = map(exact_values, (proof.lower, proof.upper, proof.value))
     error = F(proof.error_bound)
     for s in range(mdp.n_states):
@@ -255,10 +248,8 @@ def test_a_certificate_states_its_claim() -> None:
     optimum = certified("acyclic")
     assert optimum.claim is Claim.CERTIFIED
     assert optimum.start.value == optimum.start_value == optimum.value[0]
-    assert (
-        repr(optimum)
-        == "Certificate(5 states, start value ≈ 5.14285714286, the only optimal policy)"
-    )
+    said = "Certificate(5 states, start value ≈ 5.14285714286, the only optimal policy)"
+    assert repr(optimum) == said
     with pytest.raises(ValueError, match="read-only"):
         optimum.policy[0] = 1
     bounded = certify(MODELS["cycle"], bounded=True)
