@@ -1,7 +1,7 @@
 """Where states stand in a picture, and which signs actions have."""
 
 from collections import namedtuple
-from collections.abc import Callable, Collection, Hashable, Iterator
+from collections.abc import Callable, Collection, Hashable
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from cell_texts import texts
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import grid
@@ -21,18 +22,6 @@ STEPS = {"left": (0, -1), "down": (1, 0), "right": (0, 1), "up": (-1, 0)}
 Cell = namedtuple("Cell", "along above key")
 WALLS = {(1, 1), (2, 1)}
 CARE = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
-
-
-@pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    yield
-    plt.close("all")
-
-
-def texts(ax: Axes) -> dict[tuple[int, int], str]:
-    """Return what is written in each cell, by row and column."""
-    each = ((text.get_position(), text.get_text()) for text in ax.texts)
-    return {(int(y), int(x)): text for (x, y), text in each}
 
 
 def labels(ax: Axes) -> tuple[list[str], list[str]]:

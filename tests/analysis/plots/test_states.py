@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
-import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from cell_texts import texts
 from hypothesis import given
 from hypothesis import strategies as st
 from made_models import dense, forest, grid
-from matplotlib.axes import Axes
 
 from exact_mdp import (
     MDP,
@@ -31,23 +30,6 @@ from exact_mdp import (
     return_distribution,
     solve,
 )
-
-mpl.use("Agg")
-
-
-@pytest.fixture(autouse=True)
-def closed() -> Iterator[None]:
-    yield
-    plt.close("all")
-
-
-def texts(ax: Axes) -> dict[tuple[int, int], str]:
-    """Return what is written in each cell, by row and column."""
-    labels = {}
-    for text in ax.texts:
-        x, y = text.get_position()
-        labels[int(y), int(x)] = text.get_text()
-    return labels
 
 
 @given(st.integers(1, 4), st.integers(2, 4))

@@ -175,15 +175,12 @@ def test_workers_and_sample_sizes_change_no_byte(tmp_path: Path) -> None:
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*.npz")}
     psa(SMALL, 9001, rng=0, folder=tmp_path / "run")  # whole pieces are used again
     assert sum(path.stat().st_mtime_ns == at for path, at in written.items()) >= 2
-    short = psa(SMALL, 100, rng=0)
+    with pytest.raises(ModelError, match="seed"):
+        psa(SMALL, 9000, rng=1, folder=tmp_path / "run")
+    short = psa(SMALL, np.int64(100), rng=np.uint8(0))  # a count of NumPy is a count
+    assert type(short.seed) is int
     assert short.table.optimal.tobytes() == one.table.optimal[:100].tobytes()
     assert psa(SMALL, 100, rng=1).table.optimal.tobytes() != short.table.optimal.tobytes()
-
-
-def test_a_folder_of_other_draws_is_refused(tmp_path: Path) -> None:
-    psa(SMALL, 50, rng=0, folder=tmp_path)
-    with pytest.raises(ModelError, match="seed"):
-        psa(SMALL, 50, rng=1, folder=tmp_path)
 
 
 @pytest.mark.slow
@@ -230,12 +227,6 @@ def test_cut_off_chances_are_counted() -> None:
 def test_what_cannot_be_drawn_is_refused(words: dict[str, object], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         psa(YUAN, **({"n": 5, "rng": 0} | words))
-
-
-def test_a_count_of_numpy_is_a_count() -> None:
-    analysis = psa(SMALL, np.int64(7), rng=np.uint8(0))
-    assert len(analysis) == 7
-    assert type(analysis.seed) is int
 
 
 def test_a_state_that_cannot_be_reached_makes_no_action_optimal() -> None:
