@@ -203,7 +203,7 @@ def drawn(sign: int) -> Told:
     same += [each.lower.value for each in analysis.evppi().values()]
     same += analysis.acceptability([0, 0.1])[0].tolist()
     same += [each.name for each in analysis.candidates]
-    return signed, [*same, *analysis.lost.ravel(), *analysis.counts.ravel()]
+    return signed, [*same, *analysis.table.lost.ravel(), *analysis.table.counts.ravel()]
 
 
 def indices(sign: int) -> Told:

@@ -19,14 +19,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from exact_mdp.analysis.vary.distributions import Settings, Uncertainty
 from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
-from exact_mdp.analysis.vary.intervals import MeanLoss
 from exact_mdp.analysis.vary.psa import drawn, groups_of, uncertain_of
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
@@ -87,11 +86,7 @@ class CostEffectiveness(Pictured):
         names = [self.strategies[n] for n in best.tolist()]
         return list(zip(names, shares.tolist(), strict=True))
 
-    @overload
-    def evpi(self, wtp: float) -> MeanLoss: ...
-    @overload
-    def evpi(self, wtp: Sequence[float] | Floats) -> list[MeanLoss]: ...
-    def evpi(self, wtp: ArrayLike) -> MeanLoss | list[MeanLoss]:
+    def evpi(self, wtp: ArrayLike) -> Any:
         """Return what knowing all parameters first would be worth; at several numbers, a list."""
         values = self.net_benefit(wtp)
         return evpi(values) if values.ndim == 2 else [evpi(each) for each in values]

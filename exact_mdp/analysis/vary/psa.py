@@ -50,7 +50,7 @@ from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.parallel import How, seeded
 from exact_mdp.solvers.solution import Bounded, Estimated
@@ -106,8 +106,6 @@ class PSA(Pictured):
         Statuses at subtask 0, trial 0 of a care scenario; of other models the states with a choice.
     compiled : bool
         Whether the batched loops of the care model did the work.
-    counts, lost, cut : (X, A), (D, A), (D,)
-        See `study.ModelSolver.solved`.
     """
 
     model: str
@@ -119,13 +117,6 @@ class PSA(Pictured):
     labels: tuple[str, ...]
     actions: tuple[str, ...]
     compiled: bool
-    counts: Integers
-    lost: Floats
-    cut: np.ndarray
-
-    def __post_init__(self) -> None:
-        for array in (self.counts, self.lost, self.cut):
-            array.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.table.optimal)
@@ -158,7 +149,7 @@ class PSA(Pictured):
     @property
     def clipped(self) -> Estimated | None:
         """Share of draws in which some chance was cut off at 1; None where that is not known."""
-        return share_of(int(self.cut.sum()), len(self)) if self.compiled else None
+        return share_of(int(self.table.cut.sum()), len(self)) if self.compiled else None
 
     def acceptability(
         self, tolerances: ArrayLike, candidate: int = 0
@@ -170,7 +161,8 @@ class PSA(Pictured):
 
     def probability_optimal(self) -> tuple[Floats, Floats, Floats]:
         """Return (X, A) shares of draws in which each action is optimal, and Wilson's intervals."""
-        return self.counts / len(self), *wilson(self.counts, len(self))
+        counts = self.table.counts
+        return counts / len(self), *wilson(counts, len(self))
 
     def evpi(self) -> Information:
         """Return what knowing every drawn parameter would be worth, over all policies."""
@@ -180,8 +172,9 @@ class PSA(Pictured):
             return Information(low=loss, high=loss, best=TODAY)
         best = int(self.gained.mean(axis=0).argmax())
         high, low = mean_loss(self.regret(best)), mean_loss(np.zeros(len(self)))
-        if self.lost.shape[1]:
-            lost = self.lost[:, int(np.nanargmin(self.lost.mean(axis=0)))]
+        lost = self.table.lost
+        if lost.shape[1]:
+            lost = lost[:, int(np.nanargmin(lost.mean(axis=0)))]
             noise = 3 * self.table.error[:, 0] + self.table.error[:, best + 1]
             noise += 1e-12 * np.abs(self.table.optimal)
             low = mean_loss(np.where(lost > noise, lost, 0.0))
@@ -494,8 +487,7 @@ def psa(
         else sha256(np.ascontiguousarray(own).tobytes()).hexdigest(),
     }
     draws = Draws(solver, blocks, solver.block, key, how)
-    table, optima = draws.study(())
-    table = draws.with_policies(table, [weights for _, weights in given])
+    table = draws.with_policies(draws.study(()), [weights for _, weights in given])
     picked, table, frequency = _selected(draws, table, given)
     return PSA(
         model=family.name,
@@ -515,7 +507,6 @@ def psa(
         labels=solver.labels,
         actions=solver.actions,
         compiled=solver.compiled,
-        **optima,
     )
 
 

@@ -61,20 +61,30 @@ class Study(Result):
         -1 where values are costs, of which the least is best.
     rows, which : (U, G), (D,)
         The optimal policies that were found, as the solver writes them, and each point's.
+    counts : (X, A)
+        Points in which an action is optimal up to rounding, at the labels of the solver.
+    lost : (D, A)
+        What each first action costs, NaN where it is not offered; (D, 0) for several first states.
+    cut : (D,) bool
+        Whether a chance was cut off at 1, of compiled solvers alone.
     """
 
-    names: tuple[str, ...] = ()
+    names: tuple[str, ...]
     points: Numbers
     optimal: Floats
     fixed: Floats
     error: Floats
-    sign: int = 1
+    sign: int
     rows: Integers
     which: Integers
+    counts: Integers
+    lost: Floats
+    cut: np.ndarray
 
     def __post_init__(self) -> None:
-        for array in (self.points, self.optimal, self.fixed, self.error, self.rows, self.which):
-            array.setflags(write=False)
+        for array in vars(self).values():
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
 
     @property
     def regret(self) -> Floats:
@@ -167,7 +177,7 @@ def study_of(
         "draws": sha256(np.ascontiguousarray(draws, dtype="<f8").tobytes()).hexdigest(),
         "policies": [digest(weight) for weight in weights],
     }
-    return solver, Draws(solver, in_blocks(table, size), size, key, how).study(weights)[0]
+    return solver, Draws(solver, in_blocks(table, size), size, key, how).study(weights)
 
 
 def in_blocks(points: Numbers, size: int) -> list[Numbers]:
@@ -225,8 +235,8 @@ class Draws:
     key: Mapping[str, object]
     how: How
 
-    def study(self, policies: Sequence[Floats]) -> tuple[Study, Arrays]:
-        """Return the study, and counts, lost and cut of `ModelSolver.solved`."""
+    def study(self, policies: Sequence[Floats]) -> Study:
+        """Return the study of the points and policies."""
         solver, points = self.solver, np.concatenate(self.blocks)
         if not solver.compiled:  # the largest numbers of all are looked at
             self._tell(points.max(axis=0), ", in draws")
@@ -248,11 +258,10 @@ class Draws:
             sign=solver.base.sign,
             rows=rows,
             which=places[np.concatenate(own)],
-        ), {
-            "counts": np.sum([block["counts"] for block in done], axis=0),
-            "lost": whole["lost"],
-            "cut": whole["cut"],
-        }
+            counts=np.sum([block["counts"] for block in done], axis=0),
+            lost=whole["lost"],
+            cut=whole["cut"],
+        )
 
     def _tell(self, row: Numbers, where: str) -> None:
         """Warn once of the chances of a scenario that are cut off at 1; workers keep silent."""
@@ -454,13 +463,7 @@ class ModelSolver:
         return words if first is None or len(self.names) <= SHOWN else f"draw {first + d}, {words}"
 
     def solved(self, draws: Numbers, first: int | None = None) -> Arrays:
-        """Return the optima of (D, Q) draws.
-
-        start, start_error (D,); counts (X, A), draws in which an action is optimal up to rounding;
-        lost (D, A), what each first action costs, NaN where it is not offered, (D, 0) where there
-        is more than one first state; rows (U, G), the policies found, and which (D,) of them is a
-        draw's; cut (D,), whether a chance was cut off at 1, of compiled solvers alone.
-        """
+        """Return the optima of (D, Q) draws: start, start_error (D,), and others as in `Study`."""
         mdp, optima = self.base.mdp, [part.optimum() for part in self.parts(draws, first)]
         start, error, gap, doubt, policies = map(np.concatenate, zip(*optima, strict=True))
         rows, which = distinct(policies.astype(np.int32))

@@ -121,10 +121,10 @@ def test_a_state_of_infinite_value_disturbs_nothing() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         analysis = psa(chances(LOSES), 4, rng=0, **QUIET)
-    assert analysis.counts[0].tolist() == [0, 4]
+    assert analysis.table.counts[0].tolist() == [0, 4]
     assert np.isfinite(analysis.table.optimal).all()
-    assert analysis.lost.min(axis=1).tolist() == [0] * 4
-    assert (analysis.lost.max(axis=1) == np.inf).all()
+    assert analysis.table.lost.min(axis=1).tolist() == [0] * 4
+    assert (analysis.table.lost.max(axis=1) == np.inf).all()
 
 
 def test_commands_about_one_policy_agree(tmp_path: Path) -> None:
