@@ -42,23 +42,16 @@ TOGETHER = 2**9  # draws whose chances and gains are worked out together
 class CareValues:
     """The optimum of each of D draws.
 
-    Attributes
-    ----------
-    start : (D,)
-        Optimal start values.
-    error : (D,)
-        How far each may be from the exact optimum of its draw.
-    gaps : (D, V, A)
-        What an action loses to the best one, in each status vector at subtask 0, trial 0; twice
-        `error` bounds the error of a gap.
-    actions : (D, K, trials, flags, V) int8
-        An optimal action in each state, the first one with the largest value. The flag is 1 where
-        a subtask of the task was skipped; there is one flag unless the task bonus asks for two.
+    A flag is 1 where a subtask of the task was skipped; there is one flag unless the task bonus
+    asks for two.
     """
 
-    start: Floats
-    error: Floats
+    start: Floats  # (D,) optimal start values
+    error: Floats  # (D,) how far each may be from the exact optimum of its draw
+    # (D, V, A) what an action loses to the best one, in each status vector at subtask 0, trial 0;
+    # twice `error` bounds the error of a gap.
     gaps: Floats
+    # (D, K, trials, flags, V) the first of the optimal actions in each state.
     actions: NDArray[np.int8]
 
 
@@ -72,12 +65,12 @@ class Batch:
         self.scenario, self.rules, none = scenario, rules_of(scenario), len(scenario.names)
         place = self.rules.position | {DISCOUNT: none + 1}
         self.draws = np.asarray(draws, dtype=np.float64)
-        wide = -np.inf, np.inf
         ends = {each.name: (each.low, each.high) for each in scenario.parameters}
         ends[DISCOUNT] = Fraction(0), Fraction(1)
         for name, column in zip(names, self.draws.T, strict=True):
-            both = zip(wide, ends[name], strict=True)
-            low, high = (all_ if end is None else float(end) for all_, end in both)
+            least, most = ends[name]
+            low = -np.inf if least is None else float(least)
+            high = np.inf if most is None else float(most)
             outside = column[~(np.isfinite(column) & (column >= low) & (column <= high))]
             if len(outside):
                 raise ModelError(
@@ -108,24 +101,14 @@ class Batch:
         rules, count, optimum = self.rules, len(self.draws), not len(shares)
         vectors, number, bits = rules.vectors, rules.assistive, rules.bits.shape[1]
         step = rules.step.transpose(1, 0, 2).reshape(-1, bits)
-        layout = loops.Layout(
-            which=np.concatenate([step, rules.skip]).T.copy(),
-            gains=rules.gains,
-            places=rules.places,
-            flag_after=rules.flag_after,
-            trials=rules.trials,
-            flags=rules.flags,
-            own=rules.own,
-        )
-        rows = layout.which.shape[1]
+        which = np.concatenate([step, rules.skip]).T.copy()
         room = loops.Room(
-            chance=np.empty((2, bits, rows)),
-            law=np.empty((vectors, rows)),
+            chance=np.empty((2, *which.shape)),
+            law=np.empty((vectors, which.shape[1])),
             policy=np.empty((vectors, vectors)),
             q=np.empty(number * vectors),
             vector=np.zeros((4, vectors)),
-            ahead=np.zeros((rules.flags, vectors)),
-            here=np.zeros((rules.flags, vectors)),
+            starts=np.zeros((2, rules.flags, vectors)),
         )
         value, error = np.empty((count, 1 if optimum else len(shares))), np.empty(count)
         gaps = np.empty((count * optimum, vectors, number))
@@ -134,6 +117,13 @@ class Batch:
         for some, laws, discount in self.parts():
             error[some] = self.errors(laws)
             draws = loops.Draws(
+                which=which,
+                gains=rules.gains,
+                places=rules.places,
+                flag_after=rules.flag_after,
+                trials=rules.trials,
+                flags=rules.flags,
+                own=rules.own,
                 chance=laws.top,
                 gain=laws.gain,
                 assist=laws.assist,
@@ -141,7 +131,7 @@ class Batch:
                 following=rules.next * laws.cost,
                 discount=discount,
             )
-            loops.values(layout, draws, room, shares, value[some], gaps[some], actions[some])
+            loops.values(draws, room, shares, value[some], gaps[some], actions[some])
         return value, error, gaps, actions
 
     def errors(self, laws: Laws) -> Floats:
@@ -171,16 +161,12 @@ class Batch:
 
 
 def cut_off(model: Scenario, names: Sequence[str], draws: ArrayLike) -> NDArray[np.bool_]:
-    """Return (D,) whether the numbers that add up to some chance pass 1, so that it is cut off.
-
-    Examples
-    --------
-    >>> cut_off(Scenario.load("yuan2025"), ["base.anger"], [[0.05], [0.9]]).tolist()
-    [False, True]
-    """
+    """Return (D,) whether the numbers that add up to some chance pass 1, so that it is cut off."""
     batch = Batch(model, names, draws)
-    parts = [(laws.sums > 1 + 2.0**-50).any(axis=1) for _, laws, _ in batch.parts()]
-    return np.concatenate([np.zeros(0, dtype=bool), *parts])
+    cut = np.zeros(len(batch.draws), dtype=bool)
+    for some, laws, _ in batch.parts():
+        cut[some] = (laws.sums > 1 + 2.0**-50).any(axis=1)
+    return cut
 
 
 def optimal(model: Scenario, names: Sequence[str], draws: ArrayLike) -> CareValues:
@@ -209,13 +195,6 @@ def policy_values(
 
     Policies are probabilities of actions by state, (N, K, trials, flags, V, A). Raises ModelError
     as `optimal` does.
-
-    Examples
-    --------
-    >>> always = np.broadcast_to(np.eye(4)[:, None, None, None, None], (4, 3, 5, 1, 16, 4))
-    >>> value, _ = policy_values(Scenario.load("yuan2025"), (), np.empty((1, 0)), always)
-    >>> value.round(6).tolist()
-    [[-57.695564, 18.697715, 68.335496, 64.363644]]
     """
     batch = Batch(model, names, draws)
     shares = np.asarray(policies, dtype=np.float64)

@@ -126,20 +126,21 @@ class ScenarioFamily:
         moved = moved_from(self, values)
         if not moved:
             return self._today
+        there = self.scenario.with_(parameters=moved)
+        mdp = compile_scenario(there.laws)
         one = "".join(f" where {name} is {shown(exact(v))}" for name, v in values.items())
-        where = one if len(values) == 1 else " at other values of its parameters"
-        return self._compiled(self.scenario.with_(parameters=moved), where)
+        self._tell(there, one if len(values) == 1 else " at other values of its parameters")
+        return mdp
 
     @cached_property
     def _today(self) -> MDP:
-        return self._compiled(self.scenario) if self.base is None else self.base
-
-    def _compiled(self, there: Scenario, where: str = "") -> MDP:
-        mdp = compile_scenario(there.laws)
-        self._tell(there, where)
+        if self.base is not None:
+            return self.base
+        mdp = compile_scenario(self.scenario.laws)
+        self._tell(self.scenario, "")
         return mdp
 
-    def tell(self, values: Mapping[str, object], *, where: str = "") -> None:
+    def tell(self, values: Mapping[str, object], *, where: str) -> None:
         """Warn of chances that are cut off at 1 at other values of some parameters.
 
         A family warns once, of the first such model; a copy of it in another process does not.
@@ -147,14 +148,14 @@ class ScenarioFamily:
         """
         self._tell(self.scenario.with_(parameters=moved_from(self, values)), where)
 
-    def _tell(self, there: Scenario, where: str = "") -> None:
+    def _tell(self, there: Scenario, where: str) -> None:
         if self.warned or excess(there.laws) is None:
             return
         self.warned.append(there.name)
         # Today's values where they are enough, so that the words are those of `compile`.
         if excess(self.scenario.laws) is not None:
             there, where = self.scenario, ""
-        warn_of_excess(there.laws, where=where, stacklevel=4)
+        warn_of_excess(there.laws, where=where, stacklevel=3)
 
     def __getstate__(self) -> dict[str, object]:
         return {"scenario": self.scenario, "warned": [self.scenario.name]}

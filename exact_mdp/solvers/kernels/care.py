@@ -17,8 +17,8 @@ from exact_mdp.mdp.table import Floats, Numbers
 COMPLETE, FAIL, SKIPPED = 0, 1, 2  # as in `mdp.care.rules`
 
 
-class Layout(NamedTuple):
-    """What all draws have in common, as in `mdp.care.rules.Rules`.
+class Draws(NamedTuple):
+    """The rules, as in `mdp.care.rules.Rules`, and the numbers of D draws.
 
     Rows r are those of each action and vector, a V + s, and behind them those of a skip.
     """
@@ -30,11 +30,6 @@ class Layout(NamedTuple):
     trials: int
     flags: int
     own: bool
-
-
-class Draws(NamedTuple):
-    """The numbers of D draws."""
-
     chance: Floats  # (D, U)
     gain: Floats  # (D, G)
     assist: Floats  # (D, A)
@@ -48,162 +43,141 @@ class Room(NamedTuple):
 
     chance: Floats  # (2, n, (A+1)·V) of 1 and of 0
     law: Floats  # (V, (A+1)·V) of the next vector, which comes first
-    policy: Floats  # (V, V) its law
+    policy: Floats  # (V, V) its law under a policy
     q: Floats  # (A·V,)
-    vector: Floats  # (4, V), see below
-    ahead: Floats  # (flags, V) values at the start of the next subtask
-    here: Floats  # (flags, V) and of this one
-
-
-# What a skip and what any other stage leads to from s', the stage's value, and what the actions'
-# own rewards add to that.
-BEYOND, U, M, EXTRA = range(4)
+    # (4, V) what a stage leads to from s', what the last one does, the stage's value, and what the
+    # actions' own rewards add to that.
+    vector: Floats
+    starts: Floats  # (2, flags, V) values at the start of the next subtask, and of this one
 
 
 product = inlined(independent)
 
 
 @inlined
-def place(layout: Layout, chance: Floats, room: Room) -> None:
-    """Write the law of every row at the chances (U,)."""
-    one, none = room.chance[0], room.chance[1]
-    for i in range(layout.which.shape[0]):
-        for r in range(layout.which.shape[1]):
-            one[i, r] = chance[layout.which[i, r]]
+def place(draws: Draws, d: int, one: Floats, none: Floats, law: Floats) -> None:
+    """Write the law of every row at the chances of a draw."""
+    for i in range(draws.which.shape[0]):
+        for r in range(draws.which.shape[1]):
+            one[i, r] = draws.chance[d, draws.which[i, r]]
             none[i, r] = 1.0 - one[i, r]
-    product(one, none, room.law)
+    product(one, none, law)
 
 
 @inlined
-def beyond(layout: Layout, draws: Draws, d: int, room: Room, at: int) -> None:
+def beyond(draws: Draws, d: int, law: Floats, ahead: Floats, at: int, mean: Floats) -> None:
     """Write what failing the last trial of a subtask with vector s' earns and leads to."""
-    vectors, gain, discount = room.law.shape[0], draws.gain[d], draws.discount[d]
+    vectors, gain, discount = len(mean), draws.gain[d], draws.discount[d]
     present, following = draws.present[d], draws.following[d]
-    law, to, mean = room.law, layout.flag_after[at, 1], room.vector[BEYOND]
-    skip, earned = len(room.q), gain[layout.gains[SKIPPED, at, 1]]
+    to, skip = draws.flag_after[at, 1], law.shape[1] - vectors
+    earned = gain[draws.gains[SKIPPED, at, 1]]
     for s in range(vectors):
         mean[s] = 0.0
     for z in range(vectors):
-        later = discount * room.ahead[to, z] + (following[z] if layout.own else 0.0)
+        later = discount * ahead[to, z] + (following[z] if draws.own else 0.0)
         for s in range(vectors):
             mean[s] += law[z, skip + s] * later
     for s in range(vectors):
         value = earned + mean[s]
-        if layout.own:  # a timestep in which *skip* is the only action
+        if draws.own:  # a timestep in which *skip* is the only action
             value = discount * (present[s] + value)
-        mean[s] = gain[layout.gains[FAIL, at, 0]] + following[s] + value
+        mean[s] = gain[draws.gains[FAIL, at, 0]] + following[s] + value
 
 
 @inlined
-def best(assist: Floats, room: Room, done: float) -> None:
-    """Write the values Q of a stage, and the greatest of each vector into M."""
-    law, vector, q = room.law, room.vector, room.q
-    vectors = law.shape[0]
+def best(assist: Floats, law: Floats, done: float, u: Floats, q: Floats, most: Floats) -> None:
+    """Write the values Q of a stage, and the greatest of each vector."""
+    vectors = len(most)
     for a in range(len(assist)):
         total = done + assist[a]
         for s in range(vectors):
             q[a * vectors + s] = law[0, a * vectors + s] * total
     for s2 in range(1, vectors):
-        total = vector[U, s2]
+        total = u[s2]
         for r in range(len(q)):
             q[r] += law[s2, r] * total
     for s in range(vectors):
-        vector[M, s] = q[s]
+        most[s] = q[s]
     for a in range(1, len(assist)):
         for s in range(vectors):
-            value = q[a * vectors + s]
-            most = vector[M, s]
-            vector[M, s] = value if value > most else most
+            value, known = q[a * vectors + s], most[s]
+            most[s] = value if value > known else known
 
 
 @inlined
-def follow(assist: Floats, room: Room, shares: Floats) -> None:
+def follow(assist: Floats, law: Floats, shares: Floats, policy: Floats, extra: Floats) -> None:
     """Write the law of a policy (V, A), and the mean of its own reward for completing."""
-    law, policy, vector = room.law, room.policy, room.vector
-    vectors = law.shape[0]
+    vectors = len(extra)
     policy[:] = 0.0
     for s in range(vectors):
-        vector[EXTRA, s] = 0.0
+        extra[s] = 0.0
         for a in range(len(assist)):
             share, r = shares[s, a], a * vectors + s
             if share > 0.0:
-                vector[EXTRA, s] += share * law[0, r] * assist[a]
+                extra[s] += share * law[0, r] * assist[a]
                 for s2 in range(vectors):
                     policy[s2, s] += share * law[s2, r]
 
 
-@inlined
-def followed(room: Room, done: float) -> None:
-    """Write what a policy is worth at a stage into M."""
-    vector, policy = room.vector, room.policy
-    vectors = len(policy)
-    for s in range(vectors):
-        vector[M, s] = policy[0, s] * done + vector[EXTRA, s]
-    for s2 in range(1, vectors):
-        total = vector[U, s2]
-        for s in range(vectors):
-            vector[M, s] += policy[s2, s] * total
-
-
 @compiled
 def values(
-    layout: Layout,
-    draws: Draws,
-    room: Room,
-    shares: Floats,
-    value: Floats,
-    gaps: Floats,
-    actions: Numbers,
+    draws: Draws, room: Room, shares: Floats, value: Floats, gaps: Floats, actions: Numbers
 ) -> None:
     """Write the start values (D, N) of policies (N, G, V, A) in all draws.
 
     G is 1 for a policy that is the same at every stage, else K·trials·flags. Without a policy it is
     the optimum that is written, (D, 1), with `gaps` and `actions` of `solvers.care.CareValues`.
     """
-    vectors, number, given = room.law.shape[0], draws.assist.shape[1], len(shares) > 0
-    vector, q = room.vector, room.q
+    vectors, number, given = draws.present.shape[1], draws.assist.shape[1], len(shares) > 0
+    law, policy, q, ahead, here = room.law, room.policy, room.q, room.starts[0], room.starts[1]
+    u, last, worth, extra = room.vector[0], room.vector[1], room.vector[2], room.vector[3]
     for d in range(len(draws.gain)):
         assist, discount, gain = draws.assist[d], draws.discount[d], draws.gain[d]
         present, following = draws.present[d], draws.following[d]
-        place(layout, draws.chance[d], room)
+        place(draws, d, room.chance[0], room.chance[1], law)
         for n in range(value.shape[1]):
             if given:
-                follow(assist, room, shares[n, 0])
-            room.ahead[:] = 0.0
-            for k in range(len(layout.places) - 1, -1, -1):
-                at = layout.places[k]
-                beyond(layout, draws, d, room, at)
-                failed = gain[layout.gains[FAIL, at, 0]]
-                for f in range(layout.flags):
-                    later = discount * room.ahead[layout.flag_after[at, f], 0]
-                    done = gain[layout.gains[COMPLETE, at, f]] + later
-                    for t in range(layout.trials - 1, -1, -1):
+                follow(assist, law, shares[n, 0], policy, extra)
+            ahead[:] = 0.0
+            for k in range(len(draws.places) - 1, -1, -1):
+                at = draws.places[k]
+                beyond(draws, d, law, ahead, at, last)
+                failed = gain[draws.gains[FAIL, at, 0]]
+                for f in range(draws.flags):
+                    done = gain[draws.gains[COMPLETE, at, f]]
+                    done += discount * ahead[draws.flag_after[at, f], 0]
+                    for t in range(draws.trials - 1, -1, -1):
                         for s in range(vectors):
-                            if t == layout.trials - 1:
-                                vector[U, s] = vector[BEYOND, s]
+                            if t == draws.trials - 1:
+                                u[s] = last[s]
                             else:
-                                vector[U, s] = failed + following[s] + discount * vector[M, s]
+                                u[s] = failed + following[s] + discount * worth[s]
                         if given:
                             if shares.shape[1] > 1:
-                                stage = (k * layout.trials + t) * layout.flags + f
-                                follow(assist, room, shares[n, stage])
-                            followed(room, done)
+                                stage = (k * draws.trials + t) * draws.flags + f
+                                follow(assist, law, shares[n, stage], policy, extra)
+                            for s in range(vectors):
+                                worth[s] = policy[0, s] * done + extra[s]
+                            for s2 in range(1, vectors):
+                                total = u[s2]
+                                for s in range(vectors):
+                                    worth[s] += policy[s2, s] * total
                         else:
-                            best(assist, room, done)
+                            best(assist, law, done, u, q, worth)
                             for s in range(vectors):
                                 a = 0
-                                while q[a * vectors + s] != vector[M, s]:
+                                while q[a * vectors + s] != worth[s]:
                                     a += 1
                                 actions[d, k, t, f, s] = a
                             if k == 0 and t == 0 and f == 0:
                                 for s in range(vectors):
                                     for a in range(number):
-                                        gaps[d, s, a] = vector[M, s] - q[a * vectors + s]
+                                        gaps[d, s, a] = worth[s] - q[a * vectors + s]
                         for s in range(vectors):
-                            vector[M, s] += present[s]
+                            worth[s] += present[s]
                     for s in range(vectors):
-                        room.here[f, s] = vector[M, s]
-                for f in range(layout.flags):
+                        here[f, s] = worth[s]
+                for f in range(draws.flags):
                     for s in range(vectors):
-                        room.ahead[f, s] = room.here[f, s]
-            value[d, n] = room.ahead[0, 0]
+                        ahead[f, s] = here[f, s]
+            value[d, n] = ahead[0, 0]
