@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +18,7 @@ from exact_mdp.analysis.plots.style import (
     described,
     level,
     line,
+    lines,
     picture,
 )
 from exact_mdp.analysis.vary.intervals import wilson
@@ -71,23 +72,15 @@ def plot_learning_curves(
     for number, (label, curve) in enumerate(every.items()):
         parts = np.array_split(curve.sampled, max(len(curve.sampled) // BIN, 1))
         at = np.linspace(0, len(curve.sampled) - 1, len(parts))
-        band = at, [part.min() for part in parts], [part.max() for part in parts]
-        bands[label] = band, smoothed(curve.value, window)
+        bands[label] = at, [part.min() for part in parts], [part.max() for part in parts]
         if np.ptp(curve.value) > 0:
             ax.plot(curve.value, ".", color=line(number)["color"], markersize=1, alpha=0.3)
-    _banded(ax, bands, "range of sampled means", optimum)
-    what = "Value of the greedy policy while it learns"
-    return described(ax, what, x="epoch", y="return (reward)")
-
-
-def _banded(ax: Axes, curves: Mapping[str, Any], words: str, optimum: float | None) -> None:
-    """Draw a line (x, y) by label, and the band (x, low, high) around it."""
-    for number, (label, (band, curve)) in enumerate(curves.items()):
-        form, name = line(number), words if len(curves) == 1 else None
-        ax.fill_between(*band, color=form["color"], alpha=0.22, linewidth=0, label=name)
-        ax.plot(*curve, linewidth=1.6, label=label, **form)
+    means = {label: smoothed(curve.value, window) for label, curve in every.items()}
+    lines(ax, means, bands, words="range of sampled means", linewidth=1.6)
     if optimum is not None:
         level(ax, optimum)
+    what = "Value of the greedy policy while it learns"
+    return described(ax, what, x="epoch", y="return (reward)")
 
 
 @picture
@@ -117,12 +110,14 @@ def plot_value_bands(
     >>> plot_value_bands({"two runs": values}, window=5).get_xlabel()
     'epoch'
     """
-    ax, bands = axes_or_new(ax), {}
+    ax, means, bands = axes_or_new(ax), {}, {}
     for label, curves in values.items():
         low, high = np.quantile(curves, [0.05, 0.95], axis=0)
-        middle = smoothed(curves.mean(axis=0), window)
-        bands[label] = (*smoothed(low, window), smoothed(high, window)[1]), middle
-    _banded(ax, bands, "5 to 95 % of the runs", optimum)
+        means[label] = smoothed(curves.mean(axis=0), window)
+        bands[label] = (*smoothed(low, window), smoothed(high, window)[1])
+    lines(ax, means, bands, words="5 to 95 % of the runs", linewidth=1.4)
+    if optimum is not None:
+        level(ax, optimum)
     what = "Exact value of the greedy policy, mean over runs"
     return described(ax, what, x="epoch", y="value (reward)")
 

@@ -27,7 +27,6 @@ from exact_mdp.analysis.plots.style import (
     bar,
     bars,
     described,
-    line,
     lines,
     name_rows,
     picture,
@@ -138,10 +137,9 @@ def plot_tornado(
 @picture
 def plot_value_curves(curve: Curve, *, ax: Axes | None = None) -> Axes:
     """Draw the start value along a parameter, the policy re-optimised and held fixed."""
-    ax = axes_or_new(ax)
-    table, at = curve.table, curve.table.points[:, 0].astype(float)
-    curves = {"policy re-optimised": table.optimal, "policy held fixed": table.fixed[:, 0]}
-    lines(ax, at, curves, inks=[BLACK])
+    ax, at = axes_or_new(ax), curve.table.points[:, 0].astype(float)
+    best, own = (at, curve.table.optimal), (at, curve.table.fixed[:, 0])
+    lines(ax, {"policy re-optimised": best, "policy held fixed": own}, inks=[BLACK])
     _mark_today(ax, float(curve.parameter.value), at.min(), at.max())
     names = {"x": _axis(curve.parameter), "y": "value at the start (reward)"}
     return described(ax, f"The value along {curve.parameter.name}", curve.model, **names)
@@ -338,11 +336,7 @@ def plot_sobol(
 
 
 @picture
-def plot_acceptability(
-    draws: PSA,
-    *,
-    ax: Axes | None = None,
-) -> Axes:
+def plot_acceptability(draws: PSA, *, ax: Axes | None = None) -> Axes:
     """Draw the probability that each candidate loses at most Δ, with its 95 % interval, against Δ.
 
     Tolerances Δ reach from 0 to the largest 99 % quantile of the candidates' regrets; the scale is
@@ -360,11 +354,10 @@ def plot_acceptability(
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.xaxis.set_minor_formatter(NullFormatter())
         at = np.append(np.linspace(0, near, 21), at[2:])
-    for number, candidate in enumerate(draws.candidates):
-        share, low, high = draws.acceptability(at, number)
-        form = line(number, INKS)
-        ax.plot(at, share, label=candidate.name, marker="o" * (len(at) == 1), **form)
-        ax.fill_between(at, low, high, color=form["color"], alpha=0.2, linewidth=0)
+    shares = {each.name: draws.acceptability(at, n) for n, each in enumerate(draws.candidates)}
+    curves = {name: (at, share) for name, (share, _, _) in shares.items()}
+    bands = {name: (at, low, high) for name, (_, low, high) in shares.items()}
+    lines(ax, curves, bands, inks=INKS, marker="o" * (len(at) == 1))
     ax.set_ylim(-0.02, 1.02)
     if at.max() > 0:
         ax.set_xlim(0, at.max())
@@ -381,7 +374,7 @@ def plot_cost_effectiveness(analysis: CostEffectiveness, *, ax: Axes | None = No
     frontier = [share for _, share in analysis.frontier(at)]
     ax.plot(at, frontier, color="0.8", linewidth=7, solid_capstyle="butt", label="frontier")
     shares = zip(analysis.strategies, analysis.acceptability(at).T, strict=True)
-    lines(ax, at, dict(shares), INKS)
+    lines(ax, {name: (at, share) for name, share in shares}, inks=INKS)
     ax.set_ylim(-0.02, 1.02)
     x, y = "willingness to pay for one unit of effect", "share of draws in which it is the best"
     return described(ax, "Cost-effectiveness acceptability curves", x=x, y=y)

@@ -193,10 +193,22 @@ def line(number: int, inks: Sequence[str] = INK) -> Look:
     return {"color": inks[number % len(inks)], "linestyle": LINES[number % len(LINES)]}
 
 
-def lines(ax: Axes, x: Any, curves: Mapping[str, Any], inks: Sequence[str] = INK) -> None:
-    """Draw curves by label, each in a colour and dashes of its own."""
-    for number, (label, y) in enumerate(curves.items()):
-        ax.plot(x, y, label=label, **line(number, inks))
+def lines(
+    ax: Axes,
+    curves: Mapping[str, tuple[Any, Any]],
+    bands: Mapping[str, tuple[Any, Any, Any]] | None = None,
+    *,
+    words: str = "",
+    inks: Sequence[str] = INK,
+    **form: Any,
+) -> None:
+    """Draw curves (x, y) by label, with bands (x, low, high); `words` name one that is alone."""
+    for number, (label, curve) in enumerate(curves.items()):
+        look = line(number, inks)
+        if bands:
+            name = words if len(bands) == 1 else None
+            ax.fill_between(*bands[label], color=look["color"], alpha=0.22, linewidth=0, label=name)
+        ax.plot(*curve, label=label, **look, **form)
 
 
 def shaded(
