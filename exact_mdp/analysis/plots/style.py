@@ -106,8 +106,6 @@ def _context(settings: Any) -> Iterator[None]:
 def style() -> Iterator[None]:
     """Draw with the project's settings inside a `with` block.
 
-    Examples
-    --------
     >>> with style():
     ...     mpl.rcParams["svg.fonttype"]
     'none'

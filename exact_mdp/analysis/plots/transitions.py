@@ -42,11 +42,6 @@ def plot_transitions(
     -------
     Axes
 
-    Raises
-    ------
-    ModelError
-        For a larger model.
-
     Examples
     --------
     >>> from exact_mdp import MDP

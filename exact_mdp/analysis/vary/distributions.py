@@ -312,7 +312,7 @@ class Uncertainty(Brief):
     ----------
     parts : tuple of Uncertain
     fixed : {parameter name: reason}
-    sample : (D, Q) floats or None
+    sample : (D, Q) or None
         One's own draws, in the order of `names`.
     """
 

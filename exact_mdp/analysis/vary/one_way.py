@@ -296,15 +296,8 @@ def grid(span: Range, points: int) -> list[Fraction]:
 class TwoWay(Pictured):
     """The study of a grid of two parameters, row by row, x changing first.
 
-    Attributes
-    ----------
-    mdp : MDP
-        The model at today's values.
-    choices : (Y, X, S) int64
-        Optimal action numbers; the lowest where floats cannot tell two apart.
-    policy : (Y, X) int64
-        Number of the policy on the states that it reaches by today's transitions, in order of
-        appearance.
+    `choices` (Y, X, S) are optimal action numbers, the lowest where floats cannot tell two apart;
+    `policy` (Y, X) numbers the policies, on the states that they reach by today's transitions.
     """
 
     mdp: MDP

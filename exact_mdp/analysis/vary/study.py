@@ -435,10 +435,9 @@ class ModelSolver:
         self.choosing = np.flatnonzero(~mdp.forced)
         self.labels = tuple(mdp.space.labels(self.choosing))
         self.built: dict[str, list[_Part]] = {}
-        self.room = KEPT
 
     def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"built": {}, "room": KEPT}
+        return vars(self) | {"built": {}}
 
     def parts(self, draws: Numbers, first: int | None) -> Iterator[_Part]:
         """Yield the models of draws; what was built of these draws before is used again."""
@@ -453,9 +452,7 @@ class ModelSolver:
             built = [*models(self.model, self.names, some, start)]
             made.append(_Part(built, partial(self._at, some, start)))
             yield made[-1]
-        numbers = sum(part.size for part in made)
-        if numbers <= self.room:
-            self.room -= numbers
+        if sum(part.size for parts in (made, *self.built.values()) for part in parts) <= KEPT:
             self.built[key] = made
 
     def _at(self, draws: Numbers, first: int | None, d: int) -> str:
