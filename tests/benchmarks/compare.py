@@ -5,7 +5,7 @@
 Each solver works in a process of its own, round after round in turn, so that all meet the same
 noise. An answer counts where it is within tolerance of a reference whose Bellman residual, worked
 out by SciPy alone, proves it, and within the bound that its solver claims; a wrong one is reported
-as wrong and not timed. Writes RESULTS.md, results.json and three figures. A part of the models may
+as wrong and not timed. Writes RESULTS.md, results.json and a figure. A part of the models may
 be measured alone: what results.json holds of the others is kept.
 """
 

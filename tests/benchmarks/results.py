@@ -1,4 +1,4 @@
-"""The table and the figures of the comparison."""
+"""The tables and the figure of the comparison."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Rows = Sequence[Row]
 
 
 def write(rows: Rows, bandwidth: float, folder: Path) -> None:
-    """Write RESULTS.md, results.json and the figures into a folder."""
+    """Write RESULTS.md, results.json and the figure into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "results.json", json.dumps(list(rows), indent=1) + "\n")
     write_atomically(folder / "RESULTS.md", "\n".join(_page(rows, bandwidth)) + "\n")
@@ -38,13 +38,6 @@ def write(rows: Rows, bandwidth: float, folder: Path) -> None:
     with plots.style(), plt.rc_context({"text.parse_math": True}):
         if _leading(rows):
             (figure := _ratios(rows)).savefig(folder / "results_ratio.png")
-            plt.close(figure)
-        for name, what in (("results_time", "seconds"), ("results_memory", "memory")):
-            large = [row for row in rows if what == "seconds" or row["bytes"] >= LARGE]
-            if not large:
-                continue
-            figure = _figure(large, bandwidth, what)
-            figure.savefig(folder / f"{name}.png")
             plt.close(figure)
 
 
@@ -96,10 +89,7 @@ def _page(rows: Rows, bandwidth: float) -> list[str]:
         for row in (row for row in rows if row["family"] == family):
             lines.append("| " + " | ".join(_cells(row, rows)) + " |")
         lines.append("")
-    lines.append("![Time against size](results_time.png)")
-    if any(row["bytes"] >= LARGE for row in rows):
-        lines += ["", "![Memory against size](results_memory.png)"]
-    return lines
+    return lines[:-1]
 
 
 def _cells(row: Row, rows: Rows) -> list[str]:
@@ -166,17 +156,7 @@ def _between(values: Iterable[Any]) -> str:
     return " to ".join(map(str, dict.fromkeys([*ordered[:1], *ordered[-1:]])))
 
 
-# ---- figures -------------------------------------------------------------------------------------
-
-
-def _line(ax: plt.Axes, number: int, x: Sequence[float], y: Sequence[float], label: str) -> None:
-    ax.loglog(
-        x, y, linestyle=LINES[number % len(LINES)], marker=MARKS[number % len(MARKS)],
-        color=INK[number % len(INK)], markersize=4, label=label,
-    )  # fmt: skip
-    for axis in (ax.xaxis, ax.yaxis):  # powers of ten as numbers, and nothing between them
-        axis.set_major_formatter(lambda x, _: f"{x:,.0f}" if 1 <= x < 1e6 else f"{x:g}")
-        axis.set_minor_formatter(NullFormatter())
+# ---- the figure ----------------------------------------------------------------------------------
 
 
 def _ratios(rows: Rows) -> plt.Figure:
@@ -185,41 +165,17 @@ def _ratios(rows: Rows) -> plt.Figure:
     leading = _leading(rows)
     for number, family in enumerate(dict.fromkeys(row["family"] for row, *_ in leading)):
         own = sorted((row["states"], ratio) for row, ratio, _ in leading if row["family"] == family)
-        _line(ax, number, *zip(*own, strict=True), label=family)
+        ax.loglog(
+            *zip(*own, strict=True), linestyle=LINES[number % len(LINES)],
+            marker=MARKS[number % len(MARKS)], color=INK[number % len(INK)], markersize=4,
+            label=family,
+        )  # fmt: skip
+    for axis in (ax.xaxis, ax.yaxis):  # powers of ten as numbers, and nothing between them
+        axis.set_major_formatter(lambda x, _: f"{x:,.0f}" if 1 <= x < 1e6 else f"{x:g}")
+        axis.set_minor_formatter(NullFormatter())
     ax.axhline(1, color="0.6", linewidth=1)
     ax.set(xlabel="states", ylabel="our time / that of the best peer")
     ax.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return figure
-
-
-def _figure(rows: Rows, bandwidth: float, what: str) -> plt.Figure:
-    """Draw seconds or bytes against size: a panel for each family, a colour for each solver."""
-    families = list(dict.fromkeys(row["family"] for row in rows))
-    known = list(dict.fromkeys(row["contender"].removesuffix(" LP") for row in rows))
-    columns = min(3, len(families))
-    height = -(-len(families) // columns)
-    size = (3.4 * columns, 2.4 * height)
-    figure, axes = plt.subplots(height, columns, figsize=size, squeeze=False, layout="constrained")
-    for ax, family in zip(axes.flat, families, strict=False):
-        mine = [row for row in rows if row["family"] == family and row["verdict"] == "right"]
-        for name in dict.fromkeys(row["contender"] for row in mine):
-            own = [row for row in mine if row["contender"] == name]
-            amount = [max(float(np.median(row[what])), 1e-9) for row in own]
-            number = known.index(name.removesuffix(" LP"))
-            _line(ax, number, [row["states"] for row in own], amount, known[number])
-        sizes = {row["states"]: row["bytes"] for row in rows if row["family"] == family}
-        once = np.array(list(sizes.values())) / (bandwidth if what == "seconds" else 1)
-        label = "reading the arrays once" if what == "seconds" else "the arrays themselves"
-        ax.loglog(list(sizes), once, color="0.6", linewidth=1, label=label)
-        ax.set(title=family, xlabel="states", ylabel="seconds" if what == "seconds" else "bytes")
-        if max(sizes) < 10 * min(sizes):  # hardly a power of ten between them
-            ax.set_xticks(list(sizes))
-    for ax in list(axes.flat)[len(families) :]:
-        ax.set_axis_off()
-    shown = {label: handle for ax in axes.flat
-             for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}  # fmt: skip
-    figure.legend(shown.values(), shown.keys(), frameon=False, fontsize=8, ncols=columns,
-                  loc="outside lower center")  # fmt: skip
     return figure
 
 
