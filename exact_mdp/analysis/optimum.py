@@ -30,9 +30,10 @@ from exact_mdp.solvers.exact.certify import certify as certified
 from exact_mdp.solvers.solution import (
     Bounded,
     Certified,
+    PrecisionWarning,
     Solution,
     SolverError,
-    warn_of_precision,
+    warn,
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, solve
 
@@ -284,7 +285,7 @@ def optimum(
     except SolverError as error:
         if not certify:
             raise
-        warn_of_precision(f"{error} (the exact values stand)")
+        warn(f"{error} (the exact values stand)", PrecisionWarning)
     if not certify:
         return Optimum(mdp=model, solution=solution, certificate=None)
     certificate = certified(model, criterion=criterion)

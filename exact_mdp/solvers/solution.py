@@ -73,9 +73,9 @@ class PrecisionWarning(UserWarning):
     """The tolerance asked for is beyond double precision; the error bound says what was reached."""
 
 
-def warn_of_precision(message: str) -> None:
+def warn_of_precision(error: float) -> None:
     """Issue a PrecisionWarning at the line that called this package."""
-    warn(message, PrecisionWarning)
+    warn(f"the error bound is {error:.2g}: {Status.PRECISION}", PrecisionWarning)
 
 
 def warn(message: str, category: type[Warning]) -> None:
@@ -189,13 +189,7 @@ Number = TypeVar("Number", Bounded, Certified | Bounded)
 
 
 def difference(one: Number, other: Number) -> Number:
-    """Return one number less another, exactly where both are exact.
-
-    Examples
-    --------
-    >>> print(difference(Bounded(value=1.5, error=0.2), Certified(value=Fraction(1, 2))))
-    1 ± 0.2 (bounded)
-    """
+    """Return one number less another, exactly where both are exact."""
     if isinstance(one, Certified) and isinstance(other, Certified):
         return Certified(value=one.value - other.value)
     value = float(one) - float(other)
@@ -207,8 +201,6 @@ def difference(one: Number, other: Number) -> Number:
 def regret(best: Number, own: Number, sense: str = "max") -> Number:
     """Return the optimum less what a policy is worth; of costs, the other way. Never below 0.
 
-    Examples
-    --------
     >>> print(regret(Bounded(value=1.0, error=0.25), Bounded(value=1.125, error=0.25)))
     0 ± 0.4 (bounded)
     """
@@ -223,8 +215,6 @@ def regret(best: Number, own: Number, sense: str = "max") -> Number:
 def regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
     """Return optima less what policies are worth; 0 where errors up to `error` leave that open.
 
-    Examples
-    --------
     >>> regrets(np.array([1.0, 1.0]), np.array([0.5, 1.5]), np.array([0.1, 0.6])).tolist()
     [0.5, 0.0]
     """
@@ -274,27 +264,14 @@ class Estimated:
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramRun:
-    """What solving a linear program took, and the bounds that its two sides give.
+    """What solving a linear program took, and the bounds that its two sides give."""
 
-    Attributes
-    ----------
-    by : str
-        The optimiser.
-    variables, constraints : int
-        Size of the primal program: open states and their pairs.
-    steps : int
-        Steps of the optimiser.
-    lower, upper : float
-        The optimal start value is not below the dual's value and not above the primal's, rounding
-        errors included.
-    """
-
-    by: str
-    variables: int
-    constraints: int
+    by: str  # the optimiser
+    variables: int  # of the primal program: open states
+    constraints: int  # their pairs
     steps: int
-    lower: float
-    upper: float
+    lower: float  # the optimal start value is not below the dual's value,
+    upper: float  # and not above the primal's, rounding errors included
 
     @property
     def gap(self) -> float:
@@ -333,7 +310,7 @@ def at_start(mdp: MDP, valued: Any) -> Bounded:
     value, error = valued.value[states], valued.error[states]
     if not np.isfinite(value).all():  # a total reward that is infinite is so exactly
         return Bounded(value=float(weights @ value), error=0.0)
-    units = (len(states) + 3) * 2.0**-52
+    units = (len(states) + 3) * 2.0**-52  # twice as many as there are roundings
     rounding = 0.0 if weights.tolist() == [1.0] else units
     bound = float(weights @ (error + rounding * np.abs(value))) * (1 + 2 * units)
     return Bounded(value=float(weights @ value), error=bound)

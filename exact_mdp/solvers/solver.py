@@ -248,5 +248,5 @@ def _within(solution: Solution, tol: float | None) -> Solution:
     """Return a direct solution; warns where its error bound is above the tolerance."""
     if tol is None or solution.error_bound <= tol:
         return solution
-    warn_of_precision(f"the error bound is {solution.error_bound:.2g}: {Status.PRECISION}")
+    warn_of_precision(solution.error_bound)
     return replace(solution, status=Status.PRECISION)

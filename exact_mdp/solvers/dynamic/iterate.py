@@ -388,7 +388,7 @@ def conclude(
         seconds=perf_counter() - started,
     )
     if status is Status.PRECISION:
-        warn_of_precision(f"the error bound is {solution.error_bound:.2g}: {status}")
+        warn_of_precision(solution.error_bound)
     if status in (Status.ITERATION_LIMIT, Status.NO_BOUND):
         detail = f"{solution.error_bound:.2g} is the error bound after {iterations} iterations"
         raise SolverError(status, detail, solution)

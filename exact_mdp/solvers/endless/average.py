@@ -127,8 +127,7 @@ def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> Average
         bias_error=own.bias_error,
     )
     if not met:
-        message = f"the error bound is {solution.error_bound:.2g}: {solution.status}"
-        warn_of_precision(message)
+        warn_of_precision(solution.error_bound)
     return solution
 
 

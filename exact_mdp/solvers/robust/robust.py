@@ -152,7 +152,7 @@ def solve_robust(
         seconds=perf_counter() - started,
     )
     if status is Status.PRECISION:
-        warn_of_precision(f"the error bound is {solution.error_bound:.2g}: {status}")
+        warn_of_precision(solution.error_bound)
     return solution
 
 
