@@ -42,7 +42,6 @@ CACHED = (
 )
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PRICE = 2000  # sweeps in whose time the equations of a policy are solved, where no band tells it
-PASSES = 3  # in NumPy, as long as solving them there: 2 to 4 do best on 50 to 400 states
 BAND = 8  # multiplications within a band that take the time of a transition
 PATIENCE, LONG = 20, 200  # passes without progress: near rounding errors, and anywhere
 FEW, MANY = 100, 10_000  # passes that bring too little, whatever is done between them
@@ -78,11 +77,8 @@ class Values:
         self.low = self.high = 0.0  # h + low · w ≤ V^π ≤ V* ≤ h + high · w, but for rounding
         self.best, self.idle, self.stable = np.inf, 0, False
         self.passes, self.level, self.relaxed = 0, 0.0, False
-        self.large = mdp.n_transitions >= LOOPS
-        self.slow = not self.large  # whether sweeps are too slow, or equations cost less
-        self.spent, self.price = 0.0, 2.0 * PASSES * mdp.n_transitions
-        if self.large:
-            self.price = PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states
+        self.large, self.slow = mdp.n_transitions >= LOOPS, False  # whether sweeps are too slow
+        self.spent, self.price = 0.0, PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states
         self._error, self._climbed, self._before = 0.0, 0.0, np.zeros(mdp.n_states)
         self._solved: tuple[Integers, LinearSystem] | None = None
 
@@ -209,11 +205,15 @@ class Values:
     def evaluate(self, goal: float) -> None:
         """Bring values near to those of the policy, or nearer to V* for less than that costs.
 
-        By sweeps of the policy, until the residual falls to a goal, where chains mix soon. Where
-        that was too slow, each round relaxes, and as much is spent on that as the equations of a
-        policy cost before these are solved: most policies on the way are soon improved upon. One
-        that no longer changes, while bounds hardly fall, is solved for at once.
+        The equations of a small model are solved. Policies of others are swept, until the residual
+        falls to a goal, where chains mix soon. Where that was too slow, each round relaxes, and as
+        much is spent on that as the equations of a policy cost before these are solved: most
+        policies on the way are soon improved upon. One that no longer changes, while bounds hardly
+        fall, is solved for at once.
         """
+        if not self.large:
+            self.correct()
+            return
         if not self.slow:
             enough, fine = goal * self.weights.smallest, 8 * UNIT * (goal == 0)
             closed = self.weights.uniform and bool(self.live.all())
@@ -229,9 +229,10 @@ class Values:
         due = self.spent >= self.price or (self.stable and self.idle) or goal == 0
         if due:
             self.correct()
+            self.spent, self.price = 0.0, self.system.work / BAND or self.price
         else:
             self.take()
-        if self.large and not (due and (self.stable or self.idle < 5)):
+        if not (due and (self.stable or self.idle < 5)):
             self.relax()
 
     def correct(self, *, closely: bool = False) -> None:
@@ -245,9 +246,6 @@ class Values:
             self._add(*system.relatively(left, self.live * self.weights.margin))
         else:
             self._add(system.roughly(left, closely=closely))
-        self.spent = 0.0
-        if self.large:
-            self.price = system.work / BAND or self.price
 
     def _left(self) -> Floats:
         """Return what a step of the policy adds to values, beyond the level between the bounds."""

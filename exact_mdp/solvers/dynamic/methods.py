@@ -128,8 +128,8 @@ class ModifiedPolicyIteration(Improving):
     evaluates: ClassVar[bool] = True
 
     def step(self, values: Values, goal: float) -> None:
-        """Evaluate the policy; the first one is greedy for the next reward alone."""
-        if values.passes == 1:
+        """Evaluate the policy; the first two are greedy for the next rewards alone."""
+        if values.passes <= 2:
             values.take()
         else:
             values.evaluate(goal)
