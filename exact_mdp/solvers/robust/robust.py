@@ -134,11 +134,11 @@ def solve_robust(
         weights=None if policy is None else PolicyChain.of(model, policy).weights,
     )
     status, value, error, asked, iterations = _iterate(game, tol, max_iterations)
-    chosen, pairs = game.choice(asked.value), None
-    if chosen is not None:
+    share, pairs = game.choice(asked.value), None
+    if policy is None:
         pairs = model.pair_offsets[:-1].copy()
-        pairs[game.live] = game.pairs[chosen]
-    chain, earned = game.chain(asked.laws, chosen)
+        pairs[game.live] = game.pairs[share == 1]
+    chain, earned = game.chain(asked.laws, share)
     solution = RobustSolution(
         mdp=model,
         nature=nature,
@@ -194,13 +194,6 @@ class Game:
         """The rows of `pairs`."""
         return blocks_of(self.mdp, self.pairs)
 
-    @cached_property
-    def share(self) -> Floats:
-        """(U,) probability of each pair under the fixed policy."""
-        assert self.weights is not None
-        share = self.weights[self.pairs]
-        return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
-
     def ask(self, value: Floats, *, delay: bool = False) -> Inner:
         """Return what nature makes of each of `pairs`, at values (S,).
 
@@ -216,34 +209,32 @@ class Game:
             rewards=not delay,
         )
 
+    def choice(self, q: Floats, *, delay: bool = False) -> Floats:
+        """Return (U,) the agent's share of each pair, given their values (U,)."""
+        if self.weights is not None:
+            share = self.weights[self.pairs]
+            return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
+        best = (np.maximum if self.most or delay else np.minimum).reduceat(q, self.first)
+        number = np.where(q == best[self.row_state], np.arange(len(q)), len(q))
+        share = np.zeros(len(q))
+        share[np.minimum.reduceat(number, self.first)] = 1.0
+        return share
+
+    def mean(self, share: Floats, q: Floats) -> Floats:
+        """Return (T,) the mean of pair values (U,)."""
+        return np.asarray(np.add.reduceat(share * q, self.first))
+
     def agent(self, q: Floats, *, delay: bool = False) -> Floats:
         """Return (T,) what the agent makes of pair values (U,)."""
-        if self.weights is not None:
-            return np.asarray(np.add.reduceat(self.share * q, self.first))
-        best = np.maximum if self.most or delay else np.minimum
-        return np.asarray(best.reduceat(q, self.first))
+        return self.mean(self.choice(q, delay=delay), q)
 
-    def choice(self, q: Floats, *, delay: bool = False) -> Integers | None:
-        """Return (T,) the first position in `pairs` with the best value; None for a policy."""
-        if self.weights is not None:
-            return None
-        best = self.agent(q, delay=delay)
-        number = np.where(q == best[self.row_state], np.arange(len(q)), len(q))
-        return np.minimum.reduceat(number, self.first)
-
-    def chain(self, laws: list[Floats], chosen: Integers | None) -> tuple[sp.csr_array, Floats]:
-        """Return transitions (S, S) and expected rewards (S,) under laws, a pair in each state."""
-        mdp, mask = self.mdp, None
-        if chosen is not None:
-            mask = np.zeros(len(self.pairs), dtype=bool)
-            mask[chosen] = True
-        place, following, probability, earned = entries(self.blocks, laws, mask)
-        if chosen is None:
-            probability, earned = probability * self.share[place], earned * self.share
-        source = self.live[self.row_state]
-        shape = (mdp.n_states, mdp.n_states)
+    def chain(self, laws: list[Floats], share: Floats) -> tuple[sp.csr_array, Floats]:
+        """Return transitions (S, S) and expected rewards (S,) under laws and shares (U,)."""
+        place, following, probability, earned = entries(self.blocks, laws, share > 0)
+        probability, source = probability * share[place], self.live[self.row_state]
+        shape = (self.mdp.n_states, self.mdp.n_states)
         matrix = sp.csr_array((probability, (source[place], following)), shape)
-        total = np.bincount(source, weights=earned, minlength=mdp.n_states)
+        total = np.bincount(source, weights=earned * share, minlength=self.mdp.n_states)
         return matrix, np.asarray(total, dtype=np.float64)
 
 
@@ -304,9 +295,9 @@ def robust_error(game: Game, value: Floats, margin: Floats) -> tuple[float, Inne
     doubt = 4 * UNIT * size
     if game.weights is not None:
         doubt *= 1 + float(np.diff(np.append(game.first, len(asked.value))).max())
-    ends = [game.agent(asked.high) - here, here - game.agent(asked.low)]
-    if (chosen := game.choice(asked.value)) is not None:
-        ends.append(here - asked.low[chosen] if game.most else asked.high[chosen] - here)
+    share = game.choice(asked.value)
+    own = here - game.mean(share, asked.low) if game.most else game.mean(share, asked.high) - here
+    ends = [game.agent(asked.high) - here, here - game.agent(asked.low), own]
     error = max(0.0, *(float(((end + doubt) / margin).max()) for end in ends)) * SLACK
     if not np.isfinite(error):
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")

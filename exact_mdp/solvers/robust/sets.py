@@ -15,10 +15,10 @@ Mathematics of Operations Research 30, 2005).
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,21 +49,23 @@ class Block:
     largest: Floats  # (K,) the greatest |gain| of each row
 
 
-class Ambiguity(Protocol):
+class Ambiguity(ABC):
     """A set of laws for each row, chosen from independently: (s, a)-rectangular uncertainty."""
 
+    @abstractmethod
     def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
         """Return laws q (K, n) and b (K,): q in the set, and no member has Σ q x below Σ q x - b.
 
         Both hold up to rounding, which `inner` accounts for.
         """
 
+    @abstractmethod
     def check(self, model: MDP) -> None:
         """Raise ModelError where this is not a set of laws for the rows of a model."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Intervals:
+class Intervals(Ambiguity):
     """Every probability within its own interval, by outcome of the model's table.
 
     Attributes
@@ -175,7 +177,7 @@ class Intervals:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ball:
+class Ball(Ambiguity):
     """Laws within a radius of the nominal row."""
 
     NAME: ClassVar[str]
@@ -204,10 +206,6 @@ class Ball:
         """Return (K,) the radius of each row of a block."""
         each = self.radius
         return each[block.pair] if isinstance(each, np.ndarray) else np.full(len(block.pair), each)
-
-    @abstractmethod
-    def least(self, block: Block, payoff: Floats) -> tuple[Floats, Floats]:
-        """See `Ambiguity.least`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
