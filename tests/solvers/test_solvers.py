@@ -176,6 +176,12 @@ def test_relaxed_values_are_not_shifted_for_ever(name: str) -> None:
     assert solution.status is Status.CONVERGED
 
 
+def test_small_values_beside_large_ones_are_found_as_closely() -> None:
+    """A tolerance that is a part of the largest value is no reason to stop at the first pass."""
+    rows = [(0, 0, [(1, 0, 0)]), (1, 0, [("1/2", 0, 1), ("1/2", 1, 1)]), (2, 0, [(1, 0, 10**9)])]
+    assert solve(MDP.from_outcomes(rows, "1/2")).value[1] == pytest.approx(4 / 3, rel=1e-12)
+
+
 @pytest.mark.parametrize("solver", [ModifiedPolicyIteration, PolicyIteration])
 def test_too_few_iterations_name_all_that_goes_on(solver: Any) -> None:
     said = r"iteration limit.*PolicyIteration.*certify\(\)"

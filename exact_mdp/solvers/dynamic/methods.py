@@ -129,7 +129,7 @@ class ModifiedPolicyIteration(Improving):
 
     def step(self, values: Values, goal: float) -> None:
         """Evaluate the policy; the first two are greedy for the next rewards alone."""
-        if values.passes <= 2:
+        if values.passes <= 2 and goal > 0:
             values.take()
         else:
             values.evaluate(goal)
