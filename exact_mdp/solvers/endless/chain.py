@@ -153,17 +153,19 @@ class FloatChain:
         return self._until(self.classes.recurrent)
 
     @cached_property
-    def met(self) -> FixedPoint:
-        """(S,) expected visits between two of a base, bases left out."""
-        at_base, base = self.classes.at_base, self.classes.base
-        onward = np.where(at_base, 0.0, self.transition[base].sum(axis=0))
-        error = gamma(len(base) + self._roundings) * onward
-        return transposed(self.until_base).solve(onward, error)
+    def visits(self) -> LinearSystem:
+        """The equation x = c + x P of visits, of which arrivals at bases are the last."""
+        return transposed(self.until_base)
+
+    @cached_property
+    def onward(self) -> Floats:
+        """(S,) what comes from the bases into each other state."""
+        return np.where(self.classes.at_base, 0.0, self.transition[self.classes.base].sum(axis=0))
 
     @cached_property
     def law(self) -> Floats:
         """(S,) the share of time in each state of a class."""
-        often = np.maximum(self.met.value, 0.0)
+        often = np.maximum(self.visits.approximate(self.onward), 0.0)
         return self.classes.within(np.where(self.classes.at_base, 1.0, often))
 
     def total(self, constant: Floats) -> Floats:
@@ -282,8 +284,9 @@ class AverageEvaluation(Valued, Result):
             return self.exact
         chain = FloatChain(self.mdp, self.weights, self.roundings)
         at_base, inside, own = chain.classes.at_base, chain.classes.recurrent, chain.classes.own
-        begin, met = self.mdp.start_distribution, chain.met
-        arrivals = transposed(chain.until_base).solve(begin, UNIT * begin)
+        begin, error = self.mdp.start_distribution, gamma(len(chain.classes.base) + self.roundings)
+        arrivals = chain.visits.solve(begin, UNIT * begin)
+        met = chain.visits.solve(chain.onward, error * chain.onward)
         times = np.where(at_base, 1.0, np.maximum(met.value, 0.0)) * inside
         doubt = np.where(at_base, 0.0, met.error) * inside
         period, off = (np.bincount(own, each).astype(np.float64) for each in (times, doubt))
