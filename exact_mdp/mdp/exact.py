@@ -104,30 +104,10 @@ class BellmanRows:
         )
 
 
-def bellman_rows(model: MDP, pairs: Integers | None = None) -> BellmanRows:
-    """Return the Bellman equations of a model in integers.
-
-    With `pairs`, (K,) rising numbers with one of each state at least, they are those of these
-    pairs, over the scale that these need. Those of all pairs are made once for each model.
-    """
-    if pairs is None or len(pairs) == model.n_pairs:
-        return _all_rows(model)
-    return _bellman_rows(model, pairs)
-
-
 @once
-def _all_rows(model: MDP) -> BellmanRows:
-    rows = _bellman_rows(model, None)
-    for array in vars(rows).values():
-        array.setflags(write=False)  # all callers have the same
-    return rows
-
-
-def _bellman_rows(model: MDP, pairs: Integers | None) -> BellmanRows:
+def bellman_rows(model: MDP) -> BellmanRows:
+    """Return the Bellman equations of a model in integers, made once and read-only."""
     table, pair_offsets, pair_state = model.table, model.pair_offsets, model.pair_state
-    if pairs is not None:
-        table, pair_state = table.of_pairs(pairs), pair_state[pairs]
-        pair_offsets = np.searchsorted(pairs, pair_offsets)
     offsets, following, weight, denominator = merged(table)
     gain, gain_denominator = reduced(*table.expected_gain_exact())
     over, under = model.discount_exact.numerator, model.discount_exact.denominator
@@ -141,7 +121,7 @@ def _bellman_rows(model: MDP, pairs: Integers | None) -> BellmanRows:
         offsets, following, weight = np.zeros_like(offsets), following[:0], weight[:0]
     else:
         weight = multiply(weight, np.repeat(factor, lengths))
-    return BellmanRows(
+    rows = BellmanRows(
         pair_offsets=pair_offsets,
         terminal=model.terminal,
         scale=state_scale,
@@ -150,6 +130,9 @@ def _bellman_rows(model: MDP, pairs: Integers | None) -> BellmanRows:
         next=following,
         weight=weight,
     )
+    for array in vars(rows).values():
+        array.setflags(write=False)
+    return rows
 
 
 def row_sums(values: Numbers, offsets: Integers) -> Numbers:

@@ -58,12 +58,9 @@ def _listed(numbers: Iterable[Fraction | None]) -> Numbers:
     return column
 
 
-def exact_rows(mdp: MDP, *, average: bool = False, pairs: Integers | None = None) -> BellmanRows:
-    """Return the equations that levels are of: rewards to be maximised, rows that sum to 1.
-
-    Of some pairs (K,), rising numbers with one of each state at least, if they are given.
-    """
-    return bellman_rows(mdp.maximised.undiscounted if average else mdp.maximised, pairs)
+def exact_rows(mdp: MDP, *, average: bool = False) -> BellmanRows:
+    """Return the equations that levels are of: rewards to be maximised, rows that sum to 1."""
+    return bellman_rows(mdp.maximised.undiscounted if average else mdp.maximised)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -225,15 +222,16 @@ class Certificate(Proof, Pictured):
     @cached_property
     def value(self) -> Numbers:
         """(S,) the optimal values as Fractions, `math.inf` or `-math.inf`; of averages the gain."""
-        if self.kind == "average":
-            return self._average(self.g).fractions(self.sign)
-        return self._with_infinite(self.h.fractions(self.sign))
+        return self._with_infinite(self._values.fractions(self.sign))
 
     @cached_property
     def value_float(self) -> Floats:
         """(S,) the same as floats, each correctly rounded."""
-        level = self._average(self.g) if self.kind == "average" else self.h
-        return self._with_infinite(level.floats(self.sign))
+        return self._with_infinite(self._values.floats(self.sign))
+
+    @property
+    def _values(self) -> Level:
+        return self._average(self.g) if self.kind == "average" else self.h
 
     def _with_infinite(self, values: Numbers) -> Numbers:
         extended = values.copy()
