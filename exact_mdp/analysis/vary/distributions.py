@@ -79,7 +79,6 @@ WITHIN = {  # what floats can draw from
     SIZE: ("effective sample size", 1e-6, 1e15),
     SPREAD: ("relative standard deviation", 1e-9, 1e3),
 }
-FIXED = "stated to be fixed"
 MOST_ROWS = 2000
 
 
@@ -394,16 +393,27 @@ def uncertainty(
             if label_of.setdefault(parameter_of(model, name).name, label) != label:
                 fix = "name it in one of them"
                 raise ModelError(f"{name} is in two rows", where=f"row {label}", fix=fix)
-    chosen = set(parameters) if names is None else _chosen(model, names, rows)
+    asked = [*parameters] if names is None else listed(names, "names")
+    chosen = {
+        member for name in asked for member in rows.get(name) or (parameter_of(model, name).name,)
+    }
     parts, fixed = list[Uncertain](), dict[str, str]()
     for label in dict.fromkeys(label_of.get(name, name) for name in parameters):
         members = rows.get(label, (label,))
-        if members[0] not in chosen:
+        some = [name for name in members if name in chosen]
+        if 0 < len(some) < len(members):
+            what = f"{some[0]} is asked for without the others of its row"
+            fix = f"name the row, {label}: its probabilities are drawn together"
+            raise ModelError(what, where="names", fix=fix)
+        settings = _settings(label, members, stated) if some else {}
+        if not some:
             part: Uncertain | str = "not among the names asked for"
+        elif settings.get("fixed"):
+            part = "stated to be fixed"
         elif label in rows:
-            part = _row([parameters[name] for name in members], label, stated, default)
+            part = _row([parameters[name] for name in members], label, settings, default)
         else:
-            part = _alone(parameters[label], _settings(stated, label), default)
+            part = _alone(parameters[label], settings, default)
         if isinstance(part, str):
             fixed |= dict.fromkeys(members, part)
         else:
@@ -441,8 +451,6 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
     """Return the distribution of one parameter, or why it is not drawn."""
     name, today, low, high = parameter.name, float(parameter.value), parameter.low, parameter.high
     share = low == 0 and high == 1
-    if settings.get("fixed"):
-        return FIXED
     if not settings and (name == DISCOUNT or not share):
         weights = "reward weights" if unit_of(parameter) == "reward" else f"{unit_of(parameter)}s"
         reason = "the discount is" if name == DISCOUNT else f"{weights} are"
@@ -466,22 +474,13 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
     return part
 
 
-def _row(
-    row: Sequence[Parameter], label: str, stated: Mapping[str, Settings], default: float
-) -> Uncertain | str:
-    """Return the joint distribution of a row's entries, or why they are not drawn."""
-    names, where, of_row = [p.name for p in row], f"row {label}", stated.get(label, {})
-    said = [dict(_settings(stated, name) or of_row) for name in names]
-    if any(each != said[0] for each in [*said, *([of_row] if of_row else [])]):
-        fix = f'its probabilities are drawn together: state them once, for "{label}"'
-        raise ModelError("the entries of a row have different settings", where=where, fix=fix)
+def _row(row: Sequence[Parameter], label: str, settings: Settings, default: float) -> Uncertain:
+    """Return the joint distribution of a row's entries."""
+    names, where = [p.name for p in row], f"row {label}"
     for parameter in row:
         if not is_probability(parameter):
             what = f"{parameter.name} is not a probability of a row"
             raise ModelError(what, where=where, fix="name probabilities")
-    settings = said[0]
-    if settings.get("fixed"):
-        return FIXED
     usual = settings.get("distribution", "dirichlet") == "dirichlet"
     if not usual or set(settings) - {"distribution", "alpha", SIZE}:
         fix = f"state its {SIZE}, or alpha, a list of one more than its parameters"
@@ -496,30 +495,20 @@ def _row(
     return Uncertain.of_row(label, names, [size * m for m in (*means, 1.0 - math.fsum(means))])
 
 
-def _chosen(
-    model: Parametric, names: Sequence[str], rows: Mapping[str, tuple[str, ...]]
-) -> set[str]:
-    """Return the parameters that are asked for; of a row all or none."""
-    chosen: set[str] = set()
-    for name in listed(names, "names"):
-        chosen |= set(rows[name]) if name in rows else {parameter_of(model, name).name}
-    for label, row in rows.items():
-        some = [name for name in row if name in chosen]
-        if 0 < len(some) < len(row):
-            what = f"{some[0]} is asked for without the others of its row"
-            fix = f"name the row, {label}: its probabilities are drawn together"
-            raise ModelError(what, where="names", fix=fix)
-    return chosen
-
-
 def _begins(name: str, start: str) -> bool:
     return f"{name}.".startswith(f"{start}.")
 
 
-def _settings(stated: Mapping[str, Settings], name: str) -> Settings:
-    """Return what is stated of the longest beginning of a name."""
-    starts = [start for start in stated if _begins(name, start)]
-    return stated[max(starts, key=len)] if starts else {}
+def _settings(label: str, names: Sequence[str], stated: Mapping[str, Settings]) -> Settings:
+    """Return what is stated of a part, or of the longest beginning of its names; all say one."""
+    whole = stated.get(label, {})
+    starts = [[start for start in stated if _begins(name, start)] for name in names]
+    said = [dict(stated[max(each, key=len)] if each else whole) for each in starts]
+    if any(each != said[0] for each in [*said, *([whole] if whole else [])]):
+        fix = f'its probabilities are drawn together: state them once, for "{label}"'
+        what = "the entries of a row have different settings"
+        raise ModelError(what, where=f"row {label}", fix=fix)
+    return said[0]
 
 
 def _checked(name: str, settings: object) -> Settings:
