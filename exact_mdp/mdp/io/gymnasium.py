@@ -27,7 +27,7 @@ the model of episodes that stop there.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self, TypeGuard
 
@@ -69,9 +69,9 @@ TOYS = {
 }
 """Actions by number, and what the number of a state is made of."""
 
+LISTED = "let P[state][action] list (probability, next state, reward, terminated)"
 Outcome = tuple[Any, int, Any, bool]
 Rows = dict[tuple[int, int], list[Outcome]]
-Listed = list[tuple[int, int, list[tuple[Any, int, Any]]]]
 
 
 class FromGymnasium(FromArrays):
@@ -145,23 +145,18 @@ def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str
     start = names.pop("start", None)
     start = as_start(_start(bare) if start is None else start, StateSpace(columns=columns))
     ends, targets = _ends(rows, {state for state, _ in start})
-    goal, appended = states, bool(targets - ends)
-    listed: Listed = [
-        (
-            state,
-            action,
-            [(p, n if not over or n in ends else goal, r) for p, n, r, over in outcomes],
-        )
-        for (state, action), outcomes in rows.items()
-        if state not in ends
+    listed = [
+        (s, a, [(p, n if not over or n in ends else states, r) for p, n, r, over in outcomes])
+        for (s, a), outcomes in rows.items()
+        if s not in ends
     ]
-    listed += [(end, 0, [(1, end, 0)]) for end in sorted(ends)]
-    if appended:
-        listed.append((goal, 0, [(1, goal, 0)]))
-    space = StateSpace(columns=columns, extra=(END,) if appended else ())
+    more = bool(targets - ends)  # an end behind the other states
+    over = sorted(ends) + [states] * more
+    listed += [(end, 0, [(1, end, 0)]) for end in over]
+    space = StateSpace(columns=columns, extra=(END,) * more)
     if "labels" not in names:
-        over = np.isin(np.arange(space.size), [*ends, *([goal] if appended else [])])
-        names["labels"] = ({END: over} if over.any() else {}) | _of_the_map(bare, space.size)
+        ending = {END: np.isin(np.arange(space.size), over)} if over else {}
+        names["labels"] = ending | _of_the_map(bare, space.size)
     return "from_outcomes", (listed,), names | {"start": start, "space": space}
 
 
@@ -195,10 +190,7 @@ def _of_the_map(env: Any, states: int) -> dict[str, Any]:
 
 
 def _named(env: Any, states: int, actions: int) -> tuple[list[str], tuple[Column, ...]]:
-    """Return the names of the actions, and the columns of the states where they are known.
-
-    Those of Gymnasium's toy-text environments are as their documentation and `decode` have them.
-    """
+    """Return the names of the actions, and the columns of the states where they are known."""
     kind = next(
         (each.__name__ for each in type(env).__mro__ if each.__module__.startswith(TOY_TEXT)), ""
     )
@@ -218,24 +210,13 @@ def _ends(rows: Rows, begins: set[int]) -> tuple[set[int], set[int]]:
     The ends are the largest set of such states that no start and no outcome of a state outside
     the set enters alive; states that stay put without reward are ends however they are entered.
     """
-    targets = {n for outcomes in rows.values() for _, n, _, over in outcomes if over}
-    idle = targets - {NOWHERE}
-    for (state, _), outcomes in rows.items():
-        if any(n != state or r != 0 for _, n, r, _ in outcomes):
-            idle.discard(state)
-    ends = targets - (begins - idle) - {NOWHERE}
-    while True:
-        alive = {
-            n
-            for (state, _), outcomes in rows.items()
-            if state not in ends
-            for _, n, _, over in outcomes
-            if not over
-        }
-        entered = (ends & alive) - idle
-        if not entered:
-            return ends, targets
+    steps = [(s, n, r, over) for (s, _), each in rows.items() for _, n, r, over in each]
+    targets = {n for _, n, _, over in steps if over}
+    busy = {s for s, n, r, _ in steps if n != s or r != 0}
+    ends = targets - (begins & busy) - {NOWHERE}
+    while entered := ends & busy & {n for s, n, _, over in steps if s not in ends and not over}:
         ends -= entered
+    return ends, targets
 
 
 def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
@@ -263,17 +244,13 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
         raise ModelError(
             "P is empty: it lists no state with an action",
             where=where,
-            fix="let P[state][action] list (probability, next state, reward, terminated)",
+            fix=LISTED,
         )
-    most = (
-        max((state for state, _ in rows), default=-1) + 1,
-        max((action for _, action in rows), default=-1) + 1,
-    )
+    most = (max(numbers) + 1 for numbers in zip(*rows, strict=True))
     sizes = []
     for space, least in zip(("observation_space", "action_space"), most, strict=True):
         said = getattr(env, space, None)
-        if getattr(said, "shape", ()) != ():  # of vectors, which P numbers as it likes
-            said = None
+        said = None if getattr(said, "shape", ()) else said  # vectors, which P numbers as it likes
         size = getattr(said, "n", least)
         if size < least:
             raise ModelError(
@@ -296,14 +273,14 @@ def _rows(env: Any, where: str) -> tuple[Rows, int, int]:
     return rows, sizes[0], sizes[1]
 
 
-def _items(table: Any, where: str, what: str) -> Iterable[tuple[int, Any]]:
-    pairs = list(table.items() if isinstance(table, Mapping) else enumerate(_listed(table, where)))
-    for key, _ in pairs:
+def _items(table: Any, where: str, what: str) -> Iterator[tuple[int, Any]]:
+    for key, value in (
+        table.items() if isinstance(table, Mapping) else enumerate(_listed(table, where))
+    ):
         if not _whole(key) or key < 0:
-            raise ModelError(
-                f"{what} has the key {key!r}", where=where, fix="number states and actions from 0"
-            )
-    return [(int(key), value) for key, value in pairs]
+            fix = "number states and actions from 0"
+            raise ModelError(f"{what} has the key {key!r}", where=where, fix=fix)
+        yield int(key), value
 
 
 def _whole(number: Any) -> TypeGuard[int]:
@@ -313,11 +290,8 @@ def _whole(number: Any) -> TypeGuard[int]:
 def _listed(values: Any, where: str) -> Sequence[Any]:
     if isinstance(values, Sequence) and not isinstance(values, str):
         return values
-    raise ModelError(
-        f"{type(values).__name__} found where a list is expected",
-        where=where,
-        fix="let P[state][action] list (probability, next state, reward, terminated)",
-    )
+    what = f"{type(values).__name__} found where a list is expected"
+    raise ModelError(what, where=where, fix=LISTED)
 
 
 def _outcome(outcome: Any, place: str) -> Outcome:
