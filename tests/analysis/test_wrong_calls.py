@@ -88,9 +88,9 @@ thresholds(FLOATS, "r") -> not polynomials of degree 1 in r; parameter r; not wi
 tornado(3) -> int is not a model; model; a Family
 MODEL.reaching(["x"]) -> unknown label ['x']; labels; the model has none
 MODEL.component(3) -> unknown component 3; components; choose one of reward
-save(3, "x.npz") -> int and str; save; save(model, path)
-save("x.npz", MODEL) -> str and MDP; save; save(model, path)
-MDP.save("x.npz", MODEL) -> str and MDP; save; model.save(path)
+save(3, "x.npz") -> 3 is of type int; save; save(model, path)
+save("x.npz", MODEL) -> 'x.npz' is of type str; save; save(model, path)
+MDP.save("x.npz", MODEL) -> 'x.npz' is of type str; save; model.save(path)
 MDP.from_arrays(P, REWARDS, gamma=0.9) -> gamma=; MDP; say discount=
 MDP.from_pairs([0], [0], [[1]], [0], gamma=0.9) -> gamma=; MDP; say discount=
 MDP.from_outcomes([(0, 0, [(1, 0, 0)])], gamma=0.9) -> gamma=; MDP; say discount=

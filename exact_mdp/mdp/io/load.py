@@ -11,7 +11,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.care.toml import shipped
@@ -45,16 +44,15 @@ def read_model(
 ) -> Loaded:
     """Return the model that `spec` names, see `load`; raises ModelError where there is none.
 
-    Of a `.umb` file of another program the discount is 1 unless it is given, with a warning. A
-    discount that is given wins over `sets`.
+    A discount that is given wins over `sets`.
     """
     text = str(spec)
-    file, reward = _parts(text)
+    named = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)  # a reward model of a file
+    file, reward = named.groups() if named else (text, None)
     suffix, scenario = Path(file).suffix.lower(), None
     if constants and suffix not in SOURCES:
-        raise ModelError(
-            "the model has no constants", where=text, fix=f"give a {' or '.join(SOURCES)} file"
-        )
+        fix = f"give a {' or '.join(SOURCES)} file"
+        raise ModelError("the model has no constants", where=text, fix=fix)
     if text in shipped() or suffix == ".toml":
         scenario = Scenario.load(text)
         for assignment in of_type(sets, Sequence, "sets", 'give ["KEY=VALUE", …]'):
@@ -146,18 +144,13 @@ def save(model: MDP, path: str | Path) -> None:
     ...     load(f"{folder}/one.json").n_states
     1
     """
-    given: Any = (model, path)
-    if not isinstance(given[0], MDP) or not isinstance(given[1], str | Path):
-        what = " and ".join(type(each).__name__ for each in given)
-        fix = "write save(model, path), or model.save(path); a scenario is compiled first"
-        raise ModelError(f"not a model and a path, but {what}", where="save", fix=fix)
+    fix = "write save(model, path), or model.save(path); a scenario is compiled first"
+    of_type(model, MDP, "save", fix)
+    of_type(path, str | Path, "save", fix)
     suffix = Path(path).suffix.lower()
     if suffix not in WRITERS:
-        raise ModelError(
-            f"cannot write a model as {suffix or 'a file without ending'}",
-            where=str(path),
-            fix="name it .npz, .umb or .json",
-        )
+        what = f"cannot write a model as {suffix or 'a file without ending'}"
+        raise ModelError(what, where=str(path), fix="name it .npz, .umb or .json")
     WRITERS[suffix](model, path)
 
 
@@ -169,12 +162,6 @@ def _assigned(constants: str | Mapping[str, object] | None) -> str:
     with located("constants"):
         values = [str(v).lower() if isinstance(v, bool) else str(exact(v)) for _, v in given]
     return ",".join(f"{name}={value}" for (name, _), value in zip(given, values, strict=True))
-
-
-def _parts(text: str) -> tuple[str, str | None]:
-    """Return the file and the reward model of "file.umb#NAME"; the text itself without one."""
-    match = re.fullmatch(r"(?s)(.*\.umb)#(.*)", text, re.IGNORECASE)
-    return (text, None) if match is None else (match[1], match[2])
 
 
 def _unknown(text: str) -> ModelError:

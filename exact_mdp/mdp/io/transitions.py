@@ -150,48 +150,31 @@ def counted(frame: Any, columns: Mapping[str, str] | None, *, progress: bool = F
 
 
 class Record:
-    """The rows of a table of transitions in numbers, and what was counted of them so far.
-
-    Attributes
-    ----------
-    where : str
-        What the table is called in messages.
-    numbers : {"episode", "state", "action" or "reward": {name: number}}
-        Names are numbered as they come.
-    values : list
-        The rewards as numbers.
-    rows : int
-    ignored : tuple of str
-        Columns called like `truncated` that are not read.
-    starts : {state: episodes}
-    stops : {(next state, whether cut off there): episodes}
-    """
+    """The rows of a table of transitions in numbers, and what was counted of them so far."""
 
     def __init__(self, frame: Any, columns: Mapping[str, str] | None = None) -> None:
         given = dict(of_type(columns or {}, Mapping, "columns", "give {name: name in the table}"))
         for name in given:
             known(name, (*COLUMNS, TRUNCATED), "column", "columns")
         self.columns = dict(zip(COLUMNS, COLUMNS, strict=True)) | given
-        for column, count in Counter(self.columns.values()).items():
-            if count > 1:
-                twice = " and ".join(n for n, each in self.columns.items() if each == column)
-                raise ModelError(
-                    f"the column {column!r} stands for {twice}",
-                    where="columns",
-                    fix="name one column for each",
-                )
+        for column in self.columns.values():
+            names = [name for name, each in self.columns.items() if each == column]
+            if len(names) > 1:
+                what = f"the column {column!r} stands for {' and '.join(names)}"
+                raise ModelError(what, where="columns", fix="name one column for each")
         self.frame = frame
         self.where = str(frame) if isinstance(frame, str | Path) else "transitions"
-        parquet = Path(self.where).suffix.lower() == ".parquet"
-        self._of_file = isinstance(frame, str | Path) and not parquet
-        self.numbers: dict[str, dict[Any, int]] = {
-            name: {} for name in ("episode", "state", "action", "reward")
-        }
-        self.values: list[Any] = []
+        self._parquet = Path(self.where).suffix.lower() == ".parquet"
+        self._of_file = isinstance(frame, str | Path) and not self._parquet
+        # Names of episodes, states, actions and rewards are numbered as they come.
+        self.numbers: dict[str, dict[Any, int]] = {name: {} for name in COLUMNS[:4]}
+        self.values: list[Any] = []  # the rewards as numbers
         self.rows = 0
-        self.ignored: tuple[str, ...] = ()
-        self.starts: Counter[int] = Counter()
-        self.stops: Counter[tuple[int, bool]] = Counter()
+        self.ignored: tuple[str, ...] = ()  # columns called like `truncated` that are not read
+        self.starts: Counter[int] = Counter()  # episodes by state
+        self.stops: Counter[tuple[int, bool]] = (
+            Counter()
+        )  # by next state, and whether cut off there
         self._counts: list[tuple[Integers, Integers]] = []
         self._places: Any = ()  # of the rows of this chunk, in messages
         self._last = (-1, -1, False)  # episode, next state and cut of the last row
@@ -219,9 +202,8 @@ class Record:
         import pandas
 
         if isinstance(self.frame, str | Path):
-            parquet = Path(self.where).suffix.lower() == ".parquet"
             with opened(self.where, most=LARGEST_FILE) as file:
-                yield from (self._parquet if parquet else self._csv)(file)
+                yield from (self._of_parquet if self._parquet else self._of_csv)(file)
             return
         single = isinstance(self.frame, pandas.DataFrame) or not isinstance(self.frame, Iterable)
         for table in [self.frame] if single else self.frame:
@@ -233,7 +215,7 @@ class Record:
                 )
             yield table
 
-    def _csv(self, file: Any) -> Generator[DataFrame]:
+    def _of_csv(self, file: Any) -> Generator[DataFrame]:
         """Yield the rows of a file, all as texts: "0.1" is 1/10; the index has the lines."""
         import pandas
 
@@ -258,15 +240,15 @@ class Record:
         finally:
             text.detach()
 
-    def _parquet(self, file: Any) -> Generator[DataFrame]:
+    def _of_parquet(self, file: Any) -> Generator[DataFrame]:
         with extra("models"):
             from pyarrow import parquet
         used = {*self.columns.values(), TRUNCATED}
         try:
             table = parquet.ParquetFile(file)
             names = table.schema_arrow.names
-            known = [name for name in names if name in used or _like_cut(name)]
-            for batch in table.iter_batches(ROWS, columns=known):
+            read = [name for name in names if name in used or _like_cut(name)]
+            for batch in table.iter_batches(ROWS, columns=read):
                 # The columns say it all: what pandas noted beside them may hide one as an index.
                 yield batch.to_pandas(ignore_metadata=True, integer_object_nulls=True)
         except Exception as error:  # Arrow raises many kinds on damaged files
@@ -282,10 +264,8 @@ class Record:
         """Raise ModelError that names the first of the rows marked."""
         if len(wrong := np.flatnonzero(bad)):
             more = "" if len(wrong) == 1 else f" (and in {len(wrong) - 1:,} more rows)"
-            where = (
-                f"{self.where}, {'line' if self._of_file else 'row'} {self._places[int(wrong[0])]}"
-            )
-            raise ModelError(f"{what}{more}", where=where, fix=fix)
+            place = f"{'line' if self._of_file else 'row'} {self._places[int(wrong[0])]}"
+            raise ModelError(f"{what}{more}", where=f"{self.where}, {place}", fix=fix)
 
     def _numbered(self, chunk: DataFrame) -> tuple[Integers, Integers]:
         """Return the episodes and the numbers of the rows of a chunk; see `read`."""
@@ -337,14 +317,10 @@ class Record:
 
     def _cut(self, column: Series) -> Flags:
         """Return (R,) whether an episode was cut off after a row."""
-        import pandas
-
-        codes, values = pandas.factorize(column)
-        flags = [FLAGS.get(str(value).strip().lower()) for value in values]
-        bad = np.array([*(flag is None for flag in flags), True])[codes]
+        flags = column.map({v: FLAGS.get(str(v).strip().lower()) for v in column.unique()})
         what = f"{self.columns.get(TRUNCATED, TRUNCATED)} is neither true nor false"
-        self._refuse(bad, what, "write true or false, or 1 or 0")
-        return np.asarray(np.array([*map(bool, flags), False])[codes])
+        self._refuse(flags.isna(), what, "write true or false, or 1 or 0")
+        return np.asarray(flags, dtype=bool)
 
     def _number(self, what: str, column: Series) -> Integers:
         """Return the number of each value of a column; -1 where there is none."""
@@ -366,11 +342,9 @@ class Record:
             if column.dtype == object and any(value in (0, 1) for value in values):
                 either = (isinstance(v, bool | np.bool_) for v in column.dropna() if v in (0, 1))
                 if len({*either}) > 1:
-                    raise ModelError(
-                        "the column holds both truth values and the numbers 0 or 1",
-                        where=f"column {column.name}",
-                        fix="use one kind of names",
-                    )
+                    what = "the column holds both truth values and the numbers 0 or 1"
+                    where = f"column {column.name}"
+                    raise ModelError(what, where=where, fix="use one kind of names")
         blank = "" if self._of_file else None  # an empty field
         numbers = [-1 if name == blank else known.setdefault(name, len(known)) for name in names]
         for code, name in enumerate(names if what != "reward" else ()):
@@ -394,20 +368,20 @@ class Record:
         # New names are numbered as they come: an episode that is new has a number above the others.
         known = ~goes_on & (episode <= np.maximum.accumulate(before))
         another = "or give what follows another episode number"
-        for bad, what, fix in (
-            (known, "after another one began", "sort the rows by episode, then by time, and number "
-             "episodes once"),
-            (goes_on & over, "after it was cut off", f"mark its last row alone as truncated, "
-             f"{another}"),
-            (goes_on & (left == OVER), "after it was over: the row before leads nowhere",
-             f"give the next state there, {another}"),
-        ):  # fmt: skip
-            self._refuse(bad, f"an episode goes on {what}", fix)
         self._refuse(
-            goes_on & (left != state),
-            "a gap in an episode: its next row begins in another state than this one led to",
-            f"add the rows that are missing, {another}",
+            known,
+            "an episode goes on after another one began",
+            "sort the rows by episode, then by time, and number episodes once",
         )
+        for bad, what, fix in (
+            (over, "an episode goes on after it was cut off",
+             "mark its last row alone as truncated"),
+            (left == OVER, "an episode goes on after it was over: the row before leads nowhere",
+             "give the next state there"),
+            (left != state, "a gap in an episode: its next row begins in another state than this "
+             "one led to", "add the rows that are missing"),
+        ):  # fmt: skip
+            self._refuse(goes_on & bad, what, f"{fix}, {another}")
         self.starts.update(state[~goes_on].tolist())
         stops = ~goes_on & (before >= 0)  # before the first row there is no episode
         self.stops.update(zip(left[stops].tolist(), over[stops].tolist(), strict=True))
@@ -444,9 +418,8 @@ class Record:
         nowhere, ended = (bool((keys[:, 2] == code).any()) for code in (NOWHERE, OVER))
         extra = (CUT_OFF,) * nowhere + (END,) * ended + (UNSEEN,) * (worst is not None)
         for name in {*extra} & {*states}:
-            raise ModelError(
-                f"a state is called {name!r}", where=self.where, fix="give it another name"
-            )
+            what = f"a state is called {name!r}"
+            raise ModelError(what, where=self.where, fix="give it another name")
         size = len(states) + len(extra)
         place = np.append(place, [len(states), len(states) + nowhere])  # at `NOWHERE` and `OVER`
         values = [*self.values, 0, worst or 0]
