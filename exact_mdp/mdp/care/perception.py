@@ -340,12 +340,10 @@ def read_counts(path: str | Path, model: MDP, *, prior: float = 0.0) -> Counted:
     `statuses` must name the model's.
     """
     stated = _stated(path, model, prior)
+    fix = "leave the prior out, or give a .csv of true,perceived or a .jsonl recording"
     if not isinstance(stated, Counted):
-        raise ModelError(
-            "the file states a confusion matrix, and only labelled examples are counted",
-            where=str(path),
-            fix="leave the prior out, or give a .csv of true,perceived or a .jsonl recording",
-        )
+        what = "the file states a confusion matrix, and only labelled examples are counted"
+        raise ModelError(what, where=str(path), fix=fix)
     return stated
 
 
@@ -370,20 +368,18 @@ def _stated(path: str | Path, model: MDP, prior: float) -> Floats | Counted:
             fix=f"name the statuses in order: status,{labels[0]},…,{labels[-1]}; above labelled "
             f"examples write {','.join(PAIRS)}",
         )
-    rows: dict[str, tuple[str, list[float]]] = {}
+    left = dict.fromkeys(labels, where)
+    matrix = np.empty((size, size))
+    places = dict[str, str]()
     for place, label, *words in stated:
-        if label not in labels or label in rows:
-            raise ModelError(
-                f"status {label!r} is unknown or appears twice",
-                where=place,
-                fix="give one row for each status",
-            )
-        rows[label] = place, [_probability(word, place) for word in words]
-    for label in labels:
-        if label not in rows:
-            raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
-    places, matrix = zip(*map(rows.__getitem__, labels), strict=True)
-    return checked(matrix, size=size, where=where, places=places)
+        if left.pop(label, None) is None:
+            what = f"status {label!r} is unknown or appears twice"
+            raise ModelError(what, where=place, fix="give one row for each status")
+        matrix[labels.index(label)] = [_probability(word, place) for word in words]
+        places[label] = place
+    for label in left:
+        raise ModelError(f"the row of status {label} is missing", where=where, fix="add it")
+    return checked(matrix, size=size, where=where, places=[places[label] for label in labels])
 
 
 def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, object, object]]:
@@ -403,11 +399,8 @@ def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, ob
             raise ModelError("a line that is not an object", where=place, fix="correct the line")
         stated = entry.get("statuses")
         if stated is not None and names and stated != names:
-            raise ModelError(
-                f"a recording with the statuses {stated}",
-                where=place,
-                fix="choose the scenario that it was made with",
-            )
+            what = f"a recording with the statuses {stated}"
+            raise ModelError(what, where=place, fix="choose the scenario that it was made with")
         if "status" in entry and "perceived" in entry:
             yield place, entry["status"], entry["perceived"]
 
@@ -415,28 +408,25 @@ def _recorded(text: str, where: str, names: list[str]) -> Iterator[tuple[str, ob
 def _rates(text: str, names: Sequence[str], where: str) -> list[list[float]]:
     """Return the sensitivity and the specificity of each status."""
     content, tables = toml_of(text, where), ("sensitivity", "specificity")
+    rates = []
     for table in tables:
-        if not isinstance(content.get(table), dict):
+        given = content.get(table)
+        if not isinstance(given, dict):
             raise ModelError(f"the table [{table}] is missing", where=where, fix="add it")
-        for name in content[table]:
+        for name in given:
             known(name, names, "status", where)
         for name in names:
-            if name not in content[table]:
+            if name not in given:
                 raise ModelError(f"{table}.{name} is missing", where=where, fix="state it")
+        rates.append([_probability(given[name], f"{where}, {table}.{name}") for name in names])
     for key in content:
         known(key, tables, "key", where)
-    return [
-        [_probability(content[table][name], f"{where}, {table}.{name}") for name in names]
-        for table in tables
-    ]
+    return rates
 
 
 def _probability(value: object, where: str) -> float:
     number = exact(value, where)
     if not 0 <= number <= 1:
-        raise ModelError(
-            f"{beside(number, Fraction(0), Fraction(1))} is outside [0, 1]",
-            where=where,
-            fix="give a probability",
-        )
+        what = f"{beside(number, Fraction(0), Fraction(1))} is outside [0, 1]"
+        raise ModelError(what, where=where, fix="give a probability")
     return float(number)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
@@ -95,16 +96,15 @@ class Tables:
         check_scenario(self)
 
     def __repr__(self) -> str:
-        other = [
-            f", {name}={option}"
-            for name, option in self.readings.items()
-            if option != READINGS[name][0]
+        parts = [
+            f"{len(self.statuses)} statuses",
+            f"{len(self.actions)} actions",
+            f"tasks {list(self.tasks)}",
+            f"max_trial {self.max_trial}",
+            f"discount {self.discount}",
         ]
-        return (
-            f"Scenario({self.name}: {len(self.statuses)} statuses, {len(self.actions)} actions, "
-            f"tasks {list(self.tasks)}, max_trial {self.max_trial}, discount {self.discount}"
-            f"{''.join(other)})"
-        )
+        own = [f"{n}={option}" for n, option in self.readings.items() if option != READINGS[n][0]]
+        return f"Scenario({self.name}: {', '.join([*parts, *own])})"
 
     def frame(self) -> DataFrame:
         """Return the parameters as a table, with exact numbers.
@@ -157,10 +157,6 @@ class Tables:
         """Parameter names."""
         return tuple(parameter.name for parameter in self.parameters)
 
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {name: place for place, name in enumerate(self.names)}
-
     def values(self) -> dict[str, Fraction]:
         """Return every parameter's value by name."""
         return {parameter.name: parameter.value for parameter in self.parameters}
@@ -169,10 +165,10 @@ class Tables:
         return self.parameters[self._position(name)].value
 
     def _position(self, name: str) -> int:
-        if name not in self._places:
+        if name not in self.names:
             readings = (f"readings.{reading}" for reading in READINGS)
             known(name, [*self.names, *SETTINGS, *readings], "parameter", f"scenario {self.name}")
-        return self._places[name]
+        return self.names.index(name)
 
     def with_(
         self,
@@ -240,11 +236,14 @@ def bits_of(count: int) -> Integers:
 def as_tasks(value: object) -> tuple[int, ...]:
     """Return tasks from a list of positive integers, or its text "[3,1]"."""
     if isinstance(value, str):
-        try:
+        with suppress(ValueError, RecursionError):
             value = json.loads(value)
-        except (ValueError, RecursionError):
-            value = None
-    if isinstance(value, Sequence) and value and all(_positive(number) for number in value):
+    if (
+        not isinstance(value, str)
+        and isinstance(value, Sequence)
+        and value
+        and all(_positive(number) for number in value)
+    ):
         return tuple(int(number) for number in value)
     raise ModelError(
         "tasks is not a list of positive whole numbers, or is empty",
@@ -304,17 +303,11 @@ def check_scenario(scenario: Tables) -> None:
         convert(getattr(scenario, key))
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
-    where = f"scenario {scenario.name}"
-    states = sum(scenario.tasks) * scenario.trials * 2 ** len(scenario.statuses)
+    where, count = f"scenario {scenario.name}", len(scenario.statuses)
+    states = sum(scenario.tasks) * scenario.trials * 2**count
     if states > MOST_STATES:
-        raise ModelError(
-            f"the model would have {states:,} states, more than {MOST_STATES:,}",
-            where=where,
-            fix="use fewer subtasks, trials or statuses",
-        )
-    if len(scenario.statuses) > MOST_STATUSES:
-        raise ModelError(
-            f"{len(scenario.statuses)} statuses, more than {MOST_STATUSES}",
-            where=where,
-            fix="merge statuses",
-        )
+        what = f"the model would have {states:,} states, more than {MOST_STATES:,}"
+        raise ModelError(what, where=where, fix="use fewer subtasks, trials or statuses")
+    if count > MOST_STATUSES:
+        what = f"{count} statuses, more than {MOST_STATUSES}"
+        raise ModelError(what, where=where, fix="merge statuses")
