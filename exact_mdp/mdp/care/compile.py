@@ -14,6 +14,7 @@ Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from math import lcm
 from typing import Any, NamedTuple
@@ -83,14 +84,15 @@ class Block:
         """Return all rows of a subtask, by trial, flag, status and action."""
         rules, parts = self.laws.rules, list[Rows]()
         layer = rules.flags * rules.vectors
-        first = [each for flag in range(rules.flags) for each in self._step(place, flag)]
+        first = [self._step(place, flag) for flag in range(rules.flags)]
         for trial in range(rules.trials - (not rules.own)):
             for rows in first:  # the same rows, further on
                 shift = np.where(rows["next"] < rules.size, trial * layer, 0)
                 parts.append(rows | {"next": rows["next"] + shift})
         for flag in range(rules.flags):
-            parts += self._step(place, 1 if rules.own else flag, tries=not rules.own, skips=True)
-        return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+            last = 1 if rules.own else flag
+            parts.append(self._step(place, last, tries=not rules.own, skips=True))
+        return _joined(parts)
 
     def _outcomes(self, place: int, flag: int, *, tries: bool, skips: bool) -> list[Branches]:
         """Return the outcomes of a step that tries, that ends in a skip if it fails, or both."""
@@ -119,9 +121,7 @@ class Block:
             outcomes.append(Branches(1, chosen, gains, ends[there], scatter))
         return outcomes
 
-    def _step(
-        self, place: int, flag: int, *, tries: bool = True, skips: bool = False
-    ) -> list[Rows]:
+    def _step(self, place: int, flag: int, *, tries: bool = True, skips: bool = False) -> Rows:
         """Return the rows of a step, outcomes sorted by next state, zeros left out.
 
         A row may have as many outcomes as status vectors times costs: a few present vectors at a
@@ -138,6 +138,7 @@ class Block:
         kind = np.repeat([each.event for each in outcomes], [len(o.state) for o in outcomes])
         gains = [np.broadcast_to(o.gain, (actions, len(o.state))) for o in outcomes]
         gain, event = np.concatenate(gains, axis=1)[:, order], kind[order].astype(np.uint8)
+        amount = self._components(laws, bottom, place, flag, tries, skips)
         each = max(1, ENTRIES // (actions * len(states)))
         parts = []
         for begin in range(0, len(laws), each):
@@ -152,36 +153,29 @@ class Block:
             # As wide as the row's denominator, below which sums stay.
             joined = np.concatenate([w.astype(below.dtype) for w in weight], axis=2)[:, :, order]
             positive, shape = np.array(joined != 0, dtype=bool), joined.shape
-            amount = self._components(some, law, bottom[some], place, flag, tries, skips)
             parts.append(
                 {
                     "lengths": positive.sum(axis=2).reshape(-1),
                     "next": np.broadcast_to(states[order], shape)[positive],
                     "weight": joined[positive],
-                    "denominator": below[some].reshape(-1),
                     "gain": (gain + self.present[some, None, None])[positive],
                     "event": np.broadcast_to(event, shape)[positive],
-                    "amount": amount.reshape(-1, amount.shape[2]),
-                    "below": multiply(bottom[some].reshape(-1), integers([self.laws.scale])),
                 }
             )
-        return parts
+        return _joined(parts) | {
+            "denominator": below.reshape(-1),
+            "amount": amount.reshape(-1, amount.shape[2]),
+            "below": multiply(bottom.reshape(-1), integers([self.laws.scale])),
+        }
 
     def _components(
-        self,
-        some: slice,
-        law: Numbers,
-        bottom: Numbers,
-        place: int,
-        flag: int,
-        tries: bool,
-        skips: bool,
+        self, law: Numbers, bottom: Numbers, place: int, flag: int, tries: bool, skips: bool
     ) -> Numbers:
-        """Return expected reward components (m, A, C) of some vectors: integers, as the law is."""
+        """Return expected reward components (V, A, C): integers, as the law is."""
         rules, reward = self.laws.rules, self.laws.reward
         counts = np.zeros((*bottom.shape, len(rules.weights)), dtype=bottom.dtype)
         for i, on in enumerate(rules.bits.T):
-            counts[:, :, i] = rules.now * on[some, None] * bottom
+            counts[:, :, i] = rules.now * on[:, None] * bottom
             counts[:, :, i] += rules.next * law[:, :, on == 1].sum(axis=2)
         failed = bottom - law[:, :, 0] if tries else bottom
         shares = [(COMPLETE, law[:, :, 0], flag), (FAIL, failed, 0)] if tries else []
@@ -191,6 +185,10 @@ class Block:
             own = np.eye(rules.assistive, dtype=np.int64)
             counts[:, :, -rules.assistive :] += law[:, :, 0, None] * own
         return multiply(counts, reward[rules.weights])
+
+
+def _joined(parts: Sequence[Rows]) -> Rows:
+    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
 
 def _matmul(left: Numbers, right: Numbers) -> Numbers:
@@ -259,43 +257,40 @@ def compile_scenario(laws: Laws) -> MDP:
 def _model(laws: Laws, places: Integers) -> MDP:
     """Return the checked model of a block at each of `places` (K,), one after the other."""
     scenario, rules, block = laws.scenario, laws.rules, Block(laws)
-    blocks = [block.rows(place) for place in places.tolist()]
-    end = len(blocks) * rules.size
-
-    def joined(key: str, *tail: int) -> Numbers:
-        return np.concatenate([*(rows[key] for rows in blocks), np.array(tail, dtype=np.int64)])
-
-    lengths = joined("lengths", 1)
-    starts = np.arange(len(blocks)) * rules.size
-    following = [rows["next"] + start for rows, start in zip(blocks, starts, strict=True)]
+    starts = np.arange(len(places)) * rules.size
+    end = len(places) * rules.size
+    blocks = list(map(block.rows, places.tolist()))
+    for rows, start in zip(blocks, starts, strict=True):
+        rows["next"] = rows["next"] + start
+    # The end, which stays and earns nothing.
+    tail = {"lengths": 1, "next": end, "weight": 1, "denominator": 1, "below": 1}
+    last = {key: np.array([tail.get(key, 0)]) for key in blocks[0]}
+    last["amount"] = np.zeros((1, len(rules.components)), dtype=np.int64)
+    rows = _joined([*blocks, last])
     state, action = rules.pairs()
     table = OutcomeTable(
-        offsets=np.concatenate([[0], np.cumsum(lengths)]),
-        next=np.concatenate([*following, [end]]).astype(_states(end)),
-        weight=joined("weight", 1),
-        denominator=joined("denominator", 1),
-        gain=joined("gain", 0),
-        gain_denominator=_same(laws.scale, len(lengths)),
-        event=joined("event", 0).astype(np.uint8),
+        offsets=np.concatenate([[0], np.cumsum(rows["lengths"])]),
+        next=rows["next"].astype(_states(end)),
+        weight=rows["weight"],
+        denominator=rows["denominator"],
+        gain=rows["gain"],
+        gain_denominator=_same(laws.scale, len(rows["lengths"])),
+        event=rows["event"].astype(np.uint8),
     )
-    nothing = np.zeros((1, len(rules.components)), dtype=np.int64)
-    components = ComponentTable(
-        amount=np.concatenate([*(rows["amount"] for rows in blocks), nothing]),
-        denominator=joined("below", 1),
-    )
+    space = rules.space(len(places))
     return MDP(
         table,
         np.append((starts[:, None] + state).reshape(-1), end),
-        np.append(np.tile(action, len(blocks)), 0),
-        space=rules.space(len(blocks)),
+        np.append(np.tile(action, len(places)), 0),
+        space=space,
         actions=rules.actions,
         discount_exact=scenario.discount,
         component_names=rules.components,
-        component_table=components,
+        component_table=ComponentTable(amount=rows["amount"], denominator=rows["below"]),
         events=(SKIP,),
         name=scenario.name,
         parameters=scenario.parameters,
-        labels=rules.labels(rules.space(len(blocks))),
+        labels=rules.labels(space),
     )
 
 
