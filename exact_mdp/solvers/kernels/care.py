@@ -55,11 +55,11 @@ product = inlined(independent)
 
 
 @inlined
-def place(draws: Draws, d: int, one: Floats, none: Floats, law: Floats) -> None:
+def place(which: Numbers, chance: Floats, one: Floats, none: Floats, law: Floats) -> None:
     """Write the law of every row at the chances of a draw."""
-    for i in range(draws.which.shape[0]):
-        for r in range(draws.which.shape[1]):
-            one[i, r] = draws.chance[d, draws.which[i, r]]
+    for i in range(which.shape[0]):
+        for r in range(which.shape[1]):
+            one[i, r] = chance[which[i, r]]
             none[i, r] = 1.0 - one[i, r]
     product(one, none, law)
 
@@ -134,7 +134,7 @@ def values(
     for d in range(len(draws.gain)):
         assist, discount, gain = draws.assist[d], draws.discount[d], draws.gain[d]
         present, following = draws.present[d], draws.following[d]
-        place(draws, d, room.chance[0], room.chance[1], law)
+        place(draws.which, draws.chance[d], room.chance[0], room.chance[1], law)
         for n in range(value.shape[1]):
             if given:
                 follow(assist, law, shares[n, 0], policy, extra)
