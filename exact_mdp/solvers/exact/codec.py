@@ -131,9 +131,10 @@ def save(proof: Any, path: str | Path) -> None:
 
 def load(kinds: Mapping[str, type[T]], path: str | Path) -> T:
     """Read a certificate of one of some kinds; raises ModelError for another file."""
-    text, part = read_bytes(path, most=LARGEST), "the file"
+    text, fault = read_bytes(path, most=LARGEST), "not a certificate, which is JSON text"
     try:
         data = json.loads(text, object_pairs_hook=once)
+        fault = "the file is damaged"
         data = data if isinstance(data, dict) else {}
         head: dict[str, list[Any]] = {"format": [FORMAT], "version": [VERSION], "kind": [*kinds]}
         for key, known in head.items():
@@ -143,10 +144,11 @@ def load(kinds: Mapping[str, type[T]], path: str | Path) -> T:
         types, read = _types(cast(Any, record)), dict[str, Any]()
         keyed(data, {"format", "version", *types}, "the certificate")
         for part, kind in types.items():
+            fault = f"{part} is damaged"
             read[part] = decode(kind, data[part])
     except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise ModelError(
-            str(error) if isinstance(error, Unreadable) else f"{part} is damaged",
+            str(error) if isinstance(error, Unreadable) else fault,
             where=str(path),
             fix="name a file that certificate.save or --certificate F.json wrote, of this version",
         ) from error
