@@ -101,10 +101,13 @@ def singular(name: str) -> str:
 def function(target: str) -> tuple[str, list[Parameter]]:
     """Return what the docstring of "module:name" says, and its parameters."""
     module, _, name = target.partition(":")
-    every = [each for each in _tree(module).body if isinstance(each, ast.FunctionDef)]
-    section = next(each for each in every if each.name == name)
+    near, far = (
+        [each for each in _tree(place).body if isinstance(each, ast.FunctionDef)]
+        for place in (module, GIVEN.partition(":")[0])
+    )
+    section = next(each for each in near if each.name == name)
     said: dict[str, tuple[str, str]] = {}
-    for each in reversed([section, *every]):  # a parameter that is not explained, is in another one
+    for each in reversed([section, *far, *near]):  # what one does not explain, another one does
         said |= _documented(each)[1]
     return _documented(section)[0], [*_parameters(section.args, said)]
 
@@ -165,48 +168,33 @@ def command(
 ) -> click.Command:
     """Return the command that calls the function "module:name" of this package.
 
-    Parameters
-    ----------
-    name, target : str
-    shared : sequence of str
-        Parameters of `given` that the command has as options.
-    markdown : bool
-        Whether it has the option --markdown.
-    epilog : str
-        What stands below the options.
+    `shared` are the parameters of `given` that it has as options; `epilog` stands below these.
     """
     text, own = function(target)
-    _, every = function(GIVEN)
-    asked = [
-        each for each in every if each.name in shared and each.name not in {o.name for o in own}
-    ]
-    params: list[click.Parameter] = []
-    for each in own:
-        params.append(click.Argument(["model"]) if each.name == "given" else each.click())
+    named = {each.name for each in own}
+    asked = [each for each in function(GIVEN)[1] if each.name in {*shared} - named]
+    params: list[click.Parameter]
+    params = [click.Argument(["model"]) if p.name == "given" else p.click() for p in own]
     params += [each.click() for each in asked]
-    params.append(click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON object."))
-    if markdown:
-        params.append(
-            click.Option(["--markdown", "as_markdown"], is_flag=True, help="Print Markdown.")
-        )
+    forms = {"json": "one JSON object"} | ({"markdown": "Markdown"} if markdown else {})
+    for form, what in forms.items():
+        option = [f"--{form}", f"as_{form}"]
+        params.append(click.Option(option, is_flag=True, help=f"Print {what}."))
 
     def work(*, as_json: bool, as_markdown: bool = False, **options: Any) -> int:
-        with aside():  # a module of the user's may print: the result is printed below
-            report = _report(target, own, [each.name for each in asked], options)
+        try:
+            with aside():  # a module of the user's may print: the result is printed below
+                report = _report(target, own, [each.name for each in asked], options)
+        except click.exceptions.Exit as end:  # not of --help, but of code that was called
+            sys.exit(end.exit_code)
         show = import_module("exact_mdp.analysis.cli.render").show
         show(report, as_json=as_json, as_markdown=as_markdown)
         return int(report.passed is False)
 
-    def ended(*positional: Any, **options: Any) -> int:
-        try:
-            return work(*positional, **options)
-        except click.exceptions.Exit as end:  # not of --help, but of code that was called
-            sys.exit(end.exit_code)
-
     made = Command(
         name,
         params=params,
-        callback=ended,
+        callback=work,
         help=text.replace("Example:\n\n", "\b\nExample:\n"),
         short_help=text.partition("\n")[0],
         epilog=epilog,

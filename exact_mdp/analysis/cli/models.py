@@ -291,10 +291,6 @@ def convert(
     target : OUT
     constants : "A=1,B=2"
         What a .prism or .jani file leaves open (extra models).
-    sets : KEY=VALUE
-        Change a scenario: base.anger=1/10, tasks=[3,1], readings.NAME=OPTION.
-    discount : G, optional
-        Discount instead of the model's own: 0.95 or 19/20.
     """
     check_outputs((target, (".npz", ".umb", ".json")))
     loaded = read_model(source, sets=sets, discount=discount, constants=constants)
