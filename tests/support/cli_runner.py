@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -54,17 +55,20 @@ def strict(text: str) -> Any:
     return json.loads(text, parse_constant=refuse)
 
 
-def run(*words: object) -> Done:
-    """Run a command in this process, by the entry point of the installed program."""
+def run(line: str = "", *words: object) -> Done:
+    """Run a command in this process, by the entry point of the installed program.
+
+    The line is split as a shell does, the other words are not.
+    """
     with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
-        status = main([str(word) for word in words])
+        status = main([*shlex.split(line), *map(str, words)])
     return Done(status=status, out=out.getvalue(), err=err.getvalue())
 
 
-def launch(*words: object, **environment: str) -> Done:
+def launch(line: str, *words: object, **environment: str) -> Done:
     """Run the installed program."""
     done = subprocess.run(
-        [PROGRAM, *(str(word) for word in words)],
+        [PROGRAM, *shlex.split(line), *map(str, words)],
         capture_output=True,
         encoding="utf-8",
         env=os.environ | environment,

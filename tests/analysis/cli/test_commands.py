@@ -14,13 +14,16 @@ from cli_runner import ROOT, run
 
 from exact_mdp import Policy, Scenario, fingerprint, load
 
-SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
-COLUMN_TO_ROW = ("--set", "readings.influence_orientation=column-to-row")
-
-TWINS = (  # two actions that do the same at the same price: the optimum is not unique
-    *("--set", "assistance.non-directive.forgetfulness.persistence=0.05"),
-    *("--set", "assistance.non-directive.confusion.persistence=0.05"),
-    *("--set", "reward.assist.non-directive=-5", "--set", "tasks=[1]"),
+SMALL = "--set tasks=[2] --set max_trial=2"
+COLUMN_TO_ROW = "readings.influence_orientation=column-to-row"
+# Two actions that do the same at the same price: the optimum is not unique.
+TWINS = (
+    "--set assistance.non-directive.forgetfulness.persistence=0.05 --set tasks=[1] "
+    "--set assistance.non-directive.confusion.persistence=0.05 --set reward.assist.non-directive=-5"
+)
+METHODS = (
+    "value-iteration gauss-seidel modified-policy-iteration policy-iteration backward-induction "
+    "linear-program"
 )
 
 
@@ -28,8 +31,8 @@ TWINS = (  # two actions that do the same at the same price: the optimum is not 
 
 
 def test_settings_change_the_model() -> None:
-    words = ("--set", "tasks=[3,1]", "--set", "base.anger=1/10", "--set", "discount=0.5")
-    found = run("info", "yuan2025", *words, "--discount", "19/20", "--json").result
+    words = "--set tasks=[3,1] --set base.anger=1/10 --set discount=0.5 --discount 19/20"
+    found = run(f"info yuan2025 {words} --json").result
     assert found["tasks"] == [3, 1]
     assert found["parameters"]["base.anger"] == "1/10"
     assert (found["discount"], found["discount_exact"]) == (0.95, "19/20")
@@ -41,24 +44,24 @@ def test_settings_change_the_model() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        (),
-        (*COLUMN_TO_ROW, *SMALL),
-        ("--set", "tasks=[1]", "--discount", "19/20"),
-        ("--set", "readings.skip_timestep=own", "--set", "tasks=[1,1]", "--set", "max_trial=2"),
-        ("--set", "readings.task_bonus=no-subtask-skipped", *SMALL),
-        ("--set", "base.anger=0", "--set", "reward.anger=0", "--set", "tasks=[1]"),
+        "",
+        f"--set {COLUMN_TO_ROW} {SMALL}",
+        "--set tasks=[1] --discount 19/20",
+        "--set readings.skip_timestep=own --set tasks=[1,1] --set max_trial=2",
+        f"--set readings.task_bonus=no-subtask-skipped {SMALL}",
+        "--set base.anger=0 --set reward.anger=0 --set tasks=[1]",
         TWINS,
     ],
 )
-def test_solve_agrees_with_the_oracle(words: tuple[str, ...]) -> None:
+def test_solve_agrees_with_the_oracle(words: str) -> None:
     oracle = described(words)
-    plain = run("solve", "yuan2025", *words, "--json").result
+    plain = run(f"solve yuan2025 {words} --json").result
     best = oracle.value(oracle.start)
     assert abs(Fraction(plain["start_value"]) - best) <= Fraction(plain["error_bound"])
     assert plain["error_bound"] < 1e-9
     assert (plain["claim"], plain["exact_start_value"], plain["unique"]) == ("bounded", None, None)
 
-    exact = run("solve", "yuan2025", *words, "--json", "--certify").result
+    exact = run(f"solve yuan2025 {words} --json --certify").result
     assert exact["claim"] == "certified"
     assert Fraction(exact["exact_start_value"]) == best
     assert abs(Fraction(exact["start_value"]) - best) <= Fraction(exact["error_bound"])
@@ -76,10 +79,10 @@ def test_solve_agrees_with_the_oracle(words: tuple[str, ...]) -> None:
     assert exact["unique"] == (words != TWINS)
 
 
-def described(words: tuple[str, ...]) -> Oracle:
+def described(words: str) -> Oracle:
     """Return the oracle's model of the same settings."""
     scenario = Scenario.load("yuan2025")
-    for flag, word in zip(words[::2], words[1::2], strict=True):
+    for flag, word in zip(words.split()[::2], words.split()[1::2], strict=True):
         scenario = scenario.set(word if flag == "--set" else f"discount={word}")
     return oracle_of(scenario)
 
@@ -106,31 +109,20 @@ def optimally_reached(oracle: Oracle) -> set[State]:
     return found
 
 
-@pytest.mark.parametrize(
-    "method",
-    [
-        "value-iteration",
-        "gauss-seidel",
-        "modified-policy-iteration",
-        "policy-iteration",
-        "backward-induction",
-        "linear-program",
-    ],
-)
-def test_every_method_finds_the_same(method: str) -> None:
-    words = ("--set", "tasks=[1]", "--method", method, "--json")
-    found = run("solve", "yuan2025", *words).result
+def test_every_method_finds_the_same() -> None:
     oracle = Oracle(tasks=[1])
-    assert found["method"] == method
-    assert found["iterations"] >= 1
-    assert found["seconds"] >= 0
-    assert abs(found["start_value"] - oracle.value(oracle.start)) <= found["error_bound"]
+    for method in METHODS.split():
+        found = run(f"solve yuan2025 --set tasks=[1] --method {method} --json").result
+        assert found["method"] == method
+        assert found["iterations"] >= 1
+        assert found["seconds"] >= 0
+        assert abs(found["start_value"] - oracle.value(oracle.start)) <= found["error_bound"]
 
 
 def test_a_tolerance_out_of_reach_is_told_of() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("default")
-        done = run("solve", "yuan2025", "--tol", "1e-300", "--json")
+        done = run("solve yuan2025 --tol 1e-300 --json")
     assert done.status == 0
     said = (
         r"warning: the error bound is \S+: double precision reaches its limit above the tolerance"
@@ -142,12 +134,12 @@ def test_a_tolerance_out_of_reach_is_told_of() -> None:
 
 def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
     policy, arrays = tmp_path / "policy.csv", tmp_path / "arrays.npz"
-    words = ("yuan2025", *COLUMN_TO_ROW)
-    solved = run("solve", *words, "--policy-out", policy, "--out", arrays, "--json").result
+    words = f"yuan2025 --set {COLUMN_TO_ROW} --json"
+    solved = run(f"solve {words}", "--policy-out", policy, "--out", arrays).result
     assert solved["written"] == [str(policy), str(arrays)]
-    mdp = load("yuan2025", sets=COLUMN_TO_ROW[1:])
+    mdp = load("yuan2025", sets=[COLUMN_TO_ROW])
     for path in (policy, arrays):
-        found = run("evaluate", *words, path, "--json").result
+        found = run(f"evaluate {words}", path).result
         assert abs(found["mean"] - solved["start_value"]) <= (
             found["error_bound"] + solved["error_bound"]
         )
@@ -171,8 +163,8 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
 
 def test_verify_tells_proofs_from_what_is_none(tmp_path: Path) -> None:
     exact, bounds = tmp_path / "exact.json", tmp_path / "bounds.json"
-    solved = run("solve", "yuan2025", "--certify", "--certificate", exact, "--json").result
-    run("solve", "yuan2025", "--certificate", bounds, "--json")
+    solved = run("solve yuan2025 --certify --certificate", exact, "--json").result
+    run("solve yuan2025 --certificate", bounds, "--json")
     done = run("verify", exact, "yuan2025", "--json")
     assert (done.status, done.result["holds"], done.result["claim"]) == (0, True, "certified")
     for key in ("exact_start_value", "unique", "start_value"):
@@ -204,19 +196,16 @@ def test_verify_tells_proofs_from_what_is_none(tmp_path: Path) -> None:
 
 def test_a_loose_tolerance_does_not_make_an_optimum_stationary() -> None:
     """Here the best action of a status changes with the trial: bounds may not deny it."""
-    model = ["solve", "yuan2025", "--set", "readings.influence_orientation=column-to-row", "--json"]
-    found = [
-        run(*model, *more).result["stationary"]
-        for more in (["--certify"], [], ["--method", "value-iteration", "--tol", "50"])
-    ]
-    assert found == [False, False, None]
-    usual = run("solve", "yuan2025", "--json").result["stationary"]
-    assert usual is True
+    model = f"solve yuan2025 --set {COLUMN_TO_ROW} --json"
+    for more, answer in (("--certify", False), ("", False), ("--tol 50", None)):
+        method = " --method value-iteration" * (answer is None)
+        assert run(f"{model} {more}{method}").result["stationary"] is answer
+    assert run("solve yuan2025 --json").result["stationary"] is True
 
 
 def test_a_file_may_be_standard_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     proof, records, model = (tmp_path / name for name in ("proof.json", "records.csv", "m.npz"))
-    run("solve", "tea", "--certify", "--certificate", proof)
+    run("solve tea --certify --certificate", proof)
     records.write_text("episode,state,action,reward,next_state\n0,a,stay,1,\n", "utf-8")
     policy = json.dumps({f"{status:03b}": "wait" for status in range(8)})
     for words, text, status in (

@@ -54,7 +54,7 @@ def test_long_numbers_and_deep_tables_are_bad_input(words: str, text: str, tmp_p
     """Integers of 9,000 digits and keys of 3,000 parts are refused at the door, by name."""
     path = tmp_path / "file.toml"
     path.write_text(text, "utf-8")
-    assert str(path) in run(*words.split(), path).refusal()
+    assert str(path) in run(words, path).refusal()
 
 
 LINES = {
@@ -80,7 +80,7 @@ def test_a_value_beyond_all_limits_is_refused_with_the_name_of_its_option(
     line: str, value: str
 ) -> None:
     """No option takes a number beyond the floats, and every refusal names the option."""
-    assert f"  where: {LINES[line]}\n" in run(*line.format(value).split()).refusal()
+    assert f"  where: {LINES[line]}\n" in run(line.format(value)).refusal()
 
 
 ENDS = {
@@ -109,7 +109,7 @@ def test_a_module_that_ends_the_program_gives_no_verdict(
     (tmp_path / "ends.py").write_text(code, "utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "ends", raising=False)
-    run("check", "gymnasium:ends:X-v0", "random", "--discount", "0.9").refusal(3)
+    run("check gymnasium:ends:X-v0 random --discount 0.9").refusal(3)
 
 
 LOUD = """
@@ -200,15 +200,9 @@ def test_a_full_disk_behind_a_file_ends_with_3_and_leaves_nothing(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_program_without_a_command_shows_its_help() -> None:
-    done = run()
-    assert (done.status, done.out) == (2, "")
-    assert done.err.startswith("Usage: exact-mdp")
-
-
 @pytest.mark.parametrize("words", ["solve nowhere.npz", "solve", "solve tea --discount 2", "sove"])
 def test_with_json_the_last_line_of_an_error_is_an_object(words: str) -> None:
-    plain, text = run(*words.split()).refusal(), run(*words.split(), "--json").err
+    plain, text = run(words).refusal(), run(words, "--json").err
     assert text.startswith(plain)
     error = strict(text.removeprefix(plain))
     assert error.pop("status") == 2

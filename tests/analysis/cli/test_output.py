@@ -22,7 +22,7 @@ def test_tables_are_plain_text_without_loss(monkeypatch: pytest.MonkeyPatch) -> 
     for width in ("40", "100"):
         monkeypatch.setenv("COLUMNS", width)
         for line in ("info tea", "solve yuan2025", "evaluate yuan2025 random", "solve tea"):
-            done = run(*line.split())
+            done = run(line)
             assert done.status == 0
             assert "\x1b" not in done.out
             assert "…" not in done.out
@@ -52,7 +52,7 @@ TEXTS = {
 
 @pytest.mark.parametrize("line", TEXTS)
 def test_people_read_words_and_tables(line: str) -> None:
-    done = run(*line.split())
+    done = run(line)
     assert done.status == line.startswith("check")
     assert [words for words in TEXTS[line].split("|") if words not in done.out] == []
 
@@ -74,7 +74,7 @@ def test_unsafe_characters_are_written_as_codes(tmp_path: Path) -> None:
     """Names cannot hold them, but names of files can."""
     page, policy = tmp_path / "page.html", tmp_path / "m\x1b[31m\u202e.json"
     policy.write_text(json.dumps({f"{status:03b}": "wait" for status in range(8)}), "utf-8")
-    done = run("check", "tea", policy, "--html", page)
+    done = run("check tea", policy, "--html", page)
     assert done.status == 1
     for text in ("".join(done.out.split()), page.read_text("utf-8")):
         assert r"m\x1b[31m\u202e" in text
@@ -85,7 +85,7 @@ def test_a_policy_that_is_printed_can_be_read(tmp_path: Path) -> None:
     """By status where nothing else decides, otherwise by state."""
     words = [*SMALL.split(), "anger", "trial"]
     mdp, path, sizes = load("yuan2025", sets=words[1:4:2]), tmp_path / "p.json", set()
-    for vertex in run("tradeoff", "yuan2025", *words, "--json").result["vertices"]:
+    for vertex in run("tradeoff yuan2025", *words, "--json").result["vertices"]:
         path.write_text(json.dumps(vertex["policy"]), "utf-8")
         totals = evaluate(mdp, Policy.of(mdp, path)).components
         for name, value in vertex["values"].items():
@@ -98,10 +98,10 @@ def test_a_policy_that_is_printed_can_be_read(tmp_path: Path) -> None:
 
 
 def test_the_program_keeps_its_promises_to_scripts() -> None:
-    done = launch("solve", "yuan2025", "--json")
+    done = launch("solve yuan2025 --json")
     assert json.loads(done.out)["model"] == "yuan2025"
     assert (done.status, done.err) == (0, "")
-    done = launch("solve", "yuan2026", "--json")
+    done = launch("solve yuan2026 --json")
     assert (done.status, done.out) == (2, "")
     assert done.err.startswith("ModelError: unknown model 'yuan2026'\n  where: ")
     version = launch("--version")
@@ -148,15 +148,13 @@ def test_every_command_has_help() -> None:
 @pytest.mark.parametrize(
     ("words", "notice"),
     [
-        (["evaluate", "yuan2025", "random"], True),
-        (["gradient", "tea", "--parameter", "reward.anxiety"], True),
-        (["info", "gymnasium:FrozenLake-v1"], False),
+        ("evaluate yuan2025 random", True),
+        ("gradient tea --parameter reward.anxiety", True),
+        ("info gymnasium:FrozenLake-v1", False),
     ],
 )
-def test_what_concerns_care_says_that_it_is_no_medical_advice(
-    words: list[str], notice: bool
-) -> None:
-    assert ("no medical advice" in run(*words).out) == notice
-    done = run(*words, "--json")
+def test_what_concerns_care_says_that_it_is_no_medical_advice(words: str, notice: bool) -> None:
+    assert ("no medical advice" in run(words).out) == notice
+    done = run(words, "--json")
     assert ("no medical advice" in json.loads(done.out).get("notice", "")) == notice
     assert "medical" not in done.err

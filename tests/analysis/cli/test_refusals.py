@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -281,5 +280,5 @@ def test_refused(line: str, said: str, folder: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.chdir(folder)
     for short, whole in SHORT.items():
         line = line.replace(short, whole, 1)
-    assert said in run(*shlex.split(line)).refusal()
+    assert said in run(line).refusal()
     assert sorted(folder.iterdir()) == before

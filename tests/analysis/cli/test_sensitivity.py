@@ -69,7 +69,7 @@ def test_sobol_keeps_its_work(tmp_path: Path) -> None:
     assert answer == content | {"notice": answer["notice"]}
     assert json.loads((tmp_path / "kept" / "run.json").read_text())["seed"] == 0
     assert ask("sobol", *words) == answer
-    other = run("sobol", "yuan2025", *SET, *words, "--seed", 1)
+    other = run("sobol yuan2025", *SET, *words, "--seed", 1)
     assert other.status == 2
     assert "differs in" in other.err
 
@@ -77,7 +77,7 @@ def test_sobol_keeps_its_work(tmp_path: Path) -> None:
 def test_a_regret_of_nothing_has_no_indices() -> None:
     answer = ask("sobol", "--samples", 4, "--parameter", "reward.subtask-complete")
     assert answer["regret"]["total"] == {"reward.subtask-complete": None}
-    text = run("sobol", "yuan2025", *SET, "--samples", 4, "--parameter", "discount")
+    text = run("sobol yuan2025", *SET, "--samples", 4, "--parameter", "discount")
     assert text.status == 0
     assert "shares of the variance of the start value" in text.out
 
@@ -99,7 +99,7 @@ ONE = ("--set", "tasks=[1]")
 
 def test_a_box_tells_the_worst_point_found() -> None:
     small = (*ONE, "--set", "max_trial=2", "--set-kind", "box", "--json")
-    box = run("robust", "yuan2025", *small).result
+    box = run("robust yuan2025", *small).result
     assert (box["set_kind"], box["radius"], box["claim"]) == ("box", 0.2, "estimated")
     worst, own = box["worst_case"], Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
     point = worst_point(own, ranges={name: tuple(span) for name, span in box["box"].items()})
@@ -108,7 +108,7 @@ def test_a_box_tells_the_worst_point_found() -> None:
     assert all(worst["point"][name] in span for name, span in box["box"].items())
     assert "base.anger" in box["box"]
     assert "reward.anger" not in box["box"]
-    wide = run("robust", "yuan2025", *small, "--relative", "1/10").result
+    wide = run("robust yuan2025", *small, "--relative", "1/10").result
     assert "reward.anger" in wide["box"]
     assert "discount" not in wide["box"]
 
@@ -116,17 +116,17 @@ def test_a_box_tells_the_worst_point_found() -> None:
 @pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
 def test_a_radius_of_0_is_the_tables_as_they_are(kind: str) -> None:
     words = (*ONE, "--set", "max_trial=2", "--set-kind", kind, "--radius", "0", "--json")
-    result = run("robust", "yuan2025", *words).result
+    result = run("robust yuan2025", *words).result
     for case in ("worst_case", "best_case"):
         nominal = result[case]["nominal_policy"]["value"]
         assert nominal == pytest.approx(result["start_value"], abs=1e-6)
 
 
 def test_a_model_that_need_not_end_is_refused_at_discount_1() -> None:
-    done = run("robust", "gymnasium:FrozenLake-v1", "--discount", "1")
+    done = run("robust gymnasium:FrozenLake-v1 --discount 1")
     assert done.status == 2
     assert "every episode to end" in done.err
-    result = run("robust", "gymnasium:FrozenLake-v1", "--discount", "0.9", "--json").result
+    result = run("robust gymnasium:FrozenLake-v1 --discount 0.9 --json").result
     assert result["worst_case"]["value"] < result["start_value"]
 
 

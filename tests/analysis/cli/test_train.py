@@ -9,12 +9,12 @@ from cli_runner import run, strict
 
 from exact_mdp import MDP, Policy, QLearning, Scenario, evaluate
 
-QUICK = ("train", "yuan2025", "--learner=epochs=60", "--seeds", "20", "--json")
+QUICK = "train yuan2025 --learner=epochs=60 --seeds 20 --json"
 
 
 @pytest.fixture(scope="module")
 def result() -> dict:
-    return run(*QUICK).result
+    return run(QUICK).result
 
 
 def test_the_last_episodes_of_the_first_run(result: dict) -> None:
@@ -46,20 +46,18 @@ def test_values_and_regrets_are_exact(result: dict) -> None:
 
 
 def test_neither_workers_nor_an_interruption_change_a_byte(tmp_path: Path) -> None:
-    words = ("--learner=epochs=20", "--seeds", "40", "--seed", "7", "--json")
-    plain = run("train", "yuan2025", *words, "--n-jobs", 1)
-    assert plain.out == run("train", "yuan2025", *words, "--n-jobs", 3).out
-    few = ("--learner=epochs=20", "--seeds", "20", "--seed", "7", "--json")
-    assert run("train", "yuan2025", *few, "--out", tmp_path).status == 0
-    again = run("train", "yuan2025", *words, "--out", tmp_path)
+    line = "train yuan2025 --learner=epochs=20 --json"
+    plain = run(f"{line} --seeds 40 --seed 7 --n-jobs 1")
+    assert plain.out == run(f"{line} --seeds 40 --seed 7 --n-jobs 3").out
+    assert run(f"{line} --seeds 20 --seed 7", "--out", tmp_path).status == 0
+    again = run(f"{line} --seeds 40 --seed 7", "--out", tmp_path)
     assert again.result | {"written": []} == plain.result
     assert again.result["seeds"] == 40
-    other = run("train", "yuan2025", *words[:-2], "8", "--json")
-    assert other.result["regret"] != plain.result["regret"]
+    assert run(f"{line} --seeds 40 --seed 8").result["regret"] != plain.result["regret"]
 
 
 def test_the_files_can_be_used(tmp_path: Path) -> None:
-    done = run(*QUICK, "--out", tmp_path, "--seeds", 2, "--epsilon", "decaying")
+    done = run(QUICK, "--out", tmp_path, "--seeds", 2, "--epsilon", "decaying")
     names = {path.name for path in tmp_path.iterdir()}
     written = {"summary.json", "policy.csv", "q.npy", "run.json"}
     assert names == written | {"training.json", "runs-000000.npz", "runs-000001.npz"}
@@ -70,11 +68,11 @@ def test_the_files_can_be_used(tmp_path: Path) -> None:
     assert record["seed"] == 0
     assert "Exponential" in record["solver"]
     first = done.result["policies"][0]
-    audit = run("check", "yuan2025", tmp_path / "policy.csv", "--json")
+    audit = run("check yuan2025", tmp_path / "policy.csv", "--json")
     assert audit.result["learned_value"] == pytest.approx(first["value"])
     q = np.load(tmp_path / "q.npy")
     assert q.shape == (16, 4)
-    audit = run("evaluate", "yuan2025", tmp_path / "q.npy", "--json")
+    audit = run("evaluate yuan2025", tmp_path / "q.npy", "--json")
     values = [entry["value"] for entry in done.result["policies"]]
     assert min(abs(audit.result["mean"] - value) for value in values) < 1e-9
 
@@ -82,54 +80,31 @@ def test_the_files_can_be_used(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ("--learner=columns=all",),
-        ("--learner=columns=trial, status", "--learner=method=sarsa"),
-        (
-            "--learner",
-            "method=double-q-learning",
-            "--learner",
-            "ties=random",
-            "--learner",
-            "initial=100",
-        ),
-        (
-            "--learner",
-            "method=expected-sarsa",
-            "--learner",
-            "rate=1",
-            "--learner",
-            "rate_power=0.7",
-        ),
-        ("--learner=bootstrap_end=true", "--learner=discount=9/10", "--epsilon", "0.3"),
-        ("--set", "readings.skip_timestep=own", "--discount", "0.95"),
-        ("--set", "tasks=[1,1]", "--learner=max_steps=3"),
+        "--learner=columns=all",
+        "--learner='columns=trial, status' --learner=method=sarsa",
+        "--learner=method=double-q-learning --learner=ties=random --learner=initial=100",
+        "--learner=method=expected-sarsa --learner=rate=1 --learner=rate_power=0.7",
+        "--learner=bootstrap_end=true --learner=discount=9/10 --epsilon 0.3",
+        "--set readings.skip_timestep=own --discount 0.95",
+        "--set tasks=[1,1] --learner=max_steps=3",
     ],
-    ids=" ".join,
 )
-def test_options(words: tuple[str, ...], tmp_path: Path) -> None:
-    trained = run(*QUICK, "--seeds", 3, "--learner=epochs=10", "--out", tmp_path, *words).result
+def test_options(words: str, tmp_path: Path) -> None:
+    quick = f"{QUICK} --seeds 3 --learner=epochs=10 {words}"
+    trained = run(quick, "--out", tmp_path).result
     assert trained["regret"]["mean"] >= 0
     assert trained["best_value"] <= trained["optimal_value"] + 1e-9
-    if "--learner=max_steps=3" in words:
+    if "max_steps" in words:
         assert trained["cut_short"] > 0
-    policy = "q.npy" if "--learner=columns=trial, status" not in words else "policy.csv"
-    mine = [word for word in words if word.startswith(("readings", "tasks"))]
-    changes = [piece for word in mine for piece in ("--set", word)]
-    assert run("evaluate", "yuan2025", tmp_path / policy, *changes, "--json").status == 0
+    policy = "policy.csv" if "trial" in words else "q.npy"
+    changes = words.partition(" --")[0] if words.startswith("--set") else ""
+    assert run(f"evaluate yuan2025 --json {changes}", tmp_path / policy).status == 0
 
 
 def test_any_model_can_be_learned() -> None:
-    words = ("--discount", "0.99", "--learner=discount=0.99", "--learner=max_steps=200")
-    done = run(
-        "train",
-        "gymnasium:CliffWalking-v1",
-        *words,
-        "--seeds",
-        4,
-        "--learner",
-        "epochs=100",
-        "--json",
-    )
+    learner = "--learner=discount=0.99 --learner=max_steps=200 --learner epochs=100"
+    model = "gymnasium:CliffWalking-v1 --discount 0.99"
+    done = run(f"train {model} {learner} --seeds 4 --json")
     assert done.result["columns"] == ["row", "column"]
     assert done.result["regret"]["mean"] < 10
 
@@ -144,7 +119,7 @@ def test_a_model_that_cannot_be_judged_is_refused_before_the_work(tmp_path: Path
 
 
 def test_a_folder_that_holds_something_else_is_refused(tmp_path: Path) -> None:
-    assert run(*QUICK, "--seeds", 1, "--out", tmp_path).status == 0
-    done = run(*QUICK, "--seeds", 1, "--out", tmp_path, "--seed", 1)
+    assert run(QUICK, "--seeds", 1, "--out", tmp_path).status == 0
+    done = run(QUICK, "--seeds", 1, "--out", tmp_path, "--seed", 1)
     assert (done.status, done.out) == (2, "")
     assert "differs in seed" in done.err

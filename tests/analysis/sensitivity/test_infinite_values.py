@@ -107,7 +107,7 @@ def test_other_analyses_refuse_them() -> None:
 def test_commands(kind: str, mdp: MDP, more: str, tmp_path: Path) -> None:
     """Exit status 2, with what, where and fix; no word of the range of floats."""
     mdp.save(tmp_path / "model.npz")
-    done = run(*kind.split(), tmp_path / "model.npz", *more.split())
+    done = run(kind, tmp_path / "model.npz", *more.split())
     assert (done.status, done.out) == (2, "")
     assert "is infinite, so that nothing can be compared" in done.err
     assert "where: the total at discount 1" in done.err

@@ -104,10 +104,10 @@ def test_a_check_that_does_not_end_leaves_an_error_case(
         assert "did not end" in message()  # what a killed process leaves
         raise fault
 
-    assert run("check", "tea", "optimal", "--junit", path).status == 0
+    assert run("check tea optimal --junit", path).status == 0
     assert message() == ""
     monkeypatch.setattr(READ, fail)
-    assert run("check", "tea", "optimal", "--junit", path).status in (3, 130)
+    assert run("check tea optimal --junit", path).status in (3, 130)
     assert "did not end" not in message() != ""
 
 
