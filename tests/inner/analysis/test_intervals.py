@@ -16,8 +16,8 @@ from records import NAMES, POLICY, STAGES, estimated, recorded, staged_policy
 from scipy import integrate, optimize, stats
 
 from exact_mdp import MDP, ModelError, Policy, Robust, check, solve
-from exact_mdp.analysis.gate.data.robust import robust_bounds
 from exact_mdp.analysis.gate.data.posterior import drawn, drawn_regrets
+from exact_mdp.analysis.gate.data.robust import robust_bounds
 from exact_mdp.analysis.gate.data.sets import RowSets
 from exact_mdp.analysis.vary.intervals import bootstrap, mean_at_least
 from exact_mdp.mdp.questions import by_time
