@@ -455,6 +455,6 @@ def given_values(mdp: MDP, start: Any) -> Floats | None:
 def opposite(mdp: MDP, start: Any) -> Any:
     """Return what is known for the model of the other sense: values negated, a policy as it is."""
     if isinstance(start, Solution):
-        return start.negated(start.mdp.maximised) if start.mdp.sense == "min" else start.policy
+        return start.policy
     value = None if start is None else given_values(mdp, start)
     return start if value is None else -value

@@ -47,25 +47,13 @@ DELAYS = 200  # policies and laws tried for the greatest number of steps
 class RobustSolution(Found, Result):
     """Robust values with bounds that hold in every state, and who does what to reach them.
 
-    Attributes
-    ----------
-    mdp : MDP
-    nature : "worst" (against the agent) or "best" (with it)
-    value : (S,)
-    state_error : (S,)
-        |value - V*| is at most this, and so is |value - V^π| for the policy found here.
-    pairs : (S,) int64, or None
-        The pair that the agent takes in each state; None where a policy was given.
-    transition : (S, S)
-        The chain under that policy and laws of the sets by which nature comes to about `value`;
-        rows of terminal states are empty.
-    reward : (S,)
-        Expected rewards there.
+    |value - V*| is at most `state_error`, and so is |value - V^π| for the policy found here; `pairs`
+    are None where a policy was given.
     """
 
-    nature: Nature
-    transition: sp.csr_array
-    reward: Floats
+    nature: Nature  # "worst" is against the agent, "best" with it
+    transition: sp.csr_array  # (S, S) under that policy and laws by which nature comes to `value`
+    reward: Floats  # (S,) expected rewards there
 
     def __repr__(self) -> str:
         return (
