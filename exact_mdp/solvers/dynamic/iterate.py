@@ -30,13 +30,16 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import counted
+from exact_mdp.solvers.bounds import linear
 from exact_mdp.solvers.bounds.bounds import Bounds, levels, margin_weights, verify
 from exact_mdp.solvers.bounds.gains import UNIT, largest_error, rounding_facts
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, swept
 from exact_mdp.solvers.solution import Solution, SolverError, Status, least, warn_of_precision
 
 RELATIVE_TOLERANCE = 1e-9
-LOOPS = 10_000  # transitions: from here on compiled loops are worth the third of a second to load
+# Transitions from which on compiled loops are worth the third of a second to load; so they are for
+# more states than elimination solves in milliseconds.
+LOOPS = 10_000
 CACHED = (
     1_000_000  # transitions, 12 MB: beyond a cache, a policy's rows are read faster side by side
 )
@@ -77,7 +80,8 @@ class Values:
         self.low = self.high = 0.0  # h + low · w ≤ V^π ≤ V* ≤ h + high · w, but for rounding
         self.best, self.idle, self.stable = np.inf, 0, False
         self.passes, self.level, self.relaxed = 0, 0.0, False
-        self.large, self.slow = mdp.n_transitions >= LOOPS, False  # whether sweeps are too slow
+        self.large = mdp.n_transitions >= LOOPS or mdp.n_states > linear.FEW
+        self.slow = False  # whether sweeps of a policy take longer than its equations
         self.spent, self.price = 0.0, PRICE * mdp.n_transitions / mdp.n_pairs * mdp.n_states
         self._error, self._climbed, self._before = 0.0, 0.0, np.zeros(mdp.n_states)
         self._solved: tuple[Integers, LinearSystem] | None = None

@@ -47,8 +47,8 @@ DELAYS = 200  # policies and laws tried for the greatest number of steps
 class RobustSolution(Found, Result):
     """Robust values with bounds that hold in every state, and who does what to reach them.
 
-    |value - V*| is at most `state_error`, and so is |value - V^π| for the policy found here; `pairs`
-    are None where a policy was given.
+    |value - V*| is at most `state_error`, and so is |value - V^π| for the policy found here; where
+    one was given, `pairs` is None.
     """
 
     nature: Nature  # "worst" is against the agent, "best" with it
