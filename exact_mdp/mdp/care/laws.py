@@ -29,27 +29,15 @@ from exact_mdp.mdp.table import EXACT_IN_INT64, Floats, Integers, Numbers, commo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Laws:
-    """The rules of a scenario at its numbers, or at those of D draws, an axis in front.
-
-    Attributes
-    ----------
-    scenario : Tables
-    rules : Rules
-    sums : (…, U)
-        The sums of terms, not cut off, over `one`.
-    top, bottom : (…, U), (U,)
-        The chances, cut off at 1, in lowest terms.
-    reward : (…, P+1)
-        The weights by position, over `scale`.
-    """
+    """The rules of a scenario at its numbers, or at those of D draws, an axis in front."""
 
     scenario: Tables
     rules: Rules
-    sums: Numbers
+    sums: Numbers  # (…, U) the sums of terms, not cut off, over `one`
     one: int
-    top: Numbers
-    bottom: Numbers
-    reward: Numbers
+    top: Numbers  # (…, U) the chances, cut off at 1, in lowest terms
+    bottom: Numbers  # (U,)
+    reward: Numbers  # (…, P+1) the weights by position, over `scale`
     scale: int
 
     @classmethod
@@ -152,16 +140,13 @@ def excess(laws: Laws) -> str | None:
     count = int(over[rules.step].sum() + over[rules.skip].sum())
     greatest = max(sums[over].tolist())
     first = np.array(sums == greatest, dtype=bool)
-    if first[rules.step].any():
-        vector, action, status = np.argwhere(first[rules.step])[0].tolist()
-        which, word = rules.step[vector, action, status], f"under {rules.actions[action]}"
-    else:
-        vector, status = np.argwhere(first[rules.skip])[0].tolist()
-        which, word = rules.skip[vector, status], "on a skip"
+    where = rules.step if first[rules.step].any() else rules.skip
+    vector, *action, status = place = np.argwhere(first[where])[0].tolist()
+    word = f"under {rules.actions[action[0]]}" if action else "on a skip"
     label = "".join(map(str, rules.bits[vector].tolist()))
     added = " + ".join(
         f"{rules.names[k]} {shown(laws.scenario.parameters[k].value)}"
-        for k in rules.terms[which].tolist()
+        for k in rules.terms[where[tuple(place)]].tolist()
         if k < len(rules.names)
     )
     others = "; and so is 1 other" if count == 2 else f"; and so are {count - 1} others"

@@ -9,7 +9,6 @@ out is 0; any other number that is missing, or a name that is not known, is an e
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
 from difflib import get_close_matches
 from fractions import Fraction
 from functools import partial
@@ -35,34 +34,9 @@ from exact_mdp.mdp.validate import as_discount
 
 T = TypeVar("T", bound=Tables)
 V = TypeVar("V")
-SETTINGS: Mapping[str, str] = {
-    "name": "Name of the scenario; that of the file unless given.",
-    "title": "What the scenario is, in one line.",
-    "source": "Where the numbers come from.",
-    "statuses": "Names of the statuses; each is present or absent.",
-    "actions": "Names of the actions.",
-    "tasks": "Number of subtasks of each task, in order.",
-    "max_trial": "Trials allowed in a subtask before it is skipped.",
-    "discount": "From 0 to 1; 1 unless given.",
-}
-TABLES: Mapping[str, str] = {
-    "base": "STATUS = probability that it appears without assistance.",
-    "persistence": "STATUS = probability that it stays without assistance.",
-    "influence": "[influence.ROW] STATUS = what a present ROW adds to the probability of STATUS; "
-    "left out means 0.",
-    "assistance": "[assistance.ACTION.STATUS] persistence and onset of STATUS under ACTION; left "
-    "out means as without assistance.",
-    "skip": "[skip.STATUS] persistence when a subtask is skipped; or other, alone and with-other.",
-    "reward": "A weight for each status, trial, subtask-complete, subtask-skip, timestep and "
-    "task-complete; [reward.assist] one for each action.",
-}
-KEYS: Mapping[str, str] = {
-    **SETTINGS,
-    "readings": "How open points of the paper's text are read.",
-    "status_weight": "STATUS = name of the weight that it is charged to; its own unless given.",
-    **TABLES,
-}
-"""Every key of a scenario file with its meaning: the one list of them."""
+TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
+KEYS = ("name", "title", "source", "statuses", "actions", "tasks", "max_trial", "discount",
+        "readings", "status_weight", *TABLES)  # fmt: skip
 
 
 def shipped() -> list[str]:
@@ -97,18 +71,12 @@ def parse(text: str, kind: type[T], *, where: str = "scenario") -> T:
     return scenario
 
 
-@dataclass(kw_only=True)
 class Reader:
-    """What the content of a TOML file states, and all that is wrong with it.
+    """What the content of a TOML file states, and all that is wrong with it, by key."""
 
-    Attributes
-    ----------
-    content : dict
-    problems : list of (key, ModelError)
-    """
-
-    content: dict[str, Any] = field(kw_only=False)
-    problems: list[tuple[str, ModelError]] = field(default_factory=list)
+    def __init__(self, content: dict[str, Any]) -> None:
+        self.content = content
+        self.problems: list[tuple[str, ModelError]] = []
 
     def take(self, key: str, make: Callable[..., V], *given: Any, otherwise: V) -> V:
         """Return `make(*given)`; keep a ModelError of it as a problem of a key."""
@@ -137,24 +105,24 @@ class Reader:
             readings[name] = self.take(
                 f"readings.{name}", check_reading, name, option, otherwise=first
             )
-        texts: dict[str, Any] = {
+        settings: dict[str, Any] = {
             key: self.take(key, _text, self.content, key, default, otherwise=default)
             for key, default in (("name", default_name), ("title", ""), ("source", ""))
         }
-        tasks, trials = self.content.get("tasks", ()), self.content.get("max_trial", "missing")
-        rate, least = self.content.get("discount", 1), tuple[int, ...]((1,))
-        settings: dict[str, Any] = {
-            "tasks": self.take("tasks", as_tasks, tasks, otherwise=least),
-            "max_trial": self.take("max_trial", as_max_trial, trials, otherwise=1),
-            "discount": self.take("discount", as_discount, rate, otherwise=Fraction(1)),
-        }
+        others: Any = (
+            ("tasks", as_tasks, (), (1,)),
+            ("max_trial", as_max_trial, "missing", 1),
+            ("discount", as_discount, 1, Fraction(1)),
+        )
+        for key, convert, default, otherwise in others:
+            given = self.content.get(key, default)
+            settings[key] = self.take(key, convert, given, otherwise=otherwise)
         if not statuses or not actions:
             return None
         weights = self._weights(statuses)
         others, flat = self._flatten(statuses)
         make = partial(
             kind,
-            **texts,
             **settings,
             statuses=statuses,
             actions=actions,

@@ -80,16 +80,13 @@ def _members(file: BinaryIO, ratio: int) -> dict[str, Numbers]:
         listed = archive.infolist()
         members = {member.filename.removesuffix(".npy"): member for member in listed}
         if len(members) != len(listed):
-            twins = ", ".join(sorted(member.filename for member in listed))
-            raise ModelError(
-                f"the archive holds {twins[:200]}, one of them twice", fix="save it again"
-            )
+            twins = ", ".join(sorted(archive.namelist()))[:200]
+            raise ModelError(f"the archive holds {twins}, one of them twice", fix="save it again")
         methods = {member.compress_type for member in listed}
         encrypted = any(member.flag_bits & 1 for member in listed)
         if encrypted or not methods <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
-            raise ModelError(
-                "the archive is encrypted, or compressed in an unusual way", fix="save it again"
-            )
+            what = "the archive is encrypted, or compressed in an unusual way"
+            raise ModelError(what, fix="save it again")
         claimed = sum(member.file_size for member in listed)
         if claimed > (size if methods == {zipfile.ZIP_STORED} else max(FREE, ratio * size)):
             raise ModelError(
@@ -105,23 +102,16 @@ def _array(data: bytes, where: str) -> Numbers:
     try:
         shape, fortran, kind = HEADERS[np.lib.format.read_magic(stream)](stream)
     except Exception as error:  # NumPy raises many kinds; its words advise to trust the file
-        raise ModelError(
-            "not a readable NumPy array: its header is damaged", where=where, fix="save it again"
-        ) from error
+        what = "not a readable NumPy array: its header is damaged"
+        raise ModelError(what, where=where, fix="save it again") from error
     if kind.hasobject:
-        raise ModelError(
-            "an array of type object, which could run any program when read",
-            where=where,
-            fix="save numbers alone",
-        )
+        what = "an array of type object, which could run any program when read"
+        raise ModelError(what, where=where, fix="save numbers alone")
     begin = stream.tell()
     wanted = begin + prod(shape) * kind.itemsize
     if min(shape, default=0) < 0 or wanted != len(data):
-        raise ModelError(
-            f"an array of shape {shape} and type {kind} in {len(data):,} bytes, not {wanted:,}",
-            where=where,
-            fix="save it again",
-        )
+        what = f"an array of shape {shape} and type {kind} in {len(data):,} bytes, not {wanted:,}"
+        raise ModelError(what, where=where, fix="save it again")
     flat = np.frombuffer(data, kind, prod(shape), begin) if prod(shape) else np.empty(0, kind)
     array = flat.reshape(shape, order="F" if fortran else "C")
     return array.astype(kind.newbyteorder("="), copy=True)
@@ -139,6 +129,5 @@ def _named(where: str) -> Iterator[None]:
     except OSError:
         raise
     except Exception as error:  # zipfile and zlib raise many kinds on damaged archives
-        raise ModelError(
-            "the file is damaged, or not an archive", where=where, fix="save it again"
-        ) from error
+        what = "the file is damaged, or not an archive"
+        raise ModelError(what, where=where, fix="save it again") from error

@@ -5,23 +5,14 @@ outcome with terminated = True, whatever `P` lists for the state that it names:
 
     Q(s, a) = Σ p (r + γ (1 - terminated) V(s')).
 
-The next state of such an outcome may be -1, and a table may come without an environment. States
-keep their numbers; those of toy-text also get the names of their environment. A label, end, says
-where episodes are over, and on the map of FrozenLake there are goal and hole. A state that can only
-be entered by terminated outcomes becomes an absorbing end without reward (the holes and the goal of
-FrozenLake, the goal of CliffWalking, where `P` goes on to list moves that no episode makes). Where
-an episode may also pass through such a state alive, or start in it (Taxi with the passenger at the
-destination), its rows stay as they are and the terminated outcomes lead to one more state, "end",
-appended behind the others. Either way the optimal values of all states that `P` numbers, ends
-excepted, are those of the equation above; a Q-table of the environment's own shape is read by
-`Policy.of`.
+A state that can only be entered by terminated outcomes becomes an absorbing end without reward (the
+goal of CliffWalking, where `P` goes on to list moves that no episode makes). Where an episode may
+also pass through such a state alive, or start in it (Taxi with the passenger at the destination),
+its rows stay, and terminated outcomes lead to one more state, "end", behind the others.
 
 Without a table, `dynamics` with matrices `tx_mat` and `r_mat` (S, A, S) will do, as ICU-Sepsis has
-them (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024).
-
-Wrappers are looked through: what they change (rewards, observations) is no part of `P`. The number
-of steps after which an environment stops is kept as the model's `time_limit`; `MDP.within` makes
-the model of episodes that stop there.
+them (Choudhary, Gupta and Thomas, Reinforcement Learning Conference 2024). Wrappers are looked
+through: what they change is no part of `P`.
 """
 
 from __future__ import annotations

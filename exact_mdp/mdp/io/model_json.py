@@ -103,17 +103,18 @@ def content(mdp: MDP) -> dict[str, Any]:
     """Return what the file of a model contains."""
     table, offsets = mdp.table, mdp.table.offsets
     (weight, below), (gain, under) = table.integer_weights(), table.integer_gains()
-    by_pair = len(gain) == table.pairs
-    each_under = under if by_pair else np.repeat(under, np.diff(offsets))
-    rewards: list[Any] = list(map(_ratio, gain.tolist(), each_under.tolist()))
     rows = list(map(slice, offsets[:-1].tolist(), offsets[1:].tolist()))
-    if not by_pair:
-        of_pairs = map(rewards.__getitem__, rows)
-        rewards = [own if len({*own}) > 1 else own[0] for own in of_pairs]
-    columns = (
-        *(mdp.pair_state.tolist(), mdp.pair_action.tolist(), rewards, _integers(below)),
-        *(map(each.__getitem__, rows) for each in (table.next.tolist(), _integers(weight))),
+    following, weights = (
+        map(each.__getitem__, rows) for each in (table.next.tolist(), _integers(weight))
     )
+    if len(gain) == table.pairs:
+        rewards = list(map(_ratio, gain.tolist(), under.tolist()))
+    else:
+        each = list(map(_ratio, gain.tolist(), np.repeat(under, np.diff(offsets)).tolist()))
+        of_pairs = map(each.__getitem__, rows)
+        rewards = [own if len({*own}) > 1 else own[0] for own in of_pairs]
+    states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
+    columns = states, actions, rewards, _integers(below), following, weights
     named = mdp.space != StateSpace.plain(mdp.n_states)
     several = mdp.component_names if mdp.component_table is not None else ()
     parts = {name: (each.tolist() for each in mdp.component(name)) for name in several}
@@ -173,12 +174,12 @@ def load(path: str | Path) -> MDP:
             raise ModelError(f"{states} states and {count} pairs", fix="give each state a pair")
         state, action, reward, below, following, weight = map(list, zip(*rows, strict=True))
         ends = np.concatenate([[0], np.cumsum([len(each) for each in weight])])
+        groups = np.arange(count + 1)
         if any(isinstance(each, tuple) for each in reward):
             each_own = zip(reward, weight, strict=True)
             reward = [*chain(*(x if isinstance(x, tuple) else [x] * len(w) for x, w in each_own))]
-            gain, under = over_groups(reward, ends)
-        else:
-            gain, under = over_groups(reward, np.arange(count + 1))
+            groups = ends
+        gain, under = over_groups(reward, groups)
         table = OutcomeTable(
             offsets=ends,
             next=np.array([*chain(*following)], dtype=np.int64),
@@ -206,11 +207,11 @@ def load(path: str | Path) -> MDP:
 
 
 def _row(
-    number: int, *, state: int, action: int, reward: Any, denominator: int, next: Any, weight: Any
+    number: int, state: int, action: int, reward: Any, denominator: int, next: Any, weight: Any
 ) -> tuple[Any, ...]:
     """Return the parts of a pair, its next states in order."""
     each = [next, weight, reward] if isinstance(reward, tuple) else [next, weight]
-    if not next or any(len(own) != len(next) for own in each):
+    if not next or len({*map(len, each)}) > 1:
         with located(f"pairs, {number}"):
             refuse(weight, "a list with a weight, or a reward, for each next state")
     next, weight, *rewards = zip(*sorted(zip(*each, strict=True)), strict=True)

@@ -228,7 +228,7 @@ def unpacked(source: str | Path | bytes) -> MDP:
 
 def _objects(things: Sequence[Hashable]) -> dict[str, Any]:
     """Return the objects that states or actions are, where JSON has them; a tuple is a list."""
-    listed = [_json(thing) for thing in things]
+    listed = list(map(_json, things))
     return {"objects": listed} if listed and None not in listed else {}
 
 
@@ -264,11 +264,8 @@ def _components(arrays: dict[str, Numbers], parts: int) -> ComponentTable | None
     amount = arrays["components"]
     if amount.dtype == np.uint8:
         if parts < 1 or amount.shape[1] % parts or amount.shape[1] < WIDTH * parts:
-            raise ModelError(
-                f"rows of {amount.shape[1]} bytes for {parts} components",
-                where="components",
-                fix="save the model again",
-            )
+            what = f"rows of {amount.shape[1]} bytes for {parts} components"
+            raise ModelError(what, where="components", fix="save the model again")
         amount = _as_integers(amount.reshape(len(amount) * parts, -1)).reshape(-1, parts)
     return ComponentTable(amount=amount, denominator=_as_integers(arrays["component_denominator"]))
 
@@ -286,11 +283,8 @@ def _check_arrays(arrays: dict[str, Numbers]) -> None:
         dimensions = 2 if bytewise or name in ("components", "labels") else 1
         narrow = bytewise and shape[1:] < (WIDTH,)
         if kind not in kinds or len(shape) != dimensions or min(shape) < 1 or narrow:
-            raise ModelError(
-                f"an array of type {kind} and shape {shape}",
-                where=name,
-                fix=f"give {' or '.join(kinds)}, as the format says",
-            )
+            fix = f"give {' or '.join(kinds)}, as the format says"
+            raise ModelError(f"an array of type {kind} and shape {shape}", where=name, fix=fix)
 
 
 def _as_bytes(array: Numbers) -> Numbers:
