@@ -40,9 +40,7 @@ RELATIVE_TOLERANCE = 1e-9
 # Transitions from which on compiled loops are worth the third of a second to load; so they are for
 # more states than elimination solves in milliseconds.
 LOOPS = 10_000
-CACHED = (
-    1_000_000  # transitions, 12 MB: beyond a cache, a policy's rows are read faster side by side
-)
+CACHED = 1_000_000  # transitions, 12 MB: beyond a cache, rows are read faster side by side
 NEARLY_ONE = 1 - 1e-7  # a discount so near to 1 that values are too large to be solved for
 PRICE = 2000  # sweeps in whose time the equations of a policy are solved, where no band tells it
 BAND = 8  # multiplications within a band that take the time of a transition
