@@ -370,9 +370,11 @@ def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
 
 
 def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
-    """Return the (S, S) transitions and (S,) rewards of `pairs` (S,); 0 in terminal states."""
+    """Return the (S, S) transitions between states that are not terminal, and rewards (S,)."""
     chain, reward, live = mdp.transition[pairs], mdp.reward[pairs], ~mdp.terminal
     if mdp.terminal.any():
-        chain.data[np.repeat(mdp.terminal, np.diff(chain.indptr))] = 0.0
+        over = np.repeat(mdp.terminal, np.diff(chain.indptr)) | mdp.terminal[chain.indices]
+        chain.data[over] = 0.0
+        chain.eliminate_zeros()  # else the band would be as wide as a state can be from an end
         reward = np.where(live, reward, 0.0)
     return chain, reward
