@@ -16,7 +16,7 @@ from exact_mdp.analysis.gate.criteria import Total, Verdict, number
 from exact_mdp.analysis.gate.data.interval import RegretInterval
 from exact_mdp.analysis.gate.disagreements import Disagreement, Findings, either
 from exact_mdp.analysis.gate.reasons import QError, Representation, q_error
-from exact_mdp.analysis.gate.regret import Regret
+from exact_mdp.analysis.gate.regret import Regret, ends
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
@@ -123,17 +123,12 @@ class Audit(Pictured):
     def relative_regret(self) -> float | None:
         """Regret at the start over the absolute optimal value; None where that is, or may be, 0."""
         lost, best = self.value, self.regret.optimal
-        low, high = self._optimal_ends
+        low, high = ends(best)
         if not isfinite(float(best)) or low <= 0 <= high:
             return None
         if isinf(float(lost)):
             return inf
         return float(Fraction(lost.value) / abs(Fraction(best.value)))
-
-    @property
-    def _optimal_ends(self) -> tuple[Fraction | float, Fraction | float]:
-        best = self.regret.optimal
-        return (best.value, best.value) if isinstance(best, Certified) else best.interval
 
     @property
     def regret_interval(self) -> tuple[float, float] | None:
@@ -270,7 +265,7 @@ class Audit(Pictured):
             decision: bool | None = False
             text = "it is undefined, because the optimal value is, or may be, 0"
             if ratio is not None:
-                low, high = sorted(share * abs(Fraction(end)) for end in self._optimal_ends)
+                low, high = sorted(share * abs(Fraction(end)) for end in ends(regret.optimal))
                 decision = regret.decided(low) or (False if regret.decided(high) is False else None)
                 text = f"it is {ratio:.6g} ({regret.claim})"
             yield _decided("the relative regret", f"at most {shown(share, 10)}", decision, text)

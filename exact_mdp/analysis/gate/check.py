@@ -1,16 +1,10 @@
 """The audit of a policy or Q-table from anywhere against the exact optimum.
 
-    audit = check(model, policy, max_regret=…)   # how much it loses, where, and why
-    assert_policy_optimal(model, policy)         # the same as an assertion
-
 An audit is a criterion times an evidence. The criterion says what is lost: of the total reward, of
 the reward per step, or of the total under limits (`analysis.gate.criteria`). The evidence says of
 what: of the model, exactly or within bounds, or of the process that its records are from
-(`analysis.gate.data`), within an interval.
-
-A policy passes only by proof: where bounds or an interval leave a limit open, it does not. Without
-a limit the regret has to be zero, but for what the rounding of given floats can move
-(`analysis.gate.forgiveness`). An action as good as the best is optimal.
+(`analysis.gate.data`), within an interval. A policy passes only by proof: where bounds or an
+interval leave a limit open, it does not. An action as good as the best is optimal.
 """
 
 from __future__ import annotations
@@ -64,39 +58,32 @@ def check(
     model : MDP or Scenario
     policy : PolicyLike
         "optimal", "random", "always:ACTION", a mapping, an array, a Policy, a Solution, a training
-        run or a path, Q-tables included. Of these the greedy policy counts, the lowest action
-        number on a tie.
+        run or a path. Of a Q-table the greedy policy counts, the lowest action number on a tie.
     max_regret, max_relative_regret : number or "p/q", optional
-        Limits for the regret at the start and for its ratio to the absolute optimal value, which is
-        undefined where that is 0, and does not pass. Without either, the audit passes only where
-        the regret is zero: in a model of floats, where it is at most what the rounding of the
-        numbers given can move (`Audit.forgiven`). A limit of 0 forgives nothing.
+        Limits for the regret at the start and for its ratio to the absolute optimal value, which
+        does not pass where that is 0. Without either the regret has to be zero: in a model of
+        floats, at most what their rounding can move (`Audit.forgiven`). 0 forgives nothing.
     exact_values : bool, optional
-        Rational arithmetic or bounds in floats; see `analysis.gate.regret.regret`. Unless given,
-        bounds that leave a verdict open are followed by rational arithmetic in models of up to
-        100,000 transitions without cycles of over 500 states.
+        Rational arithmetic or bounds in floats. Unless given, bounds that leave a verdict open are
+        followed by rational arithmetic in models of up to 100,000 transitions without cycles of
+        over 500 states.
     kind : "auto", "q" or "policy"
-        What a two-dimensional array or a file of one holds; `mdp.policies.arrays` states the rule
-        of "auto", and `Audit.read_as` says what was taken.
+        What a two-dimensional array or a file of one holds; `Audit.read_as` says what was taken.
     horizon : int, optional
-        Stop after this many steps, without a further reward: the audit is that of
-        `mdp.within(horizon)`. What is learned over states is the same at every time there; tables
-        (N, S, A) depend on time.
+        Stop after this many steps, as `mdp.within(horizon)` does. What is learned over states is
+        the same at every time there; tables (N, S, A) depend on time.
     criterion : "total" or "average"
-        Whether the total reward counts, discounted as the model says, or the average reward per
-        step in the long run; see `analysis.gate.criteria`.
+        The total reward, discounted as the model says, or the reward per step in the long run.
     subject_to : {name: ">= p/q" or "<= p/q"}, optional
         Limits on expected totals that the policy has to keep, as `solve` takes them. The regret is
         then against the optimum under these limits, exactly, and nothing is forgiven.
     like : Audit, optional
-        An audit of another policy by the same model object (`like.mdp is model`): its optimum is
-        not computed again.
+        An audit of another policy by the same model: its optimum is not computed again.
     confidence : number, optional
-        Of a model estimated from records: let the verdict rest on an interval, at this confidence,
-        for the regret in the process behind the records, `Audit.interval`. The audit then passes
-        where the upper end keeps `max_regret`.
+        Of a model estimated from records: the verdict rests on an interval, at this confidence, for
+        the regret in the process behind them, `Audit.interval`.
     by : "robust", "posterior" or "off-policy", or one of these with settings
-        What the interval is made by: `Robust`, `Posterior` or `OffPolicy(records=…)`.
+        What makes the interval: `Robust`, `Posterior` or `OffPolicy(records=…)`.
 
     Returns
     -------
@@ -105,9 +92,8 @@ def check(
     Raises
     ------
     ModelError
-        For a policy that does not fit the model, an array that may be read in two ways, or a limit
-        that is not a number of at least 0; where a total swings for ever at discount 1; for a
-        confidence where the model has no counts, or with a limit of the relative regret.
+        For a policy that does not fit or may be read in two ways, and options that do not go
+        together; where a total swings for ever at discount 1; for a confidence without counts.
     SolverError
         Where floats cannot bound the answer in a model too large for rational arithmetic.
 
@@ -141,9 +127,9 @@ def check(
         require_no_horizon(horizon)
     recorded = mdp_of(model)
     mdp = recorded if horizon is None else recorded.within(horizon)
-    given = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
+    limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
     most: dict[str, Any] = {
-        name: limit_of(name, limit) for name, limit in given.items() if limit is not None
+        name: limit_of(name, limit) for name, limit in limits.items() if limit is not None
     }
     chain = PolicyChain.of(mdp, policy_of(mdp, policy, kind=kind, criterion=criterion))
     about = Average(chain=chain) if average else Total(chain=chain, optimum=_optimum(like, mdp))

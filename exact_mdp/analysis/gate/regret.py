@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
-from math import inf, isfinite
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -120,17 +120,25 @@ class Regret(Brief):
 
     def decided(self, limit: Fraction) -> bool | None:
         """Return whether the regret is at most `limit`; None where the bounds do not decide."""
-        if isinstance(self.at_start, Certified):
-            return self.at_start.value <= limit
-        low, high = self.at_start.interval
-        if isfinite(high) and Fraction(high) <= limit:
-            return True
-        return False if isfinite(low) and Fraction(low) > limit else None
+        return kept(ends(self.at_start), limit)
 
     @property
     def zero(self) -> bool | None:
         """Whether the regret is zero up to rounding; None where the bounds do not decide."""
         return self.decided(Fraction(0)) or self.decided(self.forgiven)
+
+
+def ends(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
+    """Return between what a number lies: exactly where it is certified."""
+    return (number.value, number.value) if isinstance(number, Certified) else number.interval
+
+
+def kept(within: tuple[Fraction | float, Fraction | float], limit: Fraction) -> bool | None:
+    """Return whether a number between two ends is at most `limit`; None where it may be."""
+    low, high = within
+    if high <= limit:
+        return True
+    return False if low > limit else None
 
 
 def policy_regret(
@@ -242,12 +250,11 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     if not isinstance(policies, Mapping) or not policies:
         said = "no policies" if isinstance(policies, Mapping) else "policies without names"
         raise ModelError(said, where="compare", fix="give {name: policy}, at least one")
-    mdp, regrets = mdp_of(model), dict[str, Regret]()
-    optimum = None
+    mdp, regrets, optimum = mdp_of(model), dict[str, Regret](), None
     for name, policy in policies.items():
         chain = PolicyChain.of(mdp, policy_of(mdp, policy))
-        regrets[name] = regret = policy_regret(chain, optimum=optimum)
-        optimum = regret.optimum
+        lost = policy_regret(chain, optimum=optimum)
+        regrets[name], optimum = lost, lost.optimum
     return PolicyComparison(regrets=regrets)
 
 

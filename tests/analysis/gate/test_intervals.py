@@ -271,16 +271,6 @@ def test_the_sets_hold_at_every_time_at_once() -> None:
 # ---- robust: regret ----------------------------------------------------------------------------
 
 
-def test_costs_have_the_interval_of_rewards() -> None:
-    frame = recorded(np.random.default_rng(1), 300)
-    rewards = estimated(frame)
-    costs = MDP.from_transitions(frame.assign(reward=-frame.reward), "9/10", sense="min")
-    one = interval_of(Robust(rewards=(0, 1)), rewards)
-    other = interval_of(Robust(rewards=(-1, 0)), costs)
-    assert (one.low, one.high) == pytest.approx((other.low, other.high))
-    assert one.found["learned_value"][0] == pytest.approx(-other.found["learned_value"][1])
-
-
 def test_at_discount_1_a_range_of_returns_is_needed() -> None:
     frame = recorded(np.random.default_rng(1), 4000)
     mdp = MDP.from_transitions(frame)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from exact_mdp.analysis.gate.regret import kept
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
@@ -69,9 +70,7 @@ class RegretInterval(Result):
 
     def decided(self, limit: Fraction) -> bool | None:
         """Return whether the regret is at most `limit`; None where the records leave it open."""
-        if self.high <= limit:
-            return True
-        return False if self.low > limit else None
+        return kept((self.low, self.high), limit)
 
     def open_text(self, limit: Fraction) -> str:
         """Return what to say of a limit that the interval leaves open."""
