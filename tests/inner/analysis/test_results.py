@@ -24,7 +24,7 @@ from exact_mdp.analysis.plots.pictures import PICTURES
 from exact_mdp.mdp.result import Pictured, Result
 
 mpl.use("Agg")
-LINES, LETTERS = 20, 2000
+LINES, LETTERS, SHORT = 20, 2000, 500
 SMALL = em.Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 NAMES = ["base.anger", "reward.anger"]
 ROUGH = em.independent([0.9] * 4, [0.85] * 4)
@@ -163,6 +163,7 @@ def test_a_result_shows_itself(name: str) -> None:
         assert 0 < len(text) <= LETTERS
         assert len(text.splitlines()) < LINES
         assert "<" not in text or " at 0x" not in text
+    assert len(repr(result)) < SHORT
     frame = result.frame()
     assert len(frame.columns) > 0
     page = result._repr_html_()
