@@ -4,10 +4,10 @@ A map is spanned by columns of the state space, `down` and `across`. Unless said
 that actions such as "right" change goes across and that of "down" goes down, in the direction of
 the arrow; other columns make blocks of such maps. Without such actions the last column goes across
 and all others down; the digits of a column that is left alone go both ways.
-The parts of states that are tuples of one length are such columns: those of a named tuple have its
-fields' names, others are state[0], state[1], …; ends that are no tuples stand
-outside. A grid world whose states are only numbered is given its
-`shape`, read row by row. States of a single column without a shape stand in rows of ten.
+
+The parts of states that are tuples of one length are such columns; ends that are no tuples stand
+outside. States of a grid world that are only numbered fill its `shape` row by row; without one they
+stand in rows of ten.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def _headed(
     """
     values = np.array([space.values(name, states) for name in space.names])
     table, inside = model.table, states < space.regular
-    pair = np.repeat(np.arange(model.n_pairs), np.diff(table.offsets))
+    pair = table.pair
     before, after = values[:, model.pair_state[pair]], values[:, table.next]
     moved = np.where((before < 0) | (after < 0), 0, after - before) * table.probabilities()
     drift = np.array([np.bincount(pair, weights=each, minlength=model.n_pairs) for each in moved])
@@ -277,7 +277,7 @@ def _signs(model: MDP, row: Integers, column: Integers) -> tuple[str, ...]:
     A move counts by its probability, whatever its length: one far back to a start is no direction.
     """
     table, signs = model.table, symbols(model.actions)
-    pair = np.repeat(np.arange(model.n_pairs), np.diff(table.offsets))
+    pair = table.pair
     before, after = model.pair_state[pair], table.next
     inside = (row[before] >= 0) & (row[after] >= 0)
     weight, action = table.probabilities() * inside, model.pair_action[pair]
@@ -308,13 +308,7 @@ COUNTED = {"mixed": "one of n actions is drawn", "tied": "n actions are optimal"
 
 
 def joined(signs: Sequence[str], many: str) -> str:
-    """Return up to two short signs of actions side by side, else how many, by a word of COUNTED.
-
-    Examples
-    --------
-    >>> joined(["↓", "→"], "tied"), joined(["a0", "a1", "a2"], "tied")
-    ('↓/→', '3 tied')
-    """
+    """Return up to two short signs of actions side by side, else how many, by a word of COUNTED."""
     text = "/".join(signs)
     return text if len(signs) < 2 or len(text) <= SHORT else f"{len(signs)} {many}"
 
@@ -322,7 +316,7 @@ def joined(signs: Sequence[str], many: str) -> str:
 def counts(texts: Iterable[str]) -> list[str]:
     """Return what the words of COUNTED in some cells mean.
 
-    >>> counts(["✗ 3 tied", "a0"])
+    >>> counts([joined(["↓", "→"], "mixed"), joined(["a0", "a1", "a2"], "tied")])
     ['n tied: n actions are optimal']
     """
     words = {match[1] for text in texts if (match := re.search(r"\d+ (\w+)$", text))}

@@ -3,16 +3,13 @@
     h_l(θ) = V_π(s; θ) - Q_π(l; θ)
 
 On a section on which rows are polynomials, the values of a policy are polynomials where the model
-is acyclic; where it is not they are N_s / D with D = det(I - γ P_π), positive wherever the policy
-has values, and D h_l stands in for h_l. By Cramer's rule N and D have at most the degree Σ_s d_s,
-where d_s is the greatest degree in the rows of state s: each product takes one entry of each row.
-So they come by interpolation at few points where a parameter moves few rows. Where it moves the
-discount alone, they come from powers of P_π and its characteristic polynomial, without any point:
+is acyclic, else N_s / D with D = det(I - γ P_π) > 0, and D h_l stands in for h_l. By Cramer's rule
+N and D have at most the degree Σ_s d_s, where d_s is the greatest degree in the rows of state s:
+so they come by interpolation. Where the discount alone moves they come from powers of P_π,
 
-    D(γ) = det(I - γ P),      N(γ) = D(γ) Σ_k γ^k P^k r   up to degree n - 1.
+    N(γ) = D(γ) Σ_k γ^k P^k r   up to degree n - 1.
 
-A policy is optimal exactly where no h is negative, so that their sign changes are all the
-thresholds there are.
+A policy is optimal exactly where no h is negative: sign changes are all the thresholds there are.
 """
 
 from __future__ import annotations
