@@ -29,6 +29,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import Column, StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 
+MOST_CELLS = 4000
 WIDE = 10  # states in a row where nothing says how many
 MOST_NAMED = 40  # states that are listed by their names, one in a row
 SHORT = 5  # letters of an action's name that fit into a cell
@@ -64,6 +65,11 @@ class Layout:
     across: str
     signs: tuple[str, ...]
     listed: bool = False
+
+    @property
+    def cells(self) -> int:
+        """The number of cells; there is no picture of more than MOST_CELLS."""
+        return len(self.rows) * len(self.columns)
 
     @property
     def shown(self) -> Integers:

@@ -80,8 +80,7 @@ class Optimum:
         if self.certificate is not None:
             return self.certificate.optimal_pairs
         lost = self.value[self.mdp.pair_state] - self.mdp.backup(self.value)
-        sign = -1 if self.mdp.sense == "min" else 1
-        return np.asarray(sign * lost <= 2 * self.best.error_bound)
+        return np.asarray(self.mdp.sign * lost <= 2 * self.best.error_bound)
 
     @property
     def start(self) -> Certified | Bounded:

@@ -596,6 +596,11 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return self if self.discount_exact == 1 else self.with_(discount=1)
 
     @property
+    def sign(self) -> int:
+        """1 where the greatest value is best, -1 where rewards are costs."""
+        return 1 if self.sense == "max" else -1
+
+    @property
     def maximised(self) -> MDP:
         """The model itself, or its negation where rewards are costs."""
         return self if self.sense == "max" else self._negated

@@ -64,11 +64,10 @@ class Batch:
             for other in models[1:]
         ):
             return None
-        signs = [-1.0 if mdp.sense == "min" else 1.0 for mdp in models]
         facts = [rounding_facts(mdp) for mdp in models]
         return cls(
             rows=np.stack([mdp.transition.toarray() for mdp in models]),
-            reward=np.stack([sign * mdp.reward for sign, mdp in zip(signs, models, strict=True)]),
+            reward=np.stack([mdp.sign * mdp.reward for mdp in models]),
             reward_error=np.stack([reward_errors(mdp) for mdp in models]),
             rate=np.array([mdp.discount for mdp in models]),
             leak=np.array([[f.leak] for f in facts]),

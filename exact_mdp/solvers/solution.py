@@ -410,10 +410,9 @@ class Solution(Found, Pictured):
     @property
     def gap_table(self) -> Floats:
         """(S, A) what each action loses against the value; NaN where it is not offered."""
-        sign = -1 if self.mdp.sense == "min" else 1
         here, there = self.value[self.mdp.pair_state], self.mdp.backup(self.value)
         with np.errstate(invalid="ignore"):  # two infinite values that are alike differ by nothing
-            lost = np.where(here == there, 0.0, sign * (here - there))
+            lost = np.where(here == there, 0.0, self.mdp.sign * (here - there))
         table: Floats = MDP.by_action(self.mdp, lost)
         return table
 

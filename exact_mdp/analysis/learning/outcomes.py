@@ -130,9 +130,8 @@ class Outcomes(Pictured):
         return self._below(self.best_value)[self.final]
 
     def _below(self, reference: Bounded) -> Floats:
-        sign = -1.0 if self.mdp.sense == "min" else 1.0
         best = np.full_like(self.value, reference.value)
-        return regrets(best, self.value, self.error + reference.error, sign)
+        return regrets(best, self.value, self.error + reference.error, self.mdp.sign)
 
     @cached_property
     def regret_interval(self) -> Interval | None:

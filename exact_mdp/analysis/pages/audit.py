@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.layout import arrange, cells, counts
+from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells, counts
 from exact_mdp.analysis.pages.page import ADVICE, render
 from exact_mdp.mdp.report import Report
 
-MOST_CELLS = 4000  # of the map; more are no picture
 AT_THE_TOP = ("passed", "checks")  # of the page
 
 
@@ -18,8 +17,7 @@ def audit_page(
 ) -> str:
     """Return the page; `model` and `policy` are what the user named, `first` rows are shown."""
     layout, actions = arrange(audit.mdp), audit.mdp.actions
-    drawn = len(layout.rows) * len(layout.columns) <= MOST_CELLS
-    grid = cells(audit, layout) if drawn else []
+    grid = cells(audit, layout) if layout.cells <= MOST_CELLS else []
     texts = [text for row in grid for each in row if each for text in (each.text, each.small)]
     legend = [f"{a} {b}" for a, b in zip(layout.signs, actions, strict=True) if a != b]
     legend += counts(texts)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import proven
-from exact_mdp.analysis.layout import arrange
+from exact_mdp.analysis.layout import MOST_CELLS, arrange
 from exact_mdp.analysis.pages.page import render
 from exact_mdp.analysis.vary.base_case import actions_of, held_at
 from exact_mdp.analysis.vary.curves import curve as exact_curves
@@ -42,7 +42,6 @@ from exact_mdp.mdp.validate import Flags, counted
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-MOST_CELLS = 4000  # of the map; a larger model shows the states that change
 GRID = 11  # values of the second parameter
 MOST_GRID = 101
 GROW = "this.style.height=this.contentDocument.documentElement.scrollHeight+20+'px'"
@@ -230,7 +229,7 @@ def _data(explorer: Explorer) -> dict[str, Any]:
         """Return the number of the set of actions, by pairs (L,), of each state."""
         return [known.setdefault(each, len(known)) for each in actions_of(mdp, pairs)]
 
-    drawn = len(layout.rows) * len(layout.columns) <= MOST_CELLS
+    drawn = layout.cells <= MOST_CELLS
     curves = [_curve(curve, numbers) for curve in explorer.curves]
     taken = None if first.chain is None else numbers(first.chain.chosen > 0)
     every = np.array([piece["sets"] for curve in curves for piece in curve["pieces"]])

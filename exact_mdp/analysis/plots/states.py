@@ -21,7 +21,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.layout import ARROWS, Layout, arrange, cells, counts, joined, taken
+from exact_mdp.analysis.layout import (
+    ARROWS,
+    MOST_CELLS,
+    Layout,
+    arrange,
+    cells,
+    counts,
+    joined,
+    taken,
+)
 from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
@@ -48,7 +57,6 @@ if TYPE_CHECKING:
     from exact_mdp.solvers.solution import Solution
     from exact_mdp.solvers.values.evaluate import Evaluation
 
-MOST_CELLS = 4000  # of a map
 MOST_TEXTS = 700  # cells that have room for a text
 NUMBERED = 60  # cells that have room for a number, too
 MOST_NAMES = 40  # rows, columns or bars that are named
@@ -246,10 +254,9 @@ def plot_comparison(every: PolicyComparison, *, ax: Axes | None = None) -> Axes:
 
 def _placed(model: MDP, place: Mapping[str, Any]) -> Layout:
     layout = arrange(model, **place)
-    count = len(layout.rows) * len(layout.columns)
-    if count > MOST_CELLS:
+    if layout.cells > MOST_CELLS:
         raise ModelError(
-            f"a map of {count:,} cells",
+            f"a map of {layout.cells:,} cells",
             where="plot",
             fix="hold columns fixed, such as trial=0, or read the table: .frame()",
         )

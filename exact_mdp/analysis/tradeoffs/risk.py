@@ -167,7 +167,7 @@ def point_of(mdp: MDP, level: Fraction, policy: PolicyLike) -> tuple[Fraction, F
             fix="give one that ends, or stop after N steps",
         )
     assert returns.exact is not None
-    sign = 1 if mdp.sense == "max" else -1
+    sign = mdp.sign
     both = sorted((sign * value, p) for value, p in zip(returns.values, returns.exact, strict=True))
     mean = sum((value * p for value, p in both), Fraction(0))
     return sign * mean, sign * tail_mean(both, level)

@@ -42,11 +42,6 @@ class BaseCase:
         """The optimum."""
         return finite_optimum(self.mdp, "today's parameters")
 
-    @property
-    def sign(self) -> int:
-        """1 where the greatest value is best, -1 where rewards are costs."""
-        return -1 if self.mdp.sense == "min" else 1
-
     def held(self, policy: PolicyLike) -> Floats:
         """Return (L,) probabilities of pairs of a policy; "optimal" is today's optimum."""
         today = isinstance(policy, str) and policy == "optimal"

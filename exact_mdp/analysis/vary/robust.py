@@ -423,7 +423,7 @@ def worst_point(
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.tell(highest, where=" at the upper ends of the ranges")
     solver = solver_of(family, names)
-    fixed, sign = solver.base.held(policy), solver.base.sign
+    fixed, sign = solver.base.held(policy), solver.base.mdp.sign
     ends = np.array([[float(span.low), float(span.high)] for span in spans.values()])
     every = np.arange(len(names))
 

@@ -255,7 +255,7 @@ class Draws:
             optimal=whole["start"],
             fixed=whole["value"],
             error=np.column_stack([whole["start_error"], whole["error"]]),
-            sign=solver.base.sign,
+            sign=solver.base.mdp.sign,
             rows=rows,
             which=places[np.concatenate(own)],
             counts=np.sum([block["counts"] for block in done], axis=0),
@@ -357,7 +357,7 @@ class _Part:
         batch = Batch.of(models)
         self.batch = None if batch is None or batch.weights is None else batch
         self.size = KEPT if self.batch is None else self.batch.rows.size  # numbers that are held
-        self.sign = -1 if models[0].sense == "min" else 1
+        self.sign = models[0].sign
 
     def optimum(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
         """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
@@ -407,7 +407,7 @@ def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
     value, here = solution.value, mdp.pair_state
     far = np.isinf(value)
     known = np.where(far, 0.0, value)
-    gap = (-1 if mdp.sense == "min" else 1) * (known[here] - mdp.backup(known))
+    gap = mdp.sign * (known[here] - mdp.backup(known))
     if far.any():
         ahead = np.zeros(mdp.n_pairs)
         for sign in (inf, -inf):

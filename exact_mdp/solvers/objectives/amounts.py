@@ -66,7 +66,7 @@ class Objectives:
                 fix="name each once: name=2*a-b",
             )
         columns = [_combined(mdp, terms) for _, terms in named]
-        sign = 1 if mdp.sense == "max" else -1
+        sign = mdp.sign
         earning = np.any([top != 0 for top, _ in columns], axis=0).astype(np.int64)
         below = integers(np.lcm.reduce([b.astype(object) for _, b in columns]).tolist())
         table = replace(mdp.table, gain=earning, gain_denominator=below)
@@ -90,7 +90,7 @@ class Objectives:
     @cached_property
     def sign(self) -> int:
         """1, or -1 where rewards are costs."""
-        return 1 if self.mdp.sense == "max" else -1
+        return self.mdp.sign
 
     def weighted(self, weights: Sequence[int]) -> Numbers:
         """Return (L,) the amounts added up, with weights."""

@@ -108,7 +108,7 @@ class OffPolicy:
         seen = _trajectories(mdp, ratio, self.records, self.columns, horizon)
         lowest, highest = bounds.range
         whole = seen.returns[~seen.cut]
-        sign = 1 if mdp.sense == "max" else -1
+        sign = mdp.sign
         if len(whole) and not lowest <= whole.min() <= whole.max() <= highest:
             low, high = sorted((sign * whole.min(), sign * whole.max()))
             raise ModelError(
@@ -200,7 +200,7 @@ def _trajectories(
     record = transitions.Record(records, columns)
     pair_of = np.full((mdp.n_states, mdp.n_actions), -1)
     pair_of[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
-    sign = 1.0 if mdp.sense == "max" else -1.0
+    sign = mdp.sign
     weight, total, steps = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
     end, last = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
     begun = mdp.start_distribution

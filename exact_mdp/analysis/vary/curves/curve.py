@@ -241,10 +241,8 @@ class ValueFunction(Pictured):
                 wrong.append(f"no piece covers {shown(end[1])}")
         if ends[-1] != (self.range.high,) * 2:
             wrong.append(f"no piece covers {shown(self.range.high)}")
-        sign = -1 if self.mdp.sense == "min" else 1
-        return wrong + piece_violations(
-            self.family, self.parameter.name, self.pieces, _mix(self.chain), sign=sign
-        )
+        name, mix, sign = self.parameter.name, _mix(self.chain), self.mdp.sign
+        return wrong + piece_violations(self.family, name, self.pieces, mix, sign=sign)
 
     def report(self, within: Sequence[Interval] | None = None) -> Report:
         """Return the pieces; `within` is where a policy held fixed keeps a limit."""
@@ -388,16 +386,16 @@ def curve(
     (2, Fraction(9, 1), Fraction(-60, 7))
     """
     family = parametric(model)
-    mdp, sign = family.at({}), 1
+    mdp = family.at({})
     if mdp.sense == "min":
-        family, sign = Posed(family=family, ask=attrgetter("maximised")), -1
+        family = Posed(family=family, ask=attrgetter("maximised"))
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
     if name == DISCOUNT:
         if ranges is None and relative is None and span.high < 1:
             span = Range(low=span.low, high=NEARLY_ONE)
         span = _below_one(family, span)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
-    pieces, sweeps = pieces_of(family, name, span, sign, _mix(chain))
+    pieces, sweeps = pieces_of(family, name, span, mdp.sign, _mix(chain))
     if chain is not None and chain.policy is not None:
         ends = np.logical_and.reduce([np.array(each.gaps.terminal) for each in sweeps])
         open_ = np.flatnonzero(chain.policy.silent(mdp) & mdp.terminal & ~ends)
