@@ -40,7 +40,7 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, exact, integers, multiply
 from exact_mdp.mdp.validate import Parts, as_discount, as_start, check_options
 
-MOST_UNNAMED_ACTIONS = 100_000
+MOST_UNNAMED_ACTIONS = 100_000  # a higher number is a typing error rather than an action
 LAYOUTS = {"ass": 1, "sas": 0}
 """Orders of the indices of P, action, state, next state or state, action, next state, and which of
 the indices is that of the states."""

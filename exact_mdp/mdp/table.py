@@ -38,8 +38,8 @@ from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 COMPILED = 20_000
 """Transitions from which compiled loops are used. Below, NumPy takes less time than it takes to
 load the compiler, a third of a second."""
-EXACT_IN_FLOAT = 2**53
-EXACT_IN_INT64 = 2**62
+EXACT_IN_FLOAT = 2**53  # whole numbers up to this one are floats
+EXACT_IN_INT64 = 2**62  # the sum of two whole numbers below this one is one of 64 bits
 FLOAT_RANGE = (Fraction(1, 10**300), Fraction(10**300))  # where floats keep all their digits
 LARGEST = Fraction(2**1024 - 2**971)  # the largest float
 MOST_BYTES = 10 * 10**9  # of the outcomes of one table

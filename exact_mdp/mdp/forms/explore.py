@@ -22,7 +22,7 @@ from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import check_options, counted
 
-MOST_STATES = 1_000_000
+MOST_STATES = 1_000_000  # that a function may lead to, unless its user allows more
 OUTCOMES = "give a list of (probability, next state, reward)"
 HOW = {
     "actions": "a function of a state that lists its actions: lambda state: [0, 1]",

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SMALLEST = 500_000  # transitions for which another thread pays: each is begun anew for a pass
-PER_THREAD = 3
+PER_THREAD = 3  # blocks of rows: with several, threads end at nearly the same time
 IN_CACHE = 2**16  # entries of a few arrays that a core's cache holds, amply
 
 
