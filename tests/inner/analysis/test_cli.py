@@ -1,5 +1,6 @@
 """How numbers are printed, and what becomes of errors that are planted in the command line."""
 
+import ast
 import errno
 import io
 import json
@@ -20,9 +21,11 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import exact_mdp
 from exact_mdp import ModelError, SolverError, Status, solve
 from exact_mdp.analysis import exit_status
 from exact_mdp.analysis.ci import Case, write_junit
+from exact_mdp.analysis.cli import cli
 from exact_mdp.analysis.cli.render import markdown
 from exact_mdp.mdp.report import Report, Table, at_most, decimal, digits_of, number, ratio
 from exact_mdp.paper_repro.__main__ import main as reproduce
@@ -208,3 +211,26 @@ def test_what_a_program_prints_is_seen_while_it_runs(monkeypatch: pytest.MonkeyP
         seen.append(screen.getvalue())
 
     assert (exit_status.run(talk, "talk", []), seen) == (0, ["first\n"])
+
+
+def options(command: click.Command) -> set[str]:
+    """Every option of a command, and of the commands in it."""
+    names = {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            inside = command.get_command(context, name)
+            assert inside is not None
+            names |= options(inside)
+    return names
+
+
+def test_an_error_names_options_that_there_are() -> None:
+    known = options(cli) | options(reproduce) | options(agents) | {"--help"}
+    wrong = []
+    for path in Path(exact_mdp.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Error"):
+                words = re.findall(r"(?<![\w-])--[a-z][a-z-]*", ast.unparse(node))
+                wrong += [(path.name, node.lineno, word) for word in words if word not in known]
+    assert wrong == []

@@ -82,7 +82,7 @@ class OffPolicy:
             raise ModelError(
                 "no trajectories, and the model's counts do not keep them",
                 where="records",
-                fix="name the records (--records FILE, by=OffPolicy(records=…))",
+                fix="name the records (--evidence records=FILE, by=OffPolicy(records=…))",
             )
         if mdp.episodes is None and len(mdp.start) > 1:
             raise ModelError(

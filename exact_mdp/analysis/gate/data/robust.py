@@ -123,7 +123,7 @@ class Robust:
                 raise ModelError(
                     "with a horizon rewards bound what totals can be",
                     where="returns",
-                    fix="leave it out (--returns, returns=)",
+                    fix="leave it out (--evidence returns=, returns=)",
                 )
             return robust_bounds(sets, by_time(mdp, chain.weights, horizon))
         if returns is not None:
@@ -170,7 +170,8 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
             f"a reward of {gain[first]:g} was seen, after which no total lies from "
             f"{returns[0]:g} to {returns[1]:g}",
             where=mdp.where(int(pair[first])),
-            fix="state a range that holds all totals (--returns LOW,HIGH, returns=(low, high))",
+            fix="state a range that holds all totals: returns=(low, high), "
+            "--evidence returns=LOW,HIGH",
         )
 
 
@@ -240,8 +241,8 @@ def _range(sets: RowSets) -> Ends:
         raise ModelError(
             "at discount 1 the records alone do not say how long an episode may go on",
             where="returns",
-            fix="state where total rewards lie: returns=(low, high), --returns LOW,HIGH; or "
-            "choose a discount below 1",
+            fix="state where total rewards lie: returns=(low, high), --evidence "
+            "returns=LOW,HIGH; or choose a discount below 1",
         )
     low, high = sets.of_a_step
     return low / float(lost) * SLACK, high / float(lost) * SLACK

@@ -60,8 +60,9 @@ class RowSets:
                 f"nothing says where rewards lie: those seen, from {ends[0]:g} to {ends[1]:g}, do "
                 "not prove that no other comes",
                 where="rewards",
-                fix="state it, by=Robust(rewards=(low, high)), --rewards LOW,HIGH; or 'known', "
-                "--rewards known, where state, action and next state decide the reward",
+                fix="state it: by=Robust(rewards=(low, high)), --evidence rewards=LOW,HIGH; or "
+                "rewards='known', --evidence rewards=known, where state, action and next state "
+                "decide the reward",
             )
         known = isinstance(rewards, str)
         if known and rewards != KNOWN:
@@ -179,7 +180,7 @@ class RowSets:
             raise ModelError(
                 "two rewards were seen for the same next state, so that rewards are not known",
                 where=mdp.where(int(row[1:][unlike][0])),
-                fix="state where rewards lie (--rewards LOW,HIGH, rewards=(low, high))",
+                fix="state where rewards lie (--evidence rewards=LOW,HIGH, rewards=(low, high))",
             )
         return np.asarray(gain[np.append(True, ~again)])
 
