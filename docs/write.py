@@ -206,11 +206,6 @@ def methods(name: str) -> str:
     return described({each: method for each, method in public if not each.startswith("_")})
 
 
-def keys(place: str) -> str:
-    """Return a mapping {key: meaning}, such as that of scenario files."""
-    return table("key, meaning", ((f"`{key}`", text) for key, text in named(place).items()))
-
-
 def readings(_: str) -> str:
     """Return the options of each reading, the default first."""
     rows = exact_mdp.READINGS.items()
@@ -224,7 +219,7 @@ def text(module: str) -> str:
 
 MADE = {
     each.__name__: each
-    for each in (commands, options, answers, names, methods, keys, readings, text)
+    for each in (commands, options, answers, names, methods, readings, text)
 }
 
 
