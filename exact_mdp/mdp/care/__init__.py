@@ -2,7 +2,7 @@
 
 How to add a scenario. It is one TOML file: give its path wherever a scenario's name is asked for,
 or put it into `mdp/scenarios` and its name will do. `tea.toml` there is a short example. The file
-has the keys that `template.toml` explains: `exact-mdp new FILE` copies it, and
+has the keys of `toml.KEYS`, which `template.toml` explains: `exact-mdp new FILE` copies it, and
 `exact-mdp lint FILE` says what is wrong.
 
 Probabilities are exact: 0.1 is 1/10, and "2/3" may be written. An influence or an assistance that

@@ -34,9 +34,31 @@ from exact_mdp.mdp.validate import as_discount
 
 T = TypeVar("T", bound=Tables)
 V = TypeVar("V")
-TABLES = ("base", "persistence", "influence", "assistance", "skip", "reward")
-KEYS = ("name", "title", "source", "statuses", "actions", "tasks", "max_trial", "discount",
-        "readings", "status_weight", *TABLES)  # fmt: skip
+TABLES: Mapping[str, str] = {
+    "base": "STATUS = probability that it appears without assistance.",
+    "persistence": "STATUS = probability that it stays without assistance.",
+    "influence": "[influence.ROW] STATUS = what a present ROW adds to the probability of STATUS; "
+    "left out means 0.",
+    "assistance": "[assistance.ACTION.STATUS] persistence and onset of STATUS under ACTION; left "
+    "out means as without assistance.",
+    "skip": "[skip.STATUS] persistence when a subtask is skipped; or other, alone and with-other.",
+    "reward": "A weight for each status, trial, subtask-complete, subtask-skip, timestep and "
+    "task-complete; [reward.assist] one for each action.",
+}
+KEYS: Mapping[str, str] = {
+    "name": "Name of the scenario; that of the file unless given.",
+    "title": "What the scenario is, in one line.",
+    "source": "Where the numbers come from.",
+    "statuses": "Names of the statuses; each is present or absent.",
+    "actions": "Names of the actions.",
+    "tasks": "Number of subtasks of each task, in order.",
+    "max_trial": "Trials allowed in a subtask before it is skipped.",
+    "discount": "From 0 to 1; 1 unless given.",
+    "readings": "How open points of the paper's text are read.",
+    "status_weight": "STATUS = name of the weight that it is charged to; its own unless given.",
+    **TABLES,
+}
+"""Every key of a scenario file with its meaning: the one list of them, which the docs show."""
 
 
 def shipped() -> list[str]:
