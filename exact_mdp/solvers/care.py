@@ -174,13 +174,6 @@ def optimal(model: Scenario, names: Sequence[str], draws: ArrayLike) -> CareValu
 
     "discount" may be among them. Raises ModelError for a value outside its parameter's range, and
     for rewards that overflow.
-
-    Examples
-    --------
-    >>> scenario = Scenario.load("yuan2025")
-    >>> optima = optimal(scenario, ["base.anger"], [[0.05], [0.1]])
-    >>> optima.start.round(6).tolist(), optima.gaps[0, 0].argmin().item()
-    ([146.235871, 143.338709], 2)
     """
     batch = Batch(model, names, draws)
     none = np.empty((0, 1, batch.rules.vectors, batch.rules.assistive))

@@ -221,13 +221,6 @@ def size(laws: Laws) -> tuple[int, int]:
     failed trial ends in a skip there are at most
 
         1 + Σ over gains g of  min(2^n, Σ over s' ≠ 0 of gain g of the number of z it leads to).
-
-    Examples
-    --------
-    >>> from exact_mdp import Scenario
-    >>> scenario = Scenario.load("yuan2025")
-    >>> size(scenario.laws)[0], len(scenario.compile().table.next)
-    (16481, 11005)
     """
     rules, following = laws.rules, (laws.rules.next * laws.cost).tolist()
     rows = rules.step.reshape(-1, rules.step.shape[2])

@@ -23,15 +23,7 @@ STATEMENT = re.compile(rf"\s*(?:(\[)(?:{NAME.pattern}|[\s.])+\]|(?:{NAME.pattern
 
 
 def lint(text: str, name: str) -> list[dict[str, Any]]:
-    """Return the line, what, fix and severity of every problem of a scenario's text.
-
-    Examples
-    --------
-    >>> for problem in lint("statuses = ['anger']\\nmax_trial = 3\\ntasks = [0]", "x"):
-    ...     print(problem["line"], problem["what"], "|", problem["fix"])
-    3 tasks is not a list of positive whole numbers, or is empty | give the number of ...
-    None actions is not a list of different names | write, ... ["forgetfulness", "anger"], ...
-    """
+    """Return the line, what, fix and severity of every problem of a scenario's text."""
     try:
         reader = Reader(toml_of(text, name))
     except ModelError as error:

@@ -241,15 +241,7 @@ class Counted:
         return np.asarray(drawn / total)
 
     def rates(self, statuses: Sequence[str]) -> dict[str, dict[str, Rate]]:
-        """Return `sensitivity` and `specificity` of each status by name, the first the highest bit.
-
-        Examples
-        --------
-        >>> counts = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["anger"])
-        >>> rate = counts["anger"]["sensitivity"]
-        >>> rate.right, round(rate.low, 4), rate.high
-        (10, 0.6915, 1.0)
-        """
+        """Return `sensitivity` and `specificity` by status, the first being the highest bit."""
         from scipy import stats
 
         def rate(rows: NDArray[np.bool_]) -> Rate:

@@ -78,33 +78,16 @@ class Rules:
     """The rules of all scenarios that differ in nothing but their numbers.
 
     Positions are those of parameters, and P for none. A subtask is laid out by trial, flag and
-    status vector.
+    status vector; there are M `trials` with a choice and 2 `flags` where the bonus depends on them.
 
-    Attributes
-    ----------
-    actions : tuple of str
-        The `assistive` ones, and *skip* where that takes a timestep of its own (`own`).
-    trials, flags, vectors, size : int
-        Trials with a choice, M; 2 flags where the bonus depends on them, else 1; 2^n status
-        vectors; states of a subtask.
-    bits : (2^n, n)
-        The status vectors; the first status is the most significant digit.
-    terms : (U, n)
-        Positions of the terms of each of U chances; `step` (2^n, A, n) and `skip` (2^n, n) say
-        which chance a status has under an action and on a skip.
-    components : tuple of str
-        The reward weights; `weights` (C,) are their positions, those of statuses first, those of
-        actions last.
-    charges : (G, …)
-        Positions of the weights that add up to each of G gains; `gains` (3, 3, 2) says which one
-        an event earns, by place of the subtask and flag: that of the state, or 1 for a skip;
-        `charged` (G, C) is 1 where a gain has a component.
-    now, next : int
-        Whether a step charges the statuses of its present and of its next vector.
-    places : (K,)
-        The place of each subtask.
-    flag_after : (3, 2)
-        The flag that the next subtask starts with, by place and flag.
+    - `terms` (U, n): the positions of the terms of each of U chances; `step` (2^n, A, n) and `skip`
+      (2^n, n) say which chance a status has under an action and on a skip.
+    - `weights` (C,): the positions of the `components`, statuses first, actions last.
+    - `charges` (G, …): the positions of the weights that add up to each of G gains; `gains`
+      (3, 3, 2) says which one an event earns, by place of the subtask and flag: that of the state,
+      or 1 for a skip; `charged` (G, C) is 1 where a gain has a component.
+    - `now`, `next`: whether a step charges the statuses of its present and of its next vector.
+    - `places` (K,) of the subtasks; `flag_after` (3, 2): the flag that the next one starts with.
     """
 
     def __init__(

@@ -95,14 +95,7 @@ class Scenario(Tables):
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioFamily:
-    """See `mdp.parametric.Parametric`.
-
-    Examples
-    --------
-    >>> family = ScenarioFamily(scenario=Scenario.load("yuan2025"))
-    >>> family.at({"base.anger": "1/10"}).discount_exact, family.breakpoints("base.anger")
-    (Fraction(1, 1), (Fraction(33, 50), ...))
-    """
+    """See `mdp.parametric.Parametric`."""
 
     scenario: Scenario
     warned: list[str] = field(default_factory=list, compare=False, repr=False)

@@ -123,16 +123,6 @@ def shaped(given: Any, kind: Any) -> Any:
     A kind is a type; a function of the value; [kind], a list of these; (kind, …), a list of that
     length; {str: kind}, an object with any keys; or {key: kind, …}, one with these keys, of which
     one that is missing is read as null, and others are passed over. Lists become tuples.
-
-    Examples
-    --------
-    >>> shaped({"start": [["1/3", 0]]}, {"start": [(number, natural)], "limit": optional(natural)})
-    {'start': ((Fraction(1, 3), 0),), 'limit': None}
-    >>> shaped({"start": [["1/3", -1]]}, {"start": [(number, natural)]})
-    Traceback (most recent call last):
-    exact_mdp.mdp.errors.ModelError: -1 is not a whole number from 0 up, below 2^62
-      where: start, 0, 1
-      fix:   correct it
     """
     if isinstance(kind, type):
         return given if type(given) is kind else refuse(given, WORDS[kind])
@@ -199,13 +189,7 @@ def unreached(given: Any) -> float:
 
 
 def ready(value: Any) -> Any:
-    """Return a value for JSON: rationals as integers or texts, tuples as lists.
-
-    Examples
-    --------
-    >>> ready((Fraction(1, 3), Fraction(2), Fraction(2**60)))
-    ['1/3', 2, '0x1000000000000000']
-    """
+    """Return a value for JSON: rationals as integers or texts, tuples as lists."""
     if isinstance(value, dict):
         return {key: ready(each) for key, each in value.items()}
     if isinstance(value, tuple | list):

@@ -98,15 +98,12 @@ def load(
 ) -> MDP:
     """Read a Markov chain or decision process from a UMB file.
 
-    `discount` stands instead of the model's own. The format has none: where another program wrote
-    the file, it is 1 unless it is given, and a warning says so. `reward` names a reward model,
-    whose rewards of states, choices and branches add up. Unless it is named, the one called
-    "reward" counts, or the sum of all, which are its components; without any, rewards are 0.
-    `start` is a state or {state: probability}; unless it is given, the file's only initial state,
-    or its first, with a warning. Where there are several, they have the label `init`.
-
-    Raises ModelError where the file cannot be read, is damaged, or holds a model of another kind:
-    in continuous time, of several players, partially observable, with intervals for probabilities.
+    `discount` stands instead of the model's own; where another program wrote the file it is 1
+    unless it is given, with a warning. `reward` names a reward model; unless it is named, the one
+    called "reward" counts, or the sum of all, which are its components; without any, rewards are 0.
+    `start` is the file's only initial state unless it is given, or its first, with a warning; where
+    there are several, they have the label `init`. Raises ModelError for a damaged file, and for
+    models in continuous time, of several players, partially observable, or with intervals.
     """
     with located(str(path)):
         umb, content = _read(path)

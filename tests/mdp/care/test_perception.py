@@ -282,6 +282,8 @@ def test_rates_are_of_single_statuses() -> None:
     }
     empty = counted([("00", "00")], size=4).rates(["a", "b"])["a"]["sensitivity"]
     assert (empty.value, empty.low, empty.high) == (None, 0.0, 1.0)
+    ten = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["a"])["a"]["sensitivity"]
+    assert (ten.low, ten.high) == (pytest.approx(0.025**0.1), 1.0)
 
 
 def test_counts_that_are_none() -> None:
