@@ -20,6 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
+from itertools import combinations
 from operator import sub
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
@@ -37,6 +38,7 @@ from exact_mdp.solvers.exact.levels import Level, combined, signs
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
 from exact_mdp.solvers.objectives.simplex import maximise
 from exact_mdp.solvers.objectives.totals import (
+    Attained,
     Flow,
     Point,
     TotalsProof,
@@ -293,13 +295,22 @@ def _kept(of: Objectives, limits: Sequence[Limit], totals: Point) -> list[Fracti
     return [of.sign * x.sign * totals[of.names.index(x.name)] for x in limits]
 
 
-class _Mixture(NamedTuple):
-    """Policies by their pairs (S,), with shares; the step of the limits; prices, and values."""
+def _columns(
+    of: Objectives, limits: Sequence[Limit], policies: Sequence[Attained], shift: Fraction
+) -> list[list[Fraction]]:
+    """Return for each policy 1 and the room that it leaves, where the limits are moved."""
+    moved = [x.sign * x.bound - shift for x in limits]
+    return [[ONE, *map(sub, _kept(of, limits, policy.total), moved)] for policy in policies]
 
-    shares: list[tuple[Integers, Fraction]]
+
+class _Mixture(NamedTuple):
+    """Policies with shares; the step of the limits; prices, values, and pairs (S,) with these."""
+
+    shares: list[tuple[Attained, Fraction]]
     shift: Fraction
     price: tuple[Fraction, ...]  # of the reward, then of the limits
     dual: Level
+    pairs: Integers
 
 
 def _mixture(of: Objectives, limits: Sequence[Limit]) -> _Mixture:
@@ -308,10 +319,8 @@ def _mixture(of: Objectives, limits: Sequence[Limit]) -> _Mixture:
     slack = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
     policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
     while True:
-        kept = [_kept(of, limits, policy.total) for policy in policies]
-        columns = [[ONE, *map(sub, own, bounds)] for own in kept] + slack
+        columns = _columns(of, limits, policies, ZERO) + slack + [[ZERO] + [ONE] * size] * short
         earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
-        columns += [[ZERO] + [ONE] * size] * short
         x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
         shift = x[-1] if short else ZERO
         if short and not shift:
@@ -320,9 +329,42 @@ def _mixture(of: Objectives, limits: Sequence[Limit]) -> _Mixture:
         price = (Fraction(not short), *(-each for each in due))
         pairs, dual = optimum(of, _weights(of, limits, price), policies[-1].pairs)
         if dual.mean(of.mdp.start) == most + worth(price[1:], bounds):
-            shares = [(own.pairs, share) for own, share in zip(policies, x, strict=False) if share]
-            return _Mixture(shares, shift, price, dual)
+            shares = [each for each in zip(policies, x, strict=False) if each[1]]
+            return _Mixture(shares, shift, price, dual, pairs)
         policies.append(attained(of, pairs))
+
+
+def _closer(
+    of: Objectives, limits: Sequence[Limit], best: _Mixture
+) -> list[tuple[Attained, Fraction]]:
+    """Return a mixture that is as good, of policies that differ in few states.
+
+    One half-way between the two that differ most takes the place of one of them, where it can.
+    Limits that have no price may be kept with room to spare.
+    """
+    shares, size = list[tuple[Attained, Fraction]](), len(limits)
+    for policy, share in best.shares:  # which is optimal for the prices where it comes to
+        own, taken = best.pairs.copy(), flow_under(of, policy.pairs).pairs
+        own[of.rows.pair_state[taken]] = taken
+        shares.append((attained(of, own), share))
+    free = [k for k, price in enumerate(best.price[1:]) if not price]
+    spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in free]
+    while len(shares) > 1:
+        policies = [policy for policy, _ in shares]
+        each = combinations(policies, 2)
+        first, second = max(each, key=lambda two: np.sum(two[0].pairs != two[1].pairs))
+        apart, half = np.flatnonzero(first.pairs != second.pairs), first.pairs.copy()
+        half[apart[::2]] = second.pairs[apart[::2]]
+        policies = [attained(of, half), *policies]
+        columns = _columns(of, limits, policies, best.shift) + spare
+        earned = [ONE] + [ZERO] * (len(columns) - 1)
+        x, _ = maximise(earned, columns, [ONE] + [ZERO] * size)
+        closer = [each for each in zip(policies, x, strict=False) if each[1]]
+        after, before = (np.unique([own.pairs for own, _ in some]) for some in (closer, shares))
+        if len(after) >= len(before):
+            break
+        shares = closer
+    return shares
 
 
 def _flow(of: Objectives, limits: Sequence[Limit], best: _Mixture) -> Flow:
@@ -333,12 +375,13 @@ def _flow(of: Objectives, limits: Sequence[Limit], best: _Mixture) -> Flow:
     taken any more, or another limit binds.
     """
     state, taken = of.rows.pair_state, dict[int, Fraction]()
-    for pairs, share in best.shares:
-        for pair, number in flow_under(of, pairs).numbers().items():
+    shares = _closer(of, limits, best)
+    for policy, share in shares:
+        for pair, number in flow_under(of, policy.pairs).numbers().items():
             taken[pair] = taken.get(pair, ZERO) + share * number
-    own, bounds = best.shares[0][0].copy(), [limit.sign * limit.bound for limit in limits]
+    own, bounds = shares[0][0].pairs.copy(), [limit.sign * limit.bound for limit in limits]
     while True:
-        most = sorted(taken, key=lambda pair: (taken[pair], -pair))
+        most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
         own[state[most]] = most
         further, flow = sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1], Flow.of(taken)
         kept = _kept(of, limits, flow.totals(of))

@@ -36,6 +36,18 @@ def test_actions_are_drawn_where_the_first_ones_alone_do_not_lead() -> None:
         assert solution.start_value == F(bound)
 
 
+def test_of_many_states_that_are_alike_no_more_draw_than_limits_bind() -> None:
+    """Any thirty of sixty states may pay, and half of another one; b tells them apart."""
+    rows = [(s, a, [(1, s + 1, -a)]) for s in range(60) for a in (0, 1)]
+    parts = {"a": [0, 1] * 60, "b": [s % 7 * a for s in range(60) for a in (0, 1)]}
+    ended = {name: [*own, 0] for name, own in parts.items()}
+    mdp = MDP.from_outcomes([*rows, (60, 0, [(1, 60, 0)])], components=ended)
+    for limits in ({"a": ">= 61/2"}, {"a": ">= 61/2", "b": [">= 200/3", "<= 202/3"]}):
+        solution = solve(mdp, subject_to=limits)
+        sound(solution, len(limits))
+        assert solution.start_value == F(-61, 2)
+
+
 SIGNS = {">=": 1, "<=": -1}
 
 
