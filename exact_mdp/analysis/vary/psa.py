@@ -15,7 +15,6 @@ policy is the optimum at their means, and the ends are one.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -24,7 +23,6 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.vary.base_case import digest
 from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
     Settings,
@@ -50,8 +48,8 @@ from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import Pictured
-from exact_mdp.mdp.table import Floats
-from exact_mdp.mdp.validate import RNG, counted, seed_of
+from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.validate import RNG, Flags, counted, seed_of
 from exact_mdp.solvers.parallel import How, seeded
 from exact_mdp.solvers.solution import Bounded, Estimated
 
@@ -488,7 +486,8 @@ def psa(
     }
     draws = Draws(solver, blocks, solver.block, key, how)
     table = draws.with_policies(draws.study(()), [weights for _, weights in given])
-    picked, table, frequency = _selected(draws, table, given)
+    picked, table = _selected(draws, table, given)
+    counts = np.bincount(table.which, minlength=len(table.rows))
     return PSA(
         model=family.name,
         start=solver.base.solution.start,
@@ -499,7 +498,7 @@ def psa(
             Candidate(
                 name=name,
                 weights=weights,
-                frequency=frequency[digest(weights)],
+                frequency=int(counts[_alike(table, solver.row(weights))].sum()),
                 actions=solver.shown(weights),
             )
             for name, weights in picked
@@ -512,8 +511,8 @@ def psa(
 
 def _selected(
     draws: Draws, table: Study, given: Sequence[tuple[str, Floats]]
-) -> tuple[list[tuple[str, Floats]], Study, Counter[str]]:
-    """Return the policies given and those that add most, their study, and how often each is best.
+) -> tuple[list[tuple[str, Floats]], Study]:
+    """Return the policies given and those that add most, and their study.
 
     What the policies taken so far leave to be won is V* - max_c V^c, draw by draw. Policies are
     considered by how much of it lies in the draws whose optimum they are. What one would add is at
@@ -529,33 +528,28 @@ def _selected(
         return np.where(left > table.error[:, 0] + table.error[:, 1:].max(axis=1), left, 0.0)
 
     left = to_be_won()
-    counts = np.bincount(which, minlength=len(rows))
     by_loss = np.bincount(which, weights=left, minlength=len(rows))
-    order = np.argsort(-by_loss, kind="stable")[:POOL].tolist()
-    frequent = np.argsort(-counts, kind="stable")[:POOL].tolist()
-    weights = {number: draws.solver.weights(rows[number]) for number in {*order, *frequent}}
-    marks = {number: digest(each) for number, each in weights.items()}
-    frequency = Counter[str]()
-    for number, mark in marks.items():
-        frequency[mark] += int(counts[number])
-    known = {digest(each) for _, each in given}
-    pool: dict[str, list[int]] = {}
-    for number in order:
-        if by_loss[number] > 0 and marks[number] not in known:
-            pool.setdefault(marks[number], []).append(number)
-    if not pool:
-        return picked, table, frequency
-    others, alike = [weights[numbers[0]] for numbers in pool.values()], list(pool.values())
+    known = np.any([_alike(table, draws.solver.row(weights)) for _, weights in given], axis=0)
+    pool = np.argsort(-by_loss, kind="stable")[:POOL]
+    pool = pool[(by_loss[pool] > 0) & ~known[pool]]
+    if not len(pool):
+        return picked, table
+    others = [draws.solver.weights(row) for row in rows[pool]]
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: draws.solver.pool])
     values = sign * draws.solver.values(table.points[some], others)["value"]
     for count in range(1, CANDIDATES + 1):
         best = (sign * table.fixed[some]).max(axis=1)
         seen = np.maximum(values - best[:, None], 0.0).sum(axis=0)
         by_loss = np.bincount(which, weights=to_be_won(), minlength=len(rows))
-        gains = np.maximum(seen, [by_loss[numbers].sum() for numbers in alike])
+        gains = np.maximum(seen, by_loss[pool])
         number = int(gains.argmax())
         if gains[number] <= LEAST_GAIN * total:
             break
         picked.append((f"alternative {count}", others[number]))
         table = draws.with_policies(table, [others[number]])
-    return picked, table, frequency
+    return picked, table
+
+
+def _alike(table: Study, row: Integers | None) -> Flags:
+    """Return which of the optimal policies (U,) a row is."""
+    return np.zeros(len(table.rows), dtype=bool) if row is None else (table.rows == row).all(axis=1)

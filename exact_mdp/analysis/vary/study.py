@@ -519,15 +519,18 @@ class ModelSolver:
         """Return (L,) probabilities of pairs from a row of `solved`."""
         return self.base.taken(row)
 
+    def row(self, weights: Floats) -> Integers | None:
+        """Return the row of `solved` with probabilities of pairs (L,); None where they mix."""
+        sure = np.flatnonzero(weights == 1)
+        return self.base.mdp.pair_action[sure] if len(sure) == self.base.mdp.n_states else None
+
     def shown(self, weights: Floats) -> dict[str, str] | None:
         """Return the action at each label, where the policy says one and the same there."""
-        mdp, actions = self.base.mdp, dict[str, str]()
-        for state, label in zip(self.choosing.tolist(), self.labels, strict=True):
-            sure = [pair for pair in mdp.pairs_of(state) if weights[pair] == 1]
-            if not sure:
-                return None
-            actions[label] = mdp.actions[mdp.pair_action[sure[0]]]
-        return actions
+        row = self.row(weights)
+        if row is None:
+            return None
+        chosen = [self.actions[action] for action in row[self.choosing].tolist()]
+        return dict(zip(self.labels, chosen, strict=True))
 
 
 class CareSolver:
@@ -578,13 +581,17 @@ class CareSolver:
         choice = np.append(whole.reshape(-1), np.zeros(mdp.n_states - whole.size, dtype=np.int64))
         return self.base.taken(choice)
 
+    def row(self, weights: Floats) -> Integers | None:
+        """Return the row of `solved` with probabilities of pairs (L,); None where they mix."""
+        table = self.by_state(weights)
+        return table.argmax(axis=-1).reshape(-1) if (table.max(axis=-1) == 1).all() else None
+
     def shown(self, weights: Floats) -> dict[str, str] | None:
         """Return the action at each label, where the policy says one and the same there."""
-        table = self.by_state(weights)
-        if not ((table == table[:1, :1, :1]).all() and (table.max(axis=-1) == 1).all()):
+        row = self.row(weights)
+        if row is None or np.ptp(stages := row.reshape(-1, len(self.labels)), axis=0).any():
             return None
-        chosen = table[0, 0, 0].argmax(axis=-1)
-        return {label: self.actions[a] for label, a in zip(self.labels, chosen, strict=True)}
+        return {label: self.actions[a] for label, a in zip(self.labels, stages[0], strict=True)}
 
     def by_state(self, weights: Floats) -> Floats:
         """Return (K, trials, flags, V, A) probabilities of actions from (L,) ones of pairs.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, binomtest
 
-from exact_mdp import MDP, ModelError, certify, solve
+from exact_mdp import MDP, ModelError, Scenario, certify, psa, solve
 from exact_mdp.analysis.vary.distributions import row_family, uncertainty
 from exact_mdp.analysis.vary.information import evpi, evppi
 from exact_mdp.analysis.vary.intervals import (
@@ -19,7 +19,8 @@ from exact_mdp.analysis.vary.intervals import (
     upper_quantile,
     wilson,
 )
-from exact_mdp.analysis.vary.study import lost_by
+from exact_mdp.analysis.vary.psa import POOL
+from exact_mdp.analysis.vary.study import lost_by, solver_of
 from exact_mdp.mdp.parametric import Posed
 
 STEP = 0.02  # what the second action costs below the step
@@ -169,6 +170,32 @@ def test_optimal_actions_beside_infinite_states(seed: int) -> None:
         doubt = solution.state_error
         near = gap <= doubt[mdp.pair_state] + mdp.transition @ doubt + noise
         assert near.tolist() == exact.optimal_pairs.tolist()
+
+
+def chain() -> MDP:
+    """Return eight states with two chances to go on in each: 128 policies, each of them best."""
+    rows = [(s, a, [("1/2", s + 1, 1), ("1/2", 8, 0)]) for s in range(8) for a in range(2)]
+    return MDP.from_outcomes([*rows, (8, 0, [(1, 8, 0)])])
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).parametric(),
+        row_family(chain()),
+    ],
+    ids=["care", "rows"],
+)
+def test_a_policy_is_counted_in_every_draw_whose_optimum_it_was(model) -> None:
+    """However seldom that is."""
+    how = {"uncertain": uncertainty(model, default=4), "rng": 0}
+    draws = psa(model, 300, **how)
+    solver, counts = solver_of(model, draws.names), np.bincount(draws.table.which)
+    assert len(counts) > 2 * POOL
+    for number in (int(np.flatnonzero(counts == counts.min())[-1]), int(counts.argmax())):
+        held = solver.weights(draws.table.rows[number])
+        assert np.array_equal(solver.row(held), draws.table.rows[number])
+        assert psa(model, 300, policy=held, **how).candidates[0].frequency == counts[number]
 
 
 def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
