@@ -62,10 +62,8 @@ def agrees(slopes: Any, family: Parametric, at: Fraction, policy: object) -> Non
 def test_puterman_in_closed_form() -> None:
     low, high = curve(PUTERMAN, "discount", (0, "99/100")).pieces
     assert (low.value.numerator, low.value.denominator) == ((10, -11), (1, -1))
-    assert (high.value.numerator, high.value.denominator) == (
-        (5, F(-11, 2)),
-        (1, F(-3, 2), F(1, 2)),
-    )
+    assert high.value.numerator == (5, F(-11, 2))
+    assert high.value.denominator == (1, F(-3, 2), F(1, 2))
     assert low.high == high.low
     assert low.high[0] <= F(10, 11) <= low.high[1]
 
@@ -96,12 +94,8 @@ def test_random_models_with_cycles(
         return
     value_curve = curve(family, name, policy="random")
     assert value_curve.violations() == []
-    agrees(
-        value_curve,
-        family,
-        value_curve.range.low + (value_curve.range.high - value_curve.range.low) * place,
-        "random",
-    )
+    low, high = value_curve.range.low, value_curve.range.high
+    agrees(value_curve, family, low + (high - low) * place, "random")
     for left, right in pairwise(value_curve.pieces):
         assert left.high == right.low
         for end in left.high:
@@ -189,19 +183,17 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
 
 
 def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
-    words = ("curve", "tea", "--set", "tasks=[1]", "--set", "max_trial=2")
-    asked = (*words, "--parameter", "base.anxiety", "--max-relative-regret", "1/100", "--json")
-    result = run(*asked, "--policy", "always:prompt").result
+    line = "curve tea --set tasks=[1] --set max_trial=2 --parameter base.anxiety"
+    line += " --max-relative-regret 1/100"
+    result = run(line, "--policy", "always:prompt", "--json").result
     value_curve = curve(SMALL, "base.anxiety", policy="always:prompt")
     within = value_curve.within(max_relative_regret="1/100")
     brackets = [(*each["from_bracket"], *each["to_bracket"]) for each in result["within"]]
     assert [tuple(map(F, each)) for each in brackets] == [(*e.low, *e.high) for e in within]
     fixed = result["pieces"][0]["fixed"]
     assert tuple(map(F, fixed["numerator"])) == value_curve.pieces[0].fixed.numerator
-    assert "keeps the limit" in run(*asked[:-1]).out  # of the optimum, unless a policy is given
-    refused = run(*asked, "--max-regret", "1")
-    assert (refused.status, refused.out) == (2, "")
-    assert "two limits" in refused.err
+    assert "keeps the limit" in run(line).out  # of the optimum, unless a policy is given
+    assert "two limits" in run(line, "--max-regret", "1").refusal()
 
 
 @pytest.mark.parametrize("sense", ["max", "min"])
@@ -218,9 +210,7 @@ def test_a_table_is_followed_where_nothing_is_earned_today(sense: str) -> None:
     value_curve = curve(family, "t", (-1, 1), policy=table)
     for t in (F(-1), F(-1, 2), F(0), F(1)):
         assert value_curve.fixed_at(t) == t  # action 1 in state 0, and nothing after that
-    [kept] = value_curve.within(
-        0
-    )  # what it earns in state 0 has to be good, and in state 1 to be bad
+    [kept] = value_curve.within(0)  # what it earns is good in state 0, and bad in state 1
     assert (float(kept.low[0]), float(kept.high[1])) == pytest.approx((0, 0))
 
 

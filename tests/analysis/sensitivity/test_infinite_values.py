@@ -91,12 +91,10 @@ def test_infinite_values_are_refused(name: str, mdp: MDP, policy: str, what: str
 
 def test_other_analyses_refuse_them() -> None:
     """The worst case and the worst point refuse them, too."""
-    for ask in (
-        lambda: worst_point(chances(GAINS), ranges={"p": ("1/4", "1/2")}),
-        lambda: robust(GAINS, policy="always:1"),
-    ):
-        with pytest.raises(ModelError, match=r"nothing can be compared|needs every episode to end"):
-            ask()
+    with pytest.raises(ModelError, match="nothing can be compared"):
+        worst_point(chances(GAINS), ranges={"p": ("1/4", "1/2")})
+    with pytest.raises(ModelError, match="needs every episode to end"):
+        robust(GAINS, policy="always:1")
 
 
 @pytest.mark.parametrize("kind", ["tornado", "psa --samples 4", "sobol --samples 4"])
@@ -107,13 +105,10 @@ def test_other_analyses_refuse_them() -> None:
 def test_commands(kind: str, mdp: MDP, more: str, tmp_path: Path) -> None:
     """Exit status 2, with what, where and fix; no word of the range of floats."""
     mdp.save(tmp_path / "model.npz")
-    done = run(kind, tmp_path / "model.npz", *more.split())
-    assert (done.status, done.out) == (2, "")
-    assert "is infinite, so that nothing can be compared" in done.err
-    assert "where: the total at discount 1" in done.err
-    assert "fix:" in done.err
-    assert "floats" not in done.err
-    assert "warning" not in done.err
+    refused = run(kind, tmp_path / "model.npz", *more.split()).refusal()
+    assert "is infinite, so that nothing can be compared" in refused
+    assert "where: the total at discount 1" in refused
+    assert "floats" not in refused
 
 
 def test_a_state_of_infinite_value_disturbs_nothing() -> None:
@@ -130,13 +125,12 @@ def test_a_state_of_infinite_value_disturbs_nothing() -> None:
 def test_commands_about_one_policy_agree(tmp_path: Path) -> None:
     """Where half the runs gain for ever and half lose: one mean, no sd, and no bare dash."""
     BOTH.save(tmp_path / "both.npz")
-    for words in ("evaluate", "returns", "simulate --episodes 50"):
-        name, *more = words.split()
-        done = run(name, tmp_path / "both.npz", "optimal", *more)
-        assert "-inf (" in done.out
-        assert "undefined: the mean is infinite" in done.out
-        assert "to -\n" not in done.out
-        stated = loads(run(name, tmp_path / "both.npz", "optimal", *more, "--json").out)
+    for line in ("evaluate", "returns", "simulate --episodes 50"):
+        out = run(line, tmp_path / "both.npz", "optimal").out
+        assert "-inf (" in out
+        assert "undefined: the mean is infinite" in out
+        assert "to -\n" not in out
+        stated = loads(run(line, tmp_path / "both.npz", "optimal", "--json").out)
         assert (stated["mean"], stated["sd"]) == ("-inf", None)
 
 

@@ -1,7 +1,7 @@
 """Thresholds against closed forms and a fine scan by an independent model."""
 
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, product
 
 import pytest
 from care_oracle import END, Oracle, oracle_of
@@ -79,8 +79,6 @@ def number_of(mdp: MDP, state) -> int:
 
 
 def every_state(oracle: Oracle):
-    from itertools import product
-
     for t, s in product(range(oracle.trials), product((0, 1), repeat=4)):
         state = (0, t, 1, s)
         if state != END and len(oracle.actions(state)) > 1:
