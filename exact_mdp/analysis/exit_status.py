@@ -96,8 +96,8 @@ class Unwritten(ModelError):
     """A result that standard output does not take."""
 
 
-class Program(click.Command):
-    """A command that is a program of its own: it ends as this module says."""
+class Programs(click.Group):
+    """A group of commands that is a program of its own: it ends as this module says."""
 
     def main(
         self, args: Sequence[str] | None = None, prog_name: str | None = None, *_: Any, **__: Any
@@ -107,10 +107,6 @@ class Program(click.Command):
         if args is None:
             leave(run(self, name, sys.argv[1:]))
         sys.exit(run(self, name, args))
-
-
-class Programs(Program, click.Group):
-    """The same of a group of commands."""
 
 
 def run(

@@ -146,14 +146,9 @@ def test_what_is_registered_for_the_end_does_not_change_the_status(tmp_path: Pat
         "utf-8",
     )
     pytest.importorskip("gymnasium")
-    words = ["check", "gymnasium:late:X-v0", "always:LEFT"]
     path = os.pathsep.join([str(tmp_path), *sys.path])
-    end = subprocess.run(
-        [sys.executable, "-m", "exact_mdp", *words],
-        capture_output=True,
-        env=os.environ | {"PYTHONPATH": path},
-    )
-    assert end.returncode == 1, end.stderr
+    end = launch("check gymnasium:late:X-v0 always:LEFT", PYTHONPATH=path)
+    assert end.status == 1, end.err
 
 
 # ---- streams and disks ---------------------------------------------------------------------------

@@ -13,17 +13,18 @@ from cli_runner import PROGRAM
 ROOT = Path(__file__).resolve().parents[3]
 
 WORK = """
+import sys
 import click
 import worker
-from exact_mdp.analysis.exit_status import Program
+from exact_mdp.analysis.exit_status import leave, run
 from exact_mdp.solvers.parallel import many
 
-@click.command(cls=Program)
+@click.command()
 @click.argument("folder")
 def main(folder):
     many(worker.piece, range(6), key={}, n_jobs=2, folder=folder)
 
-main()
+leave(run(main, "job", sys.argv[1:]))
 """
 
 PIECE = """
