@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -522,20 +523,12 @@ def _uncertain(
     model: Parametric, path: str | None, size: str | None, names: Sequence[str]
 ) -> tuple[Uncertainty, float]:
     """Return what is drawn, and the sample size of what nothing is stated of."""
-    stated: Mapping[str, Mapping[str, object]] = {}
-    default = None
-    if path is not None:
-        stated, default = load_uncertainty(Path(path))
+    stated, default = ({}, None) if path is None else load_uncertainty(Path(path))
     if size is not None:
         default = number_of(size, "--effective-sample-size")
     default = EFFECTIVE_SAMPLE_SIZE if default is None else default
-    try:
+    with nullcontext() if path is None else located(path):
         return uncertainty(model, stated, default=default, names=list(names) or None), default
-    except ModelError as error:
-        if path is None:
-            raise
-        where = f"{path}, {error.where}" if error.where else path
-        raise ModelError(error.what, where=where, fix=error.fix) from error
 
 
 def _work(n_jobs: int | None, out: str | None) -> dict[str, Any]:

@@ -180,26 +180,27 @@ def explore(
     for name, span in spans.items():
         if span.low == span.high:
             raise ModelError(f"{name} has no range", where="explorer", fix="state a range")
-    name = names[0]
-    second = parameter_of(family, names[1]) if len(names) == 2 else None
-    grid: tuple[Fraction, ...] = ()
-    if second is not None:
-        span, today = spans[second.name], second.value
+    second, grid, models = None, list[Fraction](), [(f"explorer of {names[0]}", family)]
+    if len(names) == 2:
+        second, span = parameter_of(family, names[1]), spans[names[1]]
         steps = {span.low + (span.high - span.low) * k / (n - 1) for k in range(n)}
-        grid = tuple(sorted(steps | ({today} if span.low <= today <= span.high else set())))
+        grid = sorted(steps | {x for x in (second.value,) if span.low <= x <= span.high})
+        models = [(f"{names[1]} = {shown(x)}", held_at(family, names[1], x)) for x in grid]
     curves = []
-    for value in grid or (None,):
-        here, where = family, ""
-        if second is not None and value is not None:
-            here, where = held_at(family, second.name, value), f"{second.name} = {shown(value)}"
-        with located(where) if where else located(f"explorer of {name}"):
-            curve = exact_curves.curve(here, name, spans[name], policy=policy)
+    for where, here in models:
+        with located(where):
+            curve = exact_curves.curve(here, names[0], spans[names[0]], policy=policy)
             _prove(here, curve)
         curves.append(curve)
     if said is None and policy is not None:
         said = policy if isinstance(policy, str) else "the policy"
-    name = family.name or "model"
-    return Explorer(model=name, curves=tuple(curves), second=second, grid=grid, policy=said)
+    return Explorer(
+        model=family.name or "model",
+        curves=tuple(curves),
+        second=second,
+        grid=tuple(grid),
+        policy=said,
+    )
 
 
 def certified(curve: ValueFunction) -> list[Fraction]:
