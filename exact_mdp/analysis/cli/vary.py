@@ -49,7 +49,8 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, claimed
-from exact_mdp.mdp.table import FLOAT_RANGE, LARGEST, beside, exact, shown
+from exact_mdp.mdp.table import FLOAT_RANGE, beside, exact, shown
+from exact_mdp.solvers.robust.sets import radius_of
 from exact_mdp.solvers.solver import solve
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
@@ -416,12 +417,8 @@ def _box(given: Given, radius: str | None) -> Report:
 
 def _radius(stated: object) -> Fraction:
     with located("--radius", instead=True):
-        radius: Fraction = exact(stated)
-        if radius < 0:
-            raise ModelError(f"a radius of {shown(radius)}", fix="choose one from 0 up")
-        if radius > LARGEST:
-            raise ModelError(f"a radius of {shown(radius)}, beyond floats", fix="choose less")
-    return radius
+        radius_of(stated, "a radius")
+        return exact(stated)
 
 
 # ---- the page ------------------------------------------------------------------------------------
