@@ -136,7 +136,7 @@ def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None
 
     Parameters
     ----------
-    found : Outcomes or {label: Outcomes}
+    outcomes : Outcomes or {label: Outcomes}
     ax : Axes, optional
 
     Returns
@@ -196,7 +196,7 @@ def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -
 
     Parameters
     ----------
-    found : {label: Outcomes}
+    outcomes : {label: Outcomes}
     ax : Axes, optional
 
     Returns

@@ -87,7 +87,7 @@ class CostEffectiveness(Pictured):
         return list(zip(names, shares.tolist(), strict=True))
 
     def evpi(self, wtp: ArrayLike) -> Any:
-        """Return what knowing all parameters first would be worth; at several numbers, a list."""
+        """Return what knowing all parameters first would be worth; a list for several `wtp`."""
         values = self.net_benefit(wtp)
         return evpi(values) if values.ndim == 2 else [evpi(each) for each in values]
 

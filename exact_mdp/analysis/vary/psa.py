@@ -90,7 +90,7 @@ class Information:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PSA(Pictured):
-    """The draws of a probabilistic sensitivity analysis and what was found in each.
+    """The draws of a probabilistic sensitivity analysis, the optimum and the policies in each.
 
     Attributes
     ----------
