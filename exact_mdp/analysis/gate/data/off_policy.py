@@ -193,64 +193,53 @@ def _trajectories(
     columns: Mapping[str, str] | None,
     horizon: int | None,
 ) -> _Trajectories:
-    """Return what the episodes of records weigh and earn, read in chunks, up to the horizon.
+    """Return what the episodes of records weigh and earn, up to the horizon.
 
     `ratio` (1, L), or (N, L) by time.
     """
     record = transitions.Record(records, columns)
+    parts = list(record.read())
+    if not parts:
+        raise ModelError("no transitions", where=record.where, fix="give at least one row")
+    episode, keys = map(np.concatenate, zip(*parts, strict=True))
+    states = _known(record.numbers["state"], mdp.space.number, "state", record)
+    actions = _known(record.numbers["action"], mdp.action, "action", record)
     pair_of = np.full((mdp.n_states, mdp.n_actions), -1)
     pair_of[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
-    sign = mdp.sign
-    weight, total, steps = np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
-    end, last = np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64)
-    begun = mdp.start_distribution
-    over = mdp.terminal & ~cut_off(mdp)
-    over = np.append(over, [False, True])  # the last two: cut off, or over, without a next state
-    for episode, keys in record.read():
-        states = _known(record.numbers["state"], mdp.space.number, "state", record)
-        actions = _known(record.numbers["action"], mdp.action, "action", record)
-        pair = pair_of[states[keys[:, 0]], actions[keys[:, 1]]]
-        if (pair < 0).any():
-            row = keys[int(np.flatnonzero(pair < 0)[0])]
-            state, action = mdp.space.label(int(states[row[0]])), mdp.actions[actions[row[1]]]
-            raise ModelError(
-                f"action {action} was taken in ({state}), where the model does not offer it",
-                where=record.where,
-                fix="give the records that the model was made from",
-            )
-        more = int(episode[-1]) + 1 - len(weight)
-        weight, total = np.append(weight, np.ones(more)), np.append(total, np.zeros(more))
-        steps, end = np.append(steps, np.zeros(more, np.int64)), np.append(end, np.ones(more, bool))
-        first = np.flatnonzero(np.append(True, episode[1:] != episode[:-1]))
-        length = np.diff(np.append(first, len(episode)))
-        times = np.arange(len(episode)) - np.repeat(first - steps[episode[first]], length)
-        reward = np.array([float(value) for value in record.values])[keys[:, 3]]
-        named = episode[first]
-        new = states[keys[first[steps[named] == 0], 0]]
-        if (never := begun[new] <= 0).any():
-            raise ModelError(
-                "an episode begins where the model never does, so that the episodes are not the "
-                "model's",
-                where=mdp.space.label(int(new[never][0])),
-                fix="make the model without start=, or audit by robust sets or the posterior",
-            )
-        within = np.full(len(times), True) if horizon is None else times < horizon
-        factor = np.where(within, ratio[np.minimum(times, len(ratio) - 1), pair], 1.0)
-        earned = np.where(within, sign * mdp.discount**times * reward, 0.0)
-        total[named] += np.add.reduceat(earned, first)
-        weight[named] *= np.multiply.reduceat(factor, first)
-        steps[named] += length
-        last = np.append(last, np.zeros(more, np.int64))
-        last[named] = np.append(states, [-2, -1])[keys[first + length - 1, 2]]
-        end[named] = over[last[named]]
-    if not len(weight):
-        raise ModelError("no transitions", where=record.where, fix="give at least one row")
+    pair = pair_of[states[keys[:, 0]], actions[keys[:, 1]]]
+    if (pair < 0).any():
+        row = keys[int(np.flatnonzero(pair < 0)[0])]
+        state, action = mdp.space.label(int(states[row[0]])), mdp.actions[actions[row[1]]]
+        raise ModelError(
+            f"action {action} was taken in ({state}), where the model does not offer it",
+            where=record.where,
+            fix="give the records that the model was made from",
+        )
+    first = np.flatnonzero(np.diff(episode, prepend=-1))
+    new = states[keys[first, 0]]
+    if (never := mdp.start_distribution[new] <= 0).any():
+        raise ModelError(
+            "an episode begins where the model never does, so that the episodes are not the "
+            "model's",
+            where=mdp.space.label(int(new[never][0])),
+            fix="make the model without start=, or audit by robust sets or the posterior",
+        )
+    steps = np.diff(first, append=len(episode))
+    times = np.arange(len(episode)) - np.repeat(first, steps)
+    within = np.full(len(times), True) if horizon is None else times < horizon
+    factor = np.where(within, ratio[np.minimum(times, len(ratio) - 1), pair], 1.0)
+    reward = mdp.sign * np.array([float(value) for value in record.values])[keys[:, 3]]
+    # The last two states: cut off, or over, without a next state.
+    last = np.append(states, [-2, -1])[keys[first + steps - 1, 2]]
+    end = np.append(mdp.terminal & ~cut_off(mdp), [False, True])[last]
     regular = last < mdp.n_states - len(mdp.space.extra)
-    taken = int((end & (last >= 0) & regular).sum())
-    if horizon is not None:
-        end |= steps >= horizon
-        steps = np.minimum(steps, horizon)
-    return _Trajectories(weight=weight, returns=total, steps=steps, cut=~end, entered=taken)
+    return _Trajectories(
+        weight=np.multiply.reduceat(factor, first),
+        returns=np.add.reduceat(np.where(within, mdp.discount**times * reward, 0.0), first),
+        steps=steps if horizon is None else np.minimum(steps, horizon),
+        cut=~end if horizon is None else ~end & (steps < horizon),
+        entered=int((end & (last >= 0) & regular).sum()),
+    )
 
 
 def _known(names: Mapping[Any, int], find: Any, what: str, record: Any) -> Integers:
