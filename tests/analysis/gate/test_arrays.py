@@ -170,49 +170,45 @@ def rare() -> MDP:
     return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
 
 
-@pytest.mark.parametrize("chance", [5e-10, 1e-17, 5e-324])
-def test_an_action_that_is_not_offered_is_refused_however_rare(chance: float) -> None:
-    """What a policy does once in a billion visits is part of it."""
-    table = [[1, 0, chance], [0, 1, 0], [0, 0, 0]]
-    with pytest.raises(ModelError, match="not available"):
-        check(rare(), table, kind="policy")
-    assert check(rare(), [[1, 0, 0], [0, 1, 0], [0, 0, 0]], kind="policy").passed
-    audit = check(rare(), [[1, chance, 0], [0, 1, 0], [0, 0, 0]], kind="policy")
-    assert not audit.passed
-    assert audit.regret.at_start.value > 0
+LEAST, ENDS = F(1, 10**400), [[0, 1, 0], [0, 0, 0]]
+MASKED = np.ma.masked_array([[9.0, 1, 0], *ENDS], mask=np.eye(3) * [1, 0, 0])
 
 
-def test_a_probability_below_all_floats_is_not_taken_for_none() -> None:
-    """5/10^400 is given up by who takes the second action once in 10^400 times."""
-    least = F(1, 10**400)
-    for given in (
-        [[1 - least, least, 0], [0, 1, 0], [0, 0, 0]],
-        {"0": {"0": 1 - least, "1": "1e-400"}, "1": "1", "2": "0"},
-    ):
-        with pytest.raises(ModelError, match="smaller than any float"):
-            check(rare(), given, kind="auto" if isinstance(given, dict) else "policy")
+@pytest.mark.parametrize(
+    ("given", "kind", "what"),
+    [
+        # What a policy does once in a billion visits is part of it.
+        *(
+            ([[1, 0, chance], *ENDS], "policy", "not available")
+            for chance in (5e-10, 1e-17, 5e-324)
+        ),
+        # 5/10^400 is given up by who takes the second action once in 10^400 times.
+        ([[1 - LEAST, LEAST, 0], *ENDS], "policy", "smaller than any float"),
+        ({"0": {"0": 1 - LEAST, "1": "1e-400"}, "1": "1", "2": "0"}, "auto", "smaller than any"),
+        (MASKED, "q", "masked"),
+        (np.array([[float("nan"), F(1, 3), 0], *ENDS], dtype=object), "auto", "NaN"),
+    ],
+)
+def test_what_is_hidden_is_refused_and_numpy_says_nothing(given: Any, kind: str, what: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ModelError, match=what):
+            check(rare(), given, kind=kind)
 
 
-def test_masked_entries_are_refused_and_matrices_are_arrays() -> None:
-    """A masked action must not be taken for what lies under the mask."""
-    table = [[9.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
-    hidden = np.ma.masked_array(table, mask=np.array(table) == 9)
-    with pytest.raises(ModelError, match="masked"):
-        check(rare(), hidden, kind="q")
-    assert check(rare(), np.ma.masked_array(table), kind="q").passed
+def test_what_hides_nothing_is_taken() -> None:
+    """An array without a masked entry, a matrix, and what is done once in 10^17 visits."""
+    table = [[9.0, 1.0, 0.0], *ENDS]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PendingDeprecationWarning)
         matrix = np.asmatrix(table)
-    assert check(rare(), matrix, kind="q").passed
-
-
-def test_nan_among_exact_action_values_is_no_warning() -> None:
-    """It is refused by name, and NumPy says nothing."""
-    table = np.array([[float("nan"), F(1, 3), 0], [0, 0, 0], [0, 0, 0]], dtype=object)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with pytest.raises(ModelError, match="NaN"):
-            check(rare(), table)
+    for given in (np.ma.masked_array(table), matrix):
+        assert check(rare(), given, kind="q").passed
+    assert check(rare(), [[1, 0, 0], *ENDS], kind="policy").passed
+    for chance in (5e-10, 1e-17, 5e-324):
+        audit = check(rare(), [[1, chance, 0], *ENDS], kind="policy")
+        assert not audit.passed
+        assert audit.regret.at_start.value > 0
 
 
 def test_action_numbers_by_time_are_told_from_tables() -> None:

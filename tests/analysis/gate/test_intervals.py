@@ -470,6 +470,10 @@ def test_a_policy_that_is_best_beyond_doubt_passes_without_a_limit() -> None:
         ({"confidence": f"0.{'9' * 20}", "by": "posterior"}, "a confidence of 0.9999"),
         ({"confidence": F(1, 10**400), "by": "posterior"}, "a confidence of 1/1000"),
         ({"confidence": 0.95, "by": "bootstrap"}, "unknown kind"),
+        *(
+            ({"confidence": 0.95, "by": by}, "not a kind of interval")
+            for by in (3, Robust, object())
+        ),
         ({"confidence": 0.95, "by": "off-policy"}, "no trajectories"),
         ({"confidence": 0.95, "max_relative_regret": 1}, "total regret alone"),
         ({"confidence": 0.95, "criterion": "average"}, "total regret alone"),
@@ -523,10 +527,3 @@ def test_records_of_another_model_are_refused() -> None:
             interval_of(OffPolicy(records=records, rewards=(0, 1)), mdp)
     with pytest.raises(ModelError, match="no counts"):
         check(MDP.from_arrays([[[1]]], [1], "1/2"), [0], confidence=0.95)
-
-
-@pytest.mark.parametrize("by", [3, Robust, object()], ids=["a number", "a class", "nothing"])
-def test_what_makes_no_interval_is_refused(by: Any) -> None:
-    mdp = estimated(recorded(np.random.default_rng(0), 20))
-    with pytest.raises(ModelError, match="not a kind of interval"):
-        check(mdp, "random", confidence=0.95, by=by)
