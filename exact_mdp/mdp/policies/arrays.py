@@ -48,20 +48,6 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     It is (S, A) over all states, or (2^n, A) over the status vectors. Where the model stops after
     N steps, S may be the states without their time, and (N, S, A) depends on time. Extra states
     (the end) may be left out where they offer no choice.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])
-    >>> table = np.array([[0.5, 0.5], [7, 7]])
-    >>> policy_of_array(mdp, table * 2)["rule"].tolist()
-    [0, 0]
-    >>> policy_of_array(mdp, table, "policy")["rule"].tolist()
-    [[0.5, 0.5], [nan, nan]]
-    >>> policy_of_array(mdp, table)
-    Traceback (most recent call last):
-    exact_mdp.mdp.errors.ModelError: every row sums to 1: are these probabilities or a Q-table?
-      where: policy[0] (state 0)
-      fix:   say which: kind="policy" (--kind policy) or kind="q" (--kind q); the answers differ
     """
     given, array = array, by_time(model, array, 0, of_actions=True)
     space, actions, offered = _layout(model, array.shape)
@@ -121,7 +107,7 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
 
 
 def no_distribution(row: list[Any], place: str) -> ModelError:
-    """Return the error to raise for probabilities that are none."""
+    """Return the error for probabilities that are none."""
     return ModelError(
         f"action probabilities are {row}, not a distribution",
         where=f"policy{place}",
@@ -130,22 +116,13 @@ def no_distribution(row: list[Any], place: str) -> ModelError:
 
 
 def too_small(where: str) -> ModelError:
-    """Return the error to raise where a probability above 0 would become 0 as a float."""
-    return ModelError(
-        "a probability of an action is above 0, but smaller than any float",
-        where=where,
-        fix="give 0",
-    )
+    """Return the error for a probability above 0 that would become 0 as a float."""
+    what = "a probability of an action is above 0, but smaller than any float"
+    return ModelError(what, where=where, fix="give 0")
 
 
 def numbers_of(given: object) -> Numbers:
-    """Return an array of real numbers as they are, none of them rounded; lists included.
-
-    Examples
-    --------
-    >>> numbers_of([[2**53 + 1, 0.5]]).tolist() == [[2**53 + 1, 0.5]]
-    True
-    """
+    """Return an array of real numbers as they are, none of them rounded; lists included."""
     refuse_masked(given, "policy")
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiu":
         return np.asarray(given)  # of matrices, too, whose rows have two dimensions
@@ -188,13 +165,12 @@ def _layout(model: MDP, shape: tuple[int, ...]) -> tuple[StateSpace, tuple[str, 
     """Return what rows and columns of an array are over, and (K, A) what can be chosen."""
     actions = model.actions
     space = space_of(model, shape[0]) if shape[1:] == (model.n_actions,) else None
-    expected = [f"({model.n_states}, {model.n_actions}) over all states"]
+    meant = {"all states": model.n_states}
     if model.space.extra and space_of(model, regular := model.space.regular):
-        ends = ", ".join(model.space.extra)
-        expected.append(f"({regular}, {model.n_actions}) over all but {ends}")
+        meant[f"all but {', '.join(model.space.extra)}"] = regular
     if model.space.untimed is not None:
-        also = f"({model.space.untimed.size}, {model.n_actions}) over the states without their time"
-        expected.append(also)
+        meant["the states without their time"] = model.space.untimed.size
+    expected = [f"({rows}, {model.n_actions}) over {states}" for states, rows in meant.items()]
     if space is None and "status" in model.space.names:
         column = model.space.column("status")
         numbers = np.unique(model.pair_action[~model.forced[model.pair_state]])
@@ -230,20 +206,19 @@ def _greedy(
     never: Flags = np.asarray(values == -np.inf, bool) | ~offered
     silent = np.zeros(len(values), dtype=bool)
     every = f"every action offered has the value {worst}"
-    refused: list[tuple[str, Flags]] = [
+    for what, entries in (
         ("an action value is NaN", np.asarray(values != values, bool) & offered),
         (f"an action value is {best}", np.asarray(values == np.inf, bool) & offered),
         (every, never & np.asarray(never.all(axis=1))[:, None]),
-    ]
-    for what, entries in refused:
+    ):
         rows = entries.any(axis=1)
         wrong = np.flatnonzero(rows & counts)
         if len(wrong):
             row = int(wrong[0])
+            action = None if what is every else int(entries[row].argmax())
             raise ModelError(
                 what,
-                where="Q-table"
-                + (place(row) if what is every else place(row, int(entries[row].argmax()))),
+                where=f"Q-table{place(row, action)}",
                 fix=f"give a number for every available action; {worst} for one never to be taken",
             )
         silent |= rows
@@ -258,12 +233,6 @@ def are_distributions(array: Numbers, asked: Flags) -> Flags:
     A softmax of A numbers divides each by their sum: A - 1 additions and a division, each off by a
     factor of 1 ± u at most. The quotients are rounded once more where they are stored or printed.
     With n = A + 1 they sum to 1 up to n u / (1 - n u).
-
-    Examples
-    --------
-    >>> thirds = np.full((1, 3), 1 / 3, dtype=np.float16)
-    >>> are_distributions(thirds, np.array([True])), are_distributions(thirds * 2, np.array([True]))
-    (array([ True]), array([False]))
     """
     with np.errstate(invalid="ignore"):  # NaN is not a probability
         inside = np.asarray((array >= 0) & (array <= 1 + FLOAT_ROW_TOLERANCE), bool).all(axis=1)
@@ -410,12 +379,6 @@ def by_time(model: MDP, table: Numbers, rest: float, *, of_actions: bool = False
     Where the model's first column is not the time, or the shape is another, the table is returned
     as it is. S are the states without their time, with or without the extra ones; time N, where
     all is over, may be there as well or not, and `rest` is put there.
-
-    Examples
-    --------
-    >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[1, 3], [0, 0]]).within(2)
-    >>> by_time(mdp, np.array([[0, 1], [1, 1]]), 0).tolist()
-    [0, 1, 1, 1, 0, 0]
     """
     untimed = model.space.untimed
     if untimed is None or table.ndim != 2 + of_actions:

@@ -55,10 +55,10 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
 
 
 def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Parts:
-    """Return what a function answers, asked of each state with a choice.
+    """Return what a function answers for each state with a choice.
 
-    It is given the object that the state is, where the model was made of such; else the name; the
-    number of a state that has none.
+    It is given the object that the state is, where the model was made of such; else its name; else
+    its number.
     """
     space = model.space.untimed or model.space
     column = space.columns[0] if len(space.columns) == 1 else None
@@ -74,14 +74,14 @@ def of_function(model: MDP, ask: Callable[[Any], Any], kind: str = "auto") -> Pa
     return of_choices(model, space, choices, kind)
 
 
-def of_list(model: MDP, names: Sequence[Any], kind: str = "auto") -> Parts:
+def of_list(model: MDP, names: Sequence[Any]) -> Parts:
     """Return what a list of actions says, one for each state by number."""
     space = model.space.untimed or model.space
     if len(names) > space.size:
         raise ShapeError(
             f"{len(names)} actions for {space.size} states", fix="give one for each state"
         )
-    return of_choices(model, space, dict(enumerate(names)), kind)
+    return of_choices(model, space, dict(enumerate(names)), "auto")
 
 
 def of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: str) -> Parts:
@@ -98,10 +98,9 @@ def of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: 
     chances: Chances = {}
     for key, choice in plain.items():
         with located(space.label(key)):
-            mixed = choice if isinstance(choice, Mapping) else None
-            numbers = names.numbers([choice] if mixed is None else mixed)
-            shares = [1] if mixed is None else mixed.values()
-            each = zip(numbers, map(_probability, shares), strict=True)
+            mixed = isinstance(choice, Mapping)
+            numbers = names.numbers(choice if mixed else [choice])
+            each = zip(numbers, map(_probability, choice.values() if mixed else [1]), strict=True)
             chances[key] = _once(each, names.label)
     return _of_chances(model, space, chances)
 

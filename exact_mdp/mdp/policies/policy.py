@@ -59,9 +59,8 @@ MODEL = "give an MDP first, then the policy; a scenario is compiled: scenario.co
 class Policy(ByFields, NDArrayOperatorsMixin):
     """π(a | columns): what to do for each combination of column values.
 
-    A policy is an array, too, that of its `rule`: in indexing, `len`, iteration, comparison and
-    arithmetic, in functions of NumPy, and with the methods of an array (`policy.copy()`).
-    Comparison is by element, as of arrays: `(policy == other).all()`.
+    A policy is an array, too, that of its `rule`: in indexing, `len`, iteration, arithmetic, in
+    functions of NumPy, and with the methods of an array. Comparison is by element.
 
     Attributes
     ----------
@@ -71,9 +70,8 @@ class Policy(ByFields, NDArrayOperatorsMixin):
     actions : tuple of str
     rule : (K,) int or (K, A) float
         Action numbers of a deterministic policy, -1 where it gives none; else probabilities of
-        actions. Rows sum to 1; a row of NaN gives no action, an error only where one is needed.
-        Exact numbers (Fractions, "p/q") are taken as well: they are rounded here and kept in
-        `shares`.
+        actions, NaN in rows that give none, which is an error only where one is needed. Exact
+        numbers (Fractions, "p/q") are rounded here and kept in `shares`.
     shares : (K, A) integers, optional
         Whole numbers in proportion to the exact probabilities of each row, 0 in rows that say
         nothing. None where the floats of `rule` are what was given.
@@ -207,14 +205,10 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return "q" if self.source == Q_TABLE else "policy"
 
     def frame(self) -> DataFrame:
-        """Return the policy as a table.
+        """Return one row for each combination of the columns that the policy reads, by label.
 
-        Returns
-        -------
-        DataFrame
-            One row for each combination of the columns that the policy reads, by label: its action,
-            or the probability of each action where the policy mixes them. None and NaN where it
-            says nothing.
+        It has the action, or the probability of each action where the policy mixes them; None and
+        NaN where it says nothing.
 
         Examples
         --------
@@ -251,15 +245,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return as_html(repr(self), self._rows(min(len(self), ROWS_SHOWN)), rows=len(self))
 
     def weights(self, model: MDP) -> Floats:
-        """Return the probability of each pair given its state.
-
-        Parameters
-        ----------
-        model : MDP
-
-        Returns
-        -------
-        (L,) float
+        """Return (L,) the probability of each pair given its state.
 
         Raises
         ------
@@ -301,21 +287,9 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return weights
 
     def weights_exact(self, model: MDP) -> Numbers | None:
-        """Return whole numbers in proportion to the exact probability of each pair.
+        """Return (L,) whole numbers in proportion to the exact probability of each pair.
 
-        Parameters
-        ----------
-        model : MDP
-
-        Returns
-        -------
-        (L,) integers, or None
-            None where the floats of `weights`, divided by their exact sum, are exact.
-
-        Raises
-        ------
-        ModelError
-            As `weights` does.
+        None where the floats of `weights`, divided by their exact sum, are exact.
 
         Examples
         --------
@@ -350,18 +324,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return by_action[keys[model.pair_state], model.pair_action], wanted
 
     def silent(self, model: MDP) -> NDArray[np.bool_]:
-        """Return (S,) True where a state has a choice and the policy says nothing of it.
-
-        In a model in which such a state matters, `weights` raises ModelError.
-
-        Parameters
-        ----------
-        model : MDP
-
-        Returns
-        -------
-        (S,) bool
-        """
+        """Return (S,) True where a state has a choice and the policy says nothing of it."""
         said = self._by_pair(model, self.rule)[0]
         nothing = np.logical_or.reduceat(np.isnan(said), model.pair_offsets[:-1])
         if self.space.extra != model.space.extra:
@@ -509,11 +472,6 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         -------
         Policy
 
-        Raises
-        ------
-        ModelError
-            For an unknown action.
-
         Examples
         --------
         >>> Policy.always(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]), "1").tolist()
@@ -538,11 +496,6 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         -------
         Policy
 
-        Raises
-        ------
-        ModelError
-            For numbers that are not actions, or of another shape.
-
         Examples
         --------
         >>> Policy.from_choices(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]), [1, 0])[0]
@@ -566,11 +519,6 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         -------
         Policy
 
-        Raises
-        ------
-        ModelError
-            For unknown columns, and for rows that are not distributions.
-
         Examples
         --------
         >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0])
@@ -592,25 +540,13 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         return cls(space=space, actions=model.actions, rule=array)
 
     def write(self, path: str | Path) -> None:
-        """Write the policy as `.csv` or (where it reads one column alone) `.json`, atomically.
-
-        Raises
-        ------
-        ModelError
-            For another ending, and where the path cannot be written to.
-        """
-        rows = {key: self._taken(key) for key in range(self.space.regular)}
-        said = {key: row for key, row in rows.items() if row}
-        reading.write(path, self.space, said, mixed=not self.deterministic)
-
-    def _taken(self, row: int) -> dict[str, float | str]:
-        """Return the actions of one row with their probabilities: a decimal or "p/q", exact."""
-        taken: dict[str, float | str] = {}
-        for action, chance in zip(self.actions, self._chances(row), strict=False):
-            if chance:
-                short = isinstance(chance, float) or Fraction(repr(float(chance))) == chance
-                taken[action] = float(chance) if short else str(chance)
-        return taken
+        """Write the policy as `.csv` or (where it reads one column alone) `.json`, atomically."""
+        rows = {}
+        for key in range(self.space.regular):
+            each = zip(self.actions, self._chances(key), strict=False)
+            if taken := {action: _printed(chance) for action, chance in each if chance}:
+                rows[key] = taken
+        reading.write(path, self.space, rows, mixed=not self.deterministic)
 
 
 class Solved(Protocol):
@@ -645,6 +581,12 @@ def _refuse_others(given: Any) -> None:
             fix="give table.to_numpy(), in the order of the model's states and actions; or a "
             "dictionary, which goes by names: {state: action} or {state: {action: probability}}",
         )
+
+
+def _printed(chance: Any) -> float | str:
+    """Return a probability as a decimal or "p/q", exact."""
+    short = isinstance(chance, float) or Fraction(repr(float(chance))) == chance
+    return float(chance) if short else str(chance)
 
 
 def _are_actions(model: MDP, given: Sequence[Any], kind: str) -> bool:
