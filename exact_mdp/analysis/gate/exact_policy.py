@@ -35,10 +35,8 @@ def exact_policy(chain: PolicyChain) -> Level:
 def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
     """Return the expected visits of pairs under any policy, of which totals are made."""
     chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
-    states = chain.reached & ~of.ending.terminal
-    (level,) = visited(chain.rows(), states, of.mdp.start)
-    pairs, visits = list[int](), list[Fraction]()
-    for s in np.flatnonzero(states).tolist():
+    level, pairs, visits = exact_visits(chain), list[int](), list[Fraction]()
+    for s in np.flatnonzero(chain.reached & ~of.ending.terminal).tolist():
         if number := fraction(level.top[s], level.below[level.group[s]]):
             shares = chain.exact_weights(s)
             pairs += shares
