@@ -41,30 +41,17 @@ INITIALS = ("ldru", "wsen")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layout:
-    """The place of each state, and what the rows and columns are called.
+    """The place of each state, and what the rows and columns are called."""
 
-    Attributes
-    ----------
-    row, column : (S,) int64
-        Counted from 0; -1 for states outside the map.
-    rows, columns : tuple of str
-        A label for each.
-    down, across : str
-        What goes down and across.
-    signs : tuple of str
-        One for each action, see `symbols`; its name where an arrow did not point at the next cell.
-    listed : bool
-        Whether the map is a mere list of states in rows, whose places mean nothing.
-    """
-
-    row: Integers
+    row: Integers  # (S,), -1 for states outside the map
     column: Integers
-    rows: tuple[str, ...]
+    rows: tuple[str, ...]  # their labels
     columns: tuple[str, ...]
-    down: str
+    down: str  # what goes down
     across: str
+    # One for each action; its name where an arrow would not point at the next cell.
     signs: tuple[str, ...]
-    listed: bool = False
+    listed: bool = False  # whether places mean nothing: states stand in rows
 
     @property
     def cells(self) -> int:
@@ -349,30 +336,15 @@ def symbols(actions: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One state of a map.
-
-    Attributes
-    ----------
-    state : int
-    kind : "wrong", "idle" or ""
-        Not optimal, visited or not; else without a choice or a visit; neither.
-    text, small : str
-        What the policy does, with "✗" where that is wrong, and the optimal action then.
-    name : str
-        The state's number or name, where states are only listed; else "".
-    title : str
-        The state in full, with its numbers.
-    shade : float
-        Its loss as a share of the costliest state's, which may be infinite.
-    """
+    """One state of a map; idle is one without a choice or a visit that is not wrong."""
 
     state: int
     kind: Literal["wrong", "idle", ""]
-    text: str
-    small: str
-    name: str
-    title: str
-    shade: float
+    text: str  # what the policy does, with "✗" where that is wrong
+    small: str  # the optimal action then
+    name: str  # the state's number or name, where states are only listed
+    title: str  # the state in full, with its numbers
+    shade: float  # its loss as a share of the costliest state's, which may be infinite
 
 
 def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:

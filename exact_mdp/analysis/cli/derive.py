@@ -52,11 +52,6 @@ class Parameter:
     help: str
 
     @property
-    def required(self) -> bool:
-        """Whether there is no default."""
-        return not self.default
-
-    @property
     def multiple(self) -> bool:
         """Whether it takes several values."""
         return self.kind.startswith(("Sequence", "Mapping", "Iterable"))
@@ -67,9 +62,11 @@ class Parameter:
         form = "|".join(words) or self.form.partition(",")[0]
         if not self.keyword:
             metavar = form or self.name.upper() + "..." * self.multiple
-            metavar = metavar if self.required else f"[{metavar}]"
+            metavar = f"[{metavar}]" if self.default else metavar
             nargs = -1 if self.multiple else 1
-            return click.Argument([self.name], required=self.required, nargs=nargs, metavar=metavar)
+            return click.Argument(
+                [self.name], required=not self.default, nargs=nargs, metavar=metavar
+            )
         name = singular(self.name) if self.multiple else self.name
         shown = self.default not in ("", "None", "False", "()")
         help_ = f"{self.help[:-1]} ({self.default})." if shown else self.help
@@ -79,7 +76,7 @@ class Parameter:
             [_flag(name), self.name],
             metavar=form,
             multiple=self.multiple,
-            required=self.required,
+            required=not self.default,
             type=Whole(self.form) if self.kind.startswith("int") else None,
             help=help_ + " May be repeated." * self.multiple,
         )

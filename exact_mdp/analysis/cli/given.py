@@ -52,27 +52,17 @@ def in_words(asked: Mapping[str, Any]) -> str | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
-    """The model that a command names, with what is asked of it.
+    """The model that a command names, with what is asked of it."""
 
-    Attributes
-    ----------
-    endless : Loaded
-        The model as it is.
-    loaded : Loaded
-        What the question makes of it, of episodes that stop after `horizon` steps. It is no
-        scenario where there is a question.
-    question : function of a model, optional
-    options : {name: value}
-        The others, as `given` takes them.
-    has : sequence of str
-        Those that the command has.
-    """
-
-    endless: Loaded
+    endless: Loaded  # the model as it is
+    # What the question makes of it, of episodes that stop; no scenario where there is a question.
     loaded: Loaded
     question: Callable[[MDP], MDP] | None
-    options: dict[str, Any]
-    has: Sequence[str]
+    criterion: Criterion
+    horizon: int | None
+    form: str | None  # the policy as it was typed
+    options: dict[str, Any]  # all others, as `given` takes them
+    has: Sequence[str]  # those that the command has
 
     @property
     def mdp(self) -> MDP:
@@ -83,23 +73,6 @@ class Given:
     def asked(self) -> MDP:
         """The model of the question, of episodes that go on whatever the horizon."""
         return self.endless.mdp if self.question is None else self.question(self.endless.mdp)
-
-    @property
-    def horizon(self) -> int | None:
-        """The steps after which an episode stops."""
-        steps: int | None = self.options["horizon"]
-        return steps
-
-    @property
-    def criterion(self) -> Criterion:
-        """What counts."""
-        return "average" if is_average(self.options["criterion"]) else "total"
-
-    @property
-    def form(self) -> str | None:
-        """The policy as it was typed."""
-        text: str | None = self.options["policy"]
-        return text
 
     @cached_property
     def family(self) -> Parametric:
@@ -281,7 +254,8 @@ def given(
     loaded = endless = read_model(model, sets=sets, discount=discount, start=start)
     if question is not None:
         loaded = replace(endless, mdp=question(endless.mdp), scenario=None)
-    if is_average(criterion):
+    average = is_average(criterion)
+    if average:
         require_no_horizon(horizon)
         if reach is not None or until is not None:
             raise ModelError(
@@ -291,7 +265,16 @@ def given(
             )
     if horizon is not None:
         loaded = replace(loaded, mdp=loaded.mdp.within(horizon))
-    return Given(endless=endless, loaded=loaded, question=question, options=options, has=has)
+    return Given(
+        endless=endless,
+        loaded=loaded,
+        question=question,
+        criterion="average" if average else "total",
+        horizon=horizon,
+        form=policy,
+        options=options,
+        has=has,
+    )
 
 
 def advice(loaded: Loaded) -> tuple[str, ...]:

@@ -51,26 +51,13 @@ HIGH = 860  # pixels of a notebook's frame, which grows to the page's own height
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Explorer(Result):
-    """The pieces of one parameter, for each value of a second one, and the page that shows them.
+    """The pieces of one parameter, for each value of a second one, and the page that shows them."""
 
-    Attributes
-    ----------
-    model : str
-        What the model is called.
-    curves : tuple of ValueFunction
-        One for each value of the second parameter; one without a second parameter.
-    second : Parameter or None
-    grid : tuple of Fraction
-        The second parameter's values.
-    policy : str or None
-        What the policy held fixed is called.
-    """
-
-    model: str
-    curves: tuple[ValueFunction, ...]
+    model: str  # what it is called
+    curves: tuple[ValueFunction, ...]  # one for each value of the second parameter, or one
     second: Parameter | None = None
-    grid: tuple[Fraction, ...] = ()
-    policy: str | None = None
+    grid: tuple[Fraction, ...] = ()  # the second parameter's values
+    policy: str | None = None  # what the policy held fixed is called
 
     def __repr__(self) -> str:
         curve = self.curves[0]

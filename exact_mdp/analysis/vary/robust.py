@@ -172,17 +172,10 @@ def _weights(solution: RobustSolution) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RobustCurve(Pictured):
-    """How values move with the radius of the sets.
+    """How values move with the radius of the sets."""
 
-    Attributes
-    ----------
-    kind : str
-        As in `SETS`.
-    points : tuple of (radius, Robust)
-    """
-
-    kind: str
-    points: tuple[tuple[float, Robust], ...]
+    kind: str  # as in `SETS`
+    points: tuple[tuple[float, Robust], ...]  # with the radius of each
 
     def __repr__(self) -> str:
         ends = " to ".join(f"{self.points[k][0]:g}" for k in (0, -1))
@@ -328,24 +321,12 @@ def robust_curve(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class WorstPoint(Result):
-    """The worst corner that was found.
+    """The worst corner that was found."""
 
-    Attributes
-    ----------
-    point : {name: Fraction}
-        Where each parameter is.
-    value : Bounded
-        What the policy is worth there: its worst case is no better.
-    optimum : Bounded
-        The optimal value there: the worst case of no policy is better.
-    corners : int
-        How many were evaluated.
-    """
-
-    point: Mapping[str, Fraction]
-    value: Bounded
-    optimum: Bounded
-    corners: int
+    point: Mapping[str, Fraction]  # where each parameter is
+    value: Bounded  # what the policy is worth there: its worst case is no better
+    optimum: Bounded  # the optimal value there: the worst case of no policy is better
+    corners: int  # how many were evaluated
 
     @property
     def claim(self) -> Claim:

@@ -174,12 +174,8 @@ def piece_violations(
 class _Equations:
     """The equations of a model over one section.
 
-    Attributes
-    ----------
-    gap : {pair: fmpq_poly}
-        D h of all pairs, of the last piece.
-    open : {pair: fmpq_poly}
-        Those whose signs the substitution leaves open on the whole piece.
+    `gap` is D h of all pairs, of the last piece, and `open` holds those whose signs the
+    substitution leaves open on the whole piece.
     """
 
     def __init__(self, family: Parametric, name: str, section: Section, sign: int) -> None:

@@ -71,31 +71,17 @@ class Interval:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ValueFunction(Pictured):
-    """The optimal value at the start over a range of one parameter.
-
-    Attributes
-    ----------
-    parameter : Parameter
-    range : Range
-    pieces : tuple of CurvePiece
-        In rising order; each begins in the bracket in which the one before ends.
-    mdp : MDP
-        The model today.
-    family : Parametric
-        The models at all values; those that maximise the negated costs, of a model of costs.
-    chain : PolicyChain or None
-        The policy held fixed, in the model today.
-    checked : int or None
-        Points at which the degree of a family's rows was checked, where it is not proven.
-    """
+    """The optimal value at the start over a range of one parameter."""
 
     parameter: Parameter
     range: Range
+    # In rising order; each begins in the bracket in which the one before ends.
     pieces: tuple[CurvePiece, ...]
-    mdp: MDP
+    mdp: MDP  # the model today
+    # The models at all values; those that maximise the negated costs, of a model of costs.
     family: Parametric
-    chain: PolicyChain | None = None
-    checked: int | None = None
+    chain: PolicyChain | None = None  # the policy held fixed, in the model today
+    checked: int | None = None  # points at which a degree was checked that is not proven
 
     def __repr__(self) -> str:
         low, high = shown(self.range.low), shown(self.range.high)

@@ -38,15 +38,9 @@ CYCLIC_DEGREE = 200
 
 
 class Gaps:
-    """The rows of a section as polynomials of y = θ - θ0, and the gaps of a policy that changes.
+    """The rows of a section as polynomials of y = θ - θ0, and the gaps (L,) of a policy.
 
-    Attributes
-    ----------
-    gap : list of fmpq_poly, of length L
-    renewed : set of int
-        Pairs whose polynomial the last change of policy has touched.
-    values : (N of each of S states, D)
-        The policy's values are N / D.
+    `renewed` are the pairs whose polynomial the last change of policy has touched.
     """
 
     values: Values

@@ -37,18 +37,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """A state whose optimal actions change at a threshold.
+    """A state whose optimal actions change at a threshold: all those below it and above it.
 
-    Attributes
-    ----------
-    state : int
-    label : str
-    columns : mapping
-        The state's named columns, such as subtask, trial and status.
-    before, after : tuple of str
-        All optimal actions below and above the threshold.
-    reached : bool
-        Whether an optimal policy comes to the state from the start, below or above.
+    `reached` says whether an optimal policy comes to the state from the start, below or above.
     """
 
     state: int
@@ -85,15 +76,9 @@ class Threshold:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Thresholds(Pictured):
-    """All thresholds of one parameter within a range, in rising order.
+    """All thresholds of one parameter within the range of a curve, in rising order.
 
-    Attributes
-    ----------
-    curve : ValueFunction
-        The optimal value over the range.
-    found : tuple of Threshold
-        All there are where the claim is "certified"; there may be more where the degree of a
-        family's rows is checked and not proven.
+    There may be more where the degree of a family's rows is checked and not proven.
     """
 
     curve: ValueFunction
