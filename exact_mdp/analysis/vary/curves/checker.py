@@ -104,36 +104,20 @@ class Section(Piece):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CurvePiece:
-    """What is optimal between two thresholds, and what it is worth.
+    """What is optimal between two thresholds, and what it is worth."""
 
-    Attributes
-    ----------
-    low, high : (Fraction, Fraction)
-        Brackets of both ends.
-    optimal : (L,) bool
-        The pairs that are optimal throughout.
-    value : RationalFunction
-        The optimal value at the start.
-    fixed : RationalFunction or None
-        That of the policy held fixed.
-    section : Section
-    values, fixed_values : (N of each of S states, D)
-        The values of all states, polynomials of y; those that are maximised, of a model of costs.
-    touches : tuple of (low, high, pair)
-        Brackets of points inside at which one more pair is as good, and no better.
-    ended : (L,) bool or None
-        The pairs that are optimal at the upper end, where that is the end of a section.
-    """
-
-    low: Bracket
+    low: Bracket  # of its ends
     high: Bracket
-    optimal: NDArray[np.bool_]
-    value: RationalFunction
-    fixed: RationalFunction | None = None
+    optimal: NDArray[np.bool_]  # (L,) the pairs that are optimal throughout
+    value: RationalFunction  # the optimal value at the start
+    fixed: RationalFunction | None = None  # that of the policy held fixed
     section: Section
+    # The values of all states; those that are maximised, of a model of costs.
     values: Values
     fixed_values: Values | None = None
+    # Brackets of points inside, and pairs that are as good there, and no better.
     touches: tuple[tuple[Fraction, Fraction, int], ...] = ()
+    # (L,) the pairs that are optimal at the upper end, where that is the end of a section
     ended: NDArray[np.bool_] | None = None
 
 
