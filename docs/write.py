@@ -218,8 +218,7 @@ def text(module: str) -> str:
 
 
 MADE = {
-    each.__name__: each
-    for each in (commands, options, answers, names, methods, readings, text)
+    each.__name__: each for each in (commands, options, answers, names, methods, readings, text)
 }
 
 
