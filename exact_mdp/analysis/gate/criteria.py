@@ -158,12 +158,15 @@ class Average(Total):
     def findings(self, lost: Regret) -> Findings:
         """Return where the policy loses what it loses; bounds do not tell."""
         chain = self._undiscounted
-        try:
-            visits = self.own.visits
-        except SolverError:
-            visits = np.full(chain.mdp.n_states, np.nan)
         if isinstance(lost.at_start, Bounded):
-            return visits, ()
+            try:
+                return self.own.visits, ()
+            except SolverError:
+                return np.full(chain.mdp.n_states, np.nan), ()
+        exact = ExactChain(chain.rows())
+        classes, met = exact.classes, exact.visits(chain.mdp.start)
+        share = met[classes.base][classes.own] * exact.law
+        visits = np.where(classes.recurrent, share, met).astype(np.float64)
         gap = np.add.reduceat(chain.weights * lost.gap, chain.mdp.pair_offsets[:-1])
         return visits, listed(chain, lost, np.stack([gap, visits, visits * gap]), gap > 0)
 

@@ -76,3 +76,18 @@ def test_no_horizon_and_no_unknown_word() -> None:
         check(forest("9/10"), "random", horizon=3, criterion="average")
     with pytest.raises(ModelError, match="unknown criterion 'mean'"):
         check(forest("9/10"), "random", criterion="mean")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("digits", [3, 12, 14, 40])
+def test_what_is_lost_adds_up_however_slowly_a_class_is_left(digits: int) -> None:
+    """States 2 and 3 are come to with the chances 1/4 and 3/4, exactly."""
+    q = F(1, 10**digits)
+    rows = [[0, 1 - q, q / 4, 3 * q / 4], [F(2, 3), F(1, 3), 0, 0], [0, 0, 1, 0], [0, 0, 1, 0],
+            [0, 0, 0, 1], [0, 0, 0, 1]]  # fmt: skip
+    mdp = MDP.from_pairs(
+        [0, 1, 2, 2, 3, 3], [0, 0, 0, 1, 0, 1], rows, [1, 0, -1, 0, 0, -5], start=[1, 0, 0, 0]
+    )
+    audit = check(mdp, [0, 0, 0, 1], criterion="average")
+    assert audit.value.value == 4
+    costs = {each.state: each.cost for each in audit.disagreements}
+    assert costs == {3: pytest.approx(3.75, rel=1e-12), 2: pytest.approx(0.25, rel=1e-12)}
