@@ -2,10 +2,8 @@
 
 Every form becomes columns: state and action of each pair, and next state, probability, reward and
 amounts of what follows; `_model` makes the parts of a model of these. Every number keeps its exact
-value, whatever stands beside it (`mdp.forms.numbers`); rows of floats mean what `mdp.forms.rows`
-says, and outcomes that come twice are added exactly. Where all numbers are doubles, and one at
-least was given as a float, the table holds them as floats; else as integers over one denominator
-for each row.
+value (`mdp.forms.numbers`); rows of floats mean what `mdp.forms.rows` says. Where all numbers are
+doubles, and one at least was given as a float, the table holds floats; else integers.
 """
 
 from __future__ import annotations
@@ -348,10 +346,7 @@ def _check_alike(rows: Any, swapped: Integers) -> None:
 def _rewards_of_arrays(
     R: Any, where: str, shape: tuple[int, int], layout: str | None, order: str
 ) -> tuple[Any, bool]:
-    """Return rewards as `from_arrays` takes them for each pair (L,) or transition (L, S).
-
-    And whether they are those of transitions, which have the layout where it is given.
-    """
+    """Return rewards of pairs (L,) or transitions (L, S), and whether they are of transitions."""
     states, actions = shape
     if isinstance(R, Mapping):
         raise ModelError(
@@ -462,10 +457,7 @@ def _of_pairs(
     *,
     own: bool = False,
 ) -> dict[str, Any]:
-    """Return a model's parts from pairs in any order, rows (L, S) and rewards (L,) or (L, S).
-
-    Dense rows are copied unless they are the model's `own`.
-    """
+    """Return a model's parts from pairs in any order; dense rows are copied unless its `own`."""
     order, total = np.arange(len(state)), len(state)
     ahead, level = state[1:] > state[:-1], state[1:] == state[:-1]
     rising = (ahead | (level & (action[1:] >= action[:-1]))).all()
@@ -516,8 +508,7 @@ def _model(
 ) -> dict[str, Any]:
     """Return a model's parts from columns: sorted pairs (L,), and their outcomes (N,).
 
-    Amounts and observations are those of all pairs that were given, of which the model has `order`
-    (L,); amounts may be those of the model's own.
+    Amounts and observations are of all pairs that were given, of which the model has `order` (L,).
     """
     total = total or len(order)
     columns = offsets, following, chance, gain, size, names
@@ -563,11 +554,7 @@ def _model(
 
 
 def _counted(table: OutcomeTable, seen: Integers) -> OutcomeTable:
-    """Return a table in which rows that were observed n times are counts over n.
-
-    Where floats are not the ones next to such counts, or exact numbers not equal to them, the table
-    stays, and the model refuses it.
-    """
+    """Return a table whose rows that were observed n times are counts over n, if all are such."""
     lengths, watched = np.diff(table.offsets), seen > 0
     each = np.repeat(watched, lengths)
     top, bottom = table.integer_weights()

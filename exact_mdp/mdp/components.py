@@ -2,12 +2,11 @@
 
     r(l) = Σ_c amount[l, c] / denominator[l]
 
-Amounts are integers over one denominator for each pair, or floats, each taken as the dyadic
-rational that it is. `MDP.components` is this table rounded to floats, each number once. Components
-that are given by name need not add up to the reward: what is left of it is one more, "rest". So a
-cost that is no part of the reward (Altman, Constrained Markov Decision Processes, 1999) is a
-component like any other. Floats that add up to the reward but for rounding, and exactly as the
-decimals that they print as, are these decimals: 6.1 and -1.1 are parts of 5.
+Amounts are integers over one denominator for each pair, or floats, each the dyadic rational that it
+is. What components given by name leave of the reward is one more, "rest"; so a cost that is no part
+of the reward (Altman, Constrained Markov Decision Processes, 1999) is a component like any other.
+Floats that add up to the reward but for rounding, and exactly as the decimals that they print as,
+are these decimals: 6.1 and -1.1 are parts of 5.
 """
 
 from __future__ import annotations
@@ -39,14 +38,7 @@ REST = "rest"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ComponentTable:
-    """Expected reward of L pairs by component, of which there are C.
-
-    Attributes
-    ----------
-    amount : (L, C) integers or floats
-    denominator : (L,) integers
-        Component c of pair l is amount[l, c] / denominator[l].
-    """
+    """Expected reward of L pairs by component: `amount` (L, C) over `denominator` (L,)."""
 
     amount: Numbers
     denominator: Numbers
@@ -194,10 +186,7 @@ def of_length(values: Any, where: str, pairs: int) -> Any:
 
 
 def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, Any]:
-    """Take `components` out of parts; return names and table of them, the rest of the reward too.
-
-    Amounts are those of the table's pairs (L,), or of transitions (L, S).
-    """
+    """Take `components`, of pairs or transitions, out of parts; return names and table of all."""
     if parts.get("components") is None:
         parts.pop("components", None)
         return {}

@@ -3,12 +3,10 @@
     import gymnasium
     env = gymnasium.make("exact_mdp.mdp.environment:exact_mdp/Yuan2025-v0")
 
-An environment draws from the exact outcomes of the model: next state and reward together. What an
-agent sees is a number: that of the state, or of the combination of the columns that it may read.
-The end of a scenario has no columns and is seen as combination 0.
-
-Importing this module registers exact_mdp/Yuan2025-v0; so does the entry point `gymnasium.envs`
-with versions of Gymnasium that load plug-ins.
+An environment draws next state and reward together from the exact outcomes of the model. An agent
+sees the number of the state, or of the combination of the columns that it may read; the end of a
+scenario has no columns and is seen as combination 0. Importing this module registers the scenario;
+so does the entry point `gymnasium.envs` with versions of Gymnasium that load plug-ins.
 """
 
 from __future__ import annotations

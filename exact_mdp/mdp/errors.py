@@ -1,10 +1,9 @@
 """Errors that say what is wrong, where, and how to correct it; and what names may hold.
 
-What a message repeats from a file or a command line is data. Control characters steer a terminal
-and are not allowed in XML 1.0 (section 2.2); others change the direction of the text around them
-(Unicode Standard Annex 9), end a line, or cannot be seen. Messages show all of these escaped. A
-name of a state, action, column, component, event, status or parameter that holds one is refused
-where it comes in, so that figures, web pages and XML reports need not escape it.
+What a message repeats from a file is data: control characters steer a terminal and are not allowed
+in XML 1.0 (section 2.2), others change the direction of text (Unicode Standard Annex 9), end a
+line, or cannot be seen. Messages show all of these escaped; a name that holds one is refused where
+it comes in, so that figures, web pages and XML reports need not escape it.
 """
 
 from __future__ import annotations
@@ -98,27 +97,13 @@ def _rebuild(kind: type[ModelError], what: str, where: str, fix: str) -> ModelEr
 
 
 def no_such(what: str, number: object, size: int, *, where: str = "") -> ModelError:
-    """Return the error to raise for a number that none of `size` things has.
-
-    Examples
-    --------
-    >>> print(no_such("row", 4, 4, where="state space"))
-    there is no row 4: numbers go from 0 to 3
-      where: state space
-      fix:   choose one of these
-    """
+    """Return the error to raise for a number that none of `size` things has."""
     said = f"there is no {what} {number}: numbers go from 0 to {size - 1}"
     return ModelError(said, where=where, fix="choose one of these")
 
 
 def listed(given: Iterable[T], what: str) -> list[T]:
-    """Return what is listed; raises ModelError for a text or what is no list.
-
-    Examples
-    --------
-    >>> listed(("a", "b"), "names")
-    ['a', 'b']
-    """
+    """Return what is listed; raises ModelError for a text or what is no list."""
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise ModelError(f"{given!r} is no list of {what}", where=what, fix="give a list")
     return list(given)
@@ -134,28 +119,13 @@ def of_type(value: Any, kind: Any, where: str, fix: str) -> Any:
 
 
 def words_of(names: Iterable[object] | None, where: str) -> tuple[str, ...]:
-    """Return names as texts; raises ModelError for a text alone, and for what is no list.
-
-    Examples
-    --------
-    >>> words_of(["low", 1], "states"), words_of(None, "states")
-    (('low', '1'), ())
-    """
+    """Return names as texts; raises ModelError for a text alone, and for what is no list."""
     return () if names is None else tuple(map(str, listed(names, where)))
 
 
 @contextmanager
 def located(where: str, *, instead: bool = False) -> Iterator[None]:
-    """Put a place in front of that of a ModelError raised inside, or `instead` of it.
-
-    Examples
-    --------
-    >>> with located("line 3"):
-    ...     raise ModelError("not a number", where="column 2")
-    Traceback (most recent call last):
-    exact_mdp.mdp.errors.ModelError: not a number
-      where: line 3, column 2
-    """
+    """Put a place in front of that of a ModelError raised inside, or `instead` of it."""
     try:
         yield
     except ModelError as error:
@@ -166,13 +136,7 @@ def located(where: str, *, instead: bool = False) -> Iterator[None]:
 
 
 def short(text: str, most: int = LONGEST) -> str:
-    """Return a text as it is, or its two ends where it has more than `most` characters.
-
-    Examples
-    --------
-    >>> short("1" * 9000, most=40)
-    '111111111… (9,000 characters) …111111111'
-    """
+    """Return a text as it is, or its two ends where it has more than `most` characters."""
     if len(text) <= most:
         return text
     note = f"… ({len(text):,} characters) …"
@@ -181,15 +145,7 @@ def short(text: str, most: int = LONGEST) -> str:
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """Return advice that names the known spelling nearest to `name`.
-
-    Examples
-    --------
-    >>> suggest("base.angre", ["base.anger", "base.confusion"])
-    'did you mean base.anger?'
-    >>> suggest("x", ["a", "b"])
-    'choose one of a, b'
-    """
+    """Return advice that names the known spelling nearest to `name`."""
     options = list(known)
     close = get_close_matches(str(name)[:LONGEST], options, n=1, cutoff=0.6)
     if close:
@@ -217,17 +173,7 @@ def no_option(name: str, known: Iterable[str], where: str) -> ModelError:
 
 
 def named_options(function: F) -> F:
-    """Let a function refuse an option that it does not have as it refuses any bad input.
-
-    Examples
-    --------
-    >>> from exact_mdp import solve
-    >>> solve("yuan2025", gamma=0.9)
-    Traceback (most recent call last):
-    exact_mdp.mdp.errors.ModelError: there is no option gamma=
-      where: solve
-      fix:   it is the model's: mdp.with_(discount=0.9), MDP.from_gymnasium(env, discount=0.9)
-    """
+    """Let a function refuse an option that it does not have as it refuses any bad input."""
 
     @wraps(function)
     def asked(*given: Any, **options: Any) -> Any:
@@ -245,18 +191,7 @@ def named_options(function: F) -> F:
 
 
 def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
-    r"""Raise ModelError for a name, of what `what` says, that is unsafe, too long, no text or two.
-
-    Examples
-    --------
-    >>> check_names(["größer", "<b>", "$x$", "مساعدة"], "action")
-    >>> check_names(["stay", "go" + chr(0x202E)], "action")
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: the name of an action holds the character U+202E: go\u202e
-      where: names
-      fix:   remove it; names are plain text on one line
-    """
+    r"""Raise ModelError for a name that is unsafe, too long, no text, or that of two things."""
     listed, where = list(names), where or "names"
     if not listed:
         return
@@ -305,17 +240,7 @@ def _cut(name: str) -> str:
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Name the extra that brings a package which an import inside does not find.
-
-    Examples
-    --------
-    >>> try:
-    ...     with extra("lp"):
-    ...         import no_such_package
-    ... except ModelError as error:
-    ...     print(error.fix)
-    install it: pip install "exact-mdp[lp]"
-    """
+    """Name the extra that brings a package which an import inside does not find."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -41,10 +41,11 @@ from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import (
     Integers,
     Numbers,
-    magnitude,
+    integers,
     merged,
     multiply,
     reduced,
+    row_sums,
     spans,
 )
 
@@ -56,20 +57,9 @@ if TYPE_CHECKING:
 class BellmanRows:
     """Integer Bellman equations of a model with S states, L pairs and M transitions.
 
-    Attributes
-    ----------
-    pair_offsets : (S+1,) int64
-        Pairs of state s are pair_offsets[s] … pair_offsets[s+1]-1.
-    terminal : (S,) bool
-        States with the value 0, because nothing happens there any more.
-    scale : (S,)
-        What the equations of a state are multiplied by to be in integers.
-    constant : (L,)
-        Expected reward times scale.
-    offsets : (L+1,) int64
-        Transitions of pair l are offsets[l] … offsets[l+1]-1, sorted by next state.
-    next, weight : (M,)
-        Next states; discounted probabilities times scale.
+    `scale` (S,) is what the equations of a state are multiplied by, `constant` (L,) the expected
+    reward times that; transitions of pair l are offsets[l] … offsets[l+1]-1, with `next` states and
+    `weight` (M,), the discounted probability times the scale. `terminal` states are worth 0.
     """
 
     pair_offsets: Integers
@@ -111,11 +101,11 @@ def bellman_rows(model: MDP) -> BellmanRows:
     offsets, following, weight, denominator = merged(table)
     gain, gain_denominator = reduced(*table.expected_gain_exact())
     over, under = model.discount_exact.numerator, model.discount_exact.denominator
-    bottom = multiply(denominator, _integer(under))
+    bottom = multiply(denominator, integers([under]))
     scale = multiply(bottom // np.gcd(bottom, gain_denominator), gain_denominator)
     state_scale = lcm_by_group(scale, pair_offsets)
     scale = state_scale[pair_state]
-    factor = multiply(scale // bottom, _integer(over))
+    factor = multiply(scale // bottom, integers([over]))
     lengths = np.diff(offsets)
     if over == 0:
         offsets, following, weight = np.zeros_like(offsets), following[:0], weight[:0]
@@ -133,22 +123,6 @@ def bellman_rows(model: MDP) -> BellmanRows:
     for array in vars(rows).values():
         array.setflags(write=False)
     return rows
-
-
-def row_sums(values: Numbers, offsets: Integers) -> Numbers:
-    """Return (L,) exact sums of integers over the rows that `offsets` delimits, empty ones too."""
-    lengths = np.diff(offsets)
-    if magnitude(values) * int(lengths.max(initial=0)) >= 2**62:
-        values = values.astype(object)
-    sums = np.zeros(len(lengths), dtype=values.dtype)
-    filled = lengths > 0
-    if filled.any():
-        sums[filled] = np.add.reduceat(values, offsets[:-1][filled])
-    return sums
-
-
-def _integer(value: int) -> Numbers:
-    return np.array(value, dtype=np.int64 if abs(value) < 2**62 else object)
 
 
 def lcm_by_group(values: Numbers, offsets: Integers) -> Numbers:

@@ -1,17 +1,16 @@
 """The graph of a model: who reaches whom, in what order, and a proof that every policy ends.
 
-A state is terminal where every action stays put and earns nothing. Every policy ends, that is
-reaches a terminal state with probability 1 from everywhere, exactly where no set X of other states
-can be stayed in for ever. The greatest such X is what remains when a state is peeled off as soon as
-each of its pairs has a successor outside. The round in which a state was peeled is its rank:
+Every policy ends, that is reaches a terminal state with probability 1 from everywhere, exactly
+where no set of other states can be stayed in for ever. The greatest such set is what remains when a
+state is peeled off as soon as each of its pairs has a successor outside. The round of that is its
+rank:
 
     terminal states have rank 0; EVERY pair of another state reaches a smaller rank in one step
 
-with positive probability. That can be checked pair by pair, and it proves termination, because
-from anywhere the end comes within max(rank) steps with a probability bounded away from 0
-(proper policies: Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991; end
-components: de Alfaro, Formal Verification of Probabilistic Systems, 1997, section 3.3).
-All work is linear in the number of transitions.
+with positive probability, which can be checked pair by pair and proves termination (proper
+policies: Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991; end components: de
+Alfaro, Formal Verification of Probabilistic Systems, 1997, section 3.3). All work is linear in the
+number of transitions.
 """
 
 from __future__ import annotations
@@ -37,15 +36,8 @@ SHOWN = 4
 class Termination:
     """A proof that every policy ends, or a policy that need not.
 
-    Attributes
-    ----------
-    proven : bool
-    rank : (S,) int64
-        The proof, see the module; -1 in states that can be stayed in for ever.
-    policy : (S,) int64, optional
-        Action numbers of a policy that stays among `trapped` for ever once there.
-    trapped : (K,) int64
-        The states that it never leaves; empty where termination is proven.
+    `rank` (S,) is the proof, -1 in states that can be stayed in for ever; `policy` (S,) the action
+    numbers of a policy that stays among the `trapped` states (K,) once there.
     """
 
     proven: bool
@@ -57,31 +49,23 @@ class Termination:
 def reachable(mdp: MDP, states: ArrayLike | None = None, pairs: ArrayLike | None = None) -> Mask:
     """Return (S,) True for states that can be reached, the first ones included.
 
-    These are `states` (K,), by default those of the start; `pairs`, (K,) numbers or (L,) truth
-    values, are the only ones to go along, such as those of a policy.
+    These are `states` (K,), by default the start; `pairs`, numbers or truth values, are the only
+    ones to go along.
     """
-    offsets, successors = _successors(mdp, pairs)
     first = [state for state, weight in mdp.start if weight] if states is None else states
     begin = np.zeros(mdp.n_states, dtype=bool)
     begin[np.asarray(first, dtype=np.int64)] = True
-    shape = (mdp.n_states, mdp.n_states)
-    return closure(sp.csr_array((np.ones(len(successors)), successors, offsets), shape), begin)
+    return closure(_edges(mdp, pairs), begin)
 
 
 def components(mdp: MDP) -> tuple[int, Integers]:
     """Return the number of strongly connected components, and each state's (S,)."""
-    offsets, successors = _successors(mdp)
-    shape = (mdp.n_states, mdp.n_states)
-    graph = sp.csr_array((np.ones(len(successors), dtype=np.int8), successors, offsets), shape)
-    labels = strong_components(graph)
+    labels = strong_components(_edges(mdp))
     return int(labels.max()) + 1, labels
 
 
 def strong_components(graph: sp.csr_array) -> Integers:
-    """Return the component (K,) of each node of a graph (K, K), numbered by their first nodes.
-
-    So numbers are the same with every release of SciPy.
-    """
+    """Return the component (K,) of each node of a graph (K, K), numbered by their first nodes."""
     label = components_in_order(graph)
     node, first = np.arange(len(label)), np.empty(int(label.max(initial=-1)) + 1, dtype=np.int64)
     first[label[::-1]] = node[::-1]
@@ -112,10 +96,7 @@ def closure(graph: sp.csr_array, first: Mask) -> Mask:
 
 @once
 def numbered_in_order(mdp: MDP) -> bool:
-    """Return whether every transition leads to a higher number, terminal states apart.
-
-    One comparison for each pair, so that finding this structure costs less than using it.
-    """
+    """Return whether every transition leads to a higher number, terminal states apart."""
     first = int(mdp.transition.indices[0])  # most others show it at once
     if (first <= 0 and not mdp.terminal[0]) or not mdp.terminal[-1]:
         return False
@@ -128,18 +109,14 @@ def is_acyclic(mdp: MDP) -> bool:
 
 
 def topological_levels(mdp: MDP) -> Integers | None:
-    """Return (S,) the greatest number of steps to a terminal state, or None where there is a cycle.
-
-    Terminal states have level 0; every other transition leads to a strictly smaller level.
-    """
-    offsets, successors = _successors(mdp)
+    """Return (S,) the greatest number of steps to a terminal state; None where there is a cycle."""
+    edges = _edges(mdp)
     # Without cycles, some state leads to terminal states alone; most other models show at once
     # that they have none.
-    last = np.logical_and.reduceat(mdp.terminal[successors], offsets[:-1]) & ~mdp.terminal
+    last = np.logical_and.reduceat(mdp.terminal[edges.indices], edges.indptr[:-1]) & ~mdp.terminal
     if not last.any() and not mdp.terminal.all():
         return None
-    ones, shape = np.ones(len(successors), dtype=np.int8), (mdp.n_states, mdp.n_states)
-    edges = sp.csr_array((ones, successors, offsets), shape, copy=True)
+    edges = edges.copy()
     edges.sum_duplicates()
     steps, each = np.diff(edges.indptr), np.arange(len(edges.indices) + 1)
     owner = np.repeat(np.arange(mdp.n_states), steps)
@@ -168,14 +145,7 @@ def termination(mdp: MDP) -> Termination:
 
 
 def endless(mdp: MDP) -> bool:
-    """Return whether the discount is 1 and some policy never ends, or ends beside a goal.
-
-    Examples
-    --------
-    >>> wait, leave = [[1, 0], [0, 1]], [[0, 1], [0, 1]]
-    >>> endless(MDP.from_arrays([wait, leave], [1, 0])), endless(MDP.from_arrays([leave], [1, 0]))
-    (True, False)
-    """
+    """Return whether the discount is 1 and some policy never ends, or ends beside a goal."""
     if mdp.discount_exact != 1:
         return False
     off = mdp.goal is not None and bool((mdp.terminal & ~mdp.goal).any())
@@ -184,10 +154,7 @@ def endless(mdp: MDP) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Backward:
-    """L pairs by where they may lead: to state s those in into[before[s]:before[s+1]].
-
-    `owner` (L,) is the state of each.
-    """
+    """Pairs (L,) by where they may lead: to s those in into[before[s]:before[s+1]]."""
 
     before: Numbers
     into: Numbers
@@ -196,13 +163,14 @@ class Backward:
     @classmethod
     def of(cls, offsets: Numbers, following: Numbers, owner: Integers, states: int) -> Backward:
         """Turn pairs round, from the offsets (L+1,) of what follows each."""
-        return cls(*_reverse(offsets, following, states), owner)
+        ones, shape = np.ones(len(following), dtype=np.int8), (len(offsets) - 1, states)
+        reverse = sp.csr_array((ones, following, offsets), shape).tocsc()
+        return cls(reverse.indptr, reverse.indices, owner)
 
     def rounds(self, first: Mask, pairs: Mask, waiting: Integers) -> tuple[Integers, Mask]:
         """Return (S,) the round in which each joins the `first` ones, or -1; and (L,) pairs left.
 
-        It joins once `waiting` (S,) of its `pairs` (L,) may lead to those before; these are no
-        longer left.
+        It joins once `waiting` (S,) of its `pairs` (L,) may lead to those before.
         """
         rank, left, waiting = np.where(first, 0, -1), pairs.copy(), waiting.copy()
         queue, start = np.empty_like(rank), np.flatnonzero(first)
@@ -221,8 +189,7 @@ def join(
 ) -> None:
     """Write into `rank` when each state joins those in the queue, one round after the other.
 
-    It joins once `waiting` of its pairs that are `left` may lead to those before. Lists are faster
-    where there are few pairs; for many this is compiled.
+    Lists are faster where there are few pairs; for many this is compiled.
     """
     head = 0
     while head < filled:
@@ -269,12 +236,6 @@ def ways_out(mdp: MDP, *others: str) -> str:
     """Return what can be asked instead of a total that is infinite, or has no limit.
 
     A run that misses a goal is worth infinity after N steps, too, and has no reward per step.
-
-    Examples
-    --------
-    >>> print(ways_out(MDP.from_arrays([[[1]]], [1]), "add a way out"))
-    choose a discount below 1 (--discount 0.95, mdp.with_(discount=0.95)),
-    stop after N steps (--horizon N, mdp.within(N)), or add a way out
     """
     steps = mdp.time_limit or "N"
     ways = ["choose a discount below 1 (--discount 0.95, mdp.with_(discount=0.95))"]
@@ -289,9 +250,7 @@ def ways_out(mdp: MDP, *others: str) -> str:
 
 def require_termination(mdp: MDP) -> None:
     """Raise ModelError, naming a policy that never ends, unless γ < 1 or every policy ends."""
-    if mdp.discount_exact < 1:
-        return
-    if termination(mdp).proven:
+    if mdp.discount_exact < 1 or termination(mdp).proven:
         return
     raise ModelError(
         "discount 1 needs every policy to end, and one does not",
@@ -304,25 +263,17 @@ def require_termination(mdp: MDP) -> None:
     )
 
 
-def _successors(mdp: MDP, pairs: ArrayLike | None = None) -> tuple[Numbers, Numbers]:
-    """Return each state's successors as offsets (S+1,) and states, pair after pair."""
-    matrix = mdp.transition
+def _edges(mdp: MDP, pairs: ArrayLike | None = None) -> sp.csr_array:
+    """Return the (S, S) edges from each state to its successors, pair after pair."""
+    matrix, offsets = mdp.transition, mdp.pair_offsets
     chosen: Numbers = np.ones(mdp.n_pairs, dtype=bool) if pairs is None else np.asarray(pairs)
     mask = chosen.dtype == bool
-    if mask and chosen.all():
-        return matrix.indptr[mdp.pair_offsets], matrix.indices
-    chosen = np.flatnonzero(chosen) if mask else np.unique(chosen.astype(np.int64))
-    counts = np.bincount(mdp.pair_state[chosen], minlength=mdp.n_states)
-    part = matrix[chosen]
-    return part.indptr[np.concatenate([[0], np.cumsum(counts)])], part.indices
-
-
-def _reverse(offsets: Numbers, successors: Numbers, states: int) -> tuple[Any, Any]:
-    """Return each state's predecessors as offsets (S+1,) and row numbers."""
-    ones = np.ones(len(successors), dtype=np.int8)
-    shape = (len(offsets) - 1, states)
-    reverse = sp.csr_array((ones, successors, offsets), shape).tocsc()
-    return reverse.indptr, reverse.indices
+    if not (mask and chosen.all()):
+        chosen = np.flatnonzero(chosen) if mask else np.unique(chosen.astype(np.int64))
+        counts = np.bincount(mdp.pair_state[chosen], minlength=mdp.n_states)
+        matrix, offsets = matrix[chosen], np.concatenate([[0], np.cumsum(counts)])
+    ones, shape = np.ones(len(matrix.indices), dtype=np.int8), (mdp.n_states, mdp.n_states)
+    return sp.csr_array((ones, matrix.indices, matrix.indptr[offsets]), shape)
 
 
 def _least_successor(mdp: MDP) -> Numbers:
@@ -335,10 +286,7 @@ def _least_successor(mdp: MDP) -> Numbers:
 
 @once
 def runs_in_order(mdp: MDP) -> Integers:
-    """Return where runs of states begin that do not lead to each other; the last entry is S.
-
-    For states numbered in order. A terminal state is a run of its own.
-    """
+    """Return where runs of states begin that do not lead to each other; the last entry is S."""
     least, ends = _least_successor(mdp).tolist(), mdp.terminal.tolist()
     cuts = [mdp.n_states]
     for state in range(mdp.n_states - 1, 0, -1):

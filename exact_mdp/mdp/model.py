@@ -2,12 +2,10 @@
 
     V(s) = max over pairs l of s of  r(l) + γ Σ_s' P(l, s') V(s')
 
-Pairs are sorted by state, then action; an action that a state does not offer has no row, so there
-are no infinite penalties and no padding. The exact table of outcomes is the source; the sparse
-matrix and the expected rewards are derived from it, each number rounded once.
-
-The layout follows the state-action-pair formulation of Puterman, Markov Decision Processes
-(1994), section 2.1.
+Pairs are sorted by state, then action; an action that a state does not offer has no row. The exact
+table of outcomes is the source; the sparse matrix and the expected rewards are derived from it,
+each number rounded once (state-action pairs: Puterman, Markov Decision Processes, 1994, section
+2.1).
 """
 
 from __future__ import annotations
@@ -41,7 +39,7 @@ from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, spans
+from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, distinct, divide
 from exact_mdp.mdp.validate import (
     as_discount,
     as_flags,
@@ -161,8 +159,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         if not np.all(np.isfinite(self.reward)):
             raise ModelError("an expected reward is too large for a float", fix="scale the rewards")
         _check_components(self)
-        for array in self._arrays():
-            array.setflags(write=False)
+        self._lock()
         if self.goal is not None and not self.terminal[self.goal].all():
             raise ModelError(
                 "a run goes on, or earns, in a state of the goal",
@@ -170,22 +167,17 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
                 fix="use until, which ends every run there",
             )
 
-    def _arrays(self) -> Iterable[NDArray[Any]]:
-        table, matrix = self.table, self.transition
-        yield from (matrix.data, matrix.indices, matrix.indptr, self.reward)
-        if self.component_table is not None:
-            yield from (self.component_table.amount, self.component_table.denominator)
-        yield from (self.pair_state, self.pair_action, self.pair_offsets)
-        yield from (table.offsets, table.next, table.weight, table.denominator)
-        yield from (table.gain, table.gain_denominator)
-        yield from self.labels.values()
-        optional = (table.event, self.goal, self.observations)
-        yield from (part for part in optional if part is not None)
+    def _lock(self) -> None:
+        """Make all arrays read-only."""
+        for part in (self, self.table, self.component_table, self.transition):
+            for value in () if part is None else vars(part).values():
+                if isinstance(value, np.ndarray):
+                    value.setflags(write=False)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
-        for array in self._arrays():
-            array.setflags(write=False)
+        object.__setattr__(self, "labels", as_labels(self.labels, self.n_states))
+        self._lock()
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MDP):
@@ -339,20 +331,11 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         indptr = self.transition.indptr
         stays = np.diff(indptr) == 1
         alone = np.flatnonzero(stays)
-        if not len(alone):
-            return np.zeros(self.n_states, dtype=bool)
         stays[alone] = self.transition.indices[indptr[alone]] == self.pair_state[alone]
         # Of a pair that only stays, every outcome stays; others need not be looked at.
         alone = np.flatnonzero(stays)
-        table = self.table
-        if len(table.gain) == self.n_pairs:
-            stays[alone] = table.gain[alone] == 0
-        else:
-            counts = table.offsets[alone + 1] - table.offsets[alone]
-            before = np.cumsum(counts) - counts
-            places = np.arange(counts.sum()) + np.repeat(table.offsets[alone] - before, counts)
-            if len(alone):
-                stays[alone] = ~np.logical_or.reduceat(table.gain[places] != 0, before)
+        if len(alone):
+            stays[alone] = ~self.table.of_pairs(alone).any_outcome("gain")
         return np.asarray(np.logical_and.reduceat(stays, self.pair_offsets[:-1]))
 
     @cached_property
@@ -362,7 +345,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         if self.component_table is not None:
             counted |= np.asarray(self.component_table.amount != 0, dtype=bool).any(axis=1)
         if self.table.event is not None:
-            counted |= np.logical_or.reduceat(self.table.event != 0, self.table.offsets[:-1])
+            counted |= self.table.any_outcome("event")
         return self.terminal & ~np.logical_or.reduceat(counted, self.pair_offsets[:-1])
 
     @cached_property
@@ -425,22 +408,19 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         lengths = np.diff(table.offsets)
         same = lengths == lengths[first]
         rows = np.flatnonzero(same)
-        here, there = (spans(table.offsets[x], table.offsets[x + 1]) for x in (rows, first[rows]))
-        alike = np.ones(len(here), dtype=bool)
-        for values in (table.next, table.weight, table.gain, table.event):
-            if values is None:
+        ours, theirs = table.of_pairs(rows), table.of_pairs(first[rows])
+        for name in ("next", "weight", "denominator", "gain", "gain_denominator", "event"):
+            here, there = getattr(ours, name), getattr(theirs, name)
+            if here is None:
                 continue
-            if len(values) == len(table.next) and (values is not table.gain or table.joint):
-                alike &= np.asarray(values[here] == values[there], dtype=bool)
-            else:
-                same &= np.asarray(values == values[first], dtype=bool)
-        for bottom in (table.denominator, table.gain_denominator):
-            same &= np.asarray(bottom == bottom[first], dtype=bool)
+            equal = np.asarray(here == there, dtype=bool)
+            each = len(equal) == len(ours.next)
+            if each:
+                equal = np.asarray(np.logical_and.reduceat(equal, ours.offsets[:-1]))
+            same[rows] &= equal
         if (known := self.component_table) is not None:
-            equal = np.asarray(known.amount == known.amount[first], dtype=bool).all(axis=1)
-            same &= equal & np.asarray(known.denominator == known.denominator[first], dtype=bool)
-        ends = np.cumsum(lengths[rows])
-        same[rows] &= np.logical_and.reduceat(alike, ends - lengths[rows])
+            same &= np.asarray(known.amount == known.amount[first], dtype=bool).all(axis=1)
+            same &= np.asarray(known.denominator == known.denominator[first], dtype=bool)
         return np.asarray(np.logical_and.reduceat(same, self.pair_offsets[:-1]))
 
     def pairs_of(self, state: int) -> range:
@@ -541,10 +521,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             parts["space"] = StateSpace.plain(self.n_states, parts.pop("states"))
         if "actions" in parts:
             parts["actions"] = words_of(parts["actions"], "actions")
+            parts = {"action_objects": ()} | parts
         if discount is not None:
             parts["discount_exact"] = as_discount(discount)
-        if "actions" in parts:
-            parts = {"action_objects": ()} | parts
         if start is not None:
             parts["start"] = as_start(start, parts.get("space", self.space))
             parts.setdefault("episodes", None)
@@ -665,21 +644,11 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
 def _transition(table: OutcomeTable, states: int) -> sp.csr_array:
     """Return the (L, S) matrix: outcomes with the same next state added up, rounded once."""
-    if table.rising:
-        data, indices, indptr = table.probabilities(), table.next, table.offsets
-    else:
-        same = table.next[1:] == table.next[:-1]
-        same[table.offsets[1:-1] - 1] = False  # from one pair to the next
-        first = np.flatnonzero(np.concatenate([[True], ~same]))
-        merged = OutcomeTable(
-            offsets=np.searchsorted(first, table.offsets).astype(np.int64),
-            next=table.next[first],
-            weight=np.asarray(np.add.reduceat(table.weight, first)),
-            denominator=table.denominator,
-            gain=table.gain[:0],
-            gain_denominator=table.gain_denominator,
-        )
-        data, indices, indptr = merged.probabilities(), merged.next, merged.offsets
+    data, indices, indptr = table.weight, table.next, table.offsets
+    if not table.rising:
+        first, indptr = distinct(table)
+        data, indices = np.asarray(np.add.reduceat(data, first)), indices[first]
+    data = divide(data, table.denominator, np.diff(indptr))
     if len(data) < 2**31 - 1:
         indptr = indptr.astype(indices.dtype)
     matrix = sp.csr_array((data, indices, indptr), shape=(table.pairs, states), copy=False)

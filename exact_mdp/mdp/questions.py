@@ -1,30 +1,16 @@
 """Questions about a model, as models whose optimal value is the answer.
 
-The probability of reaching a set T of states, through the states of a set C only, is a total reward
-at discount 1: what leads into T earns 1 and ends, and nothing is earned elsewhere,
-
-    Pr_s(C U T) = E_s Σ_t r_t,    r = 1 on the step into T, which leads to an end, and on the first
-                                  step where a run starts in T; 0 else, for good outside C ∪ T.
-
-The expected reward until T is that of the model in which T is absorbing and earns nothing. A run
-that never reaches T is worth +∞ (so that it is infinite unless T is reached almost surely), as
-PRISM and Storm define R[F T]; where an episode stops after N steps, so is one that has not reached
-T by then. A discount below 1 keeps every sum finite, and this rule is not needed. States keep their
-numbers and pairs, so that policies for the model are policies here. A question about the model of
-N steps, and the N steps of a question's model, are the same: reaching T within N steps.
-
-Episodes that stop after N steps are those of the model with the time written into its states:
+The probability of reaching a set T through a set C is a total reward at discount 1: the step into T
+earns 1 and ends, as does the first step from T; runs outside C ∪ T end with 0. The reward until T
+is that of the model in which T is absorbing; a run that never reaches T is worth +∞, as PRISM and
+Storm define R[F T]. Episodes of N steps have the time in their states, which makes a model without
+cycles:
 
     V_N(s) = 0,    V_t(s) = max over pairs l of s of  r(l) + γ Σ_s' P(l, s') V_{t+1}(s')
 
-A state of the new model is a time t and a state s; every step leads from t to t + 1, and at t = N
-all is over, without a further reward. The discount applies as before. With terminal values v,
-V_N(s) = v(s): the last step earns γ v(s') beside its reward, and time N itself nothing more. A
-state in which all is over is worth v there, too, and goes on until time N where its v is not 0.
-That model has no cycles, so that whatever solves, proves, checks or evaluates models does so here,
-exactly and at any discount.
-A policy that reads the state alone is stationary; one that reads the time as well depends on time;
-both are policies of this one model.
+With terminal values v the last step earns γ v(s') beside its reward; a state in which all is over
+goes on until time N where its v is not 0. States of `reaching` and `until` keep their numbers and
+pairs, so that policies for the model are policies here.
 
 Sources: Baier and Katoen, Principles of Model Checking, MIT Press 2008, sections 10.1 and 10.6;
 https://www.prismmodelchecker.org/manual/PropertySpecification/Reward-basedProperties;
@@ -55,7 +41,6 @@ from exact_mdp.mdp.table import (
     ones,
     over_groups,
     reduced,
-    spans,
 )
 from exact_mdp.mdp.validate import Flags, Parts, by_state, counted
 
@@ -231,9 +216,8 @@ class Questions(Parts):
             )
         table, first, known = self.table, offsets, self.component_table
         rows = _kept(self, offsets, over)
-        lengths = np.diff(table.offsets)[rows]
-        _check_size(self, own, count, int(lengths.sum()))
-        chosen = spans(table.offsets[rows], table.offsets[rows + 1])
+        kept = table.of_pairs(rows)
+        _check_size(self, own, count, len(kept.next))
 
         def layers(values: Numbers, last: Numbers) -> Numbers:
             """Return what each of the times 0 … N-1 has, and what the last one has."""
@@ -242,14 +226,11 @@ class Questions(Parts):
         def ending(name: str, values: Numbers) -> Numbers:
             return layers(values, _certain(name, values, states))
 
-        by_pair = len(table.gain) == table.pairs
+        lengths = layers(np.diff(kept.offsets), np.ones(states, np.int64))
         layered = replace(
-            table.mapped(
-                lambda name, values: ending(name, values[rows]),
-                lambda name, values: ending(name, values[chosen]),
-            ),
-            offsets=np.concatenate([[0], np.cumsum(layers(lengths, np.ones(states, np.int64)))]),
-            next=_following(self, own, over, rows, chosen, count),
+            kept.mapped(ending, ending),
+            offsets=np.concatenate([[0], np.cumsum(lengths)]),
+            next=_following(self, own, over, rows, kept, count),
         )
         time = np.repeat(np.arange(count + 1), [*[len(rows)] * count, states])
 
@@ -263,21 +244,15 @@ class Questions(Parts):
                 amount=np.concatenate(
                     [
                         np.tile(known.amount[rows], (count, 1)),
-                        np.zeros((states, known.amount.shape[1]), dtype=known.amount.dtype),
+                        np.zeros_like(known.amount[first[:-1]]),
                     ]
                 ),
                 denominator=layers(known.denominator[rows], np.ones(states, np.int64)),
             )
         }
         if any(values):
-            rate = self.discount_exact
-            later = [rate * value for value in values]
-            paid = _paid(
-                layered,
-                len(rows) * (count - 1),
-                [later[s] for s in self.table.next[chosen]],
-                by_pair,
-            )
+            later = [self.discount_exact * values[state] for state in kept.next]
+            paid = _paid(layered, len(rows) * (count - 1), later)
             if self.component_names != ("reward",):
                 components = _with_payment(self, components["component_table"], layered, paid)
             layered = paid
@@ -342,7 +317,7 @@ def _component(model: Parts, name: str) -> tuple[Numbers, Numbers]:
 def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
     """Return the table whose marked pairs lead for sure to the states that follow, and earn 0.
 
-    `ends` and `follows` (L,) say this of every pair, and may say it of one more, which is appended.
+    `ends` and `follows` may say this of one more pair, which is appended.
     """
 
     def longer(name: str, values: Numbers) -> Numbers:
@@ -378,10 +353,7 @@ def _certain(name: str, values: Numbers, count: int) -> Numbers:
 
 
 def by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
-    """Return (N, L) what pairs of `model.within(N)` have, by time and pair of the model itself.
-
-    A state in which all is over keeps its first pair, with the number 1.
-    """
+    """Return (N, L) what pairs of `model.within(N)` have, by time and pair of the model itself."""
     rows = _kept(model, model.pair_offsets, model.over)
     by_step = np.zeros((steps, model.n_pairs))
     by_step[:, model.pair_offsets[:-1][model.over]] = 1.0
@@ -390,10 +362,7 @@ def by_time(model: Any, weights: Numbers, steps: int) -> Numbers:
 
 
 def _kept(model: Parts, offsets: Integers, over: Flags) -> Integers:
-    """Return the pairs that each time but the last has.
-
-    Where all is over it stays so, whatever the time, and one action is enough.
-    """
+    """Return the pairs that each time but the last has: a single one where all is over."""
     inside = ~over[model.pair_state]
     inside[offsets[:-1][over]] = True
     return np.flatnonzero(inside[: offsets[_in_columns(model, over).regular]])
@@ -411,10 +380,10 @@ def _values(numbers: object, space: StateSpace) -> list[Fraction]:
         return [exact(values.get(state, 0)) for state in range(space.size)]
 
 
-def _paid(table: OutcomeTable, first: int, more: Sequence[Fraction], by_pair: bool) -> OutcomeTable:
+def _paid(table: OutcomeTable, first: int, more: Sequence[Fraction]) -> OutcomeTable:
     """Return a table of rewards of outcomes; those from pair `first` on earn so much more."""
     gain, below = table.integer_gains()
-    gain = (gain[table.pair] if by_pair else gain).astype(object)
+    gain = (gain[table.pair] if len(gain) == table.pairs else gain).astype(object)
     below = below.astype(object)
     begin = int(table.offsets[first])
     here = slice(begin, begin + len(more))
@@ -447,10 +416,7 @@ def _with_payment(
 
 
 def _in_columns(model: Parts, over: Flags) -> StateSpace:
-    """Return the model's states, in one plain column where the process goes on in an extra state.
-
-    Extra states have no time; those in which all is over need none.
-    """
+    """Return the states, in one plain column where the process goes on in an extra state."""
     space = model.space
     if over[space.regular :].all() and space.columns:
         return space
@@ -473,11 +439,11 @@ def _check_size(model: Parts, own: int, count: int, outcomes: int) -> None:
 
 
 def _following(
-    model: Parts, own: int, over: Flags, rows: Integers, chosen: Integers, count: int
+    model: Parts, own: int, over: Flags, rows: Integers, kept: OutcomeTable, count: int
 ) -> Numbers:
     """Return the next states: a step later, but where all is over and at time N."""
-    lengths = np.diff(model.table.offsets)[rows]
-    after, time = model.table.next[chosen].astype(np.int64), np.arange(count)
+    lengths = np.diff(kept.offsets)
+    after, time = kept.next.astype(np.int64), np.arange(count)
     later = np.repeat(~over[model.pair_state[rows]], lengths).astype(np.int64)
     shift = np.where(after < own, own * (time[:, None] + later), own * count)
     following = np.concatenate([(after + shift).ravel(), np.arange(model.n_states) + own * count])

@@ -1,7 +1,5 @@
 """What a result says of itself, once: text, JSON, Markdown and pages are made from it.
 
-A value is shown by its type:
-
     type                in JSON                                  for people
     Certified, Bounded  {"value": x, "error_bound": e}           117.07 (bounded, within 2e-12)
     Estimated           {"value": x, "standard_error": e, ...}   117.1 (estimated, standard error 2)
@@ -12,8 +10,7 @@ A value is shown by its type:
     bool                true, false                              yes, no
     dataclass           an object of its fields                  the same
 
-The types of numbers (`exact_mdp.solvers.solution`) are known by their `claim`, and by `error` or
-`standard_error`.
+The types of numbers are known by their `claim`, and by `error` or `standard_error`.
 """
 
 from __future__ import annotations
@@ -25,6 +22,8 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from decimal import ROUND_UP, Context
 from fractions import Fraction
 from typing import Any
+
+import flint
 
 FORMAT = 2  # of the JSON: another number where a key changes its meaning or goes
 DIGITS = 10  # significant digits of a number in a table
@@ -220,13 +219,7 @@ def plain(value: Any) -> Any:
 
 
 def cell(value: Any, form: str = "") -> str:
-    """Return a value as a table shows it.
-
-    Examples
-    --------
-    >>> cell(0.5, "± .2f"), cell(True), cell(["a", "b"]), cell({"a": 1})
-    ('± 0.50', 'yes', 'a, b', 'a 1')
-    """
+    """Return a value as a table shows it."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
     if form and not isinstance(value, str):
@@ -256,16 +249,7 @@ def cell(value: Any, form: str = "") -> str:
 
 
 def fact(value: Any) -> str:
-    """Return a value as a fact shows it: a number says what it claims.
-
-    Examples
-    --------
-    >>> from exact_mdp.solvers.solution import Bounded, Certified, Estimated
-    >>> fact(Bounded(value=117.24, error=0.101)), fact(12345), fact(Certified(value=Fraction(1, 4)))
-    ('117.2 (bounded, within 0.11)', '12,345', '0.25 (certified)')
-    >>> fact(Estimated(value=147.63, standard_error=1.14))
-    '147.6 (estimated, standard error 1.1)'
-    """
+    """Return a value as a fact shows it: a number says what it claims."""
     if not _claims(value):
         return cell(value)
     if math.isnan(value.value):
@@ -343,11 +327,5 @@ def decimal(value: Fraction | float) -> str:
 
 
 def digits_of(whole: int) -> str:
-    """Return an integer's decimal digits in pieces: Python refuses over 4,300 at a time."""
-    if whole < 0:
-        return f"-{digits_of(-whole)}"
-    if whole.bit_length() <= 2000:
-        return str(whole)
-    half = whole.bit_length() * 3 // 20
-    high, low = divmod(whole, 10**half)
-    return digits_of(high) + digits_of(low).zfill(half)
+    """Return an integer's decimal digits: Python itself refuses over 4,300."""
+    return str(flint.fmpz(whole))

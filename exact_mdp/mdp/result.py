@@ -1,12 +1,7 @@
-"""What every result offers: a table, a short text, and that table in a notebook.
+"""What every result offers: `frame()`, a table; `plot()`, where there is a picture; a short text.
 
 A result says what it found in `value`, with its claim, and how far it may be off in `error`; it has
-a `policy` where there is one. Reading it is the same everywhere:
-
-    result.frame()        # a pandas DataFrame
-    result.plot()         # a picture, where there is one
-    result                # in a notebook: the first rows of that table
-    print(result)         # a few lines
+a `policy` where there is one. In a notebook it shows the first rows of its table.
 """
 
 from __future__ import annotations
@@ -44,11 +39,7 @@ class Brief:
 
 
 class ByFields:
-    """A dataclass of which copies and pickles hold the fields, and no cached property.
-
-    These may hold functions, which cannot be pickled, and are found again when they are asked for.
-    Arrays of a copy are read-only.
-    """
+    """A dataclass whose copies and pickles hold the fields alone, their arrays read-only."""
 
     def __getstate__(self) -> dict[str, Any]:
         parts: Any = self
@@ -62,22 +53,7 @@ class ByFields:
 
 
 class Result(Brief, ABC):
-    """A dataclass that can be shown.
-
-    Examples
-    --------
-    >>> from dataclasses import dataclass
-    >>> import pandas
-    >>> @dataclass(frozen=True, kw_only=True, repr=False)
-    ... class Length(Result):
-    ...     value: float
-    ...     steps: np.ndarray
-    ...
-    ...     def frame(self):
-    ...         return pandas.DataFrame({"value": [self.value]})
-    >>> Length(value=0.5, steps=np.zeros((2, 3)))
-    Length(value=0.5, steps=array (2, 3))
-    """
+    """A dataclass that can be shown."""
 
     @abstractmethod
     def frame(self) -> DataFrame:

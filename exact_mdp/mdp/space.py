@@ -1,13 +1,13 @@
 """The state space as named integer columns, with labels made on demand.
 
-A state is a number. A `StateSpace` says what the number means: the product of its columns in
-row-major order (the last column moves fastest), followed by a few named states outside the
-product, such as an absorbing end. Nothing is stored per state, so a million states cost nothing.
+A state is a number. A `StateSpace` says what it means: the product of its columns in row-major
+order (the last column moves fastest), followed by a few named states outside the product, such as
+an end. Nothing is stored per state, so a million states cost nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import prod
@@ -228,21 +228,19 @@ class StateSpace:
         """Return the numbers of some states, as `number` does of one."""
         return self.lookup.numbers(states)
 
-    def _inside(self, state: int) -> int:
-        if not 0 <= state < self.size:
-            raise no_such("state", state, self.size, where="state space")
-        return state
+    def _cells(self, state: int) -> Iterator[tuple[str, str]]:
+        """Yield the name and the printed value of each column, from the last one on."""
+        for column in reversed(self.columns):
+            state, value = divmod(state, column.size)
+            yield column.name, column.label(value)
 
     def label(self, state: int) -> str:
         """Return the printed form of one state."""
-        state = self._inside(state)
+        if not 0 <= state < self.size:
+            raise no_such("state", state, self.size, where="state space")
         if state >= self.regular:
             return self.extra[state - self.regular]
-        parts = []
-        for column in reversed(self.columns):
-            state, value = divmod(state, column.size)
-            parts.append(f"{column.name} {column.label(value)}")
-        return ", ".join(reversed(parts))
+        return ", ".join([f"{name} {value}" for name, value in self._cells(state)][::-1])
 
     def place(self, state: int) -> str:
         """Return where a message says that one state is: "state A", "state (row 0, column 3)"."""
@@ -257,11 +255,7 @@ class StateSpace:
         """Return one state's column labels by name; an extra state is {"state": its name}."""
         if not 0 <= state < self.regular:
             return {"state": self.label(state)}
-        parts: dict[str, str] = {}
-        for column in reversed(self.columns):
-            state, value = divmod(state, column.size)
-            parts[column.name] = column.label(value)
-        return dict(reversed(parts.items()))
+        return dict([*self._cells(state)][::-1])
 
     @classmethod
     def plain(cls, size: int, labels: Iterable[object] | None = ()) -> StateSpace:

@@ -1,13 +1,11 @@
 """Exact outcomes: what can happen after each state-action pair, as integers over a denominator.
 
-Pair l has outcomes i in offsets[l] … offsets[l+1]-1. Outcome i has probability
-weight[i] / denominator[l], leads to state next[i] and earns gain[i] / gain_denominator[l].
-Weights are 64-bit integers where they fit, Python integers (dtype object) where they do not, or the
-floats next to what their row means. Rewards that are floats are the dyadic rationals that they are.
-The float model is derived from this
-table, every number rounded once; there is no second source.
-
-Every row of a model sums to 1 exactly; `mdp.forms.rows` says what a row of floats means.
+Outcome i of pair l, one of offsets[l] … offsets[l+1]-1, has probability weight[i] / denominator[l],
+leads to state next[i] and earns gain[i] / gain_denominator[l]. Weights are 64-bit integers where
+they fit, Python integers (dtype object) where they do not, or the floats next to what their row
+means (`mdp.forms.rows`); every row of a model sums to 1 exactly. Rewards that are floats are the
+dyadic rationals that they are. The float model is derived from this table, every number rounded
+once.
 """
 
 from __future__ import annotations
@@ -56,11 +54,8 @@ class OutcomeTable:
     offsets : (L+1,) int64
         Outcomes of pair l are offsets[l] … offsets[l+1]-1, sorted by next state.
     next : (N,) int32 or int64
-        Next states.
     weight, denominator : (N,), (L,)
-        Probability of outcome i of pair l is weight[i] / denominator[l].
-    gain, gain_denominator : (N,) or (L,), (L,)
-        Reward of an outcome; of shape (L,) where the pair alone decides it.
+    gain, gain_denominator : (N,), or (L,) where the pair alone decides it; (L,)
     event : (N,) uint8, optional
         Bit b is set on outcomes where the model's event number b happens.
     """
@@ -117,6 +112,12 @@ class OutcomeTable:
             next=self.next[chosen],
         )
 
+    def any_outcome(self, name: str) -> NDArray[np.bool_]:
+        """Return (L,) True where a number of this name is not 0 in some outcome of the pair."""
+        some = np.asarray(getattr(self, name) != 0, dtype=bool)
+        of_pair = len(some) == self.pairs
+        return some if of_pair else np.logical_or.reduceat(some, self.offsets[:-1])
+
     def mapped(
         self, of_pair: Callable[[str, Numbers], Numbers], of_outcome: Callable[[str, Numbers], Any]
     ) -> OutcomeTable:
@@ -166,14 +167,10 @@ class OutcomeTable:
         earning = np.asarray(self.gain != 0, dtype=bool)
         offsets = np.concatenate([[0], np.cumsum(earning)])[self.offsets]
         weight, below = self.integer_weights()
-        weight = weight[earning]
         gain, gain_below = self.gain[earning], self.gain_denominator
         if gain.dtype == np.float64:
             gain, gain_below = dyadic(gain, offsets)
-        lengths = np.diff(offsets)
-        product = multiply(weight, gain, terms=int(lengths.max(initial=1)))
-        total, filled = np.zeros(self.pairs, dtype=product.dtype), lengths > 0
-        total[filled] = np.add.reduceat(product, offsets[:-1][filled])
+        total = row_sums(multiply(weight[earning], gain), offsets)
         return total, multiply(below, gain_below)
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
@@ -210,11 +207,20 @@ class OutcomeTable:
         return list(zip(map(exact, chances), self.next[here].tolist(), gains, strict=True))
 
 
-def settle_rows(weight: Floats, offsets: Integers) -> bool:
-    """Do what `mdp.forms.rows.settle` does, in compiled loops where there are many numbers.
+def row_sums(values: Numbers, offsets: Integers) -> Numbers:
+    """Return (L,) exact sums of integers over the rows that `offsets` delimits, empty ones too."""
+    lengths = np.diff(offsets)
+    if magnitude(values) * int(lengths.max(initial=0)) >= EXACT_IN_INT64:
+        values = values.astype(object)
+    sums = np.zeros(len(lengths), dtype=values.dtype)
+    filled = lengths > 0
+    if filled.any():
+        sums[filled] = np.add.reduceat(values, offsets[:-1][filled])
+    return sums
 
-    Return whether these have found that all rows are distributions of positive numbers.
-    """
+
+def settle_rows(weight: Floats, offsets: Integers) -> bool:
+    """Settle rows; return whether compiled loops found all to be positive distributions."""
     fits = len(offsets) > 1 and offsets[0] == 0 and offsets[-1] == len(weight) == weight.size
     if not (fits and np.diff(offsets).min() > 0):
         return False  # it is refused for that
@@ -225,11 +231,16 @@ def settle_rows(weight: Floats, offsets: Integers) -> bool:
         return False
     from exact_mdp.mdp.forms import loops
 
-    ends, bits, fine = block_ends(offsets), weight.view(np.int64), fine_unit(longest)
+    return all_rows(loops.settle, offsets, weight, weight.view(np.int64), fine_unit(longest))
+
+
+def all_rows(look: Callable[..., bool], offsets: Integers, *given: Any) -> bool:
+    """Return whether a compiled look at rows first … last-1 is content with all blocks of them."""
+    ends = block_ends(offsets)
     sound = [False] * (len(ends) - 1)
 
     def work(number: int, first: int, last: int) -> None:
-        sound[number] = loops.settle(first, last, offsets, weight, bits, fine)
+        sound[number] = look(first, last, offsets, *given)
 
     run_blocks(ends, work)
     return all(sound)
@@ -238,8 +249,7 @@ def settle_rows(weight: Floats, offsets: Integers) -> bool:
 def merged(table: OutcomeTable) -> tuple[Integers, Numbers, Numbers, Numbers]:
     """Return the exact (L, S) transition matrix in lowest terms, row by row.
 
-    These are offsets (L+1,), next states and weights (M,), and denominators (L,): pair l leads to
-    next[i] with probability weight[i] / denominator[l].
+    These are offsets (L+1,), next states and weights (M,), and denominators (L,).
     """
     weight, denominator = table.integer_weights()
     first, offsets = distinct(table)
@@ -266,15 +276,7 @@ def reduced(top: Numbers, bottom: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def exact(number: object, where: str = "") -> Fraction:
-    """Return the exact rational that a number, "p/q" or decimal string stands for.
-
-    Raises ModelError, at the place `where`, for anything else.
-
-    Examples
-    --------
-    >>> exact("0.1"), exact("1/3"), exact(0.5)
-    (Fraction(1, 10), Fraction(1, 3), Fraction(1, 2))
-    """
+    """Return the rational that a number, "p/q" or decimal is; ModelError for anything else."""
     if isinstance(number, Fraction):
         return number
     if isinstance(number, np.longdouble) and np.isfinite(number):
@@ -306,13 +308,7 @@ def _check_length(text: str, where: str) -> None:
 
 
 def shown(number: Fraction, digits: int = 6) -> str:
-    """Return a rational in decimals for a message, however large it is.
-
-    Examples
-    --------
-    >>> shown(Fraction(2, 3)), shown(Fraction(-(10**400))), shown(Fraction(1, 3 * 10**400))
-    ('0.666667', '-1e400', '3.33333e-401')
-    """
+    """Return a rational in decimals for a message, however large it is."""
     if number == 0 or FLOAT_RANGE[0] < abs(number) < FLOAT_RANGE[1]:
         return f"{float(number):.{digits}g}"
     context = Context(prec=digits, Emax=MAX_EMAX, Emin=MIN_EMIN)
@@ -371,15 +367,8 @@ def integers(values: Iterable[int]) -> Numbers:
 
 
 def in_proportion(numbers: Sequence[Fraction]) -> list[int]:
-    """Return whole numbers in proportion to rationals of at least 0, as small as they can be.
-
-    Examples
-    --------
-    >>> in_proportion([Fraction(9, 10), Fraction(1, 10), Fraction(0)])
-    [9, 1, 0]
-    """
-    shared = lcm(*(number.denominator for number in numbers))
-    whole = [int(number * shared) for number in numbers]
+    """Return whole numbers in proportion to rationals of at least 0, as small as they can be."""
+    whole, _ = common(numbers)
     divisor = gcd(*whole) or 1
     return [number // divisor for number in whole]
 
@@ -404,10 +393,7 @@ def multiply(left: Numbers, right: Numbers, *, terms: int = 1) -> Numbers:
 
 
 def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Floats:
-    """Return top / bottom as floats, each correctly rounded once.
-
-    With `counts` each denominator is that of this many numbers, one group after the other.
-    """
+    """Return top / bottom as floats, rounded once; a bottom may be that of `counts` numbers."""
     if top.dtype == np.float64:
         return np.asarray(top, dtype=np.float64)
     if counts is not None:
@@ -423,13 +409,7 @@ def divide(top: Numbers, bottom: Numbers, counts: Integers | None = None) -> Flo
 
 
 def spans(first: Numbers, last: Numbers) -> Integers:
-    """Return the numbers first[0] … last[0]-1, first[1] … last[1]-1, and so on, in one array.
-
-    Examples
-    --------
-    >>> spans(np.array([3, 8]), np.array([5, 9])).tolist()
-    [3, 4, 8]
-    """
+    """Return the numbers first[0] … last[0]-1, first[1] … last[1]-1, and so on, in one array."""
     lengths = last - first
     ends = np.cumsum(lengths, dtype=np.int64)
     total = int(ends[-1]) if len(ends) else 0

@@ -31,14 +31,12 @@ from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
-    EXACT_IN_INT64,
     FLOAT_ROW_TOLERANCE,
     Integers,
-    Numbers,
     OutcomeTable,
     beside,
     exact,
-    magnitude,
+    row_sums,
     shown,
 )
 
@@ -104,16 +102,7 @@ KNOWN = {*OPTIONS, *(part.name for part in fields(Parts))}
 
 
 def check_options(names: Iterable[str], *, known: Iterable[str] = ()) -> None:
-    """Raise ModelError for a name that is none of a model's parts, or that records tell.
-
-    Examples
-    --------
-    >>> check_options(["sense", "gamma"])
-    Traceback (most recent call last):
-    exact_mdp.mdp.errors.ModelError: there is no option gamma=
-      where: MDP
-      fix:   say discount=
-    """
+    """Raise ModelError for a name that is none of a model's parts, or that records tell."""
     for name in names:
         if name in known:
             fix = "leave it out: the records say it"
@@ -198,13 +187,7 @@ def _check_observations(model: Parts) -> None:
 
 
 def as_labels(labels: object, size: int) -> dict[str, Flags]:
-    """Return labels as read-only arrays (S,) of truth values by name.
-
-    Examples
-    --------
-    >>> as_labels({"goal": [False, True]}, 2)
-    {'goal': array([False,  True])}
-    """
+    """Return labels as read-only arrays (S,) of truth values by name."""
     if not isinstance(labels, Mapping):
         raise ModelError(
             f"labels are a {type(labels).__name__}",
@@ -216,13 +199,7 @@ def as_labels(labels: object, size: int) -> dict[str, Flags]:
 
 
 def as_flags(values: object, size: int, where: str) -> Flags:
-    """Return one truth value for each state (S,), read-only; a list may number the states.
-
-    Examples
-    --------
-    >>> as_flags([2], 3, "label goal")
-    array([False, False,  True])
-    """
+    """Return one truth value for each state (S,), read-only; a list may number the states."""
     array = np.asarray(values)
     numbers = array.dtype.kind in "iu" and array.ndim == 1 and np.isin(array, range(size)).all()
     # As many noughts and ones as there are states may be truth values.
@@ -241,13 +218,7 @@ def as_flags(values: object, size: int, where: str) -> Flags:
 
 
 def counted(number: object, where: str, least: int = 1) -> int:
-    """Return a whole number as an int, or raise ModelError for anything else and below the least.
-
-    Examples
-    --------
-    >>> counted(200, "horizon")
-    200
-    """
+    """Return a whole number as an int; raise ModelError for anything else and below the least."""
     if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < least:
         fix = f"give a whole number, {least} or more"
         raise ModelError(f"{where} is {number!r}", where=where, fix=fix)
@@ -279,11 +250,7 @@ def _check_discount(value: Fraction) -> None:
 
 
 def as_start(start: object, space: StateSpace) -> ByNumber:
-    """Return an initial distribution from a state, from {state: probability}, or from a vector.
-
-    Without any it is the first state. `mdp.forms.names` says which state is meant, and
-    `mdp.forms.rows` what floats mean.
-    """
+    """Return an initial distribution from a state, {state: probability}, or a vector."""
     if start is None:
         return ByNumber([(0, Fraction(1))])
     with located("start"):
@@ -305,10 +272,7 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
 
 
 def _of_short_floats(weights: dict[int, Any]) -> dict[int, Any]:
-    """Return probabilities in float32 or float16 divided by their sum, if that rounds to 1.
-
-    As `mdp.policies.arrays` reads a policy's rows.
-    """
+    """Return probabilities in float32 or float16 divided by their sum, if that rounds to 1."""
     short = [w for w in weights.values() if isinstance(w, np.floating) and w.itemsize < 8]
     rounding = (len(weights) + 1) * max((np.finfo(w.dtype).eps / 2 for w in short), default=0)
     if not 0 < rounding < 1:
@@ -339,10 +303,7 @@ def by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
 
 
 def _labels(index: Any, space: StateSpace) -> list[Any]:
-    """Return the labels of an index of pandas, its levels in the order of the columns they name.
-
-    Levels without names are in that order; so are all where the parts of a state have no names.
-    """
+    """Return the labels of an index of pandas, named levels in the order of the columns."""
     column = space.columns[0] if len(space.columns) == 1 else None
     things = column.objects if column else ()
     fields = {getattr(thing, "_fields", ()) for thing in things if isinstance(thing, tuple)}
@@ -494,10 +455,12 @@ def _check_rows(model: Parts) -> None:
             where=model.where(pair),
             fix="probabilities are positive; leave out those that are 0",
         )
-    sums = _row_sums(table)
     if table.weight.dtype == np.float64:
+        with np.errstate(over="ignore"):  # infinity is not 1 either
+            sums = np.add.reduceat(table.weight, table.offsets[:-1])
         wrong = ~(np.abs(sums - table.denominator) <= LEFT * table.denominator)
     else:
+        sums = row_sums(table.weight, table.offsets)
         wrong = np.asarray(sums != table.denominator, dtype=bool)
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])
@@ -513,17 +476,6 @@ def _check_rows(model: Parts) -> None:
             if _coarse(table, pair, abs(off))
             else "add the missing outcome, or correct a probability in this row",
         )
-
-
-def _row_sums(table: OutcomeTable) -> Numbers:
-    """Return (L,) sums of the weights of each pair, exact where these are integers."""
-    weight = table.weight
-    if weight.dtype == np.int64:
-        longest = int(np.diff(table.offsets).max(initial=1))
-        if magnitude(weight) * longest >= EXACT_IN_INT64:
-            weight = weight.astype(object)
-    with np.errstate(over="ignore"):  # infinity is not 1 either
-        return np.asarray(np.add.reduceat(weight, table.offsets[:-1]))
 
 
 def _coarse(table: OutcomeTable, pair: int, off: Fraction) -> bool:
@@ -612,12 +564,8 @@ RNG: TypeAlias = int | np.random.Generator
 def seed_of(rng: RNG) -> int:
     """Return the whole number that a run starts from: the given one, or a draw of the generator.
 
-    Anything else raises ModelError; a run never takes its seed from the clock. Runs, draws and
-    workers get streams of their own from this number by `SeedSequence.spawn`, so that results do
+    Runs, draws and workers get streams of their own from it by `SeedSequence.spawn`: results do
     not depend on the number of workers.
-
-    >>> seed_of(7), seed_of(np.random.default_rng(0)) == seed_of(np.random.default_rng(0))
-    (7, True)
     """
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**63))

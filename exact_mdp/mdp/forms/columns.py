@@ -13,13 +13,13 @@ import numpy as np
 
 from exact_mdp.mdp.forms.numbers import chances, grouped, has_floats, joined
 from exact_mdp.mdp.forms.rows import LONG, fine_unit
-from exact_mdp.mdp.forms.threads import block_ends, run_blocks
 from exact_mdp.mdp.table import (
     COMPILED,
     Floats,
     Integers,
     Numbers,
     OutcomeTable,
+    all_rows,
     integers,
     settle_rows,
 )
@@ -39,9 +39,8 @@ def table_of(
 ) -> OutcomeTable:
     """Return the table of outcomes (N,), those of pair l from offsets[l] on; note what was floats.
 
-    Outcomes of probability 0 are left out, those of a pair are sorted by next state and reward, and
-    equal ones joined. Rewards may be those of pairs (L,), and probabilities whole numbers over
-    those `below` (L,). Next states and probabilities are copied unless they are the table's `own`.
+    Rewards may be those of pairs (L,), and probabilities whole numbers over those `below` (L,).
+    Next states and probabilities are copied unless they are the table's `own`.
     """
     taken = _taken(offsets, following, chance, size, own=own) if by_pair else None
     if taken is not None:
@@ -97,8 +96,6 @@ def _taken(
 ) -> tuple[Numbers, Floats] | None:
     """Return next states in rising order and settled probabilities (N,), copied in one pass.
 
-    Where they are the table's `own`, next states rise already, and nothing is copied.
-
     None where there are too few for compiled loops, and where rows are not sound as they are.
     """
     if len(chance) < COMPILED or chance.dtype != np.float64 or size >= 2**31:
@@ -112,11 +109,5 @@ def _taken(
     if longest >= LONG:
         return None
     made = columns, weights, weights.view(np.int64), fine_unit(longest)
-    ends = block_ends(offsets)
-    sound = [False] * (len(ends) - 1)
-
-    def work(number: int, first: int, last: int) -> None:
-        sound[number] = loops.taken(first, last, size, offsets, following, chance, *made)
-
-    run_blocks(ends, work)
-    return (columns, weights) if all(sound) else None
+    sound = all_rows(loops.taken, offsets, size, following, chance, *made)
+    return (columns, weights) if sound else None

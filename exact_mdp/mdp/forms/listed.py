@@ -34,13 +34,7 @@ Path = tuple[Any, ...]
 
 
 def is_listed(P: Any) -> bool:
-    """Return whether transitions come in a form of this module, not as an array.
-
-    Examples
-    --------
-    >>> is_listed({0: {}}), is_listed([(0, 0, 0, 1)]), is_listed([[[1]], []]), is_listed([[[1]]])
-    (True, True, True, False)
-    """
+    """Return whether transitions come in a form of this module, not as an array."""
     if isinstance(P, Mapping) or _are_rows(P, 4):
         return True
     if not isinstance(P, list | tuple) or not all(isinstance(row, list | tuple) for row in P):
@@ -51,13 +45,7 @@ def is_listed(P: Any) -> bool:
 
 
 def layouts_of(P: Any) -> list[str]:
-    """Return the layouts that dictionaries and lists fit: "ass" only where they are matrices.
-
-    Examples
-    --------
-    >>> layouts_of({"go": [[0, 1], [0, 1]]}), layouts_of({0: {0: [1]}})
-    (['ass'], ['sas'])
-    """
+    """Return the layouts that dictionaries and lists fit: "ass" only where they are matrices."""
     shapes = {_shape(matrix) for matrix in (P.values() if isinstance(P, Mapping) else P)}
     (rows, columns), *others = [(0, 1) if shape is None else shape for shape in shapes] or [(0, 1)]
     if others or rows != columns:
@@ -85,14 +73,7 @@ def _shape(matrix: Any) -> Any:
 
 
 def by_action(P: Any) -> tuple[Any, Flags, list[Any] | None, dict[str, Any]]:
-    """Return A matrices (S, S), which pairs (S · A,) they list, their keys, and names of actions.
-
-    Examples
-    --------
-    >>> matrices, offered, keys, names = by_action({"go": [[0, 1], None]})
-    >>> matrices, offered.tolist(), keys, names["actions"]
-    ([[[0, 1], [0, 0]]], [True, False], ['go'], ('go',))
-    """
+    """Return A matrices (S, S), which pairs (S · A,) they list, keys, and names of actions."""
     keys, names = None, {}
     if isinstance(P, Mapping):
         numbering = Numbering()
@@ -116,15 +97,7 @@ def by_action(P: Any) -> tuple[Any, Flags, list[Any] | None, dict[str, Any]]:
 def of_tables(P: Mapping[Any, Any], states: Sequence[Any]) -> tuple[Any, Sequence[Any]]:
     """Return {action: table of pandas} by arrays, and the states where the labels name such.
 
-    Labels 0, 1, … are positions; others are states, in the order of the first table unless `states`
-    names them.
-
-    Examples
-    --------
-    >>> from pandas import DataFrame
-    >>> go = DataFrame([[0, 1], [1, 0]], index=["b", "a"], columns=["a", "b"])
-    >>> of_tables({"go": go}, ["a", "b"])[0]["go"].tolist()
-    [[1, 0], [0, 1]]
+    Labels 0, 1, … are positions.
     """
     axes = [list(axis) for table in P.values() for axis in table.axes]
     if all(axis == list(range(len(axis))) for axis in axes):
@@ -169,14 +142,7 @@ def rewards_by_action(
 
 
 def rows_of(P: Any, R: Any, *, costs: bool = False) -> tuple[list[Any], dict[str, Any]]:
-    """Return what `MDP.from_outcomes` takes to build the model of P and R: rows, and names.
-
-    Examples
-    --------
-    >>> rows, names = rows_of({"a": {"go": {"b": 1}}, "b": {}}, {"a": 5, "b": 0})
-    >>> rows, names["actions"]
-    ([(0, 0, [(1, 1, Fraction(5, 1))]), (1, 0, [(1, 1, 0)])], ('go',))
-    """
+    """Return what `MDP.from_outcomes` takes to build the model of P and R: rows, and names."""
     listed = _Listed(P, never=inf if costs else -inf)
     rewards, rows = listed.rewards(R), []
     for (state, action), outcomes in listed.pairs.items():
@@ -241,11 +207,7 @@ class _Listed:
         return {path: reward for path, reward, _ in leaves}
 
     def _of_rows(self, R: Any) -> dict[Path, Any] | None:
-        """Return what triples or quadruples say, None where R is no list of them.
-
-        They are of pairs that P lists, except where the reward says that the action is not
-        available, and each comes once.
-        """
+        """Return what triples or quadruples of listed pairs say; None where R is no such list."""
         if not (_are_rows(R, 3) or _are_rows(R, 4)) or not len(R):
             return None
         rewards: dict[Path, Any] = {}

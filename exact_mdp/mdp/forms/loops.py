@@ -1,15 +1,13 @@
 """Compiled loops over rows: those of a sparse matrix taken over, floats settled.
 
-A row of a model is a distribution over states, each named once. While a row is in the cache its
-numbers are looked at, added up exactly and settled, and it is copied; where its columns are in no
-order, each entry goes to the place that the number of smaller ones says. That takes a comparison
-for each two entries of a row, but no decision that the processor would have to guess. Longer rows
-out of order, and rows of which anything is wrong, are left to `mdp.build`.
+While a row is in the cache its numbers are looked at, added up exactly, settled and copied; where
+its columns are in no order, each entry goes to the place that the number of smaller ones says,
+which needs no decision that the processor would have to guess. Longer rows out of order, and rows
+of which anything is wrong, are left to `mdp.build`.
 """
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,15 +25,11 @@ from exact_mdp.mdp.forms.rows import (
 
 COMPARED = 128  # entries of a row at most that are compared each with each
 TWO = int(np.float64(2).view(np.int64))
-WIDE = 24  # entries from which those of a row are added up several at a time
 
 
 @inlined
 def parted(share: float, scale: float) -> tuple[Any, Any]:
-    """Return a number from 0 to 2 in multiples of `COARSE`, and the rest in those of 1 / `scale`.
-
-    So that sums of many are exact: see `mdp.forms.rows.fine_unit`.
-    """
+    """Return a number from 0 to 2 in multiples of `COARSE`, the rest in those of 1 / `scale`."""
     coarse = np.rint(share / COARSE)
     return np.int64(coarse), np.int64(np.rint((share - coarse * COARSE) * scale))
 
@@ -81,7 +75,7 @@ def passes(begin: int, end: int, weight: Floats, fine: float) -> bool:
                 weight[i] = given
 
 
-@partial(inlined, fastmath={"reassoc"})  # sums of whole numbers that are exact in any order
+@inlined
 def settled(begin: int, end: int, weight: Floats, bits: Integers, fine: float) -> bool:
     """Do what `passes` does, in one pass where the smallest number of a row is no short fraction.
 
@@ -89,21 +83,10 @@ def settled(begin: int, end: int, weight: Floats, bits: Integers, fine: float) -
     """
     scale, low, high = 1 / fine, np.int64(TWO), np.int64(0)
     whole, rest = np.int64(0), np.int64(0)
-    if end - begin < WIDE:
-        for i in span(begin, end):
-            low, high = min(low, bits[i]), max(high, bits[i])
-            coarse, left = parted(weight[i], scale)
-            whole, rest = whole + coarse, rest + left
-    else:  # many numbers at a time, which integers of 64 bits do not go into
-        total, upper, lower = 0.0, 0.0, 0.0
-        for i in span(begin, end):
-            low, high = min(low, bits[i]), max(high, bits[i])
-            top = np.rint(weight[i] / COARSE)
-            more = np.rint((weight[i] - top * COARSE) * scale)
-            part = np.rint(more * 2.0**-26)
-            total, upper = total + top, upper + part
-            lower += np.rint(more - part * 2.0**26)
-        whole, rest = np.int64(total), np.int64(upper) * 2**26 + np.int64(lower)
+    for i in span(begin, end):
+        low, high = min(low, bits[i]), max(high, bits[i])
+        coarse, left = parted(weight[i], scale)
+        whole, rest = whole + coarse, rest + left
     if not (low > 0 and high < TWO):
         return False
     least, most = float_of(low), float_of(high)
@@ -138,10 +121,7 @@ def settled(begin: int, end: int, weight: Floats, bits: Integers, fine: float) -
 def settle(
     first: int, last: int, offsets: Integers, weight: Floats, bits: Integers, fine: float
 ) -> bool:
-    """Do for rows first … last-1 what `mdp.forms.rows.settle` does.
-
-    Return whether all are distributions of positive numbers.
-    """
+    """Settle rows first … last-1; return whether all are distributions of positive numbers."""
     sound = True
     for row in range(first, last):
         sound &= settled(offsets[row], offsets[row + 1], weight, bits, fine)
@@ -152,8 +132,8 @@ def settle(
 def taken(
     first: int,
     last: int,
-    states: int,
     offsets: Integers,
+    states: int,
     indices: Numbers,
     data: Floats,
     columns: Numbers,
@@ -163,7 +143,7 @@ def taken(
 ) -> bool:
     """Copy rows first … last-1 into `columns` and `weight` (N,), columns rising, and settle them.
 
-    Return whether each row is a distribution over different states, in order or short.
+    Return whether each is a distribution over different states, in order or short.
     """
     for row in range(first, last):
         begin, end = offsets[row], offsets[row + 1]

@@ -44,13 +44,7 @@ class ByNumber(tuple[tuple[int, Any], ...]):
 
 
 def text_of(thing: object) -> str:
-    """Return the text of an object, in a tuple of NumPy's numbers that of plain ones.
-
-    Examples
-    --------
-    >>> text_of((np.int64(3), "in")), text_of(np.float64(2))
-    ("(3, 'in')", '2.0')
-    """
+    """Return the text of an object, in a tuple of NumPy's numbers that of plain ones."""
     return str(_plain(thing) if type(thing) is tuple else thing)
 
 
@@ -61,13 +55,7 @@ def _plain(thing: Any) -> Any:
 
 
 def names_of(things: Sequence[Any], what: str) -> tuple[str, ...]:
-    """Return a name for each thing: its text, or its `repr` where two things have the same text.
-
-    Examples
-    --------
-    >>> names_of([(0, 1), "up", 1, "1"], "state")
-    ('(0, 1)', "'up'", '1', "'1'")
-    """
+    """Return a name for each thing: its text, or its `repr` where two things have the same text."""
     for form in (text_of, repr):
         names = tuple(map(form, things))
         if len(set(names)) == len(names):
@@ -90,13 +78,7 @@ def is_number(thing: object) -> bool:
 
 
 def whole_of(thing: Any) -> int | None:
-    """Return the whole number that a number is, or that the digits of a text are.
-
-    Examples
-    --------
-    >>> [whole_of(thing) for thing in (2.0, " 2", "2.0", True, 0.5, "x")]
-    [2, 2, None, None, None, None]
-    """
+    """Return the whole number that a number is, or that the digits of a text are."""
     if is_number(thing):
         return int(thing) if thing == int(thing) else None
     text = thing.strip() if isinstance(thing, str) else ""
@@ -105,19 +87,7 @@ def whole_of(thing: Any) -> int | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Names:
-    """The names of `size` things, the objects that some are, and what else names one.
-
-    Examples
-    --------
-    >>> names = Names(what="state", size=3, words={"2": 0, "7": 1, "0": 2}, label="{}".format)
-    >>> names.numbers([7, "2"]), names.number("0")
-    ([1, 0], 2)
-    >>> names.number(2)
-    Traceback (most recent call last):
-    exact_mdp.mdp.errors.ModelError: 2 may be 0, by its name, or 2, number 2 in the model's order, \
-which differ
-      fix:   write "0" or "2", or give an array in the model's order
-    """
+    """The names of `size` things, the objects that some are, and what else names one."""
 
     what: str
     size: int

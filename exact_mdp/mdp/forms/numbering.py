@@ -1,9 +1,9 @@
 """Numbers for states and actions that are given as objects, and the names that these go by.
 
 Things are numbered in the order in which they come; whole numbers 0 … n-1 keep themselves, also as
-NumPy's integers, floats and fractions, and so do False and True, which Python counts as 0 and 1. A
-name is the text of a thing, and its `repr` where two things have the same text. Text is kept as
-what it is, "0" too. A state without actions is an end: it stays put for ever and earns nothing.
+NumPy's integers, floats and fractions, and so do False and True, which Python counts as 0 and 1.
+Text is kept as what it is, "0" too. A state without actions is an end: it stays put and earns
+nothing.
 """
 
 from __future__ import annotations

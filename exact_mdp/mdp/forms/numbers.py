@@ -1,6 +1,5 @@
 """Numbers as they are given: arrays, lists, sparse matrices, each number with its exact value.
 
-Fractions, integers and "p/q" strings are what they say, a float is the dyadic rational that it is.
 An array is of one kind, 64-bit integers or floats, where all its numbers are; else of objects, each
 a `Fraction` or a float. A table of outcomes has integers over one denominator for each row, or
 floats with 1 below: `grouped` makes these of numbers of any kind.
@@ -39,8 +38,7 @@ from exact_mdp.mdp.table import (
 def array_of(values: object, where: str, *, columns: bool = True) -> Any:
     """Return a sparse matrix as a CSR array, others as an array of one kind or of objects.
 
-    Numbers of several kinds, or exact ones, are objects: floats, and `Fraction`s. Without `columns`
-    those of a CSR array are left to be checked by `check_places`.
+    Without `columns` those of a CSR array are left to be checked by `check_places`.
     """
     with located(where):
         refuse_labels(values)
@@ -233,10 +231,9 @@ def joined(
     *,
     chances: bool = False,
 ) -> tuple[Integers, Numbers, Numbers, Integers]:
-    """Return rows with rising columns, equal places joined to one, and the first place of each.
+    """Return rows with rising columns, places of one column and key joined, and the first of each.
 
-    Where there are `keys` (N,), places are equal that have one column and one key. Rows of
-    `chances` mean what they do before that (`mdp.forms.rows`).
+    Rows of `chances` mean what they do before that (`mdp.forms.rows`).
     """
     row = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
     rank = 0 * row if keys is None else np.unique(keys, return_inverse=True)[1]
@@ -320,10 +317,7 @@ def grouped(values: Any, offsets: Integers) -> tuple[Numbers, Numbers]:
 
 
 def chances(values: Numbers, offsets: Integers) -> tuple[Numbers, Numbers]:
-    """Return probabilities likewise: what the rows mean, which `offsets` delimits.
-
-    They are floats where all rows are made of floats, or mean the same as if they were.
-    """
+    """Return what rows of probabilities mean: in floats where all are floats, or might be."""
     if values.dtype.kind == "f":
         values = values.astype(np.float64, copy=False)
     if values.dtype != object:

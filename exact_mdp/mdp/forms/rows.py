@@ -1,28 +1,18 @@
 """What a row of floats means: in a model every row sums to 1 exactly.
 
-Floats miss 1 by a few units in the last place, and may miss it by 1e-9. A row of them means
-
-1. the fractions n / WHOLE that sum to 1, where each float is the one next to its fraction or a
-   neighbour of that one: 1/3, 1/3, 1/3 or 1/10, 1/5, 7/10 are what somebody wrote down; else
-2. the binary fractions that the floats are, except that the largest of them is what the others
-   leave of 1. Where several are the largest, they share it equally.
-
-The model keeps the floats next to these numbers, and the rule holds of them as they are. Beside
-exact numbers in a row, which stay, the floats alone are read so.
+Floats may miss 1 by 1e-9. A row of them means (1) the fractions n / WHOLE that sum to 1, where each
+float is next to its fraction or a neighbour of that float: 1/3, 1/3, 1/3 or 1/10, 1/5, 7/10 are
+what somebody wrote down; else (2) the binary fractions that the floats are, except that the largest
+is what the others leave of 1; several largest ones share it equally. The model keeps the floats
+next to these numbers, and the rule holds of them as they are. Exact numbers beside floats in a row
+stay.
 
 The values alone decide, neither places nor order, so that symmetric actions stay tied; and exact
-numbers do not grow, as all denominators are divisors of WHOLE or powers of two (times the number of
-the largest, where that is not 1). Other ways were tried. Pairs that are optimal, and digits of the
-denominator of the optimal value, at discount 99/100:
-
-                               each row by its sum   to the largest     this rule
-    FrozenLake 4 x 4            17         196        16       195       17      19
-    FrozenLake 8 x 8            66         895        64       898       71      89
-    60 layers of 10 states     602       8,037       602     1,154      602   1,154
-    12 states, tenths           12         124        12       146       12      25
-
-71 pairs are optimal with 1/3 itself, too. WHOLE has the denominators that people write, decimals of
-six places among them; any denominator up to 10,000 would let the common multiples of rows grow.
+numbers do not grow, as all denominators are divisors of WHOLE or powers of two, times the number of
+the largest. Dividing each row by its sum makes 895 digits of the value of FrozenLake 8 x 8 at
+discount 99/100 and 8,037 of 60 layers of 10 states, this rule 89 and 1,154. WHOLE has the
+denominators that people write, decimals of six places among them; any up to 10,000 would let the
+common multiples of rows grow.
 """
 
 from __future__ import annotations
@@ -79,17 +69,7 @@ def meant(row: Sequence[Fraction | float]) -> list[Fraction | float]:
 
 
 def settle(weight: Floats, offsets: Integers) -> None:
-    """Write the floats next to the probabilities that rows of floats mean in their place.
-
-    Rows that are no distributions stay as they are.
-
-    Examples
-    --------
-    >>> chances = np.array([0.3, 0.7000000001, 0.30000000000000004, 0.7, 0.5])
-    >>> settle(chances, np.array([0, 2, 4, 5]))
-    >>> chances.tolist()
-    [0.3, 0.7, 0.3, 0.7, 0.5]
-    """
+    """Write the floats next to what rows mean in their place; what is no distribution stays."""
     lengths, begins = np.diff(offsets), offsets[:-1]
     bits = weight.view(np.int64)  # which have the order of positive floats, and are compared faster
     changed = True
@@ -190,14 +170,8 @@ def _excess(weight: Floats, offsets: Integers) -> Floats:
 def fine_unit(longest: int) -> float:
     """Return the unit in which to add up what multiples of `COARSE` leave of a row's floats.
 
-    Sums of floats up to 1 are exact in integers: of multiples of 2^-40, and of what these leave, at
-    most 2^-41 each, in a unit so small that the sum of so many stays below 2^62. Each of the terms
-    is off by half that unit, and turning their sum into a float costs no more.
-
-    Examples
-    --------
-    >>> fine_unit(1000) == 2.0**-93, 2**20 * 2.0**-41 / fine_unit(2**20) < 2**62
-    (True, True)
+    These are at most 2^-41 each, so that the sum of so many stays below 2^62, and is exact but for
+    half a unit for each term. Turning the sum into a float costs no more.
     """
     return float(2.0 ** max(FINEST, longest.bit_length() - 103))
 

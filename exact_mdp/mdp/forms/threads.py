@@ -32,9 +32,8 @@ def block_ends(
 ) -> list[int]:
     """Return 0, …, N: where to cut N items into blocks of about the same work.
 
-    `work` (N+1,) is that of all items before each, such as the transitions of all states before a
-    state; `threads` are as many as `cores`, or fewer for little work, unless given; `most` is
-    about the most work of a block, so that what it reads stays in a cache.
+    `work` (N+1,) is that of all items before each; `threads` are as many as `cores`, fewer for
+    little work, unless given; `most` is about the most work of a block, which a cache holds.
     """
     total = int(work[-1])
     if threads is None:

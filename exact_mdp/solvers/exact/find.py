@@ -25,10 +25,10 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint, row_sums
+from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, spans
+from exact_mdp.mdp.table import Integers, Numbers, row_sums, spans
 from exact_mdp.solvers.endless.average import improved
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import expansion as laurent

@@ -23,8 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import linalg
 
-from exact_mdp.mdp.exact import row_sums
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import Integers, Numbers, row_sums
 
 if TYPE_CHECKING:
     from flint import fmpz

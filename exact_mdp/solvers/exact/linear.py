@@ -29,9 +29,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.exact import BellmanRows, row_sums
+from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import components_in_order
-from exact_mdp.mdp.table import Integers, Numbers, common, integers, spans
+from exact_mdp.mdp.table import Integers, Numbers, common, integers, row_sums, spans
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.lifting import Lifting
 
