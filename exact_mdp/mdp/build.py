@@ -163,7 +163,7 @@ class FromArrays(Parts):
         pair = np.arange(states * actions)
         columns = pair // actions, pair % actions, rows, reward, None, offered
         own = not isinstance(P, np.ndarray) or not np.may_share_memory(rows, P)
-        return cls(**_of_pairs(*columns, discount, start, names, own=own))
+        return cls(**_of_pairs(*columns, names | {"discount": discount, "start": start}, own=own))
 
     @classmethod
     def from_pairs(
@@ -231,9 +231,8 @@ class FromArrays(Parts):
         rewards = _rewards_of_rows(reward, "reward", rows)
         each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
         offered = _offered(rewards, names)
-        return cls(
-            **_of_pairs(state, action, rows, rewards, below, offered, discount, start, names)
-        )
+        names |= {"discount": discount, "start": start}
+        return cls(**_of_pairs(state, action, rows, rewards, below, offered, names))
 
     @classmethod
     def from_outcomes(
@@ -295,8 +294,8 @@ class FromArrays(Parts):
             gain = [sum(map(exact, r.values())) if isinstance(r, Mapping) else r for r in gain]
         columns = offsets, following, one_kind(chance), one_kind(gain)
         each_component(names, lambda values, where: of_length(values, where, len(pairs)))
-        settings = discount, start, names
-        return cls(**_model(state, action, *columns, size, order, *settings, by_pair=False))
+        names |= {"discount": discount, "start": start}
+        return cls(**_model(state, action, *columns, size, order, names, by_pair=False))
 
 
 def _amounts(
@@ -451,8 +450,6 @@ def _of_pairs(
     reward: Any,
     below: Integers | None,
     offered: Flags | None,
-    discount: object,
-    start: object,
     names: dict[str, Any],
     *,
     own: bool = False,
@@ -482,10 +479,8 @@ def _of_pairs(
     if not by_pair:
         reward = picked(reward, np.repeat(np.arange(len(state)), np.diff(offsets)), following)
     columns = state, action, offsets.astype(np.int64), following, chance, reward
-    return _model(
-        *columns, size, order, discount, start, names, by_pair=by_pair, own=not sparse, below=below,
-        total=total,
-    )  # fmt: skip
+    settings = {"by_pair": by_pair, "own": not sparse, "below": below, "total": total}
+    return _model(*columns, size, order, names, **settings)
 
 
 def _model(
@@ -497,8 +492,6 @@ def _model(
     gain: Any,
     size: int,
     order: Integers,
-    discount: object,
-    start: object,
     names: dict[str, Any],
     *,
     by_pair: bool,
@@ -541,6 +534,7 @@ def _model(
     if space is None or words:
         space = StateSpace.plain(max(size, len(words)), words)
     names |= named_components(names, table)
+    discount, start = names.pop("discount"), names.pop("start")
     return dict(
         table=table,
         pair_state=state,

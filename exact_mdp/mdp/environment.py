@@ -82,7 +82,10 @@ class MDPEnv(gymnasium.Env[np.int64, np.int64]):
             )
         mdp = model
         self.mdp, self.pass_forced, self.render_mode = mdp, pass_forced, render_mode
-        self.observed, self._seen = _observations(mdp, columns)
+        self.observed, self._seen = mdp.space, np.arange(mdp.n_states)
+        if columns is not None and tuple(columns) != mdp.space.names:
+            self.observed = StateSpace(columns=tuple(map(mdp.space.column, columns)))
+            self._seen = mdp.space.rows(self.observed.columns)
         choosing = np.logical_not(mdp.forced)[mdp.pair_state]
         numbers = np.unique(mdp.pair_action[choosing]) if choosing.any() else np.arange(1)
         self.action_names = tuple(mdp.actions[number] for number in numbers)
@@ -204,14 +207,6 @@ def register() -> None:
     """Register the environments with Gymnasium; once is enough."""
     if YUAN2025 not in gymnasium.registry:
         gymnasium.register(YUAN2025, entry_point="exact_mdp.mdp.environment:ScenarioEnv")
-
-
-def _observations(mdp: MDP, columns: Sequence[str] | None) -> tuple[StateSpace, Any]:
-    """Return what observations stand for, and that of every state (S,)."""
-    if columns is None or tuple(columns) == mdp.space.names:
-        return mdp.space, np.arange(mdp.n_states)
-    space = StateSpace(columns=tuple(mdp.space.column(name) for name in columns))
-    return space, mdp.space.rows(space.columns)
 
 
 register()

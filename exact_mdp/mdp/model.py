@@ -467,21 +467,16 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     @cached_property
     def action_names(self) -> Names:
         """Which action is meant by a name, a number, or the object that it was made of."""
+        words = {word: number for number, word in enumerate(self.actions)}
         made = enumerate(self.action_objects)
         return Names(
             what="action",
             size=self.n_actions,
-            words={word: number for number, word in enumerate(self.actions)},
-            label=self._action_label,
+            words=words,
+            label=lambda number: f"action {self.actions[number]}",
             objects={object_key(thing): number for number, thing in made},
-            otherwise=self._printed_action,
+            otherwise=lambda thing: words.get(text_of(thing).removeprefix("action ")),
         )
-
-    def _action_label(self, number: int) -> str:
-        return f"action {self.actions[number]}"
-
-    def _printed_action(self, thing: object) -> int | None:
-        return self.action_names.words.get(text_of(thing).removeprefix("action "))
 
     def backup(self, value: Floats) -> Floats:
         """Return (L,) action values r + γ P V for (S,) state values."""

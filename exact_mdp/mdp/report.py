@@ -42,26 +42,11 @@ class Shown:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """How people see rows.
+    """How people see rows: of a table or of mappings, those of the fact of the same key by default.
 
-    Attributes
-    ----------
-    title : str
-    columns : mapping
-        {heading: "key" or "key:format"}, with a format as Python's `format` takes it (".4g", ".1%")
-        and possibly a sign before it ("± .2g"). Numbers stand to the right.
-    rows : DataFrame or sequence of mappings
-        Those of the fact of the same key unless given.
-    first : int
-        Number of rows shown; the title says where there are more.
-    note : str
-        What the columns mean, in a line below the title.
-
-    Examples
-    --------
-    >>> rows = [{"name": "a", "share": 0.25}, {"name": "b", "share": None}]
-    >>> Table(title="shares", rows=rows, columns={"": "name", "share": "share:.1%"}).cells()
-    [['a', '25.0%'], ['b', '-']]
+    `columns` are {heading: "key" or "key:format"}, with a format as Python's `format` takes it
+    (".4g", ".1%") and possibly a sign before it ("± .2g"). The `first` rows are shown, and the
+    title says where there are more; `note` is a line below the title.
     """
 
     title: str
@@ -99,21 +84,12 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """What a result says.
+    """What a result says: a title of one line, facts, and notes beside them.
 
-    Attributes
-    ----------
-    title : str
-        One line: what it is.
-    facts : {key: value}
-        The JSON object. People read each as a line, with blanks for the key's underscores; a
-        mapping, or a list of mappings, as a table; None and what is empty not at all.
-    tables : {key: Table}
-        How rows are shown that deserve better; those of a key that is no fact are for people alone.
-    notes : sequence of str
-        What a reader should know beside the result.
-    passed : bool, optional
-        Of a check: the exit status is 1 where it is False.
+    `facts` are the JSON object. People read each as a line, with blanks for the key's underscores;
+    a mapping, or a list of mappings, as a table; None and what is empty not at all. `tables` say
+    how rows are shown that deserve better; those of a key that is no fact are for people alone.
+    Where `passed` is False, the exit status is 1.
     """
 
     title: str

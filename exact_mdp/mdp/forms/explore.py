@@ -102,9 +102,9 @@ class FromFunction(FromArrays):
                 where="start",
                 fix="give a state, or {state: probability}",
             )
-        begins = start if isinstance(start, Mapping) else _alone(start)
-        for state in begins:
+        for state in start if isinstance(start, Mapping) else [start]:
             states.add(state, "a state", "start")
+        begins = start if isinstance(start, Mapping) else {start: 1}
         if not begins:
             raise ModelError("no state to start in", where="start", fix="give a state")
         waiting = deque(states.number)
@@ -141,18 +141,6 @@ class FromFunction(FromArrays):
         places = ByNumber((states.number[state], chance) for state, chance in begins.items())
         parts |= {"start": places, "labels": flags} | names
         return cls.from_outcomes(listed, discount, **parts)
-
-
-def _alone(start: Any) -> dict[Any, int]:
-    """Return one state as a distribution."""
-    try:
-        return {start: 1}
-    except TypeError as error:
-        raise ModelError(
-            f"a state is {start!r}, which cannot be a key",
-            where="start",
-            fix="use numbers, words or tuples, not lists, arrays or dictionaries",
-        ) from error
 
 
 def _answer(ask: Callable[..., Any], *of: Any, where: str, fix: str) -> list[Any]:

@@ -110,7 +110,7 @@ def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
     missing = np.asarray(bottom - np.add.reduceat(top, begins))
     rows = np.flatnonzero(~read & np.asarray(missing != 0, dtype=bool))
     if len(rows):
-        largest, _ = _largest(weight, offsets)
+        largest = weight == np.repeat(np.maximum.reduceat(weight, begins), lengths)
         count = np.add.reduceat(largest, begins, dtype=np.int64)
         times = np.ones(len(lengths), dtype=missing.dtype)
         times[rows] = count[rows] // np.gcd(missing[rows], count[rows])
@@ -145,12 +145,6 @@ def _read(
     near = np.abs(top / each - weight) <= NEXT * weight
     read = np.logical_and.reduceat(near, offsets[:-1])
     return top, read & (np.add.reduceat(top, offsets[:-1]) == whole)
-
-
-def _largest(weight: Floats, offsets: Integers) -> tuple[NDArray[np.bool_], Floats]:
-    """Return (N,) which numbers are the largest of their row, and these (L,)."""
-    most = np.maximum.reduceat(weight, offsets[:-1])
-    return weight == np.repeat(most, np.diff(offsets)), most
 
 
 def _excess(weight: Floats, offsets: Integers) -> Floats:
