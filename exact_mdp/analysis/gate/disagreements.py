@@ -14,7 +14,7 @@ import numpy as np
 
 from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap
-from exact_mdp.analysis.gate.waiting import arrivals, attaining, final_class, shares
+from exact_mdp.analysis.gate.waiting import attaining, final_class, shares
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.exact.certificate import Certificate
@@ -43,20 +43,28 @@ Findings = tuple[Floats, tuple[Disagreement, ...]]  # visits (S,), and where it 
 def findings(chain: PolicyChain, regret: Regret) -> Findings:
     """Return the visits of the policy of `chain`, and the states that make up its regret.
 
-    Visits are NaN where floats cannot bound them and rational arithmetic would be slow.
+    Visits are infinite where the policy stays for ever at discount 1, the end left out; and NaN
+    where floats cannot bound them and rational arithmetic would be slow.
     """
     mdp = chain.mdp
     exact = isinstance(regret.at_start, Certified) or cheap(mdp, LAST_CYCLE)
+    label = np.full(mdp.n_states, -1)
+    if mdp.discount_exact == 1 and not chain.ends_from_start:
+        label = np.where(chain.reached, final_class(chain), -1)
+    stays = label >= 0
+    leaving = chain.ended(stays) if stays.any() else chain
     try:
-        visited = own_visits(chain, exact=exact)
+        came = exact_visits(leaving).floats() if exact else leaving.discounted.visits.value
     except SolverError:
-        visited = np.where(chain.reached, np.nan, 0.0)
+        came = np.full(mdp.n_states, np.nan)
+    came = np.where(chain.reached, came, 0.0)
+    visited = np.where(stays, np.inf, came)
     first = mdp.pair_offsets[:-1]
     gap = np.add.reduceat(chain.weights * np.where(chain.weights > 0, regret.gap, 0.0), first)
     wrong = np.add.reduceat(chain.weights * ~regret.optimal_pairs, first) > 0
     cost = np.where(gap > 0, visited, 0.0) * np.where(visited > 0, gap, 0.0)
-    if np.isinf(visited).any():
-        waits = shares(chain, regret.by_state, gap, wrong)
+    if stays.any():
+        waits = shares(label, came, regret.by_state, gap, wrong)
         gap, cost = np.where(waits > 0, regret.by_state, gap), cost + waits
     return visited, listed(chain, regret, np.stack([gap, visited, cost]), wrong & ~mdp.terminal)
 
@@ -85,24 +93,6 @@ def listed(
             )
         )
     return tuple(disagreements)
-
-
-def own_visits(chain: PolicyChain, *, exact: bool) -> Floats:
-    """Return the visits (S,) of a policy from the start.
-
-    They are exactly 0 in states that are not reached, and infinite where the policy stays for ever
-    at discount 1, the end left out. Rational arithmetic takes over where floats cannot bound them,
-    if `exact` allows it; otherwise this raises SolverError.
-    """
-    if chain.mdp.discount_exact == 1 and not chain.ends_from_start:
-        label = final_class(chain)
-        return np.where(chain.reached & (label >= 0), np.inf, arrivals(chain, label))
-    try:
-        return np.where(chain.reached, chain.discounted.visits.value, 0.0)
-    except SolverError:
-        if not exact:
-            raise
-        return exact_visits(chain).floats()
 
 
 def action_of(chain: PolicyChain, state: int) -> str:

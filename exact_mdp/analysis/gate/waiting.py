@@ -76,24 +76,17 @@ def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
     return falling
 
 
-def arrivals(chain: PolicyChain, label: Integers) -> Floats:
-    """Return (S,) expected visits of the states that are left again, arrivals in the classes."""
-    stays = chain.ended(label >= 0)
-    return np.where(chain.reached, stays.discounted.visits.value, 0.0)
-
-
-def shares(chain: PolicyChain, by_state: Floats, gap: Floats, wrong: Flags) -> Floats:
+def shares(label: Integers, came: Floats, by_state: Floats, gap: Floats, wrong: Flags) -> Floats:
     """Return (S,) what is lost by waiting, charged to the states (S,) that are `wrong`.
 
-    Where the gap (S,) of a state is not 0, that is what is lost there.
+    `came` (S,) are arrivals in the classes of `label`, 0 where the policy never comes. Where the
+    gap (S,) of a state is not 0, that is what is lost there.
     """
-    label = final_class(chain)
-    inside = (label >= 0) & chain.reached
-    came = arrivals(chain, label)
+    inside = label >= 0
     lost = np.where(inside & (came > 0), came * np.where(came > 0, by_state, 0.0), 0.0)
     whole = np.bincount(label[inside], weights=lost[inside], minlength=len(label))
     whole[label[inside & (gap > 0)]] = 0.0
-    blamed = inside & wrong & (whole[np.maximum(label, 0)] > 0)
+    blamed = inside & wrong & (whole[label] > 0)
     number = np.bincount(label[blamed], minlength=len(label))
     return np.where(blamed, whole[label] / np.maximum(number[label], 1), 0.0)
 

@@ -56,12 +56,13 @@ from exact_mdp.solvers.endless.chain import (
 )
 from exact_mdp.solvers.endless.chain import evaluated as bounded_average
 from exact_mdp.solvers.exact.find import one_sign
-from exact_mdp.solvers.exact.linear import MANY, equations, solved, visited
+from exact_mdp.solvers.exact.linear import FEW, MANY, equations, solved, visited
 from exact_mdp.solvers.solution import SolverError, Status
 from exact_mdp.solvers.solver import Criterion, solve
 
 SHOWN = 4
 ZERO = Fraction(0)
+HALF = 2.0**-26  # a float has 53 binary digits
 
 
 def policy_of(
@@ -441,6 +442,8 @@ class Equations:
         start = self.chain.mdp.start_distribution
         turned = replace(self, system=transposed(self.system), turned=True)
         point = turned.solve(start, UNIT * start)
+        if poor(point, self.chain.mdp):
+            point = turned.exact(start, UNIT * start)
         # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
@@ -457,6 +460,10 @@ class Equations:
             require_few(self.chain.mdp, error_of_floats)
             if not np.isfinite([constant, doubt]).all():
                 raise
+            return self.exact(constant, doubt)
+
+    def exact(self, constant: Floats, doubt: Floats) -> FixedPoint:
+        """Return x (S,) from rationals, for a constant that may be off by `doubt` (S,)."""
         rows = self.chain.rows(self.rate, self.used)
         sides = [[*map(Fraction, side.tolist())] for side in (constant, doubt)]
         if self.turned:
@@ -466,6 +473,11 @@ class Equations:
             levels = [solved(matrix, rows, side) for side in sides]
         value, off = (rounded(level.fractions()) for level in levels)
         return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
+
+
+def poor(point: FixedPoint, mdp: MDP) -> bool:
+    """Return whether floats gave less than half of their digits, and rationals soon give all."""
+    return mdp.n_states <= FEW and point.error.max() > HALF * np.abs(point.value).max()
 
 
 def require_few(mdp: MDP, error: SolverError) -> None:
@@ -603,7 +615,7 @@ def average(chain: PolicyChain) -> AverageEvaluation:
     mdp = chain.mdp.undiscounted
     try:
         evaluation = bounded_average(mdp, chain.weights, chain.roundings, chain.policy)
-        if np.isfinite(evaluation.share.error).all():
+        if np.isfinite(evaluation.share.error).all() and not poor(evaluation.share, mdp):
             return evaluation
     except SolverError as error:
         require_few(mdp, error)

@@ -3,6 +3,7 @@
 from fractions import Fraction as F
 from math import prod
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,16 +79,22 @@ def test_no_horizon_and_no_unknown_word() -> None:
         check(forest("9/10"), "random", criterion="mean")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("digits", [3, 12, 14, 40])
-def test_what_is_lost_adds_up_however_slowly_a_class_is_left(digits: int) -> None:
-    """States 2 and 3 are come to with the chances 1/4 and 3/4, exactly."""
+@pytest.mark.parametrize("digits", [3, 8, 12, 14, 40])
+@pytest.mark.parametrize("criterion", ["total", "average"])
+def test_what_is_lost_adds_up_however_slowly_a_class_is_left(criterion: Any, digits: int) -> None:
+    """States 2 and 3 are come to with the chances 1/4 and 3/4; in total state 4 is an end."""
     q = F(1, 10**digits)
     rows = [[0, 1 - q, q / 4, 3 * q / 4], [F(2, 3), F(1, 3), 0, 0], [0, 0, 1, 0], [0, 0, 1, 0],
             [0, 0, 0, 1], [0, 0, 0, 1]]  # fmt: skip
-    mdp = MDP.from_pairs(
-        [0, 1, 2, 2, 3, 3], [0, 0, 0, 1, 0, 1], rows, [1, 0, -1, 0, 0, -5], start=[1, 0, 0, 0]
-    )
-    audit = check(mdp, [0, 0, 0, 1], criterion="average")
-    assert audit.value.value == 4
+    reward, policy, states = [1, 0, -1, 0, 0, -5], [0, 0, 0, 1], [0, 1, 2, 2, 3, 3]
+    if criterion == "total":
+        end = [0, 0, 0, 0, 1]
+        rows = [*([*row, 0] for row in rows[:3]), end, [0, 0, 0, 1, 0], end, end]
+        reward, policy, states = [0, 0, 0, 1, 0, 5, 0], [0] * 5, [*states, 4]
+    actions, start = [0, 0, 0, 1, 0, 1, 0][: len(rows)], [1, *[0] * (len(policy) - 1)]
+    mdp = MDP.from_pairs(states, actions, rows, reward, start=start)
+    audit = check(mdp, policy, criterion=criterion)
+    assert audit.regret.at_start.value == 4
     costs = {each.state: each.cost for each in audit.disagreements}
     assert costs == {3: pytest.approx(3.75, rel=1e-12), 2: pytest.approx(0.25, rel=1e-12)}
+    assert audit.visits[0] == pytest.approx(float(1 / q), rel=1e-12)

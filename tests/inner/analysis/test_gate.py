@@ -20,7 +20,7 @@ def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.Monke
     def unbounded(*_: Any, **__: Any) -> Any:
         raise SolverError("no bound")
 
-    monkeypatch.setattr(disagreements, "own_visits", unbounded)
+    monkeypatch.setattr(disagreements, "exact_visits", unbounded)
     mdp = MDP.from_arrays([np.full((3, 3), 1 / 3)] * 2, [[1.0, 0.0]] * 3, discount=0.9)
     audit = check(mdp, [0, 1, 0], exact_values=False)
     assert not audit.passed
