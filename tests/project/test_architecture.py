@@ -118,6 +118,7 @@ def loaded(code: str) -> set[str]:
         *((f"import exact_mdp{room}", set()) for room in ["", *(f".{room}" for room in ROOMS)]),
         ("from exact_mdp import MDP, Scenario, solve, evaluate, certify", {"flint", "tqdm"}),
         ("import exact_mdp.analysis.cli", {"click"}),
+        ("import exact_mdp.analysis.pytest_plugin", set()),
         ("import exact_mdp.paper_repro.__main__", {"click"}),
     ],
 )

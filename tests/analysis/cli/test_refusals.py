@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from cli_runner import run
 from made_models import forest
+from refusal_tables import entries
 
 from exact_mdp import MDP, save
 
@@ -27,21 +28,19 @@ info yuan2025 tea -> unexpected extra argument (tea)
 info yuan2025 --set tasks -> 'tasks' is not a setting
 info yuan2025 --set tasks=[] -> tasks is not a list of positive whole numbers, or is empty
 info yuan2025 --set max_trial=-1 -> max_trial is '-1', not a positive whole number
-info yuan2025 --set max_trial=1000000000 -> max_trial is over 200,000,000
-info yuan2025 --set max_trial=NINES -> max_trial is over 200,000,000
-info yuan2025 --set base.anger=-0.1 -> base.anger is -0.1, outside [0, 1]
-info yuan2025 --set base.anger=-1e-400 -> base.anger is -1e-400, outside [0, 1]
+info yuan2025 --set max_trial=<1000000000|NINES> -> max_trial is over 200,000,000
+<info yuan2025|solve yuan2025|convert yuan2025 x.npz> --set base.anger=1.1 -> base.anger is 1.1, out
+info yuan2025 --set base.anger=<-0.1|-1e-400> -> base.anger is *, outside [0, 1]
 info yuan2025 --set base.anger=1.0000000000000000000001 -> base.anger is 1 + 1e-22, outside [0,
 info yuan2025 --set base.anger=often -> where: parameter base.anger
-info yuan2025 --set base.joy=0.1 -> unknown parameter 'base.joy'
-info yuan2025 --set reward.assist.hug=1 -> unknown parameter 'reward.assist.hug'
+info yuan2025 --set <base.joy|reward.assist.hug>=0.1 -> unknown parameter '*'
 info yuan2025 --set readings.trial_cost=never -> unknown option 'never'
 info yuan2025 --discount 1.0000000000000000000001 -> discount is 1 + 1e-22, outside [0, 1]
 info forest.npz --set tasks=[1] -> the model is not a scenario
 solve -> Missing argument 'MODEL'
 solve broken.toml -> broken TOML: Unterminated string
-solve truncated.npz -> the file is damaged, or not an archive
-solve yuan2025 --set base.anger=1.1 -> base.anger is 1.1, outside [0, 1]
+<solve|evaluate yuan2025> truncated.npz -> the file is damaged, or not an archive
+check yuan2025 broken.npz -> the file is damaged, or not an archive
 solve yuan2025 --discount high -> where: --discount
 solve yuan2025 --discount=-1/2 -> discount is -0.5, outside [0, 1]
 solve yuan2025 --discount 1/0 -> '1/0' is not a finite rational number
@@ -52,26 +51,20 @@ solve yuan2025 --tol small -> where: --tol
 solve lake --out x.npz --policy-out x.csv --method backward-induction -> a model without cycles
 solve yuan2025 --out values.csv -> cannot write .csv here
 solve yuan2025 --policy-out policy.npz -> cannot write .npz here
-solve yuan2025 --out nowhere/values.npz -> there is no such folder
 solve yuan2025 --policy-out x.json --certificate x.json -> two results go to one file
-convert yuan2025 model.txt -> cannot write .txt here
-convert yuan2025 nowhere/model.npz -> there is no such folder
-convert yuan2025 x.npz --set base.anger=2 -> base.anger is 2
+<convert yuan2025|check yuan2025 zeros.npy --junit> x.txt -> cannot write .txt here
+<solve yuan2025 --out|convert yuan2025> nowhere/x.npz -> there is no such folder
+check yuan2025 zeros.npy --junit nowhere/report.xml -> there is no such folder
 convert tea folder.npz -> folder.npz
 evaluate yuan2025 greedy -> unknown kind of policy 'greedy'
-evaluate yuan2025 nowhere.csv -> cannot read the file: No such file or directory
+<evaluate tea x.csv|verify x.json tea> -> cannot read the file: No such file or directory
 evaluate yuan2025 missing.csv -> 1 of 16 rows are missing: status 0000
 evaluate yuan2025 doubled.csv -> where: doubled.csv, line 3
-evaluate yuan2025 missing.json -> 15 of 16 rows are missing
-evaluate yuan2025 doubled.json -> 0000 appears twice
 evaluate yuan2025 action.json -> unknown action 'hug'
-evaluate yuan2025 status.json -> unknown status '00000'
 evaluate yuan2025 shape.npy -> an array of shape (3, 3) is no policy of this model
-evaluate yuan2025 truncated.npz -> the file is damaged, or not an archive
 check yuan2025 broken.json -> broken JSON
 check yuan2025 nan.npy -> an action value is NaN
 check yuan2025 truncated.npy -> an array of shape (16, 4) and type float64 in 320 bytes, not 640
-check yuan2025 broken.npz -> the file is damaged, or not an archive
 check yuan2025 directive -> unknown kind of policy 'directive'
 check yuan2025 -> Missing argument 'LEARNED...'
 check yuan2025 optimal --limit 1 -> No such option '--limit'
@@ -80,74 +73,55 @@ check yuan2025 zeros.npy --kind table -> 'table' is not a kind of array
 check yuan2025 zeros.npy --max-regret -1 -> max_regret is -1
 check yuan2025 zeros.npy --max-regret inf -> 'inf' is not a finite rational number
 check yuan2025 zeros.npy --max-relative-regret much -> where: --max-relative-regret
-check yuan2025 zeros.npy --junit report.txt -> cannot write .txt here
-check yuan2025 zeros.npy --junit nowhere/report.xml -> there is no such folder
 returns yuan2025 random --discount 0.95 -> discount 19/20 gives returns that are not on a lattice
 simulate yuan2025 random -> Missing option '--episodes'
-simulate yuan2025 random --episodes 0 -> '0' is not a whole number from 1 to 1,000,000,000
-simulate yuan2025 random --episodes -5 -> '-5' is not a whole number from 1
-simulate yuan2025 random --episodes 99999999999 -> '99999999999' is not a whole number from 1
+simulate yuan2025 random --episodes <0|-5|9999999999> -> '*' is not a whole number from 1 to 1,000,
 simulate yuan2025 random --episodes 10 --seed lucky -> 'lucky' is not a whole number from 0
 simulate yuan2025 random --episodes 10 --seed=-1 -> where: --seed
+verify yuan2025 action.json -> verify CERTIFICATE MODEL
 verify truncated.json yuan2025 -> not a certificate, which is JSON text
-verify nowhere.json yuan2025 -> cannot read the file: No such file or directory
 gradients small -> gradients
-gradient small --parameter base.angre -> unknown parameter
-tornado small --range base.anger=0.1 -> not a range
-tornado small --range base.anger=0.3:0.1 -> empty
-tornado small --range base.anger=0:1.5 -> outside
+<gradient|threshold|tornado> small --parameter base.angre -> unknown parameter
 tornado small --range base.angre=0:1 -> unknown parameter
+tornado small --range base.anger=0.1 -> not a range
+<tornado|threshold|sobol> small --range base.anger=0.2:0.1 -> empty
+<threshold|sobol> small --range base.anger=0.2:0.2 -> empty
+<tornado|threshold|sobol> small --range base.anger=0:1.5 -> outside [0, 1]
 tornado small --relative 0 -> share
-threshold small --parameter base.angre -> unknown parameter
-threshold small --range base.anger=0.5:0.25 -> empty
-threshold small --range base.anger=0.25:0.25 -> empty
-threshold small --range base.anger=0:2 -> outside
 threshold small --range nowhere.toml -> nowhere.toml
-sobol small --samples 0 -> '0' is not a whole number from 2
-sobol small --samples 1 -> '1' is not a whole number from 2
+sobol small --samples <0|1> -> '*' is not a whole number from 2
 sobol small --samples 1000 -> not a power of 2
 sobol small --samples many -> 'many' is not a whole number
-sobol small --seed -1 -> --seed
-sobol small --n-jobs 0 -> --n-jobs
-sobol small --parameter base.angre -> did you mean base.anger?
+<sobol|psa|train> small --seed -1 -> --seed
+<sobol|psa|train> small --n-jobs 0 -> --n-jobs
+<sobol|psa> small --parameter base.angre -> did you mean base.anger
 sobol small --parameter assistance.supportive.anger.onset -> gives no range
-sobol small --range base.anger=0.2:1.2 -> outside [0, 1]
 sobol small --range base.anger -> is not NAME=LOW:HIGH
-sobol small --policy always:nothing -> nothing
+<sobol|psa> small --policy always:nothing -> nothing
 sobol small --out ' ' -> --out is empty
-sobol small --range base.anger=0.2:0.1 -> empty
-sobol small --range base.anger=0.2:0.2 -> empty
 psa small --samples 0 -> --samples
-psa small --samples -3 -> --samples
-psa small --effective-sample-size 0 -> effective sample size 0
-psa small --effective-sample-size -1 -> effective sample size -1
+psa small --effective-sample-size <0|-1> -> effective sample size *
 psa small --effective-sample-size many -> not a finite rational
 psa small --uncertain none.toml -> none.toml
 psa small --uncertain uncertain.toml -> did you mean base.anger
 psa small --uncertain uncertain.toml -> uncertain.toml
-psa small --parameter base.angre -> did you mean base.anger
-psa small --seed x -> --seed
-psa small --policy always:nothing -> nothing
-robust small --radius abc -> where: --radius
-robust small --radius -1 -> where: --radius
-robust small --set-kind box --radius abc -> where: --radius
-robust small --set-kind box --radius -1 -> where: --radius
+robust small <--radius|--set-kind box --radius> abc -> where: --radius
+robust small <--radius|--set-kind box --radius> -1 -> where: --radius
 robust small --set-kind box --radius 0 -> above 0
 robust small --set-kind l1 --radius 2.1 -> no two distributions are more than 2 apart
 robust small --set-kind l1 --radius 2.1 -> where: --radius
 robust small --set-kind ball -> --set-kind
+robust gymnasium:FrozenLake-v1 --discount 1 -> every episode to end
 robust small --set-kind box --parameter base.angr -> base.angr
 robust small --set-kind kl --range base.anger=0:1 -> for a box
 robust small --set-kind box --range base.anger=1:0 -> empty
 gradient tea --range a=0:1 -> No such option '--range'
-gradient tea --range a=0:1 -> exact-mdp gradient --help
-threshold tea --policy random -> No such option '--policy'
 psa tea --whole -> No such option '--whole'
 curve tea --samples 4 -> No such option '--samples'
-curve tea -> --parameter NAME
-curve tea --parameter discount --parameter base.anxiety -> --parameter NAME
-one-way tea -> parameters, and
-two-way tea --parameter base.anger -> parameters, and
+threshold tea --policy random -> No such option '--policy'
+gradient tea --range a=0:1 -> exact-mdp gradient --help
+curve tea <|--parameter discount --parameter base.anxiety> -> --parameter NAME
+<one-way tea|two-way tea --parameter base.anger> -> parameters, and
 explore tea --html p.html -> --parameter
 explore tea --parameter base.anxeity --html p.html -> base.anxiety
 explore tea --parameter base.anxiety --html p.txt -> .html
@@ -165,50 +139,40 @@ solve land.npz --until home --reward time -> no reward component 'time'
 solve land.npz --reward time -> --until LABEL
 solve land.npz --allowed dry -> --reach LABEL
 solve land.npz --start nowhere -> unknown state 'nowhere'
-solve forest.npz --criterion mean -> unknown criterion 'mean'
-solve forest.npz --criterion average --horizon 5 -> no horizon
+<solve forest.npz|check forest.npz random> --criterion mean -> unknown criterion 'mean'
+<solve forest.npz|check forest.npz random> --criterion average --horizon 5 -> no horizon
 solve forest.npz --criterion average --certificate proof.json -> no bounded certificates
 solve forest.npz --criterion average --method gauss-seidel -> does not apply to an average
-check forest.npz random --criterion average --horizon 5 -> no horizon
-solve yuan2025 --subject-to anger -> is no limit
-solve yuan2025 --subject-to 'angre >= 1' -> angre
-solve yuan2025 --subject-to 'anger > 1' -> is no limit
-check yuan2025 optimal --subject-to anger -> is no limit
-check yuan2025 optimal --subject-to 'angre >= 1' -> angre
-check yuan2025 optimal --subject-to 'anger > 1' -> is no limit
+<solve yuan2025|check yuan2025 optimal> --subject-to anger -> is no limit
+<solve yuan2025|check yuan2025 optimal> --subject-to 'anger > 1' -> is no limit
+<solve yuan2025|check yuan2025 optimal> --subject-to 'angre >= 1' -> angre
 tradeoff yuan2025 anger -> front of 1 totals
 tradeoff yuan2025 anger angre -> angre
 tradeoff yuan2025 anger trial steps skip -> front of 4 totals
-perception yuan2025 -> no perception, or two
-perception yuan2025 --accuracy 0.9 --perception x.csv -> no perception, or two
+perception yuan2025<| --accuracy 0.9 --perception x.csv> -> no perception, or two
 perception yuan2025 --accuracy 2 -> accuracy is 2
 perception yuan2025 --accuracy 1.5 -> where: --accuracy
 perception yuan2025 --accuracy 0.9 --prior 1 -> takes no prior
 perception yuan2025 --accuracy 0.9 --draws x -> not a whole number
 psa gymnasium:FrozenLake-v1 --discount 0.9 --perception seen.csv -> no statuses
 train yuan2025 --epsilon falling -> not a finite rational
-train yuan2025 --epsilon 1.5 -> between 0 and 1
+train yuan2025 <--epsilon 1.5|--learner=rate=2> -> between 0 and 1
 train yuan2025 --seeds 0 -> --seeds
-train yuan2025 --seed -1 -> --seed
 train yuan2025 --learner=epochs=many -> --learner epochs
 train yuan2025 --learner=method=q -> method
 train yuan2025 --learner=columns=state -> unknown state column
 train yuan2025 --learner=discount=2 -> outside [0, 1]
-train yuan2025 --n-jobs 0 -> --n-jobs
-train yuan2025 --learner=rate=2 -> between 0 and 1
 check two.npz optimal --share 1/2 -> --share does not apply to a single policy
 check two.npz optimal --prove -> --prove does not apply to a single policy
 check two.npz optimal random random --html page.html -> --html does not apply to several policies
 check two.npz optimal random random --no-explain -> --no-explain does not apply
 check two.npz optimal random random --share 2 -> share is 2
 check two.npz optimal random random --share 1/2 -> give 10 runs or more
-check ill.npz always:a --by robust -> applies to an interval
-check ill.npz always:a --evidence prior=2 -> applies to an interval
+check ill.npz always:a <--by robust|--evidence prior=2> -> applies to an interval
 check ill.npz always:a --confidence 1 -> a confidence of 1
 check ill.npz always:a --confidence 0.9 --by bayes -> unknown kind
 check ill.npz always:a --confidence 0.9 --evidence prior=2 -> does not apply to robust
-check ill.npz always:a --confidence 0.9 --evidence rewards=5 -> no range
-check ill.npz always:a --confidence 0.9 --evidence rewards=0,x -> no range
+check ill.npz always:a --confidence 0.9 --evidence rewards=<5|0,x> -> no range
 check ill.npz always:a --confidence 0.9 --by off-policy -> no trajectories
 check ill.npz always:a --confidence 0.9 --by posterior --evidence n=x -> not a whole number
 check ill.npz always:a --confidence 0.9 -> nothing says where rewards lie
@@ -252,10 +216,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "broken.toml": 'name = "broken',
         "missing.csv": "\n".join(["status,action", *rows[1:]]),
         "doubled.csv": "\n".join(["status,action", rows[0], *rows]),
-        "missing.json": '{"0000": "none"}',
-        "doubled.json": '{"0000": "none", "0000": "none"}',
         "action.json": json.dumps(dict.fromkeys(labels, "hug")),
-        "status.json": '{"00000": "none"}',
         "broken.json": '{"0000": ',
         "truncated.json": '{"format": "exact-mdp certificate",',
         "unknown.xyz": "",
@@ -274,7 +235,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@pytest.mark.parametrize(("line", "said"), [row.split(" -> ") for row in TABLE.strip().split("\n")])
+@pytest.mark.parametrize(("line", "said"), entries(TABLE))
 def test_refused(line: str, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = sorted(folder.iterdir())
     monkeypatch.chdir(folder)

@@ -76,9 +76,8 @@ def test_a_regret_of_nothing_has_no_indices() -> None:
 
 
 def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
-    pytest.importorskip("gymnasium")
-    file = tmp_path / "lake.npz"
-    assert run("convert gymnasium:FrozenLake-v1 --discount 0.9", file).status == 0
+    file = tmp_path / "loop.npz"
+    save(MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0], "9/10"), file)
     line = "sobol --samples 32 --n-jobs 1 --relative 0.05 --parameter discount --json"
     assert run(line, file).result["total"]["discount"] == pytest.approx(1, abs=0.2)
 
@@ -104,16 +103,8 @@ def test_a_box_tells_the_worst_point_found() -> None:
 @pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
 def test_a_radius_of_0_is_the_tables_as_they_are(kind: str) -> None:
     result = run(f"robust {SET} --set-kind {kind} --radius 0 --json").result
-    for case in ("worst_case", "best_case"):
-        nominal = result[case]["nominal_policy"]["value"]
-        assert nominal == pytest.approx(result["start_value"], abs=1e-6)
-
-
-def test_a_model_that_need_not_end_is_refused_at_discount_1() -> None:
-    refused = run("robust gymnasium:FrozenLake-v1 --discount 1").refusal()
-    assert "every episode to end" in refused
-    result = run("robust gymnasium:FrozenLake-v1 --discount 0.9 --json").result
-    assert result["worst_case"]["value"] < result["start_value"]
+    nominal = [result[case]["nominal_policy"]["value"] for case in ("worst_case", "best_case")]
+    assert nominal == pytest.approx([result["start_value"]] * 2, abs=1e-6)
 
 
 # ---- derivatives, bars and thresholds -----------------------------------------------------------
@@ -134,18 +125,14 @@ def test_command_tornado_and_threshold(tmp_path: Path) -> None:
         assert Fraction(switch["high"]) - Fraction(switch["low"]) <= Fraction(1, 10**12)
     stable = result["stable"]["reward.assist.non-directive"]
     assert stable["low"] <= -3 <= stable["high"]
-    assert run(f"threshold {SET} --range", file).status == 0
 
 
 # ---- psa ----------------------------------------------------------------------------------------
 
 
-CHANCES = (Fraction(3, 10), Fraction(2, 5))
-
-
 def test_psa_takes_any_model(tmp_path: Path) -> None:
     file = tmp_path / "wager.npz"
-    rows = [(0, action, [(p, 1, 1), (1 - p, 2, 0)]) for action, p in enumerate(CHANCES)]
+    rows = [(0, 0, [("3/10", 1, 1), ("7/10", 2, 0)]), (0, 1, [("2/5", 1, 1), ("3/5", 2, 0)])]
     save(MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]), file)
     result = run("psa --samples 24 --n-jobs 1 --json", file).result
     assert result["evpi"] > 0
@@ -158,15 +145,11 @@ def test_psa_takes_any_model(tmp_path: Path) -> None:
     assert len(fixed["drawn"]) == 1
 
 
-def test_psa_draws_rewards_and_the_discount_of_any_model_where_they_are_stated(
-    tmp_path: Path,
-) -> None:
+def test_psa_draws_rewards_and_the_discount_where_they_are_stated(tmp_path: Path) -> None:
     file, stated = tmp_path / "model.npz", tmp_path / "stated.toml"
     save(MDP.from_arrays([[[0, 1], [0, 1]]], [2, 0], "1/2"), file)
     stated.write_text('["reward.2"]\nsd = 0.5\n[discount]\neffective_sample_size = 9\n')
     result = run("psa --samples 64 --n-jobs 1 --json --uncertain", stated, file).result
-    assert {name: each["distribution"] for name, each in result["drawn"].items()} == {
-        "reward.2": "normal",
-        "discount": "beta",
-    }
+    kinds = {name: each["distribution"] for name, each in result["drawn"].items()}
+    assert kinds == {"reward.2": "normal", "discount": "beta"}
     assert result["value"]["mean"] == pytest.approx(2, abs=0.3)

@@ -2,7 +2,6 @@
 
 import pickle
 from fractions import Fraction as F
-from itertools import product
 from math import inf
 from random import Random
 from typing import Any
@@ -14,7 +13,7 @@ from cases import CASES, Case
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import forest
-from oracle import evaluate_exact, solve_exact
+from oracle import evaluate_exact, mixed, solve_exact
 from strategies import Pairs, Rows, any_models, model_of, models
 
 from exact_mdp import (
@@ -30,68 +29,49 @@ from exact_mdp import (
     evaluate,
 )
 
-# Failed trials cost nothing and assistance much: what is best changes with the trial.
-
-
 CARE = Scenario.load("yuan2025")
 SMALL = CARE.with_(tasks=[2], max_trial=2, readings={"influence_orientation": "column-to-row"})
-
-
-def reference(rows: Rows, policy: dict[int, int]) -> tuple[list[F], list[F], list[set[int]]]:
-    """Return optimal values, those of a policy, and the sets of optimal actions."""
-    best, optimal = solve_exact(rows.n_states, rows.pairs, rows.discount)
-    return best, evaluate_exact(rows.n_states, rows.pairs, rows.discount, policy), optimal
-
-
-def absorbing(rows: Rows) -> set[int]:
-    return {
-        s
-        for s in range(rows.n_states)
-        if all(r == 0 and set(row) == {s} for t, _, r, row in rows.pairs if t == s)
-    }
-
-
-def offered(rows: Rows) -> dict[int, list[int]]:
-    return {s: [a for t, a, *_ in rows.pairs if t == s] for s in range(rows.n_states)}
-
-
-@st.composite
-def policies(draw: st.DrawFn, **wanted: object) -> tuple[Rows, dict[int, int]]:
-    rows = draw(models(**wanted))
-    return rows, {s: draw(st.sampled_from(actions)) for s, actions in offered(rows).items()}
-
-
-def choices(rows: Rows, policy: dict[int, int]) -> list[int]:
-    return [policy[s] for s in range(rows.n_states)]
 
 
 # ---- regret against rational arithmetic ------------------------------------------------------
 
 
 @settings(max_examples=80)
-@given(policies(discounts=(F(0), F(1, 2), F(9, 10), F(1))), st.booleans())
-def test_every_number_is_the_reference_s(
-    drawn: tuple[Rows, dict[int, int]], optimal_one: bool
-) -> None:
-    rows, policy = drawn
-    if optimal_one:
-        best = solve_exact(rows.n_states, rows.pairs, rows.discount)[1]
-        policy = {s: max(actions) for s, actions in enumerate(best)}
-    mdp = rows.model()
-    best, own, optimal = reference(rows, policy)
-    lost, scale = best[0] - own[0], float(max(1, *map(abs, best), *map(abs, own)))
-    audit = check(mdp, choices(rows, policy))
-    assert audit.claim is Claim.CERTIFIED
-    assert audit.regret.optimal == Certified(value=best[0])
-    assert audit.regret.learned == Certified(value=own[0])
-    assert audit.regret.at_start == Certified(value=lost)
+@given(models(discounts=(F(0), F(1, 2), F(9, 10), F(1))), st.data())
+def test_every_number_is_the_reference_s(rows: Rows, data: st.DataObject) -> None:
+    offered = {s: [a for t, a, *_ in rows.pairs if t == s] for s in range(rows.n_states)}
+    best, optimal = solve_exact(rows.n_states, rows.pairs, rows.discount)
+    right = {s: max(actions) for s, actions in enumerate(optimal)}
+    any_one = {s: st.sampled_from(actions) for s, actions in offered.items()}
+    policy = data.draw(st.just(right) | st.fixed_dictionaries(any_one))
+    own = evaluate_exact(rows.n_states, rows.pairs, rows.discount, policy)
+    coin = mixed(rows.pairs, {(s, a): F(1, len(offered[s])) for s, a, *_ in rows.pairs})
+    even = evaluate_exact(rows.n_states, coin, rows.discount, dict.fromkeys(offered, 0))
+    mdp, scale = rows.model(), float(max(1, *map(abs, best), *map(abs, own)))
+    for learned, value in (("random", even), ([policy[s] for s in range(rows.n_states)], own)):
+        audit, bounded = (check(mdp, learned, exact_values=exact) for exact in (None, False))
+        lost = best[0] - value[0]
+        assert (audit.claim, audit.passed) == (Claim.CERTIFIED, lost == 0)
+        for name, truth in (("optimal", best[0]), ("learned", value[0]), ("at_start", lost)):
+            assert getattr(audit.regret, name) == Certified(value=truth)
+            low, high = getattr(bounded.regret, name).interval
+            assert F(low) <= truth <= F(high)
+        # Bounds pass what they prove; ties that they cannot tell are left to rational arithmetic.
+        assert lost == 0 or not (bounded.passed or bounded.claim is Claim.CERTIFIED)
+        listed, wrong = ({each.state for each in x.disagreements} for x in (audit, bounded))
+        assert wrong <= listed
+        assert len(listed - wrong) <= bounded.unclear
+
+    if isinstance(bounded.regret.at_start, Bounded):
+        assert bounded.regret.at_start.error <= 1e-11 * scale
     by_state = [float(a - b) for a, b in zip(best, own, strict=True)]
     assert audit.regret.by_state.tolist() == by_state
-    assert audit.passed == (lost == 0)
+    assert bounded.regret.by_state == pytest.approx(by_state, abs=1e-9 * scale)
     for pair in range(mdp.n_pairs):
         taken = int(mdp.pair_action[pair]) in optimal[int(mdp.pair_state[pair])]
         assert audit.regret.optimal_pairs[pair] == taken
-    choosing = {s for s, actions in offered(rows).items() if len(actions) > 1} - absorbing(rows)
+    moving = {s for s, _, r, law in rows.pairs if r or set(law) != {s}}
+    choosing = {s for s, actions in offered.items() if len(actions) > 1} & moving
     wrong = {s for s in choosing if policy[s] not in optimal[s]}
     assert {each.state for each in audit.disagreements} == wrong
     assert audit.agreement == (1 - len(wrong) / len(choosing) if choosing else 1)
@@ -104,63 +84,24 @@ def test_every_number_is_the_reference_s(
         _, _, reward, row = next(pair for pair in rows.pairs if pair[:2] == (s, policy[s]))
         q = reward + rows.discount * sum(p * best[t] for t, p in row.items())
         assert each.gap == pytest.approx(float(best[s] - q), abs=1e-9 * scale)
-    # Bounds hold the exact regret; ties that they cannot tell are left to rational arithmetic.
-    bounded = check(mdp, choices(rows, policy), exact_values=False)
-    if bounded.claim is Claim.CERTIFIED or bounded.passed:  # they prove the policy optimal
-        assert lost == 0
-    for number, truth in (
-        (bounded.regret.optimal, best[0]),
-        (bounded.regret.learned, own[0]),
-        (bounded.regret.at_start, lost),
-    ):
-        assert F(number.interval[0]) <= truth <= F(number.interval[1])
-    if isinstance(bounded.regret.at_start, Bounded):
-        assert bounded.regret.at_start.error <= 1e-11 * scale
-    assert bounded.regret.by_state == pytest.approx(by_state, abs=1e-9 * scale)
-
-
-@settings(max_examples=30)
-@given(models(discounts=(F(1, 2), F(9, 10), F(1))))
-def test_a_mixed_policy_is_certified_and_bounded(rows: Rows) -> None:
-    mdp = rows.model()
-    best = solve_exact(rows.n_states, rows.pairs, rows.discount)[0]
-    mixed = []  # choosing among a state's actions at random, as one action
-    for s, actions in offered(rows).items():
-        share = F(1, len(actions))
-        own = [pair for pair in rows.pairs if pair[0] == s]
-        row: dict[int, F] = {}
-        for _, _, _, following in own:
-            for t, p in following.items():
-                row[t] = row.get(t, F(0)) + share * p
-        mixed.append((s, 0, share * sum(r for _, _, r, _ in own), row))
-    value = evaluate_exact(rows.n_states, mixed, rows.discount, dict.fromkeys(range(len(mixed)), 0))
-    audit = check(mdp, "random")
-    assert audit.regret.learned == Certified(value=value[0])
-    assert audit.regret.at_start == Certified(value=best[0] - value[0])
-    assert audit.passed == (best[0] == value[0])
-    low, high = check(mdp, "random", exact_values=False).regret.at_start.interval
-    assert F(low) <= best[0] - value[0] <= F(high)
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.proper and case.n_states <= 200])
 def test_published_policies_pass_and_wrong_ones_do_not(case: Case) -> None:
     mdp = model_of(case.n_states, case.pairs, case.discount, start=case.start)
     best, optimal = solve_exact(case.n_states, case.pairs, case.discount)
-    audit = check(mdp, [min(actions) for actions in optimal])
-    assert (audit.passed, audit.agreement, audit.disagreements) == (True, 1.0, ())
-    assert check(mdp, [max(actions) for actions in optimal]).passed
+    for choose in (min, max):
+        audit = check(mdp, [choose(actions) for actions in optimal])
+        assert (audit.passed, audit.agreement, audit.disagreements) == (True, 1.0, ())
     if len(case.wrong_policy) == case.n_states:
         wrong = [case.wrong_policy[s] for s in range(case.n_states)]
         own = evaluate_exact(case.n_states, case.pairs, case.discount, case.wrong_policy)
-        failed = check(mdp, wrong)
-        assert float(failed.regret.at_start.value) == pytest.approx(
-            float(best[case.start] - own[case.start]), abs=1e-9
-        )
-        assert failed.passed == (best[case.start] == own[case.start])
+        failed, lost = check(mdp, wrong), best[case.start] - own[case.start]
+        assert float(failed.regret.at_start.value) == pytest.approx(float(lost), abs=1e-9)
+        assert failed.passed == (lost == 0)
         for s, value in case.wrong_values.items():
-            assert failed.regret.learned_value[s] == pytest.approx(
-                float(value), abs=max(1e-11, case.tolerance)
-            )
+            wanted = pytest.approx(float(value), abs=max(1e-11, case.tolerance))
+            assert failed.regret.learned_value[s] == wanted
 
 
 def test_the_forest_policy_of_a_learner_s_test_is_rejected() -> None:
@@ -329,16 +270,18 @@ def test_the_error_of_a_table_that_waits_for_ever_is_that_of_where_it_waits() ->
     assert audit.q_error.visited == 3  # Q*(0, wait) = -1 + V*(0)
 
 
-@settings(max_examples=30)
+@settings(max_examples=60)
 @given(any_models(4), st.randoms(use_true_random=False))
 def test_policies_of_models_without_end_are_judged(pairs: Pairs, rng: Random) -> None:
-    """Infinite values and visits are priced without a warning; what is proven optimal passes."""
+    """Infinite values and visits are priced; what is proven optimal passes.
+
+    Where rewards cancel on a loop, or the optimum is infinite, no gap says where it is lost: the
+    states that are named pay for all of it.
+    """
     rows = [(s, 2 * a + 1, [(p, t, r) for t, p in law.items()]) for s, a, r, law in pairs[1]]
     try:
         mdp = MDP.from_outcomes(rows, sense=rng.choice(["max", "min"]))
         proof = certify(mdp)
-        chosen = [rng.choice(list(mdp.pairs_of(state))) for state in range(mdp.n_states)]
-        audit = check(mdp, mdp.pair_action[chosen])
     except ModelError:  # totals that swing have no optimum
         return
     if isinstance(proof.start_value, float):  # nothing is compared with an equal infinity
@@ -346,32 +289,17 @@ def test_policies_of_models_without_end_are_judged(pairs: Pairs, rng: Random) ->
             check(mdp, proof.policy)
     else:
         assert check(mdp, proof.policy).passed
-    assert audit.message()
-    assert len(audit.frame()) == len(audit.disagreements)
-
-
-def test_what_fails_without_end_names_its_states() -> None:
-    """Where rewards cancel on a loop, or the optimum is infinite, no gap says where it is lost."""
-    rng, failed = np.random.default_rng(7), 0
-    for _ in range(15):
-        states, actions = rng.integers(1, 4), int(rng.integers(2, 4))
-        rows: list[Any] = []
-        for state, action in product(range(states), range(actions)):
-            p = F(int(rng.integers(1, 4)), 3)
-            chances = ((p, rng.integers(states)), (1 - p, rng.integers(states)))
-            law = [(q, int(t), int(rng.integers(-1, 2))) for q, t in chances if q]
-            rows.append((state, action, law))
-        mdp = MDP.from_outcomes(rows)
-        for policy in product(range(actions), repeat=int(states)):
-            try:
-                audit = check(mdp, list(policy))
-            except ModelError:  # totals that swing, or are infinitely large for both
-                continue
-            lost = sum(each.cost for each in audit.disagreements)
-            assert audit.passed == (audit.value.value == 0)
-            assert lost == pytest.approx(float(audit.value.value))
-            failed += not audit.passed
-    assert failed > 30
+    for _ in range(4):
+        chosen = [rng.choice(list(mdp.pairs_of(state))) for state in range(mdp.n_states)]
+        try:
+            audit = check(mdp, mdp.pair_action[chosen])
+        except ModelError:
+            continue
+        assert audit.message()
+        assert len(audit.frame()) == len(audit.disagreements)
+        assert audit.passed == (audit.value.value == 0)
+        lost = sum(each.cost for each in audit.disagreements)
+        assert lost == pytest.approx(float(audit.value.value))
 
 
 def test_an_action_that_only_a_policy_without_gain_uses_for_ever_is_to_blame() -> None:
@@ -417,10 +345,6 @@ def test_an_audit_says_what_it_compares_and_what_is_lost() -> None:
     still = MDP.from_arrays([np.eye(2)] * 2, rewards, layout="ass")
     average = check(still, [0, 0], criterion="average")
     assert average.question == "read as a policy, reward per step, start state 0"
-    none = check(mdp, [0, 0], subject_to={"c": ">= 100"})
-    assert none.message().endswith("there is no optimum to compare with; learned 1")
-    assert "failed: no policy keeps c >= 100" in repr(none)
-    assert np.isnan([none.agreement, none.agreement_by_visits]).all()
     # For ever 1 in state 1, to which state 0 may go: what leaves them loses all.
     endless = MDP.from_outcomes(
         [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 2, 5)]), (1, 0, [(1, 1, 1)]), (1, 1, [(1, 2, 0)]),

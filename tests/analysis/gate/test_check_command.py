@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from fractions import Fraction as F
 from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree
@@ -9,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from care_oracle import Oracle, acting
-from cli_runner import launch, main, run
+from cli_runner import launch, run
 
 from exact_mdp import (
     MDP,
@@ -25,7 +26,6 @@ from exact_mdp import (
 SMALL = ("--set", "tasks=[2]", "--set", "max_trial=2")
 KEYS = {"passed", "regret", "relative_regret", "optimal_value", "learned_value", "agreement"}
 KEYS |= {"disagreements", "claim"}
-PER_STATE = {"state", "learned", "optimal", "gap", "expected_visits"}
 
 
 @pytest.fixture(scope="module")
@@ -39,51 +39,44 @@ def by_status(mdp: MDP) -> dict[str, str]:
     return {format(s, "04b"): mdp.actions[a] for s, a in enumerate(taken)}
 
 
-def spoiled(policy: dict[str, str], status: str) -> dict[str, str]:
-    return policy | {status: "none" if policy[status] != "none" else "supportive"}
-
-
 # ---- verdicts ----------------------------------------------------------------------------------
 
 
 def test_planted_policies_get_the_right_verdict(mdp: MDP, tmp_path: Path) -> None:
-    best = by_status(mdp)
-    files = {"right": best, "costly": spoiled(best, "0000")}
-    for name, policy in files.items():
-        Policy.of(mdp, policy).write(tmp_path / f"{name}.json")
-        Policy.of(mdp, policy).write(tmp_path / f"{name}.csv")
-        rows = np.array([mdp.actions.index(action) for action in policy.values()])
-        q = np.eye(4)[rows] * 3.5 - 1
-        np.save(tmp_path / f"{name}-status.npy", q)
-        np.savez(tmp_path / f"{name}-states.npz", q[mdp.space.values("status")])
+    right, first = by_status(mdp), "subtask 0, trial 0, status 0000"
+    costly = right | {"0000": "none" if right["0000"] != "none" else "supportive"}
     oracle = Oracle(tasks=[2], max_trial=2)
-    own = oracle.evaluate(acting(files["costly"]), distribution=False)["mean"]
+    own = oracle.evaluate(acting(costly), distribution=False)["mean"]
     lost = oracle.value(oracle.start) - own
     assert lost > 1
-    for ending in (".json", ".csv", "-status.npy", "-states.npz"):
-        done = run("check", "yuan2025", tmp_path / f"right{ending}", *SMALL, "--json")
-        assert (done.status, done.err) == (0, "")
-        result = done.result
-        assert result.keys() >= KEYS
-        assert (result["passed"], result["regret"], result["agreement"]) == (True, 0, 1)
-        assert (result["disagreements"], result["claim"]) == ([], "certified")
-        done = run("check", "yuan2025", tmp_path / f"costly{ending}", *SMALL, "--json")
-        assert (done.status, done.err) == (1, "")
-        result = done.result
-        assert result["passed"] is False
-        assert result["regret"] == pytest.approx(float(lost), abs=1e-9)
-        assert result["optimal_value"] - result["learned_value"] == pytest.approx(float(lost))
-        assert result["exact_regret"] == str(lost)
-        assert result["disagreements"][0].keys() >= PER_STATE
-        # Only trial 0 and the first trial of the next subtask can be in status 0000.
-        assert {each["columns"]["status"] for each in result["disagreements"]} == {"0000"}
-        visited = [each for each in result["disagreements"] if each["expected_visits"] > 0]
-        assert visited[0]["state"] == "subtask 0, trial 0, status 0000"
-        assert sum(each["cost"] for each in visited) == pytest.approx(float(lost), abs=1e-9)
-        assert result["regret_by_state"]["subtask 0, trial 0, status 0000"] == result["regret"]
+    for policy, passed, exact in ((right, True, F(0)), (costly, False, lost)):
+        q = np.eye(4)[[mdp.actions.index(action) for action in policy.values()]] * 3.5 - 1
+        files = [tmp_path / name for name in ("p.json", "p.csv", "q.npy", "q.npz")]
+        for path in files[:2]:
+            Policy.of(mdp, policy).write(path)
+        np.save(files[2], q)
+        np.savez(files[3], q[mdp.space.values("status")])
+        for path in files:
+            done = run("check", "yuan2025", path, *SMALL, "--json")
+            result = done.result
+            assert (done.status, done.err) == (1 - passed, "")
+            assert result.keys() >= KEYS
+            assert (result["passed"], result["claim"]) == (passed, "certified")
+            assert result["exact_regret"] == str(exact)
+            assert result["regret"] == pytest.approx(float(exact), abs=1e-9)
+            assert result["optimal_value"] - result["learned_value"] == pytest.approx(float(exact))
+            assert result["regret_by_state"][first] == result["regret"]
+            assert (result["agreement"] == 1) == passed
+            # Only trial 0 and the first trial of the next subtask can be in status 0000.
+            wrong = result["disagreements"]
+            statuses = {each["columns"]["status"] for each in wrong}
+            assert statuses == (set() if passed else {"0000"})
+            visited = [each for each in wrong if each["expected_visits"] > 0]
+            assert sum(each["cost"] for each in visited) == pytest.approx(float(exact), abs=1e-9)
+            assert [each["state"] for each in visited[:1]] == ([] if passed else [first])
 
 
-def test_reasons(mdp: MDP, tmp_path: Path) -> None:
+def test_reasons(tmp_path: Path) -> None:
     q = np.random.default_rng(0).normal(size=(16, 4))
     np.save(tmp_path / "q.npy", q)
     result = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json").result
@@ -186,86 +179,62 @@ def test_refuses(policy_gate):
 
 
 def test_fixture(mdp: MDP, tmp_path: Path) -> None:
-    inner = tmp_path / "inner"
+    inner, report = tmp_path / "inner", tmp_path / "report.xml"
     inner.mkdir()
     best = by_status(mdp)
     Policy.of(mdp, best).write(inner / "best.json")
-    rows = np.array([mdp.actions.index(action) for action in best.values()])
-    np.save(inner / "q.npy", np.eye(4)[rows])
+    np.save(inner / "q.npy", np.eye(4)[[mdp.actions.index(action) for action in best.values()]])
     (inner / "test_inner.py").write_text(TESTS)
     (tmp_path / "pytest.ini").write_text("[pytest]\n")
-    installed = any(
-        e.value == "exact_mdp.analysis.pytest_plugin" for e in entry_points(group="pytest11")
-    )
-    plugin = () if installed else ("-p", "exact_mdp.analysis.pytest_plugin")
-    report = tmp_path / "report.xml"
+    plugin = "exact_mdp.analysis.pytest_plugin"
+    installed = any(each.value == plugin for each in entry_points(group="pytest11"))
+    more = [] if installed else ["-p", plugin]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", *plugin, "--junitxml", report, "inner"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
+        [sys.executable, "-m", "pytest", "-q", *more, "--junitxml", report, "inner"],
+        cwd=tmp_path, capture_output=True, text=True,
+    )  # fmt: skip
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "4 passed" in done.stdout
-    assert "3 failed" in done.stdout
-    assert "failed: the share of runs within the limits is not at least 0.9" in done.stdout
-    assert "failed: the regret is not zero" in done.stdout
-    assert "gate/check.py" not in done.stdout  # the test's own line is shown, none of ours
-    assert "failed: the regret is not zero: it is" in done.stdout
-    assert "subtask 0, trial 0, status 0000: yours none, optimal non-directive" in done.stdout
-    assert "Traceback" not in done.stdout
-    cases = {
-        case.get("name"): case for case in ElementTree.parse(report).getroot().iter("testcase")
-    }
-    facts = {each.get("name"): each.get("value") for each in cases["test_fails"].iter("property")}
+    for words in (
+        "4 passed", "3 failed", "failed: the share of runs within the limits is not at least 0.9",
+        "failed: the regret is not zero: it is",
+        "subtask 0, trial 0, status 0000: yours none, optimal non-directive",
+    ):  # fmt: skip
+        assert words in done.stdout
+    for words in ("gate/check.py", "Traceback"):  # the test's own line is shown, none of ours
+        assert words not in done.stdout
+    (case,) = ElementTree.parse(report).getroot().findall(".//testcase[@name='test_fails']")
+    facts = {each.get("name"): each.get("value", "nan") for each in case.iter("property")}
     assert facts["claim"] == "certified"
-    assert float(facts["regret"] or "nan") > 1
-    assert float(facts["agreement"] or "nan") < 1
-
-
-def test_the_plugin_loads_nothing_heavy() -> None:
-    code = (
-        "import sys, exact_mdp.analysis.pytest_plugin; "
-        "heavy = {'numpy', 'scipy', 'exact_mdp.mdp.model', 'exact_mdp.solvers', 'click'}; "
-        "print(heavy & set(sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
+    assert float(facts["regret"]) > 1
+    assert float(facts["agreement"]) < 1
 
 
 # ---- reports of checks without a verdict -------------------------------------------------------
 
-REFUSED = {
-    "a policy that is not there": "check tea nowhere.csv --junit {}",
-    "a model that is not there": "check nowhere optimal --junit={}",
-    "a bad limit": "check tea optimal --max-regret often --junit {}",
-    "an unknown option": "check tea optimal --fast --junit {}",
-    "an unknown option at the end": "check tea optimal --junit {} --fast",
-    "no policy": "check tea --junit {}",
-}
+REFUSED = [
+    "check tea nowhere.csv --junit {}",
+    "check nowhere optimal --junit={}",
+    "check tea optimal --max-regret often --junit {}",
+    "check tea optimal --fast --junit {}",
+    "check tea optimal --junit {} --fast",
+    "check tea --junit {}",
+]
 
 
-def stale(tmp_path: Path) -> Path:
+@pytest.mark.parametrize("line", REFUSED)
+def test_bad_input_becomes_an_error_case(tmp_path: Path, line: str) -> None:
     path = tmp_path / "gate.xml"
     path.write_text("something else")
-    assert run("check", "tea", "optimal", "--junit", path).status == 0
-    root = ElementTree.parse(path).getroot()
-    assert [root.get(name) for name in ("tests", "failures", "errors")] == ["1", "0", "0"]
-    assert [root.find(f".//{name}") for name in ("failure", "error")] == [None, None]
-    return path
-
-
-@pytest.mark.parametrize("line", REFUSED.values(), ids=REFUSED.keys())
-def test_bad_input_becomes_an_error_case(tmp_path: Path, line: str) -> None:
-    path = stale(tmp_path)
-    done = run(*line.format(path).split())
-    assert (done.status, done.out) == (2, "")
-    root = ElementTree.parse(path).getroot()
-    assert (root.get("tests"), root.get("failures"), root.get("errors")) == ("1", "0", "1")
-    case = root.find("./testsuite/testcase/error")
-    assert case is not None
-    assert case.get("message") == done.err.partition("\n")[0]
-    assert str(case.text).strip() == done.err.strip()
+    for words, errors in (("check tea optimal --junit {}", 0), (line, 1)):
+        done = run(words.format(path))
+        root = ElementTree.parse(path).getroot()
+        counts = [root.get(name) for name in ("tests", "failures", "errors")]
+        assert (done.status, counts) == (2 * errors, ["1", "0", str(errors)])
+        cases = root.findall("./testsuite/testcase/error")
+        assert (len(cases), root.find(".//failure")) == (errors, None)
+    assert done.out == ""
+    assert cases[0].get("message") == done.err.partition("\n")[0]
+    assert str(cases[0].text).strip() == done.err.strip()
 
 
 def test_help_and_refused_names_of_reports_write_nothing(tmp_path: Path) -> None:
@@ -293,25 +262,17 @@ def test_training_as_the_paper_does_ends_within_six_per_cent(care: MDP, seed: in
 
 
 def test_rates_that_fall_with_visits_end_within_one_per_cent_but_for_one_seed(care: MDP) -> None:
-    passed = {
-        seed: check(care, BY_VISITS.train(care, seed).q, max_regret=1.4).passed
-        for seed in range(12)
-    }
-    assert [seed for seed, within in passed.items() if not within] == [0]  # it loses 4.54
+    audits = [check(care, BY_VISITS.train(care, seed).q, max_regret=1.4) for seed in range(12)]
+    assert [seed for seed, audit in enumerate(audits) if not audit.passed] == [0]  # it loses 4.54
 
 
-def test_a_broken_policy_is_refused(
-    care: MDP, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    q = BY_VISITS.train(care, 3).q.copy()
-    np.save(tmp_path / "learned.npy", q)
-    words = ["check", "yuan2025", str(tmp_path / "learned.npy"), "--max-regret", "1.4"]
-    assert main(words) == 0
-    q[0b0001, 0] = q.max() + 1  # leaves a disengaged person alone
-    np.save(tmp_path / "learned.npy", q)
-    assert main(words) == 1
-    assert "status 0001" in capsys.readouterr().out
-    audit = check(care, q, max_regret=1.4)
-    assert not audit.passed
-    worst = [care.space.label(each.state) for each in audit.disagreements[:3]]
-    assert all("status 0001" in label for label in worst)
+def test_a_broken_policy_is_refused(care: MDP, tmp_path: Path) -> None:
+    q, path = BY_VISITS.train(care, 3).q.copy(), tmp_path / "learned.npy"
+    for status in (0, 1):
+        np.save(path, q)
+        done = run("check", "yuan2025", path, "--max-regret", "1.4")
+        assert done.status == status
+        q[0b0001, 0] = q.max() + 1  # leaves a disengaged person alone
+    assert "status 0001" in done.out
+    worst = check(care, q, max_regret=1.4).disagreements[:3]
+    assert all("status 0001" in each.label for each in worst)

@@ -14,7 +14,6 @@ from strategies import tables
 from exact_mdp import (
     MDP,
     Column,
-    ModelError,
     Policy,
     Scenario,
     StateSpace,
@@ -128,27 +127,20 @@ def test_rows_of_a_policy_that_gain_by_a_change() -> None:
         assert each["gain"] == pytest.approx(float(gain), abs=1e-9)
 
 
+def test_a_policy_that_reads_more_may_take_what_others_do_not_offer() -> None:
+    rows = [(s, 2 * s + a, [(1, s + 1, 0)]) for s in (0, 1) for a in (0, 1)]
+    space = StateSpace(
+        columns=(Column(name="time", size=2), Column(name="row", size=1)), extra=("end",)
+    )
+    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]).with_(space=space)
+    assert best_policy(mdp, ("time", "row")).proven
+
+
 def test_a_start_policy_is_never_lost() -> None:
     mdp = TEMPTING.compile()
     good = best_policy(mdp).policy
     cut = best_policy(mdp, start=good, node_limit=1)
     assert cut.value.value == pytest.approx(best_policy(mdp).value.value, abs=1e-9)
-
-
-def test_rows_that_share_no_action_are_refused() -> None:
-    rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 2, [(1, 2, 0)]), (1, 3, [(1, 2, 0)]),
-            (2, 0, [(1, 2, 0)])]  # fmt: skip
-    space = StateSpace(
-        columns=(Column(name="time", size=2), Column(name="row", size=1)), extra=("end",)
-    )
-    mdp = MDP.from_outcomes(rows).with_(space=space)
-    with pytest.raises(ModelError, match="no action is available in all"):
-        best_policy(mdp, ("row",))
-    assert best_policy(mdp, ("time", "row")).proven
-    with pytest.raises(ModelError, match="unknown state column"):
-        best_policy(mdp, ("rows",))
-    with pytest.raises(ModelError, match="node_limit"):
-        best_policy(mdp, ("time",), node_limit=0)
 
 
 STEPS = 5

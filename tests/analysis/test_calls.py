@@ -1,0 +1,216 @@
+"""What strangers call is taken where it can mean one thing; what is advised can be done."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from fractions import Fraction as F
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_runner import run
+
+from exact_mdp import (
+    MDP,
+    Constant,
+    Family,
+    ModelError,
+    OffPolicy,
+    Policy,
+    QLearning,
+    Scenario,
+    assert_policy_optimal,
+    check,
+    load,
+    rationalize,
+)
+
+STATES = ["a", "b"]
+SLOW, FAST = [["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]
+REWARDS = [[1, "3/2"], [0, 0]]
+MODEL = MDP.from_arrays({"slow": SLOW, "fast": FAST}, REWARDS, "9/10", states=STATES)
+GRID = MDP.from_function(
+    (0, 0),
+    lambda s: ["right", "down"] if max(s) < 2 else [],
+    lambda s, a: [(1, (s[0] + (a == "down"), s[1] + (a == "right")), -1)],
+)
+
+
+def table(rows: list[list[float]], index: list[str], columns: list[str]) -> pd.DataFrame:
+    return pd.DataFrame(rows, index=index, columns=columns)
+
+
+VALUES = {("a", "slow"): 1, ("a", "fast"): 2, ("b", "slow"): 0, ("b", "fast"): 1}
+BY_NAME = {
+    "slow": table([[0.5, 0.5], [0, 1]], STATES, STATES),
+    "fast": table([[1, 0], [1, 0]], ["b", "a"], ["b", "a"]),
+}
+SHARES = np.array([0.1, 0.2, 0.7], dtype=np.float32)
+THREE = MDP.from_arrays([np.eye(3)], [1, 2, 3], "1/2")
+FAMILY: dict[str, Any] = {
+    "parameters": {"p": "1/2"},
+    "build": lambda at: MDP.from_arrays([[[at["p"], 1 - at["p"]], [0, 1]]], [1, 0]),
+}
+
+
+def rows(mdp: MDP) -> list[Any]:
+    return [mdp.table.row(pair) for pair in range(mdp.n_pairs)]
+
+
+def test_taken() -> None:
+    assert QLearning(exploration=0.2).exploration == Constant(0.2)
+    assert QLearning(rate="1/4").rate == Constant(0.25)
+    assert QLearning(epochs=np.int64(7)).epochs == 7
+    assert Family(**FAMILY, degrees={"p": np.int64(1)}).degree("p") == 1
+    breaks = Family(**FAMILY, breaks={"p": np.array([0.25, 0.5])})
+    assert breaks.breakpoints("p") == (F(1, 4), F(1, 2))
+    assert THREE.with_(labels={"goal": [2, 0]}).labels["goal"].tolist() == [True, False, True]
+    assert check("yuan2025", "optimal").value == check(Scenario.load("yuan2025"), "optimal").value
+    assert MODEL.pair(("a", "fast")) == 1
+    assert MODEL.with_(states=["x", "y"]).space.label(1) == "state y"
+    assert rows(MDP.from_arrays(BY_NAME, REWARDS)) == rows(MODEL)
+    assert rows(MDP.from_arrays({"slow": pd.DataFrame([[0.5, 0.5], [0, 1]])}, [1, 0], "9/10")) == [
+        rows(MDP.from_arrays([SLOW], [1, 0]))[k] for k in range(2)
+    ]
+    turned = MDP.from_arrays(BY_NAME, REWARDS, states=["b", "a"])
+    assert turned.P("fast").toarray().tolist() == [[1, 0], [1, 0]]
+    assert MDP.from_arrays(BY_NAME, {"b": 5, "a": 2}).reward.tolist() == [2, 2, 5, 5]
+    nested = {"b": {"slow": 5, "fast": 6}, "a": {"fast": 2, "slow": 1}}
+    assert MDP.from_arrays(BY_NAME, nested).reward.tolist() == [1, 2, 5, 6]
+    gains = table([[6, 5], [2, 1]], ["b", "a"], ["fast", "slow"])
+    priced = MDP.from_arrays(BY_NAME, gains, components={"cost": gains})
+    assert priced.reward.tolist() == priced.components[:, 0].tolist() == [1, 2, 5, 6]
+    shares = [F(share) for share in SHARES.tolist()]
+    assert THREE.with_(start=SHARES).start == tuple(enumerate(s / sum(shares) for s in shares))
+    assert Policy.of(MODEL, VALUES).tolist() == [1, 1]
+    assert Policy.of(MODEL, {(0, 0): 3, (0, 1): 2, (1, 0): 0, (1, 1): 0}).tolist() == [0, 0]
+    assert Policy.of(MODEL, defaultdict(float, {(0, 1): 3.0})).tolist() == [1, 0]
+    late = MODEL.within(3)
+    assert Policy.of(late, VALUES).tolist() == Policy.of(late, [[1, 2], [0, 1]]).tolist()
+    even = Policy.of(MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}, kind="policy")
+    assert even.weights(MODEL)[:2].tolist() == [0.5, 0.5]
+    by_place = {(0, 0): "down", (0, 1): "down", (1, 0): "right", (1, 1): "down"}
+    assert Policy.of(GRID, by_place).weights(GRID).sum() == float(GRID.n_states)
+
+
+def test_a_table_by_state_and_action_is_never_one_by_row_and_column() -> None:
+    gymnasium = pytest.importorskip("gymnasium")
+    lake = MDP.from_gymnasium("FrozenLake-v1", is_slippery=False)
+    assert lake.n_transitions < MDP.from_gymnasium("FrozenLake-v1").n_transitions
+    values = np.random.default_rng(0).integers(0, 4, (16, 4))
+    by_pair = {(s, a): values[s, a] for s, a in product(range(16), range(4))}
+    wanted = Policy.of(lake, values, kind="q").tolist()
+    assert Policy.of(lake, by_pair).tolist() == wanted
+    named = {(s, lake.actions[a]): x for (s, a), x in by_pair.items()}
+    assert Policy.of(lake, named).tolist() == wanted
+    by_place = {(row, column): (row + column) % 4 for row in range(4) for column in range(4)}
+    assert Policy.of(lake, by_place).tolist() == list(by_place.values())
+    lakes: Any = ("gymnasium:FrozenLake-v1", gymnasium.make("FrozenLake-v1"))
+    named, made = (check(each, values, kind="q").value for each in lakes)
+    assert named == made == check(MDP.from_gymnasium("FrozenLake-v1"), values, kind="q").value
+    with pytest.raises(ModelError, match="there is no option is_slippery="):
+        MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, is_slippery=False)
+
+
+# ---- limits that no policy keeps -----------------------------------------------------------------
+
+
+def test_no_optimum_is_shown_that_ignores_a_limit(tmp_path: Path) -> None:
+    limit = {"steps": "<= 1/2"}
+    audit = check(MODEL, [0, 0], subject_to=limit)
+    assert not audit.passed
+    assert not audit.feasible
+    assert audit.disagreements == ()
+    unknown = [float(audit.value.value), audit.agreement, audit.agreement_by_visits]
+    assert np.isnan([*unknown, *audit.regret.by_state]).all()
+    assert audit.message().endswith("there is no optimum to compare with; learned 1.818181818")
+    for text in (repr(audit), str(audit), audit.message()):
+        assert "keep" in text
+        assert "optimal" not in text
+    assert repr(audit).endswith("failed: no policy keeps steps <= 1/2)")
+    with pytest.raises(AssertionError, match="none does"):
+        assert_policy_optimal(MODEL, [0, 0], subject_to=limit)
+    MODEL.save(tmp_path / "model.npz")
+    assert load(tmp_path / "model.npz").space == MODEL.space
+    words = ["check", tmp_path / "model.npz", "always:slow", "--subject-to", "steps <= 1/2"]
+    result = run(*words, "--json").result
+    assert result["learned_value"] == float(audit.regret.learned.value)
+    for name in ("optimal_value", "regret", "exact_regret", "relative_regret", "agreement"):
+        assert result[name] is None
+    assert "optimal" not in run(*words).out
+
+
+# ---- exact numbers -------------------------------------------------------------------------------
+
+
+def test_exact_numbers_have_an_exact_least_change() -> None:
+    """5 is 6.1 - 1.1: the parts of an exact reward are the decimals that add up to it."""
+    outcomes = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+    for gain, effort in (
+        (["6.1", 3, 0], ["-1.1", 0, 0]),
+        ([6.1, 3, 0], [-1.1, 0, 0]),
+        (np.array([6.1, 3, 0]), np.array([-1.1, 0, 0])),
+    ):
+        mdp = MDP.from_outcomes(outcomes, components={"gain": gain, "effort": effort})
+        assert rationalize(mdp, [1, 0]).change == F(10, 21)
+
+
+# ---- what is infinite ----------------------------------------------------------------------------
+
+
+def endless(sense: str, earned: int) -> MDP:
+    return MDP.from_outcomes(
+        [
+            (0, 0, [("1/2", 0, earned), ("1/2", 1, earned)]),
+            (0, 1, [("1/2", 2, 1), ("1/2", 1, 1)]),
+            (1, 0, [(1, 1, earned)]),
+            (2, 0, [(1, 2, 0)]),
+        ],
+        sense=sense,
+        labels={"goal": np.array([False, False, True])},
+    )
+
+
+@pytest.mark.parametrize("sense, earned", [("max", 1), ("max", -1), ("min", 1), ("min", -1)])
+def test_what_is_advised_can_be_done(tmp_path: Path, sense: str, earned: int) -> None:
+    """Where a total is infinite, each option that a message names is taken, and helps."""
+    endless(sense, earned).save(tmp_path / "model.npz")
+    seen = 0
+    for command, until, steps in product(
+        (["solve"], ["check", "random"]), ([], ["--until", "goal"]), ([], ["--horizon", "3"])
+    ):
+        words = [command[0], tmp_path / "model.npz", *command[1:]]
+        done = run(*words, *until, *steps)
+        text = " ".join((done.out + done.err).split())
+        advised = re.findall(r"--(discount 0\.95|horizon N|criterion average|reach LABEL)", text)
+        if not advised:
+            assert "infinit" not in text
+        for option in advised:
+            seen += 1
+            name, _, value = option.partition(" ")
+            value = {"N": "3", "LABEL": "goal"}.get(value, value)
+            question = [] if name == "reach" else until
+            again = run(*words, *question, *steps, f"--{name}", value)
+            assert again.status in (0, 1), again.err
+            assert "infinite" not in again.out
+    assert seen
+
+
+def test_costs_have_no_sign_of_rewards(tmp_path: Path) -> None:
+    """The sign of what is infinite is not told of the negation that is computed with."""
+    for sense in ("max", "min"):
+        with pytest.raises(ModelError, match="both infinite") as caught:
+            check(endless(sense, 1).until("goal"), [0, 0, 0])
+        assert "∞" not in str(caught.value)
+    frame = pd.DataFrame(
+        [(1, "x", "go", 1, "y"), (1, "y", "go", 1, "z"), (1, "z", "go", 1, None)],
+        columns=["episode", "state", "action", "reward", "next_state"],
+    )
+    mdp = MDP.from_transitions(frame, sense="min")
+    by = OffPolicy(records=frame, rewards=(0, 3), returns=(0.5, 2.5))
+    with pytest.raises(ModelError, match="returns from 3 to 3 were recorded"):
+        check(mdp, "optimal", confidence=0.9, by=by)
