@@ -119,6 +119,7 @@ def loaded(code: str) -> set[str]:
         ("from exact_mdp import MDP, Scenario, solve, evaluate, certify", {"flint", "tqdm"}),
         ("import exact_mdp.analysis.cli", {"click"}),
         ("import exact_mdp.analysis.pytest_plugin", set()),
+        ("from exact_mdp.analysis.cli import main; main(['solve', '--help'])", {"click"}),
         ("import exact_mdp.paper_repro.__main__", {"click"}),
     ],
 )

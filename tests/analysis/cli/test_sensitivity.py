@@ -117,7 +117,6 @@ def test_command_tornado_and_threshold(tmp_path: Path) -> None:
     (bar,) = result["bars"]
     assert (bar["low"], bar["high"]) == (-10, 0)
     assert bar["value_low"] < result["start_value"] < bar["value_high"]
-    assert "reward.assist.non-directive" in run(f"tornado {SET} --range", file).out
     result = run(f"threshold {SET} --json --range", file).result
     assert result["switches"]
     for switch in result["switches"]:

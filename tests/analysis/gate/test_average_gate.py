@@ -29,13 +29,6 @@ def test_the_regret_is_exact_and_has_its_price_in_each_state(rows: Rows, rng: Ra
     assert audit.passed is (wanted == 0)
     priced = sum(each.cost for each in audit.disagreements)
     assert priced == pytest.approx(float(wanted), rel=1e-9, abs=1e-9 * float(1 + abs(wanted)))
-    costs = MDP.from_outcomes(
-        [(s, a, [(p, t, -r) for t, p in following.items()]) for s, a, r, following in rows.pairs],
-        sense="min",
-    )
-    other = check(costs, policy, criterion="average")
-    assert (other.value, other.passed) == (audit.value, audit.passed)
-    assert other.regret.optimal.value == -audit.regret.optimal.value
     loose = check(rows.model(), policy, criterion="average", exact_values=False, max_regret=10**12)
     assert loose.value.interval[0] <= wanted <= loose.value.interval[1]
     assert loose.passed

@@ -61,7 +61,7 @@ def test_the_care_model_under_half_a_point_of_anger() -> None:
 def test_the_command_says_what_is_kept(tmp_path: Path) -> None:
     small = ("yuan2025", "--set", "tasks=[1]", "--set", "max_trial=2")
     asked = ("--subject-to", "anger >= -1/10", "--subject-to", "steps <= 40")
-    written = tmp_path / "p.csv"
+    written, page, junit = (tmp_path / name for name in ("p.csv", "p.html", "j.xml"))
     run("solve", *small, *asked, "--policy-out", written)
     good = run("check", *small[:1], written, *small[1:], *asked, "--json")
     assert (good.status, good.result["passed"], good.result["kept"]) == (0, True, [True, True])
@@ -69,18 +69,15 @@ def test_the_command_says_what_is_kept(tmp_path: Path) -> None:
     assert good.result["totals"]["anger"] == "-1/10"
     assert F(good.result["prices"]["anger"]) > 0
     assert good.result["exact_regret"] == good.result["room"] == "0"
-    page, junit = tmp_path / "p.html", tmp_path / "j.xml"
     words = ("check", "yuan2025", "always:directive", *small[1:], *asked, "--html", page)
     bad = run(*words, "--junit", junit, "--markdown")
     assert bad.status == 1
     assert "| anger \\>= -1/10 |" in bad.out
     assert "against the best policy that keeps the limits" in bad.out
     assert "the policy is not within the limit anger" in page.read_text()
-    cases = ElementTree.parse(junit).findall(".//testcase")
-    assert len(cases[0]) == 1
+    assert len(ElementTree.parse(junit).findall(".//testcase")[0]) == 1
     none = run("check", "yuan2025", "optimal", "--subject-to", "anger >= 1/2", "--json")
-    assert (none.status, none.result["feasible"], none.result["closest"]) == (
-        1, False, {"anger": "0"},
-    )  # fmt: skip
+    closest = (none.status, none.result["feasible"], none.result["closest"])
+    assert closest == (1, False, {"anger": "0"})
     assert none.result["checks"][1]["text"].endswith("can be kept: anger >= 0")
     assert run("check", "yuan2025", "optimal", "--json").result["limits"] is None

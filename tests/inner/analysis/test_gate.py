@@ -1,4 +1,4 @@
-"""Parts of an audit: bounds that leave it open, exact visits, words of a verdict."""
+"""Parts of an audit that floats do not reach: errors as great as allowed, what is left open."""
 
 from dataclasses import replace
 from fractions import Fraction as F
@@ -10,7 +10,6 @@ import pytest
 from exact_mdp import MDP, Claim, SolverError, assert_policy_optimal, check, evaluate
 from exact_mdp.analysis.gate import disagreements
 from exact_mdp.analysis.gate import regret as regret_module
-from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.forgiveness import per_use, widest
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
@@ -71,23 +70,6 @@ def test_what_bounds_leave_open_goes_to_rational_arithmetic(
     audit = check(worse, learned)
     assert (audit.passed, audit.undecided) == (False, True)
     assert "exact_values=True" in audit.message()
-
-
-@pytest.mark.parametrize("discount", [1, "9/10"])
-def test_exact_visits_are_those_of_floating_point_where_it_can(discount: Any) -> None:
-    """Two ways agree, with a cycle, a spread start, and states that are not reached."""
-    rows = [
-        (0, 0, [("1/3", 1, 0), ("2/3", 2, 0)]),
-        (0, 1, [(1, 2, 0)]),
-        (1, 0, [("1/2", 0, 0), ("1/2", 3, 0)]),
-        (2, 0, [("1/4", 0, 0), ("3/4", 3, 0)]),
-        (3, 0, [(1, 3, 0)]),
-        (4, 0, [(1, 0, 0)]),
-    ]
-    chain = PolicyChain.of(MDP.from_outcomes(rows, discount, start={0: "1/2", 2: "1/2"}), "random")
-    near, exact = chain.discounted.visits.value, exact_visits(chain)
-    assert exact.floats().tolist() == pytest.approx(near.tolist(), rel=1e-12)
-    assert exact.top[4] == 0
 
 
 def test_no_pair_is_moved_by_more_than_the_quick_bound_says() -> None:

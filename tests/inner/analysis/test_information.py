@@ -7,7 +7,7 @@ from random import Random
 
 import numpy as np
 import pytest
-from scipy.stats import binom, binomtest
+from scipy.stats import binom
 
 from exact_mdp import MDP, ModelError, Scenario, certify, psa, solve
 from exact_mdp.analysis.vary.distributions import row_family, uncertainty
@@ -121,12 +121,6 @@ def test_the_interval_of_a_mean_that_few_draws_carry_covers_more_often_than_the_
     assert np.allclose(even.interval, 1.5, atol=0.02)
     assert not even.few
     assert mean_loss(np.zeros(9)).interval == (0.0, 0.0)
-
-
-@pytest.mark.parametrize(("hits", "count"), [(0, 10), (3, 10), (10, 10), (997, 1000)])
-def test_intervals_of_shares_are_those_of_another_library(hits: int, count: int) -> None:
-    theirs = binomtest(hits, count).proportion_ci(method="wilson")
-    assert wilson(hits, count) == pytest.approx((theirs.low, theirs.high), abs=1e-12)
 
 
 def test_intervals_of_quantiles_end_at_order_statistics_that_cover() -> None:
