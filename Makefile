@@ -40,9 +40,9 @@ test-slow: ## the tests that take long, and every property on examples never see
 	EXPLORE=1 $(call TESTS,$(VENV)) -m "(slow or hypothesis) and not bench"
 test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versions, in .venv-lowest
 	$(call TESTS,$(LOWEST)) -k "not compiled_draws" $(addprefix tests/,mdp solvers/exact solvers/values inner/mdp \
-	    solvers/test_solvers.py analysis/cli/test_commands.py analysis/cli/test_train.py project/test_house.py \
+	    solvers/test_published.py solvers/test_solvers.py analysis/cli/test_commands.py analysis/cli/test_train.py project/test_house.py \
 	    analysis/gate/test_check_command.py analysis/sensitivity/test_sobol.py analysis/sensitivity/test_psa.py solvers/test_laws.py \
-	    $(patsubst %,inner/solvers/test_%.py,equations parallel robust))
+	    $(patsubst %,inner/solvers/test_%.py,parallel robust))
 lint: ## ruff's checks, its formatting among them
 	$(PY) -m ruff check . && $(PY) -m ruff format --check .
 format: ## rewrite the files as ruff formats them

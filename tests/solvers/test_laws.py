@@ -6,8 +6,7 @@ for the optimum. What is right says the oracle: no policy has more, in rational 
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from fractions import Fraction as F
 from itertools import chain, product
 from math import inf, prod
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import errors_of, holds, near, quietly, within
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from made_models import in_copies
@@ -30,11 +30,13 @@ from oracle import (
     solve_exact,
     total,
 )
-from strategies import Pairs, Row, Rows, any_models, model_of, models
+from strategies import Pairs, Row, Rows, any_models, exact_gains, model_of, models
 
 from exact_mdp import (
     MDP,
     SOLVERS,
+    BackwardInduction,
+    Certificate,
     GaussSeidel,
     Intervals,
     LinearProgram,
@@ -45,7 +47,6 @@ from exact_mdp import (
     Status,
     ValueIteration,
     certify,
-    check,
     evaluate,
     solve,
     solve_robust,
@@ -118,7 +119,14 @@ def copied(rows: Rows, value: Values) -> tuple[MDP, Values]:
     return model_of(2 * n, pairs, rows.discount), [*value, *value]
 
 
-VIEWS: list[View] = [as_drawn, renumbered, scaled, costs, shaped, leaking, copied]
+def spread(rows: Rows, value: Values) -> tuple[MDP, Values]:
+    """A start that is drawn among all states, the last one most often."""
+    n = rows.n_states
+    weights = {s: F(2 * s + 1, n * n) for s in range(n)}
+    return rows.model().with_(start=weights), value
+
+
+VIEWS: list[View] = [as_drawn, renumbered, scaled, costs, shaped, leaking, copied, spread]
 views = st.sampled_from(VIEWS)
 
 
@@ -130,47 +138,62 @@ DOORS: dict[str, Callable[[MDP], Any]] = {
     **{name: lambda mdp, name=name: solve(mdp, name) for name in SOLVERS},
     "value-iteration": lambda mdp: solve(mdp, ValueIteration(max_iterations=MOST)),
     "gauss-seidel": lambda mdp: solve(mdp, GaussSeidel(max_iterations=MOST)),
-    "clarabel": lambda mdp: solve(mdp, LinearProgram(solver="CLARABEL")),
-    "highs": lambda mdp: solve(mdp, LinearProgram(solver="HIGHS")),
+    # the solvers themselves
+    "clarabel": lambda mdp: LinearProgram(solver="CLARABEL").solve(mdp),
+    "highs": lambda mdp: LinearProgram(solver="HIGHS").solve(mdp),
+    "policies": lambda mdp: PolicyIteration().solve(mdp),
+    "backwards": lambda mdp: BackwardInduction().solve(mdp),
     "certify": certify,
     "bounded": lambda mdp: certify(mdp, bounded=True),
     "robust": lambda mdp: solve_robust(mdp, Intervals.relative(mdp, 0)),
     "evaluate": lambda mdp: evaluate(mdp, "optimal"),
 }
-DIRECT = ("backward-induction", "policy-iteration", "clarabel", "highs", "certify")
+BACKWARD = ("backward-induction", "backwards")
+DIRECT = (*BACKWARD, "policy-iteration", "policies", "clarabel", "highs", "certify", "bounded")
 
 
 def asked(door: str, mdp: MDP) -> Any:
     """The answer; that of a run that was stopped; None where the door is not for the model."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return DOORS[door](mdp)
+        return quietly(DOORS[door], mdp)
     except SolverError as error:
         if door in ("value-iteration", "gauss-seidel") and error.status is Status.ITERATION_LIMIT:
             return error.solution
         raise
     except ModelError:
-        if door == "backward-induction" and not is_acyclic(mdp):
+        if door in BACKWARD and not is_acyclic(mdp):
             return None
         raise
-
-
-def errors_of(answer: Any) -> Iterable[F]:
-    if answer.claim == "certified":
-        return [F(0)] * len(answer.value)
-    error = answer.error if hasattr(answer, "error") else answer.error_bound
-    return map(F, np.broadcast_to(error, len(answer.value)).tolist())
 
 
 def taken(mdp: MDP, answer: Any) -> list[int]:
     return [mdp.pair(s, int(a)) for s, a in enumerate(answer.policy)]
 
 
-def holds(answer: Any, exact: Iterable[Any]) -> None:
-    """Infinite values are said, and the others are no further away than their errors."""
-    for right, value, error in zip(exact, answer.value, errors_of(answer), strict=True):
-        assert value == right or abs(F(value) - right) <= error
+def at_start(mdp: MDP, value: Values) -> F:
+    return sum((weight * value[s] for s, weight in mdp.start), F(0))
+
+
+def proven(proof: Certificate, mdp: MDP) -> None:
+    """Everything that a certificate claims, computed anew from the model's own rational table."""
+    assert proof.violations() == []
+    value, sign = list(proof.value), -1 if mdp.sense == "max" else 1
+    gaps = [sign * gain for gain in exact_gains(mdp, value)]
+    best = [[a for a in mdp.pairs_of(s) if not gaps[a]] for s in range(mdp.n_states)]
+    for s, over in enumerate(mdp.terminal.tolist()):
+        losses = [0 if over else gaps[a] for a in mdp.pairs_of(s)]
+        assert min(losses) == 0
+        assert proof.optimal_pairs[list(mdp.pairs_of(s))].tolist() == [x == 0 for x in losses]
+        assert proof.gaps[s] == min((x for x in losses if x), default=None)
+        assert over or mdp.pair(s, int(proof.policy[s])) == best[s][0]
+    todo = [s for s, weight in mdp.start if weight]
+    reached = set(todo)
+    while todo:
+        new = {t for a in best[todo.pop()] for _, t, _ in mdp.table.row(a)} - reached
+        reached |= new
+        todo += new
+    assert proof.unique == all(len(best[s]) == 1 for s in reached if not mdp.terminal[s])
+    assert proof.value_float.tolist() == [float(x) for x in value]
 
 
 @pytest.mark.parametrize("door", DOORS)
@@ -181,14 +204,14 @@ def test_the_optimum_lies_within_the_bounds(door: str, rows: Rows, view: View) -
     if answer is None:
         return
     holds(answer, exact)
-    best = sum((weight * exact[s] for s, weight in mdp.start), F(0))
+    best = at_start(mdp, exact)
     if door == "certify":
-        assert answer.violations() == []
         assert answer.start_value == best
-    elif door != "bounded":
-        assert abs(F(answer.start_value) - best) <= F(answer.start.error)
+        proven(answer, mdp)
     else:
-        assert answer.violations() == []
+        assert within(answer.start, best)
+    if run := getattr(answer, "program", None):
+        assert F(run.lower) <= best <= F(run.upper)
     if door != "evaluate":
         over = set(np.flatnonzero(mdp.terminal).tolist())
         own = policy_values(rows_of(mdp, taken(mdp, answer)), mdp.discount_exact, over)
@@ -196,6 +219,11 @@ def test_the_optimum_lies_within_the_bounds(door: str, rows: Rows, view: View) -
         if hasattr(answer, "regret_bound"):
             lost = max(abs(v - x) for v, x in zip(exact, own, strict=True))
             assert lost <= F(answer.regret_bound)
+    if door == "bounded":
+        assert answer.violations() == []
+        ends = (own, exact) if mdp.sense == "max" else (exact, own)
+        between = zip(answer.lower, *ends, answer.upper, strict=True)
+        assert all(F(low) <= least <= most <= F(high) for low, least, most, high in between)
     if door in DIRECT:
         size = max(map(abs, exact)) + max((abs(r) for _, _, r, _ in rows_of(mdp)), default=F(0))
         assert (
@@ -214,27 +242,11 @@ def test_bounds_hold_around_any_values(kind: Any, rows: Rows, view: View, data: 
     start = data.draw(st.lists(NUMBERS, min_size=mdp.n_states, max_size=mdp.n_states))
     solver = kind(max_iterations=data.draw(st.integers(1, 3)), start=np.array(start))
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            solution = solver.solve(mdp)
+        solution = quietly(solver.solve, mdp)
     except SolverError as error:
         solution = error.solution
     if solution is not None:
         holds(solution, exact)
-
-
-STARTS: dict[str, Callable[[MDP], Any]] = {
-    "under limits": lambda mdp: solve(mdp, subject_to={"steps": ">= 0"}).start_value,
-    "the gate": lambda mdp: check(mdp, "optimal").regret.optimal.value,
-}
-
-
-@pytest.mark.parametrize("door", STARTS)
-@settings(max_examples=40)
-@given(rows=models(), view=views)
-def test_the_start_has_one_value_at_every_exact_door(door: str, rows: Rows, view: View) -> None:
-    mdp, exact = view(rows, solve_exact(rows.n_states, rows.pairs, rows.discount)[0])
-    assert STARTS[door](mdp) == exact[mdp.start[0][0]]
 
 
 # ---- horizons ------------------------------------------------------------------------------------
@@ -261,9 +273,8 @@ def test_a_horizon_is_a_recursion(door: str, rows: Rows, view: View, steps: int,
                           for each in rows_by_state(mdp)])  # fmt: skip
     unrolled = mdp.within(steps, terminal_value=last if any(last) else None)
     answer, n = asked(door, unrolled), mdp.n_states
-    times = zip(answer.value[: n * steps], errors_of(answer), strict=False)
-    for (value, error), right in zip(times, chain(*values[:-1]), strict=True):
-        assert abs(F(value) - right) <= error
+    last_time = n * steps
+    near(answer.value[:last_time], errors_of(answer)[:last_time], chain(*values[:-1]))
 
 
 # ---- totals and averages without end -------------------------------------------------------------
@@ -328,32 +339,60 @@ def test_averages_are_the_best_of_all_policies(door: str, rows: Rows, view: View
         assert answer.violations() == []
         assert answer.bias.tolist() == view(rows, list(bias))[1] == list(ahead)
     else:
-        for value, error, right in zip(answer.bias, answer.bias_error, ahead, strict=True):
-            assert abs(F(value) - right) <= F(error)
+        near(answer.bias, answer.bias_error, ahead)
 
 
-@pytest.mark.parametrize("criterion", ["average", "total"])
-@settings(max_examples=30)
-@given(model=any_models(4))
-def test_discounted_values_approach_gain_and_bias(criterion: str, model: Pairs) -> None:
-    """V = g / (1 - γ) + h + terms of order 1 - γ; of a total g decides, unless it is 0."""
-    rate, mdp = F(1, 10**20), model_of(*model, F(1))
-    far, near = certify(mdp, criterion=criterion), certify(mdp.with_(discount=1 - rate))
-    for s, v in enumerate(near.value):
-        if criterion == "average":
-            assert abs(v * rate - far.value[s] - far.bias[s] * rate) <= rate ** F(3, 2)
-        elif abs(far.value[s]) < inf:
-            assert abs(v - far.value[s]) < 1e-6
-        else:
-            assert v > 1e10 if far.value[s] > 0 else v < -1e10
+# ---- tables and tied actions ---------------------------------------------------------------------
+
+HALF = models(discounts=[F(1, 2), F(9, 10)])
 
 
-@given(rows=models(discounts=[F(1)]))
-@settings(max_examples=30)
-def test_where_every_policy_ends_the_bias_is_the_total(rows: Rows) -> None:
-    optimum = certify(rows.model(), criterion="average")
-    assert optimum.value.tolist() == [0] * rows.n_states
-    assert optimum.bias.tolist() == certify(rows.model()).value.tolist()
+@given(HALF, st.booleans())
+def test_tables_by_state_and_action(drawn: Rows, costs: bool) -> None:
+    mdp = drawn.model().with_(sense="min" if costs else "max")
+    solution, sign, never = solve(mdp), -1 if costs else 1, inf if costs else -inf
+    certificate, chances = certify(mdp), evaluate(mdp, "random")
+
+    def table(pairs: Any, elsewhere: object) -> Any:
+        whole = np.full((mdp.n_states, mdp.n_actions), elsewhere)
+        whole[mdp.pair_state, mdp.pair_action] = pairs
+        return whole
+
+    laws = np.zeros((mdp.n_actions, mdp.n_states, mdp.n_states))
+    laws[mdp.pair_action, mdp.pair_state] = mdp.transition.toarray()
+    assert [mdp.P(a).toarray().tolist() for a in range(mdp.n_actions)] == laws.tolist()
+    assert mdp.R.tolist() == table(mdp.reward, never).tolist()
+    assert certificate.optimal.tolist() == table(certificate.optimal_pairs, False).tolist()
+    np.testing.assert_array_equal(chances.occupancy_table, table(chances.occupancy, np.nan))
+    q = mdp.reward + mdp.discount * (mdp.transition @ solution.value)
+    assert solution.q == pytest.approx(table(q, never), rel=1e-9, abs=1e-9)
+    gaps = table(sign * (solution.value[mdp.pair_state] - q), np.nan)
+    assert solution.gap_table == pytest.approx(gaps, rel=1e-6, abs=1e-6, nan_ok=True)
+    best = sign * (sign * solution.q).max(axis=1)
+    assert best == pytest.approx(solution.value, rel=1e-6, abs=1e-6)
+
+
+@given(HALF)
+def test_the_policy_of_all_optimal_actions(drawn: Rows) -> None:
+    """It is worth the optimum, exactly, and takes tied actions equally often."""
+    mdp = drawn.model()
+    certificate = certify(mdp)
+    policy = certificate.optimal_policy()
+    weights = policy.weights_exact(mdp)
+    weights = policy.weights(mdp).astype(np.int64) if weights is None else weights
+    live = ~mdp.terminal[mdp.pair_state]
+    assert ((weights > 0) == certificate.optimal_pairs)[live].all()
+    for state in np.flatnonzero(~mdp.terminal):
+        assert len({int(weights[pair]) for pair in mdp.pairs_of(state)} - {0}) == 1
+    evaluation = evaluate(mdp, policy)
+    assert abs(evaluation.mean - float(certificate.start_value)) <= evaluation.start.error + 1e-9
+
+
+def test_ties_are_not_shared_where_a_policy_may_never_end() -> None:
+    """Staying costs 1: leaving alone is optimal. (Where both are, who only stays never leaves.)"""
+    rows = [(0, 0, [(1, 0, -1)]), (0, 1, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
+    optimum = certify(MDP.from_outcomes(rows))
+    assert optimum.optimal_policy().weights(optimum.mdp).tolist() == [0, 1, 1]
 
 
 # ---- numbers of floats ---------------------------------------------------------------------------
@@ -385,9 +424,7 @@ def test_no_number_breaks_a_bound(kind: Any, seed: int, tol: Any, large: int) ->
     mdp, exact = in_copies(attacked(seed), 1 if large else 1500)
     chosen = {} if kind is PolicyIteration else {"tol": tol}
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            solution = solve(mdp, kind(max_iterations=3000, **chosen))
+        solution = quietly(solve, mdp, kind(max_iterations=3000, **chosen))
     except SolverError as error:  # an honest refusal has an honest bound
         solution = error.solution
     if solution is not None:

@@ -1,4 +1,4 @@
-"""Every solver in the list: published answers, settings, how a run ends, and what is returned."""
+"""Every solver in the list: settings, how a run ends, numbers, programs, and what is returned."""
 
 import dataclasses
 import pickle
@@ -9,9 +9,8 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import BY_NAME, CASES, Case
+from cases import BY_NAME
 from made_models import garnet
-from model_contents import is_acyclic
 from strategies import model_of
 
 from exact_mdp import (
@@ -38,47 +37,12 @@ from exact_mdp import (
 )
 
 PROGRAMS = [LinearProgram(solver=name) for name in ("CLARABEL", "HIGHS")]
-HARD = [case for case in CASES if case.name.startswith("reset-chain")]
-# Sweeps alone would take their million on chains that mix slowly: these may stop before the end.
-QUICK: dict[str, Any] = {name: kind() for name, kind in SOLVERS.items()} | {
-    "value-iteration": ValueIteration(max_iterations=6_000),
-    "gauss-seidel": GaussSeidel(max_iterations=6_000),
-}
 SWEEPING: list[Any] = [kind for kind in SOLVERS.values() if hasattr(kind, "tol")]
 
 
-def case_model(name: str | Case) -> MDP:
-    case = BY_NAME[name] if isinstance(name, str) else name
+def case_model(name: str) -> MDP:
+    case = BY_NAME[name]
     return model_of(case.n_states, case.pairs, case.discount, start=case.start)
-
-
-@pytest.mark.filterwarnings("ignore::exact_mdp.PrecisionWarning")
-@pytest.mark.parametrize("name", SOLVERS)
-@pytest.mark.parametrize("case", CASES, ids=str)
-def test_published_answers(case: Case, name: str) -> None:
-    mdp = case_model(case)
-    try:
-        solution = solve(mdp, QUICK[name])
-    except ModelError:
-        if (name == "backward-induction" and not is_acyclic(mdp)) or not case.proper:
-            return
-        raise
-    except SolverError as error:
-        if case not in HARD:
-            raise
-        if error.solution is None:
-            return
-        solution = error.solution
-    for state, value in case.values.items():
-        error = abs(F(float(solution.value[state])) - F(value))
-        assert error <= F(float(solution.state_error[state])) + F(case.tolerance)
-    if solution.status is Status.ITERATION_LIMIT:
-        return
-    size = max(1.0, float(np.abs(solution.value).max()))
-    assert solution.error_bound <= (1e-8 if case in HARD else 1e-9) * size
-    for state, actions in case.optimal.items():
-        assert solution.policy[state] in actions
-    assert solution.method == name
 
 
 def test_the_default_depends_on_cycles() -> None:
@@ -97,8 +61,8 @@ def test_the_default_depends_on_cycles() -> None:
     )
     solution, known = solve(other), solve(mdp)
     assert solution.method == "backward-induction"
-    gap = np.abs(solution.value[turn] - known.value)
-    assert (gap <= solution.state_error[turn] + known.state_error + 1e-12).all()
+    apart = np.abs(solution.value[turn] - known.value)
+    assert (apart <= solution.state_error[turn] + known.state_error + 1e-12).all()
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -139,15 +103,11 @@ def test_what_is_known_saves_work_and_changes_no_answer(name: str, costs: bool) 
 
 
 @pytest.mark.parametrize("kind", SWEEPING)
-@pytest.mark.parametrize("tol", [1e-2, 1e-6, 1e-10])
-def test_the_tolerance_is_met(kind: Any, tol: float) -> None:
-    solution = solve(case_model("gambler-100-2/5"), kind(tol=tol))
-    assert solution.error_bound <= tol
-    assert solution.status is Status.CONVERGED
-
-
-@pytest.mark.parametrize("kind", SWEEPING)
-def test_a_tolerance_beyond_double_precision_warns(kind: Any) -> None:
+def test_a_tolerance_is_met_or_a_warning_says_so(kind: Any) -> None:
+    for tol in (1e-2, 1e-6, 1e-10):
+        solution = solve(case_model("gambler-100-2/5"), kind(tol=tol))
+        assert solution.error_bound <= tol
+        assert solution.status is Status.CONVERGED
     with pytest.warns(PrecisionWarning, match="certify"):
         solution = solve(case_model("gambler-100-2/5"), kind(tol=1e-18))
     assert solution.status is Status.PRECISION
@@ -210,7 +170,7 @@ def test_what_was_reached_is_of_the_model_that_was_asked_for(kind: Any) -> None:
     assert caught.value.solution is None
 
 
-@pytest.mark.parametrize("solver", [*QUICK.values(), *PROGRAMS], ids=repr)
+@pytest.mark.parametrize("solver", [*(kind() for kind in SOLVERS.values()), *PROGRAMS], ids=repr)
 def test_values_beyond_floats_are_refused(solver: Solver) -> None:
     big = F(5 * 10**307)
     rows = [(1, 0, big, {1: F(9, 10), 0: F(1, 10)}), (0, 0, F(0), {0: F(1)})]
@@ -323,14 +283,6 @@ def test_a_solution_cannot_be_changed() -> None:
     assert solution.claim == "bounded"
     assert str(solution.start) in repr(solution)
     assert "solved directly" in repr(solution)
-
-
-def test_the_start_may_be_spread_over_states() -> None:
-    case = BY_NAME["gambler-30-1/2"]
-    solution = solve(case_model(case).with_(start={3: "1/3", 7: "2/3"}), PolicyIteration())
-    exact = F(1, 3) * case.values[3] + F(2, 3) * case.values[7]
-    assert abs(F(solution.start_value) - exact) <= F(solution.start.error)
-    assert solution.start.error < 1e-12
 
 
 def test_three_kinds_of_number() -> None:

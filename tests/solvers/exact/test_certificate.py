@@ -1,130 +1,41 @@
-"""Certificates, exact and bounded, against other exact solvers; and what has no certificate."""
+"""Certificates of numbers of any length, ties, bounds, and what has no bounds.
+
+That certificates are right is a law of every solver, in `test_laws`.
+"""
 
 import random
 from dataclasses import replace
 from fractions import Fraction as F
 from itertools import count
+from typing import Any
 
 import numpy as np
 import pytest
-from cases import CASES, Case
+from answers import holds
 from certificates import CYCLE, MODELS, certified
 from flint import fmpz
 from hypothesis import given, settings
-from made_models import under
-from oracle import every_policy_ends, solve_exact
-from strategies import Rows, exact_gains, exact_values, model_of, models
+from hypothesis import strategies as st
+from made_models import gridworld, under
+from oracle import rows_of, solve_exact
+from strategies import model_of
 
-from exact_mdp import (
-    MDP,
-    BoundedCertificate,
-    Certificate,
-    Claim,
-    ModelError,
-    Scenario,
-    SolverError,
-    certify,
-    solve,
-)
+from exact_mdp import MDP, Certificate, Claim, Scenario, SolverError, certify, solve
 
 
-def check(proof: Certificate, mdp: MDP) -> None:
-    """Everything that a certificate claims, computed anew from the model's own rational table."""
-    assert proof.violations() == []
-    value = list(proof.value)
-    gains = exact_gains(mdp, value)
-    best = [[a for a in mdp.pairs_of(s) if gains[a] == 0] for s in range(mdp.n_states)]
-    for s in range(mdp.n_states):
-        if mdp.terminal[s]:
-            assert value[s] == 0
-            assert proof.optimal_pairs[list(mdp.pairs_of(s))].all()
-            continue
-        losses = [-gains[a] for a in mdp.pairs_of(s)]
-        assert min(losses) == 0
-        assert proof.optimal_pairs[list(mdp.pairs_of(s))].tolist() == [x == 0 for x in losses]
-        assert proof.gaps[s] == min((x for x in losses if x), default=None)
-        assert mdp.pair(s, int(proof.policy[s])) == best[s][0]
-    todo = [s for s, weight in mdp.start if weight]
-    reached = set(todo)
-    while todo:
-        s = todo.pop()
-        new = {t for a in best[s] for _, t, _ in mdp.table.row(a)} - reached
-        reached |= new
-        todo += new
-    assert proof.unique == all(len(best[s]) == 1 for s in reached if not mdp.terminal[s])
-    assert proof.start_value == sum(weight * value[s] for s, weight in mdp.start)
-    assert proof.value_float.tolist() == [float(x) for x in value]
-
-
-def check_reference(rows: Rows, proof: Certificate, mdp: MDP) -> None:
-    value, optimal = solve_exact(rows.n_states, rows.pairs, rows.discount)
-    assert list(proof.value) == value
-    for s in range(rows.n_states):
-        chosen = [a for a in mdp.pairs_of(s) if proof.optimal_pairs[a]]
-        assert {int(mdp.pair_action[a]) for a in chosen} == set(optimal[s])
-
-
-def check_bounds(mdp: MDP, proof: BoundedCertificate) -> None:
-    assert proof.violations() == []
-    best, taken = (list(certify(model).value) for model in (mdp, under(mdp, proof.policy)))
-    lower, upper, middle = map(exact_values, (proof.lower, proof.upper, proof.value))
-    error = F(proof.error_bound)
-    for s in range(mdp.n_states):
-        assert lower[s] <= taken[s] <= best[s] <= upper[s]
-        assert abs(middle[s] - best[s]) <= error
-        assert abs(middle[s] - taken[s]) <= error
-
-
-# ---- right answers -------------------------------------------------------------------------------
-
-
-@settings(max_examples=150, deadline=None)
-@given(models())
-def test_random_models_are_solved_exactly(rows: Rows) -> None:
-    mdp = rows.model(floats=False)
-    optimum = certify(mdp)
-    check(optimum, mdp)
-    check_bounds(mdp, certify(mdp, bounded=True))
-    check_reference(rows, optimum, mdp)
-
-
-@pytest.mark.parametrize("case", CASES, ids=str)
-def test_published_models(case: Case) -> None:
-    mdp = model_of(case.n_states, case.pairs, case.discount, start=case.start)
-    optimum = certify(mdp)
+def check(mdp: MDP) -> Certificate:
+    """The certificate, of the values and optimal actions that the oracle finds."""
+    optimum, rows = certify(mdp), rows_of(mdp)
+    value, optimal = solve_exact(mdp.n_states, rows, mdp.discount_exact)
     assert optimum.violations() == []
-    assert case.values
-    for state, value in case.values.items():
-        exact = optimum.value[state]
-        near = 0 if isinstance(value, F) else case.tolerance
-        assert exact == value or abs(exact - value) <= near, state
-    assert case.proper == (case.discount < 1 or every_policy_ends(case.n_states, case.pairs))
-    if not case.proper:
-        with pytest.raises(ModelError, match="need every policy to end"):
-            certify(mdp, bounded=True)
-        return
-    for state, actions in case.optimal.items():
-        best = [a for a in mdp.pairs_of(state) if optimum.optimal_pairs[a]]
-        assert {int(mdp.pair_action[a]) for a in best} == set(actions)
-    for state, action in case.policy.items():
-        assert optimum.optimal_pairs[mdp.pair(state, action)]
-    check(optimum, mdp)
-    check_reference(
-        Rows(n_states=case.n_states, pairs=case.pairs, discount=case.discount), optimum, mdp
-    )
-    try:
-        check_bounds(mdp, certify(mdp, bounded=True))
-    except SolverError:
-        assert case.name.startswith("reset-chain")
+    assert list(optimum.value) == value
+    for s, actions in enumerate(optimal):
+        chosen = [a for a in mdp.pairs_of(s) if optimum.optimal_pairs[a]]
+        assert {int(mdp.pair_action[a]) for a in chosen} == actions
+    return optimum
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_models_of_every_kind(name: str) -> None:
-    check(certified(name), MODELS[name])
-    optimum = certify(MODELS[name], bounded=True)
-    check_bounds(MODELS[name], optimum)
-    assert optimum.claim is Claim.BOUNDED
-    assert optimum.error_bound < 1e-9 * np.abs(optimum.value).max()
+# ---- numbers of any length -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("waiting", [False, True])
@@ -144,10 +55,7 @@ def test_denominators_without_common_factors(width: int, depth: int, waiting: bo
             following[to] = following.get(to, F(0)) + share
             rows.append((s, a, F(draw.randrange(-9, 9), next(bottoms)), following))
     rows.sort(key=lambda row: row[:2])
-    mdp = model_of(last + 1, rows, F(1))
-    optimum = certify(mdp)
-    check(optimum, mdp)
-    check_reference(Rows(n_states=last + 1, pairs=tuple(rows), discount=F(1)), optimum, mdp)
+    optimum = check(model_of(last + 1, rows, F(1)))
     lengths = [below.bit_length() for below in optimum.h.each_below]
     assert max(lengths) < 3 * max(int(x.denominator).bit_length() for x in optimum.value)
 
@@ -159,23 +67,29 @@ def test_denominators_stay_short_where_values_do() -> None:
     assert max(optimum.h.below) == 10
 
 
-@pytest.mark.parametrize("scale", [F(10) ** 300, F(1, 10**300)])
-def test_numbers_beyond_floats(scale: F) -> None:
-    """Floats overflow or underflow while they seek the first policy; the answer is exact still."""
-    pairs = [(s, a, r * scale, row) for s, a, r, row in CYCLE]
-    mdp = model_of(4, pairs, F(999_999_999_999, 10**12))
-    optimum = certify(mdp)
-    check(optimum, mdp)
-    plain = certify(model_of(4, CYCLE, F(999_999_999_999, 10**12)))
-    assert list(optimum.value) == [x * scale for x in plain.value]
+THREE = MDP.from_arrays(
+    [
+        [["1/2", "1/2", 0], [0, "1/3", "2/3"], [1, 0, 0]],
+        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
+        [["1/5", "2/5", "2/5"], [0, 0, 1], ["1/7", "6/7", 0]],
+    ],
+    [[3, -5, 2], [7, 6, 5], [-1, 0, 4]],
+    layout="ass",
+)
+FAR = model_of(4, CYCLE, F(999_999_999_999, 10**12))
+LENGTHS = [F(10 ** (digits * 5 // 8) + 1, 10**digits) for digits in (40, 130, 300, 2000)]
 
 
-def test_where_all_that_remains_is_to_stop() -> None:
-    mdp = model_of(2, [(s, a, F(0), {s: F(1)}) for s in range(2) for a in range(2)], F(1))
-    optimum = certify(mdp)
-    check(optimum, mdp)
-    assert optimum.unique
-    assert optimum.gaps.tolist() == [None, None]
+@pytest.mark.parametrize(
+    "mdp", [THREE.with_(discount=0), THREE.with_(discount="9/10"), FAR], ids=str
+)
+@pytest.mark.parametrize("unit", [F(10) ** 300, F(1, 10**300), *LENGTHS])
+def test_a_unit_of_rewards_changes_no_sign(unit: F, mdp: MDP) -> None:
+    """Floats overflow or underflow, or miss most digits, while they seek the first policy."""
+    rows = [(s, a, unit * reward, law) for s, a, reward, law in rows_of(mdp)]
+    plain, optimum = certify(mdp), check(model_of(mdp.n_states, rows, mdp.discount_exact))
+    assert (optimum.optimal_pairs == plain.optimal_pairs).all()
+    assert optimum.value.tolist() == [unit * value for value in plain.value]
 
 
 @pytest.mark.parametrize("tiny", [F(1, 10**20), F(1, 10**400), F(1, 2**1100)])
@@ -196,15 +110,88 @@ def test_tiny_probabilities_do_not_vanish(tiny: F, around: bool) -> None:
     assert optimum.violations() == []
 
 
+@pytest.mark.parametrize("stay", [1.0, 1 + 2.0**-52, 1 + 2.0**-40])
+@pytest.mark.parametrize("leave", [1e-20, 1e-300, 5e-324])
+def test_a_state_that_is_hardly_ever_left_has_an_exact_value(stay: float, leave: float) -> None:
+    """1.0 to stay and 1e-20 to leave: floats cannot bound the value; no division by zero."""
+    for rows in ([[stay, leave], [0, 1]], [[stay, leave, 0], [0.5, 0, 0.5], [0, 0, 1]]):
+        mdp = MDP.from_arrays([rows], [1.0, *[0.0] * (len(rows) - 1)], 1)
+        optimum = certify(mdp)
+        assert optimum.violations() == []
+        assert optimum.value[0] == (1 / F(leave) if len(rows) == 2 else 2 / F(leave))
+        for attempt in (solve, lambda mdp: certify(mdp, bounded=True)):
+            with pytest.raises(SolverError):
+                attempt(mdp)
+        optimum = certify(mdp.with_(discount=0.5))
+        assert optimum.violations() == []
+
+
+# ---- ties ----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=60)
+@given(st.integers(1, 5), st.integers(-4, 4), st.integers(1, 3), st.data())
+def test_one_value_everywhere(size: int, top: int, bottom: int, data: st.DataObject) -> None:
+    """Rewards of the value times the chance to end; less in some pairs, more in one at times."""
+    value, rows, end = F(top, bottom), [], (size, 0, [(1, size, 0)])
+    for s in range(size):
+        for a in range(data.draw(st.integers(1, 3))):
+            out, to = (
+                data.draw(st.sampled_from([F(1, 3), F(1)])),
+                data.draw(st.integers(0, size - 1)),
+            )
+            less = data.draw(st.sampled_from([F(0), F(0), F(1, 7), F(2)])) if a else F(0)
+            ahead = [(out, size), (1 - out, to)][: 1 + (out < 1)]
+            rows.append((s, a, [(p, t, value * out - less) for p, t in ahead]))
+    mdp = MDP.from_outcomes([*rows, end])
+    assert check(mdp).value[:size].tolist() == [value] * size
+    more = mdp.pairs_of(data.draw(st.integers(0, size - 1)))[0]
+    rows[more] = (*rows[more][:2], [(p, t, r + 1) for p, t, r in rows[more][2]])
+    assert max(check(MDP.from_outcomes([*rows, end])).value) > value
+
+
+def test_gridworld() -> None:
+    """One cycle of 399 states: symmetric values, and both ways along the diagonal."""
+    mdp = gridworld(20)
+    optimum = certify(mdp)
+    assert optimum.violations() == []
+    assert max(optimum.h.below).bit_length() > 1000
+    assert not optimum.unique
+    square = optimum.value.reshape(20, 20)
+    assert (square == square.T).all()
+    diagonal = [optimum.optimal_pairs[list(mdp.pairs_of(21 * i))] for i in range(19)]
+    assert all(marks.tolist() == [True, True, False, False] for marks in diagonal)
+
+
+@pytest.mark.parametrize("bits", [90, 1100])
+def test_what_floats_cannot_tell_apart_is_chosen_exactly(bits: int) -> None:
+    """Forty states in a row, each with two actions that differ by less than any rounding."""
+    size, more = 40, F(1, 2**bits)
+    rows: list[Any] = [
+        (s, a, [(1, s + 1, 1 + more * (a if s % 2 else 1 - a))])
+        for s in range(size)
+        for a in (0, 1)
+    ]
+    optimum = certify(MDP.from_outcomes([*rows, (size, 0, [(1, size, 0)])]))
+    assert optimum.start_value == size * (1 + more)
+    assert optimum.policy[:-1].tolist() == [s % 2 for s in range(size)]
+    assert set(optimum.gaps[:-1]) == {more}
+    assert optimum.violations() == []
+
+
 # ---- bounds --------------------------------------------------------------------------------------
 
 
 def test_bounds_around_a_poor_solution_are_wide_and_hold() -> None:
     mdp = MODELS["cycle, discounted"]
     poor = replace(solve(mdp), value=np.array([5.0, -3.0, 4.0, 0.0]))
-    optimum = certify(mdp, bounded=True, solution=poor)
-    check_bounds(mdp, optimum)
-    assert optimum.error_bound > 1
+    bounds = certify(mdp, bounded=True, solution=poor)
+    assert bounds.violations() == []
+    best, taken = (certify(model).value for model in (mdp, under(mdp, bounds.policy)))
+    between = zip(bounds.lower.tolist(), taken, best, bounds.upper.tolist(), strict=True)
+    assert all(low <= own <= right <= high for low, own, right, high in between)
+    holds(bounds, best)
+    assert bounds.error_bound > 1
 
 
 def test_tolerance() -> None:
@@ -222,25 +209,6 @@ def test_many_states() -> None:
     assert 16_000 < optimum.lower[0] <= optimum.upper[0] < 18_000
 
 
-# ---- what has no answer --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("stay", [1.0, 1 + 2.0**-52, 1 + 2.0**-40])
-@pytest.mark.parametrize("leave", [1e-20, 1e-300, 5e-324])
-def test_a_state_that_is_hardly_ever_left_has_an_exact_value(stay: float, leave: float) -> None:
-    """1.0 to stay and 1e-20 to leave: floats cannot bound the value; no division by zero."""
-    for rows in ([[stay, leave], [0, 1]], [[stay, leave, 0], [0.5, 0, 0.5], [0, 0, 1]]):
-        mdp = MDP.from_arrays([rows], [1.0, *[0.0] * (len(rows) - 1)], 1)
-        optimum = certify(mdp)
-        assert optimum.violations() == []
-        assert optimum.value[0] == (1 / F(leave) if len(rows) == 2 else 2 / F(leave))
-        for attempt in (solve, lambda mdp: certify(mdp, bounded=True)):
-            with pytest.raises(SolverError):
-                attempt(mdp)
-        optimum = certify(mdp.with_(discount=0.5))
-        assert optimum.violations() == []
-
-
 # ---- the certificate itself ----------------------------------------------------------------------
 
 
@@ -256,27 +224,3 @@ def test_a_certificate_states_its_claim() -> None:
     assert repr(bounded).startswith("BoundedCertificate(4 states, error ≤ ")
     with pytest.raises(ValueError, match="read-only"):
         bounded.upper[0] = 1
-
-
-def test_another_model_is_another_model() -> None:
-    optimum = certified("cycle, discounted")
-    assert optimum.violations(MODELS["cycle, discounted"].with_(name="other")) == []
-    assert optimum.violations(MODELS["cycle"]) == ["the certificate is of another model"]
-
-
-@pytest.mark.parametrize("digits", [40, 130, 300, 2000])
-@pytest.mark.parametrize("discount", ["0", "9/10"])
-def test_tiny_numbers_of_long_denominators_change_no_sign(digits: int, discount: str) -> None:
-    """All values are far below 1, and most of their digits are behind the first 256 bits."""
-    rows = [
-        [["1/2", "1/2", 0], [0, "1/3", "2/3"], [1, 0, 0]],
-        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
-        [["1/5", "2/5", "2/5"], [0, 0, 1], ["1/7", "6/7", 0]],
-    ]
-    rewards, unit = [[3, -5, 2], [7, 6, 5], [-1, 0, 4]], F(10 ** (digits * 5 // 8) + 1, 10**digits)
-    plain = certify(MDP.from_arrays(rows, rewards, discount, layout="ass"))
-    tiny = [[unit * reward for reward in row] for row in rewards]
-    scaled = certify(MDP.from_arrays(rows, tiny, discount, layout="ass"))
-    assert scaled.violations() == []
-    assert (scaled.optimal_pairs == plain.optimal_pairs).all()
-    assert scaled.value.tolist() == [unit * value for value in plain.value]
