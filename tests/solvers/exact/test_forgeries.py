@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from exact_mdp import MDP, certify, check_certificate, save
+import exact_mdp
+from exact_mdp import MDP, certify, check_certificate, fingerprint, save
 
 END = (1, 0, [(1, 1, 0)])
 WAIT_OR_PAY = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, -1)]), END]
@@ -126,25 +129,72 @@ def test_a_forged_certificate_is_refused(
     assert sentence in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{"unreached": "5"}, {"goal": None, "unreached": "5"}, {"goal": [0]}, {"discount": "1/2"}],
-    ids=str,
-)
-def test_a_goal_that_is_none_is_not_read(change: dict[str, Any], tmp_path: Path) -> None:
-    mdp = until_goal(WAIT_OR_PAY, sense="min")
-    assert np.flatnonzero(mdp.goal).tolist() == [1]
-    assert check_certificate.main(written(tmp_path, mdp, change, "model")) == 2
+LEAST = until_goal(WAIT_OR_PAY, sense="min")
+ONE = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), END])
+UNREAD: list[tuple[MDP, str, dict[str, Any]]] = [
+    *[(LEAST, "model", change) for change in (
+        {"unreached": "5"}, {"goal": None, "unreached": "5"}, {"goal": [0]}, {"discount": "1/2"},
+    )],
+    # numbers that nothing uses, and ranks below 0
+    *[(ONE, "proof", change) for change in (
+        {"h": level(1, 0) | {"below": ["0x1", "0x7"]}}, {"rank": [1, -1]}, {"rank": [0, -1]},
+    )],
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{"h": level(1, 0) | {"below": ["0x1", "0x7"]}}, {"rank": [1, -1]}, {"rank": [0, -1]}],
-    ids=str,
-)
-def test_numbers_that_nothing_uses_and_ranks_below_0_are_not_read(
-    change: dict[str, Any], tmp_path: Path
+@pytest.mark.parametrize("mdp, of, change", UNREAD, ids=lambda x: str(x) if type(x) is dict else "")
+def test_what_says_nothing_is_not_read(
+    mdp: MDP, of: str, change: dict[str, Any], tmp_path: Path
 ) -> None:
-    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), END])
-    assert check_certificate.main(written(tmp_path, mdp, {"h": level(1, 0), "rank": [1, 0]})) == 0
-    assert check_certificate.main(written(tmp_path, mdp, change)) == 2
+    same = {"h": level(1, 0), "rank": [1, 0]} if mdp is ONE else {}
+    assert check_certificate.main(written(tmp_path, mdp, same)) == 0
+    assert check_certificate.main(written(tmp_path, mdp, change, of)) == 2
+
+
+# ---- the checker by itself -----------------------------------------------------------------------
+
+CHECKER = Path(exact_mdp.__file__).parent / "solvers" / "exact" / "checker.py"
+
+
+def alone(*words: Path) -> tuple[int, str]:
+    """Run the checker without the package; return its status and what it says."""
+    done = subprocess.run(
+        [sys.executable, "-I", CHECKER, *words], capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_start_that_mixes_both_infinities_has_no_value(tmp_path: Path) -> None:
+    """The proof of one start is none of the other, whatever start value is written into it."""
+    one = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (1, 0, [(1, 1, -1)])])
+    both = one.with_(start={0: "1/2", 1: "1/2"})
+    model, proof = map(Path, written(tmp_path, one, {}))
+    assert alone(model, proof) == (0, "holds\n")
+    content = json.loads(proof.read_text("utf-8"))
+    both.save(model)
+    for value in ("0x0/0x1", "inf", "-inf"):
+        forged = content | {"model": fingerprint(both), "start_value": value}
+        proof.write_text(json.dumps(forged), "utf-8")
+        status, said = alone(model, proof)
+        assert (status, "start value" in said) == (1, True)
+
+
+def test_files_that_are_none_are_not_checked(tmp_path: Path) -> None:
+    model, proof = map(Path, written(tmp_path, ONE, {}))
+    for content in ('["exact-mdp certificate", 2]', "[]", "1", "{}", "no JSON", '{"a": 1, "a": 2}'):
+        proof.write_text(content, "utf-8")
+        status, said = alone(model, proof)
+        assert (status, said.startswith("not checked: ")) == (2, True)
+    assert "'a' is written twice" in said
+    assert alone(proof, proof)[0] == alone(model)[0] == 2
+
+
+def test_it_can_be_read_in_one_sitting_and_imports_nothing() -> None:
+    text = CHECKER.read_text("utf-8")
+    imported = {
+        str(node.module if isinstance(node, ast.ImportFrom) else node.names[0].name)
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+    }
+    assert {name.partition(".")[0] for name in imported} <= sys.stdlib_module_names
+    assert len(text.splitlines()) <= 350
