@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from learning_twin import Stream, Twin
 from strategies import Rows, models
 
-from exact_mdp import MDP, Constant, Exponential, Policy, QLearning, Scenario, evaluate
+from exact_mdp import MDP, Constant, Exponential, QLearning, Scenario
 from exact_mdp.solvers.learning.sampler import rows_of, tables
-from exact_mdp.solvers.values.layers import policy_values
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
@@ -120,21 +119,3 @@ def test_alias_columns_are_the_exact_rows(readings: dict[str, str]) -> None:
         assert {key for key, share in chances.items() if share > 1e-14} <= set(expected)
         for key, chance in expected.items():
             assert abs(chances.get(key, 0.0) - float(chance)) < 1e-14
-
-
-# ---- values of many policies ---------------------------------------------------------------------
-
-
-@settings(max_examples=60)
-@given(model=models(discounts=(Fraction(9, 10), Fraction(1))), seed=st.integers(0, 100))
-def test_policy_values_of_any_model(model, seed: int) -> None:
-    mdp = model.model()
-    rows = rows_of(mdp)
-    draw = np.random.default_rng(seed)
-    policies = np.array(
-        [[draw.choice(np.flatnonzero(row)) for row in rows.offered] for _ in range(3)]
-    )
-    values = policy_values(mdp, rows, policies)
-    for policy, value, error in zip(policies, values.value, values.error, strict=True):
-        exact = evaluate(mdp, Policy.from_choices(mdp, policy))
-        assert abs(value - exact.mean) <= error + exact.start.error

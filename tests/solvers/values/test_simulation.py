@@ -92,6 +92,8 @@ def test_what_is_cut_off_is_part_of_the_error() -> None:
     assert high - 10 < 1e-4
     ended = simulate(mdp, [0], 5, rng=0, horizon=3)
     assert ended.value.interval == (ended.mean, ended.mean)
+    assert set(ended.steps.tolist()) == {3}
+    assert (ended.truncated, ended.truncation_error) == (5, 0)
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
