@@ -1,9 +1,12 @@
-"""What learning ends with: exact values, curves, intervals, and an implementation of its own."""
+"""What learning ends with: exact values, and curves."""
 
+from fractions import Fraction as F
 from math import sqrt
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from strategies import Rows, models
 
 from exact_mdp import (
     MDP,
@@ -47,6 +50,17 @@ def test_outcomes_are_exact_values_of_what_was_learned(care: MDP, runs: list[Tra
     for row in range(16):
         taken = [run.final[row] for run in runs]
         assert learned.choices(row).tolist() == [taken.count(action) for action in range(4)]
+
+
+@settings(max_examples=60)
+@given(models(discounts=(F(9, 10), F(1))))
+def test_values_of_many_policies_of_any_model(model: Rows) -> None:
+    mdp = model.model()
+    learner = QLearning(epochs=2, episodes=2, snapshot_episode=0, last=4)
+    learned = outcomes(mdp, train(mdp, learner, 3, rng=0))
+    for policy, value, error in zip(learned.policies, learned.value, learned.error, strict=True):
+        exact = evaluate(mdp, Policy.from_choices(mdp, policy))
+        assert abs(value - exact.mean) <= error + exact.start.error
 
 
 def test_the_last_episodes_are_counted(care: MDP, runs: list[TrainingRun]) -> None:
@@ -113,19 +127,3 @@ def test_curves_show_the_same_with_and_without_noise(care: MDP, runs: list[Train
     again = learning_curve(care, runs[0], rng=5)
     assert again.sampled.tobytes() == curve.sampled.tobytes()
     assert learning_curve(care, runs[0], rng=6).sampled.tobytes() != curve.sampled.tobytes()
-
-
-# ---- an implementation of its own ----------------------------------------------------------------
-
-
-def test_outcomes_of_costs_are_those_of_rewards_times_minus_one() -> None:
-    rows, costs = [[[0, 1], [0, 1]], [[0, 1], [0, 1]]], np.array([[1, 3], [0, 0]])
-    paid = MDP.from_arrays(rows, costs, layout="ass", sense="min")
-    earned = MDP.from_arrays(rows, -costs, layout="ass")
-    learned = [
-        outcomes(each, train(each, QLearning(epochs=2), 12, rng=1)) for each in (paid, earned)
-    ]
-    for name in ("regret", "selected_regret", "learning_error"):
-        assert getattr(learned[0], name).tolist() == getattr(learned[1], name).tolist()
-        assert getattr(learned[0], name).min() >= 0
-    assert learned[0].optimal_fraction == learned[1].optimal_fraction

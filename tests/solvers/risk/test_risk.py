@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
@@ -16,7 +15,7 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exact_mdp import MDP, ModelError, Scenario, best_cvar, certify, mean_cvar
+from exact_mdp import MDP, ModelError, best_cvar, certify
 
 F = Fraction
 Distribution = tuple[tuple[Fraction, Fraction], ...]
@@ -102,26 +101,16 @@ def test_no_policy_with_a_memory_does_better(rows: Rows, level: Fraction, weight
 
 def test_a_bet_by_hand() -> None:
     """The coin decides: after a win it may be played safe, and after a loss no more is risked."""
-    safe, bold = [(F(1), 1, F(0))], [(F(1, 2), 1, F(3)), (F(1, 2), 1, F(-2))]
-    end = (1, 0, [(F(1), 1, F(0))])
-    once = best_cvar(MDP.from_outcomes([(0, 0, safe), (0, 1, bold), end]), "1/2")
-    assert (once.value, once.action(0)) == (0, "0")
-    twice = [(0, 0, [(F(1, 2), 2, F(3)), (F(1, 2), 2, F(-2))]), (2, 0, safe), (2, 1, bold), end]
-    mdp = MDP.from_outcomes(twice)
-    optimum = best_cvar(mdp, "3/4")
-    own = {optimum.action(2, gain) for gain in (3, -2)}
-    assert optimum.value == max(worst(each, F(3, 4)) for each in hand())
-    assert own <= {"0", "1"}
+    end, safe = (0, 0, [(F(1), 0, F(0))]), (1, 0, [(F(1), 0, F(0))])
+    bold = (1, 1, [(F(1, 2), 0, F(3)), (F(1, 2), 0, F(-2))])
+    once = best_cvar(model([end, safe, bold]), "1/2")
+    assert (once.value, once.action(1)) == (0, "0")
+    rows = [end, safe, bold, (2, 0, [(F(1, 2), 1, F(3)), (F(1, 2), 1, F(-2))])]
+    twice = best_cvar(model(rows), "3/4")
+    assert twice.value == max(worst(each, F(3, 4)) for each in distributions(rows, 2))
+    assert {twice.action(1, gain) for gain in (3, -2)} <= {"0", "1"}
     with pytest.raises(ModelError, match="multiples of 1"):
-        optimum.action(2, "1/2")
-
-
-def hand() -> Iterator[Distribution]:
-    """The four policies of the second bet."""
-    safe: Distribution = ((F(0), F(1)),)
-    bold: Distribution = ((F(-2), F(1, 2)), (F(3), F(1, 2)))
-    for won, lost in product((safe, bold), repeat=2):
-        yield mixed([(F(1, 2), F(3), won), (F(1, 2), F(-2), lost)])
+        twice.action(1, "1/2")
 
 
 def test_what_is_false_is_found() -> None:
@@ -148,20 +137,6 @@ def test_huge_rewards_that_differ_by_little() -> None:
     assert (optimum.value, optimum.violations()) == (10**30 + 1, [])
 
 
-def test_the_model_of_the_paper() -> None:
-    """The worst share of all is the mean."""
-    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
-    best = certify(mdp).start_value
-    assert best_cvar(mdp, 1).value == best
-    points = mean_cvar(mdp, "1/10", policies={"optimal": "optimal", "random": "random"})
-    average, value = points.policies["optimal"]
-    assert average == best
-    assert points.optima[0].value >= value > points.policies["random"][1]
-    assert points.optima[0].violations() == []
-    assert points.optima[0].value < best
-    assert len(points.frame()) == 7
-
-
 def test_with_a_horizon_cycles_are_no_matter() -> None:
     rows = [(0, 0, [("1/2", 0, 1), ("1/2", 0, -1)]), (0, 1, [(1, 0, 0)])]
     mdp = MDP.from_outcomes(rows)
@@ -176,43 +151,24 @@ def test_the_policy_for_the_worst_episodes_is_written(tmp_path: Path) -> None:
     MDP.from_outcomes(rows).save(tmp_path / "m.npz")
     words = ("risk", tmp_path / "m.npz", "--cvar", "1/3", "--policy-out")
     result = run(*words, tmp_path / "p.csv", "--json").result
+    assert run(*words, tmp_path / "p.json").status == 0
     with (tmp_path / "p.csv").open(encoding="utf-8") as file:
         written = [*csv.DictReader(file)]
     assert written == result["policy"]
-    assert written == json.loads(_written(words, tmp_path / "p.json"))
-    met = {
-        so_far: [r["action"] for r in written if F(r["from"]) <= so_far <= F(r["to"])]
-        for so_far in (F(-2), F(3))
-    }
-    took = {so_far: action for so_far, (action,) in met.items()}
-    parts = [(F(1, 2), so_far, BOLD if took[so_far] == "1" else SAFE) for so_far in took]
+    assert written == json.loads((tmp_path / "p.json").read_text("utf-8"))
+    parts: list[tuple[F, F, Distribution]] = []
+    for so_far in (F(-2), F(3)):
+        (row,) = [r for r in written if F(r["from"]) <= so_far <= F(r["to"])]
+        ahead = [(F(-3), F(1, 2)), (F(3), F(1, 2))] if row["action"] == "1" else [(F(0), F(1))]
+        parts.append((F(1, 2), so_far, tuple(ahead)))
     assert {str(z): str(p) for z, p in mixed(parts)} == result["distribution"]
-    text = run(*words[:-1]).out
-    assert "by state and reward so far" in text
+    assert "by state and reward so far" in run(*words[:-1]).out
 
 
 def test_rules_are_of_states_that_leave_a_choice() -> None:
     """A state where all has ended may have several actions."""
     rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]), (1, 1, [(1, 1, 0)])]
     assert best_cvar(MDP.from_outcomes(rows), "1/2").rules() == [(0, 0, 0, "0")]
-
-
-BOLD: Distribution = ((F(-3), F(1, 2)), (F(3), F(1, 2)))
-SAFE: Distribution = ((F(0), F(1)),)
-
-
-def _written(words: tuple[object, ...], path: Path) -> str:
-    assert run(*words, path).status == 0
-    return path.read_text(encoding="utf-8")
-
-
-def test_the_command() -> None:
-    words = ("risk", "yuan2025", "--set", "tasks=[1]", "--set", "max_trial=2", "--json")
-    result = run(*words, "--cvar", "1/10", "--policy", "random").result
-    assert result["claim"] == "certified"
-    assert result["points"][0]["weight"] == "0"
-    assert F(result["value"]) >= F(result["policies"][0]["cvar"])
-    assert sum(map(F, result["distribution"].values())) == 1
 
 
 @pytest.mark.parametrize(
