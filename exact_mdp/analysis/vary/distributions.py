@@ -162,24 +162,12 @@ SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """The distribution of one parameter, or the joint one of the probabilities of a row.
+    """The distribution of one parameter, or the joint one of the probabilities of a row."""
 
-    Attributes
-    ----------
-    names : tuple of k str
-        One name; for a Dirichlet all that share a row, what is left of the row going unnamed.
-    kind : str
-        A distribution, or "sample".
-    numbers : tuple of float
-        Its own, in the order of `KINDS`; k + 1 concentrations of a Dirichlet.
-    mean, sd : tuple of k float
-    label : str
-    """
-
-    names: tuple[str, ...]
-    kind: str
-    numbers: Numbers
-    mean: Numbers
+    names: tuple[str, ...]  # (k,) one; of a Dirichlet those of a row but the rest, which has none
+    kind: str  # or "sample"
+    numbers: Numbers  # its own, in the order of `KINDS`; k + 1 concentrations of a Dirichlet
+    mean: Numbers  # (k,)
     sd: Numbers
     label: str
 
@@ -305,19 +293,11 @@ def _check_within(value: float, what: str, where: str) -> float:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Uncertainty(Brief):
-    """What is drawn and what is held.
-
-    Attributes
-    ----------
-    parts : tuple of Uncertain
-    fixed : {parameter name: reason}
-    sample : (D, Q) or None
-        One's own draws, in the order of `names`.
-    """
+    """What is drawn and what is held."""
 
     parts: tuple[Uncertain, ...]
-    fixed: Mapping[str, str]
-    sample: Floats | None = None
+    fixed: Mapping[str, str]  # why, by the parameter's name
+    sample: Floats | None = None  # (D, Q) one's own draws, in the order of `names`
 
     def __post_init__(self) -> None:
         for name, count in Counter(self.names).items():
@@ -347,14 +327,12 @@ def uncertainty(
     Parameters
     ----------
     model : Parametric
-        Its `rows`, where it has any, are the parameters that share a row, by the row's label:
-        Dirichlet, instead of a Beta for each.
+        Parameters that share one of its `rows` are Dirichlet, instead of a Beta for each.
     stated : {name, beginning of names, or label of a row: settings}, or pandas.DataFrame
         Settings say a distribution, as at the top of `analysis.vary.distributions`, or
-        `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. Entries
-        of a row are drawn together, so that what is stated of them must be the same for all, or
-        stated of the row. A table is a sample of one's own: a column for each parameter that is
-        drawn, a row for each draw.
+        `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. What is
+        stated of the entries of a row must be the same for all. A table is a sample of one's own:
+        a column for each parameter that is drawn, a row for each draw.
     default : float
         Effective sample size of every probability of which nothing is stated.
     names : sequence of str, optional
@@ -394,9 +372,7 @@ def uncertainty(
                 fix = "name it in one of them"
                 raise ModelError(f"{name} is in two rows", where=f"row {label}", fix=fix)
     asked = [*parameters] if names is None else listed(names, "names")
-    chosen = {
-        member for name in asked for member in rows.get(name) or (parameter_of(model, name).name,)
-    }
+    chosen = {each for name in asked for each in rows.get(name) or [parameter_of(model, name).name]}
     parts, fixed = list[Uncertain](), dict[str, str]()
     for label in dict.fromkeys(label_of.get(name, name) for name in parameters):
         members = rows.get(label, (label,))
@@ -547,11 +523,6 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     Returns
     -------
     {name or beginning of names: settings}, float or None
-
-    Raises
-    ------
-    ModelError
-        For broken TOML, a setting that is not known, and a file that states nothing.
 
     Examples
     --------

@@ -69,19 +69,15 @@ class CostEffectiveness(Pictured):
         """Return (D, N) λ E - C at a willingness to pay for a unit of effect; at W, (W, D, N)."""
         return np.multiply.outer(_prices(wtp), self.effect) - self.cost
 
-    def _each(self, wtp: ArrayLike) -> Floats:
-        """Return (W, D, N) net monetary benefits at one number or several."""
-        return self.net_benefit(np.atleast_1d(_prices(wtp)))
-
     def acceptability(self, wtp: ArrayLike) -> Floats:
         """Return (W, N) shares of draws in which a strategy is the best; equals share a draw."""
-        values = self._each(wtp)
+        values = self.net_benefit(np.atleast_1d(_prices(wtp)))
         best = values == values.max(axis=2, keepdims=True)
         return np.asarray((best / best.sum(axis=2, keepdims=True)).mean(axis=1))
 
     def frontier(self, wtp: ArrayLike) -> list[tuple[str, float]]:
         """Return the best strategy on average, and the share of draws in which it is the best."""
-        best = self._each(wtp).mean(axis=1).argmax(axis=1)
+        best = self.net_benefit(np.atleast_1d(_prices(wtp))).mean(axis=1).argmax(axis=1)
         shares = self.acceptability(wtp)[np.arange(len(best)), best]
         names = [self.strategies[n] for n in best.tolist()]
         return list(zip(names, shares.tolist(), strict=True))
@@ -197,11 +193,6 @@ def cost_effectiveness(
     Returns
     -------
     CostEffectiveness
-
-    Raises
-    ------
-    ModelError
-        For unknown components, no strategy, and as `psa` does.
 
     Examples
     --------

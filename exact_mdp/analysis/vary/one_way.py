@@ -60,7 +60,7 @@ class Point:
 
 @dataclass(frozen=True, kw_only=True)
 class Bar:
-    """The bar of one parameter: the values at both ends of its range."""
+    """The bar of one parameter: the values at both ends of its range, and their distances."""
 
     parameter: Parameter
     low: Point
@@ -68,12 +68,12 @@ class Bar:
 
     @property
     def swing(self) -> float:
-        """Distance of the optimal values at both ends."""
+        """Of the optimum."""
         return abs(self.high.optimal.value - self.low.optimal.value)
 
     @property
     def fixed_swing(self) -> float:
-        """Distance of the fixed policy's values at both ends."""
+        """Of the policy held fixed."""
         return abs(self.high.fixed.value - self.low.fixed.value)
 
 
@@ -197,11 +197,6 @@ def one_way(
     -------
     Curve
 
-    Raises
-    ------
-    ModelError
-        For unknown names, empty ranges, fewer than 2 points, and where a value is infinite.
-
     Examples
     --------
     >>> rows = [(0, 0, [(1, 1, 3)]), (0, 1, [(1, 2, 0)]), (2, 0, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
@@ -294,18 +289,14 @@ def grid(span: Range, points: int) -> list[Fraction]:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TwoWay(Pictured):
-    """The study of a grid of two parameters, row by row, x changing first.
-
-    `choices` (Y, X, S) are optimal action numbers, the lowest where floats cannot tell two apart;
-    `policy` (Y, X) numbers the policies, on the states that they reach by today's transitions.
-    """
+    """The study of a grid of two parameters, row by row, x changing first."""
 
     mdp: MDP
     x: Parameter
     y: Parameter
     table: Study
-    choices: Integers
-    policy: Integers
+    choices: Integers  # (Y, X, S) optimal actions, the lowest where floats cannot tell two apart
+    policy: Integers  # (Y, X) its number, on the states that it reaches by today's transitions
 
     def __repr__(self) -> str:
         points, policies = self.policy.size, int(self.policy.max()) + 1
@@ -366,11 +357,6 @@ def two_way(
     Returns
     -------
     TwoWay
-
-    Raises
-    ------
-    ModelError
-        As for `one_way`, and for twice the same parameter.
 
     Examples
     --------

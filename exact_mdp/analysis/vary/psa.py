@@ -67,16 +67,12 @@ MISSING = "EVPI among the candidates is below the lower end of EVPI"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A policy that is evaluated in every draw: `weights` (L,) are probabilities of pairs.
-
-    It was the optimum of `frequency` draws. `actions` are None where it mixes, or says different
-    things in states of one label.
-    """
+    """A policy that is evaluated in every draw."""
 
     name: str
-    weights: Floats
-    frequency: int
-    actions: Mapping[str, str] | None
+    weights: Floats  # (L,) probabilities of pairs
+    frequency: int  # draws whose optimum it was
+    actions: Mapping[str, str] | None  # by label; None where it mixes, or says several things
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,31 +86,17 @@ class Information:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PSA(Pictured):
-    """The draws of a probabilistic sensitivity analysis, the optimum and the policies in each.
-
-    Attributes
-    ----------
-    start : Bounded
-        V* of the start at today's values.
-    table : Study
-        Of the draws: V* of the start, and the candidates' values.
-    candidates : tuple of N Candidate
-        The policy that is held comes first.
-    labels, actions : tuples of X and A words
-        Statuses at subtask 0, trial 0 of a care scenario; of other models the states with a choice.
-    compiled : bool
-        Whether the batched loops of the care model did the work.
-    """
+    """The draws of a probabilistic sensitivity analysis, the optimum and the policies in each."""
 
     model: str
-    start: Bounded
+    start: Bounded  # V* of the start at today's values
     uncertainty: Uncertainty
     seed: int
-    table: Study
-    candidates: tuple[Candidate, ...]
-    labels: tuple[str, ...]
-    actions: tuple[str, ...]
-    compiled: bool
+    table: Study  # of the draws, and the N candidates
+    candidates: tuple[Candidate, ...]  # the policy that is held comes first
+    labels: tuple[str, ...]  # (X,) statuses at subtask 0, trial 0, else the states with a choice
+    actions: tuple[str, ...]  # (A,)
+    compiled: bool  # whether the batched loops of the care model did the work
 
     def __len__(self) -> int:
         return len(self.table.optimal)
@@ -188,8 +170,7 @@ class PSA(Pictured):
         """Return what knowing some parameters would be worth, choosing among the candidates.
 
         Groups are {name: parameter names}; unless given, each parameter or row alone, and those
-        whose names begin with the same word together. Where EVPI of the candidates is below the
-        lower end of EVPI over all policies, they miss policies that matter, as `doubts` then say.
+        whose names begin with the same word together.
         """
         among, least = self.evpi_of_candidates(), self.evpi().low
         apart = 2 * np.hypot(among.standard_error, least.standard_error)
@@ -201,10 +182,7 @@ class PSA(Pictured):
         return by_group
 
     def report(self, policy: str = "optimal") -> Report:
-        """Return value, regret, optimal actions and the value of information over the draws.
-
-        `policy` is what the policy held fixed is called.
-        """
+        """Return what the draws show; `policy` is what the policy held fixed is called."""
         partly = self.evppi() if len(self) >= FEWEST else {}
         information, regret, optimal = self.evpi(), self.regret(), self.table.optimal
         losses = [mean_loss(self.regret(n)) for n in range(len(self.candidates))]
@@ -451,18 +429,12 @@ def psa(
     policy : PolicyLike
         The policy that is held fixed; "optimal" is the optimum at today's values.
     **how
-        n_jobs, folder and progress; see `solvers.parallel.many`. The workers of a
-        care scenario are threads, of other models processes. A larger sample with the same seed
+        n_jobs, folder and progress; see `solvers.parallel.many`. A larger sample with the same seed
         uses the whole pieces of an earlier one in the folder again.
 
     Returns
     -------
     PSA
-
-    Raises
-    ------
-    ModelError
-        For no draws, and where nothing is uncertain.
 
     Examples
     --------

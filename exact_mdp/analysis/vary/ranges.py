@@ -42,17 +42,7 @@ def is_probability(parameter: Parameter) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """From where to where a parameter is varied: two numbers or "p/q", kept exact.
-
-    Examples
-    --------
-    >>> Range(low=Fraction(1), high=Fraction(0))
-    Traceback (most recent call last):
-    ...
-    exact_mdp.mdp.errors.ModelError: the range from 1 to 0 is empty
-      where: range
-      fix:   put the smaller number first
-    """
+    """From where to where a parameter is varied: two numbers or "p/q", kept exact."""
 
     low: Fraction
     high: Fraction
@@ -204,11 +194,6 @@ def load_ranges(model: Parametric, path: str | Path) -> Ranges:
     -------
     {name: Range}
 
-    Raises
-    ------
-    ModelError
-        For any mistake in the file; the error names the place.
-
     Examples
     --------
     >>> from exact_mdp.mdp.care.scenario import Scenario
@@ -235,10 +220,9 @@ def entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
 
 
 def usual(model: Parametric) -> list[str]:
-    """Return the names of the parameters to vary together: all but the discount.
+    """Return the names of the parameters to vary together: all but the discount, unless alone.
 
     A share of the discount is a change of another kind: from 1 to 4/5 it would outweigh all others.
-    It is varied where it is named, or where it is alone.
     """
     names = [parameter.name for parameter in model.parameters]
     return [name for name in names if name != DISCOUNT] or names

@@ -48,30 +48,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Robust(Result):
-    """Values at the start under nominal, worst and best laws, and the policies behind them.
-
-    Attributes
-    ----------
-    mdp : MDP
-    policy : (L,)
-        Probability of each pair under the nominal policy.
-    value, worst, best : Bounded
-        The nominal policy's value with the tables as they are, and at nature's worst and best.
-    robust, optimistic : RobustSolution
-        The best policies against nature's worst and with its best, and their values there.
-    robust_value, robust_best : Bounded
-        The robust policy's value with the tables as they are, and at nature's best.
-    """
+    """Values at the start under nominal, worst and best laws, and the policies behind them."""
 
     mdp: MDP
-    policy: Floats
-    value: Bounded
-    worst: Bounded
+    policy: Floats  # (L,) probability of each pair under the nominal policy
+    value: Bounded  # of the nominal policy with the tables as they are
+    worst: Bounded  # and at nature's worst and best
     best: Bounded
-    robust: RobustSolution
-    optimistic: RobustSolution
-    robust_value: Bounded
-    robust_best: Bounded
+    robust: RobustSolution  # the best policy against nature's worst
+    optimistic: RobustSolution  # and with its best
+    robust_value: Bounded  # of the robust policy with the tables as they are
+    robust_best: Bounded  # and at nature's best
 
     def __repr__(self) -> str:
         return (
@@ -91,8 +78,7 @@ class Robust(Result):
 
     def _less(self, one: Bounded, other: Bounded) -> Bounded:
         """Return how much better one value is than another: of costs, how much less."""
-        costs = self.mdp.sense == "min"
-        return difference(other, one) if costs else difference(one, other)
+        return difference(one, other) if self.mdp.sense == "max" else difference(other, one)
 
     @property
     def changed(self) -> Numbers:
@@ -241,11 +227,6 @@ def robust(
     -------
     Robust
 
-    Raises
-    ------
-    ModelError
-        As `solve_robust` does.
-
     Examples
     --------
     >>> from exact_mdp import Scenario
@@ -292,11 +273,6 @@ def robust_curve(
     Returns
     -------
     RobustCurve
-
-    Raises
-    ------
-    ModelError
-        For an unknown kind, and where no radius or one that cannot be is given.
 
     Examples
     --------
@@ -388,8 +364,7 @@ def worst_point(
     Raises
     ------
     ModelError
-        For unknown names, empty ranges, values that the model cannot have together, and where a
-        value is infinite.
+        For values that the model cannot have together, and where a value is infinite.
 
     Examples
     --------
@@ -412,8 +387,7 @@ def worst_point(
         return np.asarray(sign * solver.values(points, [fixed])["value"][:, 0])
 
     def flipped(point: Floats, end: np.ndarray) -> Floats:
-        """Return one point for each parameter, which is at its given end there."""
-        points = np.tile(point, (len(names), 1))
+        points = np.tile(point, (len(names), 1))  # one for each parameter, at its given end
         points[every, every] = ends[every, end]
         return points
 

@@ -196,8 +196,7 @@ def sobol(
     policy : PolicyLike
         The policy whose regret is decomposed; "optimal" is the optimum at today's values.
     names, ranges, relative : optional
-        As for `tornado`. Parameters that are 0 today are left out unless a range is stated, the
-        discount unless it is named.
+        As for `tornado`; what is 0 today, or the discount, varies only where that is stated.
     n : int
         A power of 2; the model is solved at n (P + 2) points.
     rng : int or numpy.random.Generator
@@ -207,12 +206,6 @@ def sobol(
     Returns
     -------
     Sobol
-
-    Raises
-    ------
-    ModelError
-        For unknown names, empty ranges, an `n` that is no power of 2, and values that the model
-        cannot have together.
 
     Examples
     --------

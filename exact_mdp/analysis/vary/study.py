@@ -49,37 +49,19 @@ ROOM = 2**21  # numbers that are worked on at once
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Study(Result):
-    """The optimum and N given policies at D points of P parameters; values at the start (reward).
-
-    Attributes
-    ----------
-    optimal, fixed : (D,), (D, N)
-        The policy re-optimised at each point, and each policy held fixed.
-    error : (D, N + 1)
-        Bounds on the errors of `optimal` (column 0) and of each policy's value.
-    sign : int
-        -1 where values are costs, of which the least is best.
-    rows, which : (U, G), (D,)
-        The optimal policies that were found, as the solver writes them, and each point's.
-    counts : (X, A)
-        Points in which an action is optimal up to rounding, at the labels of the solver.
-    lost : (D, A)
-        What each first action costs, NaN where it is not offered; (D, 0) for several first states.
-    cut : (D,) bool
-        Whether a chance was cut off at 1, of compiled solvers alone.
-    """
+    """The optimum and N given policies at D points of P parameters: values at the start."""
 
     names: tuple[str, ...]
-    points: Numbers
-    optimal: Floats
-    fixed: Floats
-    error: Floats
-    sign: int
-    rows: Integers
-    which: Integers
-    counts: Integers
-    lost: Floats
-    cut: np.ndarray
+    points: Numbers  # (D, P)
+    optimal: Floats  # (D,) the policy re-optimised at each point
+    fixed: Floats  # (D, N) each policy held fixed
+    error: Floats  # (D, N + 1) bounds on the errors of `optimal`, and of each policy's value
+    sign: int  # -1 where values are costs, of which the least is best
+    rows: Integers  # (U, G) the optimal policies that were found, as the solver writes them
+    which: Integers  # (D,) that of each point
+    counts: Integers  # (X, A) points in which an action is optimal up to rounding, by label
+    lost: Floats  # (D, A) cost of each first action, NaN if not offered; (D, 0): several starts
+    cut: np.ndarray  # (D,) whether a chance was cut off at 1, of compiled solvers alone
 
     def __post_init__(self) -> None:
         for array in vars(self).values():
@@ -143,8 +125,7 @@ def study(
     Raises
     ------
     ModelError
-        For no points, unknown names, and values that the model cannot have; the first point at
-        fault is named.
+        For no points, unknown names, and values that the model cannot have.
 
     Examples
     --------
@@ -303,14 +284,13 @@ class Draws:
 
 
 def _block(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
-    first, draws = piece
-    none = dict.fromkeys(("value", "error"), np.empty((len(draws), 0)))
-    held = _held(solver, policies, piece) if policies else none
-    return solver.solved(draws, first) | held
+    return solver.solved(piece[1], piece[0]) | _held(solver, policies, piece)
 
 
 def _held(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
     first, draws = piece
+    if not policies:
+        return dict.fromkeys(("value", "error"), np.empty((len(draws), 0)))
     return solver.values(draws, policies, first)
 
 
@@ -347,13 +327,10 @@ def _moved(model: Parametric, names: Sequence[str], row: Sequence[object]) -> st
 
 
 class _Part:
-    """Models of some draws, worked on all at once where they can be, else one by one.
-
-    `at` says in words where a model is, by its number.
-    """
+    """Models of some draws, worked on all at once where they can be, else one by one."""
 
     def __init__(self, models: list[MDP], at: Callable[[int], str]) -> None:
-        self.models, self.at = models, at
+        self.models, self.at = models, at  # where a model is, in words, by its number
         batch = Batch.of(models)
         self.batch = None if batch is None or batch.weights is None else batch
         self.size = KEPT if self.batch is None else self.batch.rows.size  # numbers that are held
@@ -401,8 +378,8 @@ class _Part:
 def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
     """Return what each pair (L,) loses, and the rounding of that.
 
-    Some states may be worth ±∞, though the start is not: a pair that leads to -∞ is worth that,
-    else one that leads to +∞ that; it loses nothing where its state is worth the same.
+    States may be worth ±∞, though the start is not: a pair that leads to -∞ is worth that, else one
+    that leads to +∞ that; it loses nothing where its state is worth the same.
     """
     value, here = solution.value, mdp.pair_state
     far = np.isinf(value)
@@ -421,12 +398,11 @@ class ModelSolver:
     """Models that are built; labels are the states in which there is a choice.
 
     `names` are the parameters that draws (D, Q) give, `base` is today's model, to whose pairs
-    policies refer, `block` draws are one piece of work, and `pool` draws of largest regret choose
-    candidates. Threads can share the work where compiled loops do it.
+    policies refer.
     """
 
-    block, pool = 64, 32
-    compiled = False
+    block, pool = 64, 32  # draws in a piece of work; of largest regret, which choose candidates
+    compiled = False  # or threads can share the work
 
     def __init__(self, model: Parametric, names: Sequence[str]) -> None:
         self.model, self.names = model, tuple(names)

@@ -16,7 +16,7 @@ limits bind (Altman, Constrained Markov Decision Processes, 1999, theorem 3.8).
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -78,22 +78,7 @@ class Limit:
 class ConstrainedSolution(TotalsProof):
     """The optimum under limits and its proof, or a proof that no policy keeps them.
 
-    Attributes
-    ----------
-    objectives : tuple of str
-        The reward, then what is limited.
-    limits : tuple of Limit
-    feasible : bool
-        Whether a policy keeps them.
-    flow : Flow
-        Expected visits of pairs under the optimal policy, or one that keeps the moved limits.
-    price : tuple of Fraction
-        Of each limit: what the optimum gains for each unit by which the limit is moved. Where it is
-        infeasible, the weights that prove it.
-    dual : Level
-        Values that no policy exceeds, of the reward where feasible and the limits by their prices.
-    shift : Fraction
-        The least t such that limits that are all moved by t can be kept: 0 where it is feasible.
+    Its `objectives` are the reward, then what is limited.
 
     Examples
     --------
@@ -108,11 +93,13 @@ class ConstrainedSolution(TotalsProof):
     """
 
     limits: tuple[Limit, ...]
-    feasible: bool
-    flow: Flow
+    feasible: bool  # whether a policy keeps them
+    flow: Flow  # visits of pairs under the optimal policy, or one that keeps the moved limits
+    # What the optimum gains for each unit by which a limit is moved; else the weights that prove
+    # that no policy keeps them.
     price: tuple[Fraction, ...]
-    dual: Level
-    shift: Fraction
+    dual: Level  # what no policy exceeds, of the reward where feasible and the limits by `price`
+    shift: Fraction  # the least t such that limits that are all moved by t can be kept
 
     kinds: ClassVar[tuple[str, ...]] = ("limits",)
 
@@ -162,7 +149,7 @@ class ConstrainedSolution(TotalsProof):
     @property
     def weights(self) -> list[Fraction]:
         """The weight of each objective where limits have prices."""
-        return _weights(self.of, self.limits, (Fraction(self.feasible), *self.price))
+        return _Program(self.of, self.limits).weights((Fraction(self.feasible), *self.price))
 
     @cached_property
     def randomises(self) -> dict[int, dict[str, Fraction]]:
@@ -270,37 +257,17 @@ def solve_under(mdp: MDP, subject_to: Mapping[str, Any]) -> ConstrainedSolution:
         title += "'"
     of = Objectives.of(mdp, [f"{title}={reward_name(mdp)}", *names])
     limits = tuple(replace(x, name=of.names[1 + names.index(x.name)]) for x in given)
-    best = _mixture(of, limits)
+    program = _Program(of, limits)
+    best = program.mixture()
     return ConstrainedSolution(
         limits=limits,
         feasible=best.price[0] == 1,
-        flow=_flow(of, limits, best),
+        flow=program.flow(best),
         price=best.price[1:],
         dual=best.dual,
         shift=best.shift,
         **about(of, "limits"),
     )
-
-
-def _weights(of: Objectives, limits: Sequence[Limit], price: Sequence[Fraction]) -> list[Fraction]:
-    """Return the weight of each objective where the reward and the limits have prices."""
-    weights = [price[0]] + [ZERO] * (len(of.names) - 1)
-    for limit, own in zip(limits, price[1:], strict=True):
-        weights[of.names.index(limit.name)] += of.sign * limit.sign * own
-    return weights
-
-
-def _kept(of: Objectives, limits: Sequence[Limit], totals: Point) -> list[Fraction]:
-    """Return what each limit is on, so that more is better."""
-    return [of.sign * x.sign * totals[of.names.index(x.name)] for x in limits]
-
-
-def _columns(
-    of: Objectives, limits: Sequence[Limit], policies: Sequence[Attained], shift: Fraction
-) -> list[list[Fraction]]:
-    """Return for each policy 1 and the room that it leaves, where the limits are moved."""
-    moved = [x.sign * x.bound - shift for x in limits]
-    return [[ONE, *map(sub, _kept(of, limits, policy.total), moved)] for policy in policies]
 
 
 class _Mixture(NamedTuple):
@@ -313,92 +280,111 @@ class _Mixture(NamedTuple):
     pairs: Integers
 
 
-def _mixture(of: Objectives, limits: Sequence[Limit]) -> _Mixture:
-    """Return the best mixture of policies, or where none keeps the limits, one of least step."""
-    size, short, bounds = len(limits), True, [limit.sign * limit.bound for limit in limits]
-    slack = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in range(size)]
-    policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
-    while True:
-        columns = _columns(of, limits, policies, ZERO) + slack + [[ZERO] + [ONE] * size] * short
-        earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
-        x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
-        shift = x[-1] if short else ZERO
-        if short and not shift:
-            short = False
-            continue
-        price = (Fraction(not short), *(-each for each in due))
-        pairs, dual = optimum(of, _weights(of, limits, price), policies[-1].pairs)
-        if dual.mean(of.mdp.start) == most + worth(price[1:], bounds):
-            shares = [each for each in zip(policies, x, strict=False) if each[1]]
-            return _Mixture(shares, shift, price, dual, pairs)
-        policies.append(attained(of, pairs))
+class _Program:
+    """The linear program that mixes policies so that limits are kept."""
 
+    def __init__(self, of: Objectives, limits: Sequence[Limit]) -> None:
+        self.of, self.limits, self.size = of, limits, len(limits)
+        self.bounds = [limit.sign * limit.bound for limit in limits]
 
-def _closer(
-    of: Objectives, limits: Sequence[Limit], best: _Mixture
-) -> list[tuple[Attained, Fraction]]:
-    """Return a mixture that is as good, of policies that differ in few states.
+    def weights(self, price: Sequence[Fraction]) -> list[Fraction]:
+        """Return the weight of each objective where the reward and the limits have prices."""
+        weights = [price[0]] + [ZERO] * (len(self.of.names) - 1)
+        for limit, own in zip(self.limits, price[1:], strict=True):
+            weights[self.of.names.index(limit.name)] += self.of.sign * limit.sign * own
+        return weights
 
-    One half-way between the two that differ most takes the place of one of them, where it can.
-    Limits that have no price may be kept with room to spare.
-    """
-    shares, size = list[tuple[Attained, Fraction]](), len(limits)
-    for policy, share in best.shares:  # which is optimal for the prices where it comes to
-        own, taken = best.pairs.copy(), flow_under(of, policy.pairs).pairs
-        own[of.rows.pair_state[taken]] = taken
-        shares.append((attained(of, own), share))
-    free = [k for k, price in enumerate(best.price[1:]) if not price]
-    spare = [[ZERO, *(Fraction(-(i == k)) for i in range(size))] for k in free]
-    while len(shares) > 1:
-        policies = [policy for policy, _ in shares]
-        each = combinations(policies, 2)
-        first, second = max(each, key=lambda two: np.sum(two[0].pairs != two[1].pairs))
-        apart, half = np.flatnonzero(first.pairs != second.pairs), first.pairs.copy()
-        half[apart[::2]] = second.pairs[apart[::2]]
-        policies = [attained(of, half), *policies]
-        columns = _columns(of, limits, policies, best.shift) + spare
-        earned = [ONE] + [ZERO] * (len(columns) - 1)
-        x, _ = maximise(earned, columns, [ONE] + [ZERO] * size)
-        closer = [each for each in zip(policies, x, strict=False) if each[1]]
-        after, before = (np.unique([own.pairs for own, _ in some]) for some in (closer, shares))
-        if len(after) >= len(before):
-            break
-        shares = closer
-    return shares
+    def kept(self, totals: Point) -> list[Fraction]:
+        """Return what each limit is on, so that more is better."""
+        return [self.of.sign * x.sign * totals[self.of.names.index(x.name)] for x in self.limits]
 
+    def columns(
+        self, policies: Sequence[Attained], shift: Fraction, spare: Iterable[int]
+    ) -> list[list[Fraction]]:
+        """Return for each policy 1 and the room that it leaves; then room that may be to spare."""
+        moved = [bound - shift for bound in self.bounds]
+        rows = [[ONE, *map(sub, self.kept(policy.total), moved)] for policy in policies]
+        return rows + [[ZERO, *(Fraction(-(i == k)) for i in range(self.size))] for k in spare]
 
-def _flow(of: Objectives, limits: Sequence[Limit], best: _Mixture) -> Flow:
-    """Return the visits of one policy that earns as much as a mixture.
+    def mixture(self) -> _Mixture:
+        """Return the best mixture of policies, or if none keeps the limits, one of least step."""
+        of, size, short = self.of, self.size, True
+        policies = [extreme(of, [1] + [0] * (len(of.names) - 1))]
+        while True:
+            columns = self.columns(policies, ZERO, range(size)) + [[ZERO] + [ONE] * size] * short
+            earned = [ZERO if short else policy.total[0] for policy in policies] + [ZERO] * size
+            x, (most, *due) = maximise(earned + [-ONE] * short, columns, [ONE] + [ZERO] * size)
+            shift = x[-1] if short else ZERO
+            if short and not shift:
+                short = False
+                continue
+            price = (Fraction(not short), *(-each for each in due))
+            pairs, dual = optimum(of, self.weights(price), policies[-1].pairs)
+            if dual.mean(of.mdp.start) == most + worth(price[1:], self.bounds):
+                shares = [each for each in zip(policies, x, strict=False) if each[1]]
+                return _Mixture(shares, shift, price, dual, pairs)
+            policies.append(attained(of, pairs))
 
-    It has a pair for each state, and as many further ones as limits bind, at most: with more, some
-    change of their numbers leaves what these limits are on as it is. It goes on until a pair is not
-    taken any more, or another limit binds.
-    """
-    state, taken = of.rows.pair_state, dict[int, Fraction]()
-    shares = _closer(of, limits, best)
-    for policy, share in shares:
-        for pair, number in flow_under(of, policy.pairs).numbers().items():
-            taken[pair] = taken.get(pair, ZERO) + share * number
-    own, bounds = shares[0][0].pairs.copy(), [limit.sign * limit.bound for limit in limits]
-    while True:
-        most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
-        own[state[most]] = most
-        further, flow = sorted(taken.keys() - {*own.tolist()})[: len(limits) + 1], Flow.of(taken)
-        kept = _kept(of, limits, flow.totals(of))
-        room = [k - b + best.shift for k, b in zip(kept, bounds, strict=True)]
-        moves = [_instead(of, pair, own) for pair in further]
-        gains = [*zip(*(_kept(of, limits, Flow.of(x).totals(of)) for x in moves), strict=True)]
-        tight = [common(gain)[0] for gain, left in zip(gains, room, strict=False) if not left]
-        free, count = flint.fmpz_mat([[0] * len(further), *tight]).nullspace()
-        if not count:
-            return flow
-        times = [Fraction(int(free[i, 0])) for i in range(len(further))]
-        change = {l: worth(times, [x.get(l, ZERO) for x in moves]) for l in taken}
-        falling = [(left, worth(times, x)) for x, left in zip(gains, room, strict=True) if left]
-        falling += [(taken[pair], step) for pair, step in change.items()]
-        length = min(left / -step for left, step in falling if step < 0)
-        moved = {pair: left + length * change[pair] for pair, left in taken.items()}
-        taken = {pair: left for pair, left in moved.items() if left}
+    def closer(self, best: _Mixture) -> list[tuple[Attained, Fraction]]:
+        """Return a mixture that is as good, of policies that differ in few states.
+
+        One half-way between the two that differ most takes the place of one of them, where it can.
+        Limits that have no price may be kept with room to spare.
+        """
+        of, shares = self.of, list[tuple[Attained, Fraction]]()
+        for policy, share in best.shares:  # which is optimal for the prices where it comes to
+            own, taken = best.pairs.copy(), flow_under(of, policy.pairs).pairs
+            own[of.rows.pair_state[taken]] = taken
+            shares.append((attained(of, own), share))
+        free = [k for k, price in enumerate(best.price[1:]) if not price]
+        while len(shares) > 1:
+            policies = [policy for policy, _ in shares]
+            each = combinations(policies, 2)
+            first, second = max(each, key=lambda two: np.sum(two[0].pairs != two[1].pairs))
+            apart, half = np.flatnonzero(first.pairs != second.pairs), first.pairs.copy()
+            half[apart[::2]] = second.pairs[apart[::2]]
+            policies = [attained(of, half), *policies]
+            columns = self.columns(policies, best.shift, free)
+            earned = [ONE] + [ZERO] * (len(columns) - 1)
+            x, _ = maximise(earned, columns, [ONE] + [ZERO] * self.size)
+            closer = [each for each in zip(policies, x, strict=False) if each[1]]
+            after, before = (np.unique([own.pairs for own, _ in some]) for some in (closer, shares))
+            if len(after) >= len(before):
+                break
+            shares = closer
+        return shares
+
+    def flow(self, best: _Mixture) -> Flow:
+        """Return the visits of one policy that earns as much as a mixture.
+
+        It has a pair for each state, and as many further ones as limits bind, at most: with more,
+        some change of their numbers leaves what these limits are on as it is. It goes on until a
+        pair is not taken any more, or another limit binds.
+        """
+        of, taken, shares = self.of, dict[int, Fraction](), self.closer(best)
+        for policy, share in shares:
+            for pair, number in flow_under(of, policy.pairs).numbers().items():
+                taken[pair] = taken.get(pair, ZERO) + share * number
+        own = shares[0][0].pairs.copy()
+        while True:
+            most = sorted(taken, key=lambda pair: (float(taken[pair]), -pair))
+            own[of.rows.pair_state[most]] = most
+            further, flow = sorted(taken.keys() - {*own.tolist()})[: self.size + 1], Flow.of(taken)
+            kept = self.kept(flow.totals(of))
+            room = [k - b + best.shift for k, b in zip(kept, self.bounds, strict=True)]
+            moves = [_instead(of, pair, own) for pair in further]
+            gains = [*zip(*(self.kept(Flow.of(x).totals(of)) for x in moves), strict=True)]
+            tight = [common(gain)[0] for gain, left in zip(gains, room, strict=False) if not left]
+            free, count = flint.fmpz_mat([[0] * len(further), *tight]).nullspace()
+            if not count:
+                return flow
+            times = [Fraction(int(free[i, 0])) for i in range(len(further))]
+            change = {l: worth(times, [x.get(l, ZERO) for x in moves]) for l in taken}
+            falling = [(left, worth(times, x)) for x, left in zip(gains, room, strict=True) if left]
+            falling += [(taken[pair], step) for pair, step in change.items()]
+            length = min(left / -step for left, step in falling if step < 0)
+            moved = {pair: left + length * change[pair] for pair, left in taken.items()}
+            taken = {pair: left for pair, left in moved.items() if left}
 
 
 def _instead(of: Objectives, pair: int, own: Integers) -> dict[int, Fraction]:

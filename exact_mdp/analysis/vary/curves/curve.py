@@ -30,7 +30,6 @@ from exact_mdp.analysis.vary.curves.checker import (
     Bracket,
     CurvePiece,
     Mix,
-    RationalFunction,
     piece_violations,
     weighed,
 )
@@ -75,11 +74,9 @@ class ValueFunction(Pictured):
 
     parameter: Parameter
     range: Range
-    # In rising order; each begins in the bracket in which the one before ends.
-    pieces: tuple[CurvePiece, ...]
+    pieces: tuple[CurvePiece, ...]  # each begins in the bracket in which the one before ends
     mdp: MDP  # the model today
-    # The models at all values; those that maximise the negated costs, of a model of costs.
-    family: Parametric
+    family: Parametric  # the models at all values; of costs, those that maximise the negated ones
     chain: PolicyChain | None = None  # the policy held fixed, in the model today
     checked: int | None = None  # points at which a degree was checked that is not proven
 
@@ -111,10 +108,7 @@ class ValueFunction(Pictured):
         return pieces
 
     def at(self, value: object) -> Fraction:
-        """Return the optimal value at the start at a value of the parameter.
-
-        Raises ModelError outside the range.
-        """
+        """Return the optimal value at the start at a value of the parameter, in its range."""
         where = self._number(value)
         best = max if self.mdp.sense == "max" else min
         return best(piece.value.at(where) for piece in self.around(where))
@@ -134,10 +128,8 @@ class ValueFunction(Pictured):
         pieces = self.around(at)
         best = self.at(at)
         left, *_, right = [p.value.slope(at) for p in pieces if p.value.at(at) == best] * 2
-        return (
-            None if at == self.range.low else left,
-            None if at == self.range.high else right,
-        )
+        low, high = self.range.low, self.range.high
+        return None if at == low else left, None if at == high else right
 
     def within(
         self, max_regret: object | None = None, max_relative_regret: object | None = None
@@ -155,11 +147,6 @@ class ValueFunction(Pictured):
         -------
         tuple of Interval
             In rising order.
-
-        Raises
-        ------
-        ModelError
-            Without a policy held fixed, for both limits, and for one below 0.
 
         Examples
         --------
@@ -235,8 +222,8 @@ class ValueFunction(Pictured):
         pieces = [
             {
                 **_between(each.low, each.high),
-                **_ratio(each.value),
-                **({} if each.fixed is None else {"fixed": _ratio(each.fixed)}),
+                **vars(each.value),
+                **({} if each.fixed is None else {"fixed": vars(each.fixed)}),
                 "policy": of_every_state(
                     self.mdp, [best for best, *_ in actions_of(self.mdp, each.optimal)]
                 ),
@@ -313,7 +300,7 @@ def _cells(piece: CurvePiece, sides: Sequence[fmpq_poly]) -> Iterator[tuple[Brac
 
 def _between(low: Bracket, high: Bracket) -> dict[str, Any]:
     ends = {"from": _point(low), "to": _point(high)}
-    return ends | {"from_bracket": list(low), "to_bracket": list(high)}
+    return ends | {"from_bracket": low, "to_bracket": high}
 
 
 def _point(bracket: Bracket) -> Fraction:
@@ -325,10 +312,6 @@ def _point(bracket: Bracket) -> Fraction:
         if low <= near <= high:
             return near
         most *= 10
-
-
-def _ratio(ratio: RationalFunction) -> dict[str, Any]:
-    return {"numerator": list(ratio.numerator), "denominator": list(ratio.denominator)}
 
 
 @named_options
@@ -379,17 +362,24 @@ def curve(
     if name == DISCOUNT:
         if ranges is None and relative is None and span.high < 1:
             span = Range(low=span.low, high=NEARLY_ONE)
-        span = _below_one(family, span)
+        if span.high == 1 and endless(family.at({DISCOUNT: 1})):
+            if span.low >= NEARLY_ONE:
+                raise ModelError(
+                    "at discount 1 some policy never ends",
+                    where=f"parameter {DISCOUNT}",
+                    fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
+                )
+            span = Range(low=span.low, high=NEARLY_ONE)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
     pieces, sweeps = pieces_of(family, name, span, mdp.sign, _mix(chain))
     if chain is not None and chain.policy is not None:
         ends = np.logical_and.reduce([np.array(each.gaps.terminal) for each in sweeps])
-        open_ = np.flatnonzero(chain.policy.silent(mdp) & mdp.terminal & ~ends)
-        if len(open_):
+        silent = chain.policy.silent(mdp) & mdp.terminal & ~ends
+        if silent.any():
             raise ModelError(
                 f"the policy says nothing of a state in which all is over today, but not at every "
                 f"{name}",
-                where=f"policy, {mdp.space.label(int(open_[0]))}",
+                where=f"policy, {mdp.space.label(int(silent.argmax()))}",
                 fix="give an action there, too, by a mapping or an array over all states",
             )
     return ValueFunction(
@@ -401,19 +391,6 @@ def curve(
         chain=chain,
         checked=next((c for e in sweeps if (c := e.gaps.rows.change.checked) is not None), None),
     )
-
-
-def _below_one(family: Parametric, span: Range) -> Range:
-    """Return a range of the discount that ends below 1 where some policy never ends at 1."""
-    if span.high < 1 or not endless(family.at({DISCOUNT: 1})):
-        return span
-    if span.low >= NEARLY_ONE:
-        raise ModelError(
-            "at discount 1 some policy never ends",
-            where=f"parameter {DISCOUNT}",
-            fix=f"choose a range that begins below {shown(NEARLY_ONE)}",
-        )
-    return Range(low=span.low, high=NEARLY_ONE)
 
 
 def _mix(chain: PolicyChain | None) -> Mix | None:

@@ -16,7 +16,7 @@ gaps within the error bound count as ties, and are refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -69,23 +69,10 @@ Number = Certified | Bounded
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A number that relies on an unproven degree of a polynomial.
+    """A number that relies on a degree of a polynomial that is checked, and not proven."""
 
-    Attributes
-    ----------
-    number : Certified or Bounded
-        What it is where the degree holds.
-    points : int
-        At this many values of the parameter the model is what the polynomial says.
-
-    Examples
-    --------
-    >>> print(Checked(number=Certified(value=Fraction(4)), points=6))
-    4 (checked: the degree holds at 6 points, and is not proven)
-    """
-
-    number: Number
-    points: int
+    number: Number  # what it is where the degree holds
+    points: int  # at which the model is what the polynomial says
 
     claim: ClassVar[Claim] = Claim.CHECKED
 
@@ -109,22 +96,12 @@ Slope = Certified | Bounded | Checked
 
 @dataclass(frozen=True, kw_only=True)
 class Derivative:
-    """How the start value moves with one parameter.
-
-    Attributes
-    ----------
-    parameter : Parameter
-    left, right : Certified, Bounded or Checked, or None beyond the parameter's range
-        One-sided derivatives: as the parameter comes from below, and as it goes up. Checked where
-        the degree of a `Family` is not proven.
-    elasticity : float or None
-        None where there is no single derivative, or the value is 0.
-    """
+    """How the start value moves with one parameter, from either side."""
 
     parameter: Parameter
-    left: Slope | None
-    right: Slope | None
-    elasticity: float | None
+    left: Slope | None  # as it comes from below; None beyond its range
+    right: Slope | None  # as it goes up
+    elasticity: float | None  # None where there is no single derivative, or the value is 0
 
     @property
     def value(self) -> Slope | None:
@@ -135,7 +112,7 @@ class Derivative:
 
     @property
     def claim(self) -> Claim:
-        """The weaker one of both sides' claims; certified where there is no side."""
+        """The weaker claim of both sides; certified where there is none."""
         claims = {side.claim for side in (self.left, self.right) if side is not None}
         order = (Claim.CHECKED, Claim.BOUNDED)
         return next((claim for claim in order if claim in claims), Claim.CERTIFIED)
@@ -143,26 +120,14 @@ class Derivative:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Gradient(Pictured):
-    """Derivatives of the start value by every parameter.
-
-    Attributes
-    ----------
-    model : str
-    start : Certified or Bounded
-        The start value; `start_value` is its number alone.
-    derivatives : {parameter name: Derivative}
-    steps : {setting: (backward, forward)}
-        Differences of the start value for whole-number settings such as max_trial: what the last
-        unit adds, and what one more would.
-    reoptimised : bool
-        Whether the policy follows the parameter, or is held fixed.
-    """
+    """Derivatives of the start value by every parameter."""
 
     model: str
     start: Number
     derivatives: dict[str, Derivative]
+    # Of whole-number settings such as max_trial: what the last unit adds, and one more would.
     steps: dict[str, tuple[Number | None, Number]]
-    reoptimised: bool
+    reoptimised: bool  # or the policy is held fixed
 
     def __repr__(self) -> str:
         how = "re-optimised" if self.reoptimised else "held fixed"
@@ -270,16 +235,14 @@ def gradient(
     Returns
     -------
     Gradient
-        Its derivatives are certified with rationals, and bounded with floats, where the degree of
-        the rows is proven; where that of a `mdp.parametric.Family` is only checked at some points
-        they say so.
+        Certified with rationals, and bounded with floats, where the degree of the rows is proven;
+        where that of a `Family` is only checked at some points, the derivatives say so.
 
     Raises
     ------
     ModelError
-        For unknown names; at discount 1 where some policy never ends; where rows are not
-        polynomials of the degree that a family states; with floats, where ties cannot be told from
-        small gaps.
+        For unknown names; at discount 1 where some policy never ends; for rows that are no
+        polynomials of the stated degree; with floats, where ties cannot be told from small gaps.
 
     Examples
     --------
@@ -297,7 +260,11 @@ def gradient(
     reoptimised = isinstance(policy, str) and policy == "optimal"
     if endless(mdp) and (reoptimised or not PolicyChain.of(mdp, policy).ends_from_start):
         raise unending("today's parameters")
-    exact = _cheap(mdp) if exact is None else exact
+    if exact is None:
+        sparse = mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS
+        sparse = sparse and mdp.table.weight.dtype == np.int64
+        few = mdp.n_states <= (EXACT_SPARSE_STATES if sparse else EXACT_CYCLIC_STATES)
+        exact = mdp.n_transitions <= EXACT_TRANSITIONS and (few or is_acyclic(mdp))
     passed = _ExactPass(mdp, policy) if exact else _BoundedPass(mdp, policy)
     return Gradient(
         model=family.name,
@@ -306,13 +273,6 @@ def gradient(
         steps=_steps(family, passed.start) if reoptimised else {},
         reoptimised=reoptimised,
     )
-
-
-def _cheap(mdp: MDP) -> bool:
-    """Return whether rational arithmetic is affordable."""
-    sparse = mdp.n_transitions <= EXACT_SPARSE_TRANSITIONS and mdp.table.weight.dtype == np.int64
-    most = EXACT_SPARSE_STATES if sparse else EXACT_CYCLIC_STATES
-    return mdp.n_transitions <= EXACT_TRANSITIONS and (mdp.n_states <= most or is_acyclic(mdp))
 
 
 def _derivative(
@@ -359,10 +319,7 @@ def _steps(family: Parametric, start: Number) -> dict[str, tuple[Number | None, 
 def _moves(
     mdp: MDP, change: RowChange, kind: Callable[[fmpq], Any], rows: tuple[Integers, Numbers]
 ) -> tuple[Integers, Numbers, Integers, Numbers]:
-    """Return keys and slopes of discounted transitions, and of rewards, in numbers of one kind.
-
-    `rows` are the keys of the transition matrix's entries, and the probabilities.
-    """
+    """Return keys and slopes of discounted transitions (P has `rows`), and of rewards."""
     slopes, gains = (
         np.array([kind(each) for each in part.slope], dtype=rows[1].dtype)
         for part in (change.transition, change.reward)
@@ -416,7 +373,7 @@ class _ExactPass:
         return keys, np.array(ratios(top, bottom), dtype=object)
 
     def slope(self, change: RowChange, sign: int) -> Certified:
-        """Return the derivative on one side: sign 1 for the right one, -1 for the left one."""
+        """Return the derivative on one side: 1 for the right one, -1 for the left one."""
         unique = self.certificate is None or self.certificate.unique
         keys, slopes, gain_keys, gains = _moves(self.mdp, change, lambda x: x, self.rows)
         if unique:  # other pairs count for nothing
@@ -426,26 +383,17 @@ class _ExactPass:
         _refuse_endless(self.mdp, earned != 0, change.name)
         if self.certificate is None or unique:
             return Certified(value=fraction(rational(0) + self.uses @ earned))
-        tied = np.flatnonzero(self.certificate.optimal_pairs)
-        gained = [sign * fraction(rational(0) + each) for each in earned[tied]]
-        best = proven(_earning(self.mdp, tied, gained)).start_value
-        return Certified(value=sign * Fraction(best))
-
-
-def _earning(mdp: MDP, pairs: Integers, gained: Sequence[Fraction]) -> MDP:
-    """Return the model that offers some of the pairs (K,) only, which earn other rewards (K,)."""
-    top, bottom = common(gained)
-    return mdp.with_(
-        table=replace(
-            mdp.table.of_pairs(pairs),
+        tied, mdp = np.flatnonzero(self.certificate.optimal_pairs), self.mdp
+        top, bottom = common([sign * fraction(rational(0) + each) for each in earned[tied]])
+        table = replace(
+            mdp.table.of_pairs(tied),
             gain=integers(top),
-            gain_denominator=integers([bottom] * len(pairs)),
+            gain_denominator=integers([bottom] * len(tied)),
             event=None,
-        ),
-        pair_state=mdp.pair_state[pairs],
-        pair_action=mdp.pair_action[pairs],
-        events=(),
-    )
+        )
+        state, action = mdp.pair_state[tied], mdp.pair_action[tied]
+        best = mdp.with_(table=table, pair_state=state, pair_action=action, events=())
+        return Certified(value=sign * Fraction(proven(best).start_value))
 
 
 def _refuse_endless(mdp: MDP, earns: NDArray[np.bool_], name: str) -> None:
@@ -467,9 +415,15 @@ class _BoundedPass:
         if isinstance(policy, str) and policy == "optimal":
             solution = solve(mdp)
             gain = gains(mdp, solution.value)
-            sign = -1 if mdp.sense == "min" else 1
-            tied = sign * gain.value >= -2 * (solution.error_bound + gain.noise)
-            _refuse_ties(mdp, tied)
+            tied = mdp.sign * gain.value >= -2 * (solution.error_bound + gain.noise)
+            several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
+            several &= reachable(mdp, pairs=tied) & ~mdp.terminal
+            if several.any():
+                raise ModelError(
+                    "several actions are optimal, or floats cannot tell them apart",
+                    where=mdp.space.place(int(several.argmax())),
+                    fix="ask for exact=True, which gives one-sided derivatives at a tie",
+                )
             policy = solution
         evaluation = evaluate(mdp, policy)
         self.start, chain = evaluation.numbers["mean"], evaluation.chain
@@ -488,11 +442,9 @@ class _BoundedPass:
 
     def slope(self, change: RowChange, _: int) -> Bounded:
         """Return the derivative; both sides are alike where one policy is optimal."""
-        moves, count = (
-            _moves(self.mdp, change, lambda x: float(fraction(x)), self.rows),
-            self.mdp.n_pairs,
-        )
-        keys, slopes, gain_keys, gains = moves[0], np.abs(moves[1]), moves[2], np.abs(moves[3])
+        count = self.mdp.n_pairs
+        moves = _moves(self.mdp, change, lambda x: float(fraction(x)), self.rows)
+        keys, slopes, gain_keys, gains = map(np.abs, moves)
         earned = _earned(*moves, self.value, count)
         size = _earned(keys, slopes, gain_keys, gains, np.abs(self.value), count)
         off = _earned(keys, slopes, gain_keys, 0 * gains, self.value_error, count)
@@ -501,16 +453,3 @@ class _BoundedPass:
         used = self.uses + self.doubt
         error = self.doubt @ size + used @ off + float(gamma(terms)) * (used @ size)
         return Bounded(value=float(self.uses @ earned), error=float(error * SLACK + TINY * terms))
-
-
-def _refuse_ties(mdp: MDP, tied: NDArray[np.bool_]) -> None:
-    """Raise ModelError unless every state that optimal pairs reach has one of them."""
-    several = np.add.reduceat(tied, mdp.pair_offsets[:-1], dtype=np.int64) != 1
-    seen = reachable(mdp, pairs=tied) & ~mdp.terminal
-    if (several & seen).any():
-        state = int(np.flatnonzero(several & seen)[0])
-        raise ModelError(
-            "several actions are optimal, or floats cannot tell them apart",
-            where=mdp.space.place(state),
-            fix="ask for exact=True, which gives one-sided derivatives at a tie",
-        )

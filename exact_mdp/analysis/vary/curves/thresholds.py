@@ -37,17 +37,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """A state whose optimal actions change at a threshold: all those below it and above it.
-
-    `reached` says whether an optimal policy comes to the state from the start, below or above.
-    """
+    """A state whose optimal actions change at a threshold: all those below it and above it."""
 
     state: int
     label: str
     columns: Mapping[str, Any]
     before: tuple[str, ...]
     after: tuple[str, ...]
-    reached: bool
+    reached: bool  # whether an optimal policy comes to it from the start, below or above
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +73,7 @@ class Threshold:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Thresholds(Pictured):
-    """All thresholds of one parameter within the range of a curve, in rising order.
-
-    There may be more where the degree of a family's rows is checked and not proven.
-    """
+    """All thresholds of one parameter within the range of a curve, in rising order."""
 
     curve: ValueFunction
     found: tuple[Threshold, ...]
@@ -129,17 +123,8 @@ class Thresholds(Pictured):
     def stable(self, *, reached: bool = False) -> tuple[Fraction, Fraction]:
         """Return the interval around today's value in which no optimal action changes.
 
-        It has the claim of the thresholds: its ends are the near ends of brackets, or the ends of
-        the range.
-
-        Parameters
-        ----------
-        reached : bool
-            Count only states that an optimal policy comes to from the start.
-
-        Returns
-        -------
-        low, high : Fraction
+        Its ends are the near ends of brackets, or those of the range; `reached` counts only states
+        that an optimal policy comes to from the start.
         """
         low, high = self.curve.range.low, self.curve.range.high
         today = self.curve.parameter.value
@@ -240,9 +225,7 @@ def thresholds(
     Returns
     -------
     Thresholds
-        Those inside the range, touches included; its own ends are not looked at. They are certified
-        where the degree of the rows is proven; where that of a `mdp.parametric.Family` is only
-        checked at some points they say so.
+        Those inside the range, touches included; its own ends are not looked at.
 
     Raises
     ------
