@@ -134,6 +134,19 @@ def test_where_a_policy_keeps_a_limit(
             assert (abs(best - mine) <= limit * (abs(best) if relative else 1)) == bool(inside)
 
 
+def test_a_root_on_one_side_of_a_breakpoint_is_none_on_the_other() -> None:
+    """Max(0, 1 - |t|) against 0: nothing is lost at both ends alone, and most in the middle."""
+    family = Family(
+        parameters=(TODAY,),
+        build=lambda at: MDP.from_outcomes(
+            [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 1 - abs(at["t"]))]), (1, 0, [(1, 1, 0)])], 1
+        ),
+        breaks={"t": [0]},
+    )
+    within = curve(family, "t", (-1, 1), policy=[0, 0]).within(0)
+    assert [(each.low, each.high) for each in within] == [((t, t), (t, t)) for t in (F(-1), F(1))]
+
+
 def test_limits_that_say_nothing_are_refused() -> None:
     value_curve = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
     for call, message in (

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
 from math import prod
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -165,27 +164,41 @@ class ValueFunction(Pictured):
         most = limit_of("max_regret", 0 if max_regret is None else max_regret)
         relative = 0 if max_relative_regret is None else max_relative_regret
         share = limit_of("max_relative_regret", relative)
-        # At the k-th place, of which a root is known or not, keeps[k] turns into keeps[k + 1].
-        places, keeps = list[tuple[Bracket, bool, bool]](), [False]
-        sides: list[fmpq_poly] = []
-        for piece in self.pieces:
-            before, sides = sides, self._margins(piece, most, share)
-            places.append((piece.low, _root_on([*before, *sides], piece, piece.low), True))
-            for inside, allowed in _cells(piece, sides):
-                keeps.append(allowed)
-                places += [] if inside is None else [(inside, True, False)]
-        last = self.pieces[-1]
-        places.append((last.high, _root_on(sides, last, last.high), True))
-        intervals, begun = list[Interval](), last.high
-        for (at, root, joint), (left, right) in zip(places, pairwise([*keeps, False]), strict=True):
-            apart = root and joint and at[0] < at[1]  # what happens in between is not known
-            if left and (apart or not right):
+        intervals, begun, left = list[Interval](), self.pieces[0].low, False
+        for at, root, open_, right in self._places(most, share):
+            if left and (open_ or not right):
                 intervals.append(Interval(low=begun, high=at))
-            if right and (apart or not left):
+            if right and (open_ or not left):
                 begun = at
             if root and not left and not right:
                 intervals.append(Interval(low=at, high=at))
+            left = right
         return tuple(intervals)
+
+    def _places(
+        self, most: Fraction, share: Fraction
+    ) -> Iterator[tuple[Bracket, bool, bool, bool]]:
+        """Yield the brackets in which a limit may begin or cease to be kept, in rising order.
+
+        With each: whether some margin has a root there, whether it is open what happens inside, and
+        whether the limit is kept from there up to the next.
+        """
+        sides: list[fmpq_poly] = []
+        last = self.pieces[0]
+        for piece in self.pieces:
+            before = sides if piece.section is last.section else []
+            sides, last, origin = self._margins(piece, most, share), piece, piece.section.origin
+            here, high = piece.low[1] - origin, piece.high[0] - origin
+            at, root = piece.low, _root_on([*before, *sides], piece, piece.low)
+            open_ = root and at[0] < at[1]
+            for inside in roots(_product(sides), here, high):
+                near = inside.apart(here, WIDTH)
+                yield at, root, open_, _kept(sides, here, near.low)
+                at, root, open_ = (near.low + origin, near.high + origin), True, False
+                here = near.high
+            yield at, root, open_, _kept(sides, here, high)
+        root = _root_on(sides, last, last.high)
+        yield last.high, root, root and last.high[0] < last.high[1], False
 
     def _margins(self, piece: CurvePiece, most: Fraction, share: Fraction) -> list[fmpq_poly]:
         """Return polynomials of which one is not negative where the limit is kept.
@@ -283,19 +296,9 @@ def _root_on(sides: Sequence[fmpq_poly], piece: CurvePiece, bracket: Bracket) ->
     return roots_on(_product(sides), low, high) > 0
 
 
-def _cells(piece: CurvePiece, sides: Sequence[fmpq_poly]) -> Iterator[tuple[Bracket | None, bool]]:
-    """Yield whether a limit is met up to each root inside, its bracket, and beyond the last."""
-    origin = piece.section.origin
-    here, high = piece.low[1] - origin, piece.high[0] - origin
-
-    def allowed(end: Fraction) -> bool:
-        return any(sign(side, (here + end) / 2) >= 0 for side in sides)
-
-    for root in roots(_product(sides), here, high):
-        near = root.apart(here, WIDTH)
-        yield (near.low + origin, near.high + origin), allowed(near.low)
-        here = near.high
-    yield None, allowed(high)
+def _kept(sides: Sequence[fmpq_poly], low: Fraction, high: Fraction) -> bool:
+    """Whether a limit is kept between two points without a root in between."""
+    return any(sign(side, (low + high) / 2) >= 0 for side in sides)
 
 
 def _between(low: Bracket, high: Bracket) -> dict[str, Any]:
