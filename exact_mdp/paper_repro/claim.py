@@ -22,11 +22,13 @@ from fractions import Fraction
 from math import erfc, sqrt
 from typing import TYPE_CHECKING, Any, Literal
 
+from exact_mdp import Bounded, Certified, Estimated
 from exact_mdp.paper_repro.paper import ABOUT
 
 if TYPE_CHECKING:
     from exact_mdp.paper_repro.silent_points import Reading
 
+Number = Certified | Bounded | Estimated
 CHANCE = 0.0027  # that a normal number is further off than three standard errors
 NEARLY_ALL = 0.95
 
@@ -54,19 +56,10 @@ class Finding:
     verdict: Verdict
     why: str  # in a sentence or two
     says: str = ""  # the verdict with its number, "seen in 24 % of runs"; else the bare word
-    exact: Fraction | float | None = None  # the exact counterpart of the paper's number
-    kind: str = ""  # how it is known: "certified", "bounded" or "estimated"
-    error: float = 0.0  # its proven bound, or the standard error of an estimate
+    number: Number | None = None  # the exact counterpart of the paper's number
     paper: Fraction | float | None = None
     standard_error: float | None = None  # the exact one of the paper's average
     details: Mapping[str, Any] = field(default_factory=dict)  # more, for `numbers.json`
-
-    @property
-    def difference(self) -> float | None:
-        """Exact less paper."""
-        if self.exact is None or self.paper is None:
-            return None
-        return float(self.exact - self.paper)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,64 +140,36 @@ def statement(holds: bool, why: str, **more: Any) -> Finding:
     return Finding(verdict=verdict, why=why, **more)
 
 
-def certified(value: Fraction) -> dict[str, Any]:
-    """Return an exact number for a finding."""
-    return {"exact": value, "kind": "certified"}
-
-
-def bounded(value: float, error: float) -> dict[str, Any]:
-    """Return a float with its proven error for a finding."""
-    return {"exact": value, "kind": "bounded", "error": error}
-
-
-def estimated(value: float, standard_error: float) -> dict[str, Any]:
-    """Return an estimate for a finding."""
-    return {"exact": value, "kind": "estimated", "error": standard_error}
-
-
 def entries(
     paper: Mapping[str, Fraction], model: Mapping[str, Fraction], note: str = ""
 ) -> Finding:
-    """Compare the numbers of a table with the model's, all exact.
-
-    >>> entries({"a": Fraction(1, 2)}, {"a": Fraction(1, 2)}).why
-    '1 of 1 entries agree'
-    """
+    """Compare the numbers of a table with the model's, all exact."""
     off = {name: model[name] for name, number in paper.items() if model[name] != number}
     why = f"{len(paper) - len(off)} of {len(paper)} entries agree{note}"
     why += "".join(f"; {name} is {value}" for name, value in off.items())
-    count = {**certified(Fraction(len(paper) - len(off))), "paper": Fraction(len(paper))}
-    details = {"entries": {name: str(value) for name, value in model.items()}}
-    return statement(not off, why, **count, details=details)
-
-
-def about(paper: float, why: str = "", **number: Any) -> Finding:
-    """Compare a number that the text says approximately.
-
-    >>> about(140, **bounded(143.2, 0)).verdict.value
-    'reproduced'
-    """
-    near = abs(number["exact"] - paper) <= ABOUT
-    wording = f"{'within' if near else 'more than'} {ABOUT:g} {'of' if near else 'from'} {paper:g}"
     return statement(
-        near,
-        "; ".join(filter(None, [f"{wording}, which the text says approximately", why])),
-        paper=paper,
-        **number,
+        not off,
+        why,
+        number=Certified(value=Fraction(len(paper) - len(off))),
+        paper=Fraction(len(paper)),
+        details={"entries": {name: str(value) for name, value in model.items()}},
     )
+
+
+def about(paper: float, number: Number, why: str = "", **more: Any) -> Finding:
+    """Compare a number that the text says approximately."""
+    near = abs(number.value - paper) <= ABOUT
+    wording = f"{'within' if near else 'more than'} {ABOUT:g} {'of' if near else 'from'} {paper:g}"
+    said = "; ".join(filter(None, [f"{wording}, which the text says approximately", why]))
+    return statement(near, said, paper=paper, number=number, **more)
 
 
 def average(paper: float, mean: float, sd: float, n: int, *, error: float, why: str) -> Finding:
-    """Compare an average of n experiments with its exact mean, by their exact standard error.
-
-    >>> average(11, 10, 10, 100, error=0, why="").says
-    'compatible, p = 0.32'
-    """
+    """Compare an average of n experiments with its exact mean, by their exact standard error."""
     standard_error = sd / sqrt(n)
     chance = erfc(abs(mean - paper) / standard_error / sqrt(2))
-    return by_chance(
-        chance, why, paper=paper, standard_error=standard_error, **bounded(mean, error)
-    )
+    number = Bounded(value=mean, error=error)
+    return by_chance(chance, why, paper=paper, standard_error=standard_error, number=number)
 
 
 def by_chance(chance: float, why: str, **more: Any) -> Finding:
@@ -215,11 +180,7 @@ def by_chance(chance: float, why: str, **more: Any) -> Finding:
 
 
 def share(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
-    """Judge by how many of our own runs show it.
-
-    >>> share(24, 100, "runs", "").says, share(99, 100, "runs", "").verdict.value
-    ('seen in 24 % of 100 runs', 'reproduced')
-    """
+    """Judge by how many of our own runs show it."""
     part = count / total
     shown = f"{100 * part:.{0 if part >= 0.095 else 1}f} %" if count else "none"
     says = f"seen in {shown} of {total:,} {what}"
@@ -227,9 +188,10 @@ def share(count: int, total: int, what: str, why: str, **more: Any) -> Finding:
     if part >= NEARLY_ALL:
         verdict, says = Verdict.REPRODUCED, f"reproduced, {says}"
     smooth = (count + 0.5) / (total + 1)  # not 0 where all runs are alike
-    number = estimated(part, sqrt(smooth * (1 - smooth) / total))
+    number = Estimated(value=part, standard_error=sqrt(smooth * (1 - smooth) / total))
     details = {"count": count, "runs": total, **more.pop("details", {})}
-    return Finding(verdict=verdict, why=why, says=says, details=details, **{**number, **more})
+    more = {"number": number, **more}
+    return Finding(verdict=verdict, why=why, says=says, details=details, **more)
 
 
 def undecided(why: str, **more: Any) -> Finding:
@@ -276,19 +238,21 @@ def depends(finding: Finding, others: Iterable[Verdict]) -> bool:
 
 def entry_of(each: Claim, finding: Finding) -> dict[str, Any]:
     """Return a claim with a finding, as JSON."""
-    apart, errors = finding.difference, finding.standard_error
+    number, paper, errors = finding.number, finding.paper, finding.standard_error
+    exact = None if number is None else number.value
+    apart = None if exact is None or paper is None else float(exact - paper)
     return {
         "name": each.id,
         "kind": each.kind,
         "source": ", ".join(each.places),
         "says": each.says,
-        "paper": None if finding.paper is None else float(finding.paper),
-        "exact": None if finding.exact is None else float(finding.exact),
-        "exact_rational": str(finding.exact) if isinstance(finding.exact, Fraction) else None,
+        "paper": None if paper is None else float(paper),
+        "exact": None if exact is None else float(exact),
+        "exact_rational": str(exact) if isinstance(exact, Fraction) else None,
         "difference": apart,
-        "claim": finding.kind or None,
-        "error_bound": finding.error if finding.kind == "bounded" else None,
-        "estimate_standard_error": finding.error if finding.kind == "estimated" else None,
+        "claim": None if number is None else str(number.claim),
+        "error_bound": number.error if isinstance(number, Bounded) else None,
+        "estimate_standard_error": getattr(number, "standard_error", None),
         "standard_error": errors,
         "difference_in_standard_errors": apart / errors if apart is not None and errors else None,
         "approximate": each.rule == "about",

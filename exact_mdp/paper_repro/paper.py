@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from exact_mdp import ModelError
+from exact_mdp.mdp.io.files import write_atomically
 
 PAPER: dict[str, Any] = tomllib.loads((Path(__file__).parent / "paper.toml").read_text("utf-8"))
 PLACES: dict[str, str] = PAPER["places"]
@@ -39,11 +40,7 @@ ORDERS = {  # of "directive or non-directive, respectively" for 1000 and 0100
 
 
 def table_3() -> dict[str, Fraction]:
-    """Return the twenty numbers of Table 3 by name.
-
-    >>> table_3()["influence.disengagement.anger"]
-    Fraction(1, 5)
-    """
+    """Return the twenty numbers of Table 3 by name."""
     numbers = {}
     for row, (base, entries) in PAPER["table3"].items():
         numbers[f"base.{row}"] = Fraction(base, 100)
@@ -64,23 +61,16 @@ def words(status: str) -> str:
 
 
 def fits(policy: dict[str, str], order: str) -> bool:
-    """Return whether a policy takes the actions stated for 1100, 1000 and 0100, in one order.
-
-    >>> fits({"1100": "directive", "1000": "non-directive", "0100": "directive"}, "swapped")
-    True
-    """
+    """Return whether a policy takes the actions stated for 1100, 1000 and 0100, in one order."""
     stated = {"1100": REPORTED["stated"]["1100"], **ORDERS[order]}
     return all(policy[status] == action for status, action in stated.items())
 
 
 def write(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all; raises ModelError where that fails."""
-    part = path.with_name(path.name + ".part")
+    """Write a file whole or not at all, in a folder that is made; raises ModelError if it fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8"))
-        part.replace(path)
     except OSError as error:
-        raise ModelError(
-            f"cannot write the file: {error.strerror}", where=str(path), fix="name another folder"
-        ) from error
+        what = f"cannot write the file: {error.strerror}"
+        raise ModelError(what, where=str(path), fix="name another folder") from error
+    write_atomically(path, content)

@@ -35,11 +35,7 @@ SECTIONS = ("Section 1", "Section 4.1", "Section 4.2")  # those with findings
 
 
 def number(value: float | None, *, digits: int = 4) -> str:
-    """Return a number for reading: few digits, and a true minus sign; nothing for None.
-
-    >>> number(-2.2253931), number(6000.0), number(142.0746), number(None)
-    ('−2.225', '6,000', '142.1', '')
-    """
+    """Return a number for reading: few digits, and a true minus sign; nothing for None."""
     if value is None:
         return ""
     if value == int(value) and abs(value) < 1e9:
@@ -138,13 +134,7 @@ def tables(reading: Reading) -> dict[str, list[list[str]]]:
 
 
 def render(results: Mapping[str, Any], *, code: str = "") -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    results : as `results.json` has them
-    code : what links to files of the code begin with; no links where it is empty
-    """
+    """Return the page; `code` is what links to files of the code begin with, none where empty."""
     import jinja2
 
     environment = jinja2.Environment(

@@ -19,12 +19,12 @@ import time
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from exact_mdp import ModelError, Scenario
+from exact_mdp import Estimated, ModelError, Scenario
 from exact_mdp.analysis.record import run_record
+from exact_mdp.mdp.errors import extra, known
 from exact_mdp.paper_repro import section_4_1_learning, section_4_1_policies, section_4_2
 from exact_mdp.paper_repro.claim import CLAIMS, Claim, Verdict, depends, judged
 from exact_mdp.paper_repro.drawing import FIGURES, save
@@ -101,14 +101,8 @@ def run(out: Path, *, quick: bool, readme: Path | None = None) -> dict[str, Any]
 
 def needs_matplotlib() -> None:
     """Raise ModelError, before anything is worked out, where no figure could be drawn."""
-    try:
+    with extra("plots"):
         import matplotlib.pyplot as plt
-    except ImportError:
-        raise ModelError(
-            "the package matplotlib is missing",
-            where="figures",
-            fix='pip install "exact-mdp[plots]"',
-        ) from None
     del plt
 
 
@@ -121,38 +115,23 @@ def values(reading: Reading) -> dict[str, Any]:
 
 def chosen(name: str) -> Claim:
     """Return a claim by its name; raises ModelError for an unknown one."""
-    claim: Claim = _named(name, CLAIMS, "claim")
-    return claim
-
-
-def _named(name: str, known: Mapping[str, Any], what: str) -> Any:
-    if name not in known:
-        there = [each.id for each in CLAIMS.values() if name in each.places and what == "claim"]
-        if there:
-            said = f"{name} is a place, and no claim"
-            raise ModelError(said, where=what, fix=f"choose one of {', '.join(there)}")
-        near = get_close_matches(name, known, n=1, cutoff=0.6)
-        fix = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(known)}"
-        raise ModelError(f"unknown {what} {name!r}", where=what, fix=fix)
-    return known[name]
+    if there := [each.id for each in CLAIMS.values() if name in each.places]:
+        said = f"{name} is a place, and no claim"
+        raise ModelError(said, where="claim", fix=f"choose one of {', '.join(there)}")
+    return CLAIMS[known(name, CLAIMS, "claim", "claim")]
 
 
 def draw(name: str, out: Path, runs: int) -> list[Path]:
     """Draw one figure into a folder; raises ModelError for an unknown one."""
     by_place = {each.place.removeprefix("Figure "): each for each in FIGURES.values() if each.place}
     number = name.lower().removeprefix("figure").strip()
-    picture = by_place[number] if number in by_place else _named(name, FIGURES, "figure")
+    picture = by_place.get(number) or FIGURES[known(name, FIGURES, "figure", "figure")]
     needs_matplotlib()
     return save(picture, default(runs=runs), out)
 
 
 def changed_reading(base: Reading, sets: Sequence[str]) -> Reading:
-    """Return a reading with KEY=VALUE changes: of the scenario, or training.KEY of the learner.
-
-    >>> changed = changed_reading(default(), ["readings.status_cost=current", "training.rate=0.1"])
-    >>> changed.scenario.readings["status_cost"], changed.training
-    ('current', {'rate': 0.1})
-    """
+    """Return a reading with KEY=VALUE changes: of the scenario, or training.KEY of the learner."""
     scenario: Scenario = base.scenario
     training: dict[str, Any] = {}
     for each in sets:
@@ -180,11 +159,13 @@ def one(name: str, sets: Sequence[str], runs: int) -> str:
     claim = chosen(name)
     reading = changed_reading(default(runs=runs), sets)
     finding = claim.find(reading)
-    known = finding.kind
-    error = f" ± {finding.error:.2g}" if known == "estimated" else ""
+    number, here = finding.number, ""
+    if number is not None:
+        error = f" ± {number.standard_error:.2g}" if isinstance(number, Estimated) else ""
+        here = f"{float(number.value):.10g}{error} ({number.claim})"
     lines = {
         "paper": "" if finding.paper is None else f"{float(finding.paper):g}",
-        "here": "" if finding.exact is None else f"{float(finding.exact):.10g}{error} ({known})",
+        "here": here,
         "verdict": finding.says,
         "why": finding.why,
         "reading": reading.label,

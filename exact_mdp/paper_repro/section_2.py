@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
+from functools import partial
 from itertools import pairwise
 from math import prod
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp import MDP, evaluate
+from exact_mdp import MDP, Certified, evaluate
 from exact_mdp.paper_repro import drawing
-from exact_mdp.paper_repro.claim import Finding, certified, claim, entries, statement, undecided
+from exact_mdp.paper_repro.claim import Finding, claim, entries, statement, undecided
 from exact_mdp.paper_repro.drawing import PERSON, ROBOT, Box, arrow, diagram, figure
 from exact_mdp.paper_repro.paper import ACTIONS, BITS, PAPER, SETTINGS, table_3
 from exact_mdp.paper_repro.silent_points import Reading
@@ -50,12 +51,7 @@ def law(mdp: MDP, vector: int, action: int, *, trial: int = 0) -> dict[int, Frac
 
 
 def chance(mdp: MDP, vector: int, action: int, status: str, *, trial: int = 0) -> Fraction:
-    """Return the exact probability that a status is present next, from a status vector.
-
-    >>> from exact_mdp.paper_repro.silent_points import default
-    >>> chance(default().mdp, 0b0010, 0, "forgetfulness")
-    Fraction(37, 100)
-    """
+    """Return the exact probability that a status is present next, from a status vector."""
     after = law(mdp, vector, action, trial=trial)
     return sum((p for vector, p in after.items() if vector & BITS[status]), Fraction(0))
 
@@ -144,7 +140,7 @@ def no_recovery_alone(reading: Reading) -> Finding:
     """
     leaves = max(1 - chance(reading.mdp, bit, 0, status) for status, bit in BITS.items())
     why = f"a status alone goes away with probability {float(leaves):.0%} at most"
-    return statement(leaves <= Fraction(1, 100), why, **certified(leaves))
+    return statement(leaves <= Fraction(1, 100), why, number=Certified(value=leaves))
 
 
 @claim("states.independent", "Section 2.1", kind="input", rule="open")
@@ -258,14 +254,13 @@ def architecture(reading: Reading) -> Figure:
     for x, text in ((-1.5, "agent PLWD"), (2.7, "agent Robot Caregiver")):
         ax.add_patch(Rectangle((x, -0.7), 3.0, 4.4, fill=False, edgecolor="0.6", lw=0.8))
         ax.text(x + 0.1, 3.6, text, va="top", fontsize=9, fontweight="bold")
+    box = partial(Box, width=2.2)
     boxes = {
-        "care": Box(0, 0.1, "care model:\nstatus s, drawn", PERSON, width=2.2),
-        "behaviour": Box(0, 2.7, "behaviour:\nwords and gestures", PERSON, model=True, width=2.2),
-        "perception": Box(4.2, 2.7, "perception:\nstatus as perceived", ROBOT, True, width=2.2),
-        "choice": Box(4.2, 1.4, "choice of action a\nby a policy", ROBOT, width=2.2),
-        "execution": Box(
-            4.2, 0.1, "action execution:\nwhat the robot says", ROBOT, True, width=2.2
-        ),
+        "care": box(0, 0.1, "care model:\nstatus s, drawn", PERSON),
+        "behaviour": box(0, 2.7, "behaviour:\nwords and gestures", PERSON, model=True),
+        "perception": box(4.2, 2.7, "perception:\nstatus as perceived", ROBOT, model=True),
+        "choice": box(4.2, 1.4, "choice of action a\nby a policy", ROBOT),
+        "execution": box(4.2, 0.1, "action execution:\nwhat the robot says", ROBOT, model=True),
     }
     diagram(
         ax,
@@ -289,28 +284,27 @@ def flow(reading: Reading) -> Figure:
     trial at a subtask.
     """
     fig, ax = drawing.axes(7.2, 5.2)
-    trials = SETTINGS["max_trial"]
+    trials, box = SETTINGS["max_trial"], partial(Box, width=2.1)
     boxes = {
-        "start": Box(0, 5, "start: status 0000,\nfirst subtask", width=2.1),
-        "behave": Box(0, 4, "put the status into\nbehaviour", PERSON, model=True, width=2.1),
-        "perceive": Box(0, 3, "perceive a status", ROBOT, model=True, width=2.1),
-        "choose": Box(0, 2, "choose an action", ROBOT, width=2.1),
-        "say": Box(0, 1, "put it into words", ROBOT, model=True, width=2.1),
-        "draw": Box(0, 0, "draw the next status", PERSON, width=2.1),
-        "clear": Box(3.2, 0, "status 0000?", width=2.1),
-        "failed": Box(3.2, 2, f"{trials} failed trials\nat this subtask?", width=2.1),
-        "completed": Box(6.4, 0, "subtask completed", PERSON, width=2.1),
-        "skipped": Box(6.4, 2, "subtask skipped", ROBOT, width=2.1),
-        "left": Box(6.4, 4, "subtasks left?", width=2.1),
-        "end": Box(6.4, 5, "end", width=2.1),
+        "start": box(0, 5, "start: status 0000,\nfirst subtask"),
+        "behave": box(0, 4, "put the status into\nbehaviour", PERSON, model=True),
+        "perceive": box(0, 3, "perceive a status", ROBOT, model=True),
+        "choose": box(0, 2, "choose an action", ROBOT),
+        "say": box(0, 1, "put it into words", ROBOT, model=True),
+        "draw": box(0, 0, "draw the next status", PERSON),
+        "clear": box(3.2, 0, "status 0000?"),
+        "failed": box(3.2, 2, f"{trials} failed trials\nat this subtask?"),
+        "completed": box(6.4, 0, "subtask completed", PERSON),
+        "skipped": box(6.4, 2, "subtask skipped", ROBOT),
+        "left": box(6.4, 4, "subtasks left?"),
+        "end": box(6.4, 5, "end"),
     }
-    steps = [("start", "behave"), ("behave", "perceive"), ("perceive", "choose")]
-    steps += [("choose", "say"), ("say", "draw"), ("draw", "clear")]
+    steps = ("start", "behave", "perceive", "choose", "say", "draw", "clear")
     diagram(
         ax,
         boxes,
         [
-            *((a, b, "") for a, b in steps),
+            *((a, b, "") for a, b in pairwise(steps)),
             ("clear", "completed", "yes"),
             ("clear", "failed", "no"),
             ("failed", "skipped", "yes"),
@@ -349,43 +343,17 @@ def trials(reading: Reading) -> Figure:
     """
     fig, ax = drawing.axes(7.4, 3.4)
     reached = [trial_flow(reading, name) for name in ("optimal", "random")]
-    last = reading.scenario.trials
-    gap = 1.75
-    boxes = {
-        f"t{t}": Box(
-            gap * t,
-            0,
-            f"trial {t + 1}\n" + "\n".join(f"{p[t]:.1%}" for p in reached),
-            width=1.15,
-            height=0.9,
-        )
-        for t in range(last)
-    }
-    end = gap * last
-    boxes["skipped"] = Box(
-        end,
-        0,
-        "skipped\n" + "\n".join(f"{p[last]:.2%}" for p in reached),
-        ROBOT,
-        width=1.15,
-        height=0.9,
-    )
-    middle = gap * (last - 1) / 2
-    boxes["done"] = Box(
-        middle,
-        1.8,
-        "status 0000: subtask completed",
-        PERSON,
-        width=gap * (last - 1) + 1.2,
-        height=0.45,
-    )
-    boxes["next"] = Box(end, 1.8, "next subtask\nor the end", width=1.15, height=0.6)
-    order = [f"t{t}" for t in range(last)] + ["skipped"]
-    diagram(
-        ax,
-        boxes,
-        [*((a, b, "") for a, b in pairwise(order)), ("skipped", "next", ""), ("done", "next", "")],
-    )
+    last, gap = reading.scenario.trials, 1.75
+    end, wide, box = gap * last, gap * (last - 1), partial(Box, width=1.15, height=0.9)
+    said = ["\n".join(f"{p[t]:.1%}" for p in reached) for t in range(last)]
+    boxes = {f"t{t}": box(gap * t, 0, f"trial {t + 1}\n{said[t]}") for t in range(last)}
+    order = [*boxes, "skipped", "next"]
+    skipped = "\n".join(f"{p[last]:.2%}" for p in reached)
+    boxes["skipped"] = box(end, 0, f"skipped\n{skipped}", ROBOT)
+    done = "status 0000: subtask completed"
+    boxes["done"] = Box(wide / 2, 1.8, done, PERSON, width=wide + 1.2, height=0.45)
+    boxes["next"] = box(end, 1.8, "next subtask\nor the end", height=0.6)
+    diagram(ax, boxes, [(a, b, "") for a, b in [*pairwise(order), ("done", "next")]])
     for t in range(last):
         arrow(ax, (gap * t, 0.45), (gap * t, 1.575))
         ends = "\n".join(f"{1 - p[t + 1] / p[t]:.1%}" for p in reached)
@@ -410,14 +378,10 @@ def mechanism(reading: Reading) -> Figure:
             y = 3.4 - row
             boxes[source] = Box(0.4, y, f"{source} at t", PERSON, width=2.2, height=0.6)
             arrow(ax, (1.5, y), (3.5, 2.6 - 0.4 * row))
-            above = row < 2  # the third arrow rises, and its words stand below it
-            ax.text(
-                1.65,
-                y + (0.1 if above else -0.1),
-                f"+{float(100 * effect(mdp, source, status)):g} points",
-                fontsize=7.5,
-                va="bottom" if above else "top",
-            )
+            # The third arrow rises, and its words stand below it.
+            side, aside = ("bottom", 0.1) if row < 2 else ("top", -0.1)
+            added = f"+{float(100 * effect(mdp, source, status)):g} points"
+            ax.text(1.65, y + aside, added, fontsize=7.5, va=side)
         acts = [
             f"{action}: {float(chance(mdp, bit, number, status)):.0%} if present, "
             f"{float(chance(mdp, 0, number, status)):.0%} from absent"

@@ -8,10 +8,11 @@ from fractions import Fraction
 
 import numpy as np
 
+from exact_mdp import Certified
 from exact_mdp.analysis.learning.curves import EXPERIMENTS as EXPERIMENTS_OF_A_POINT
 from exact_mdp.analysis.learning.outcomes import CANDIDATES
 from exact_mdp.paper_repro import learner
-from exact_mdp.paper_repro.claim import Finding, certified, claim, entries, statement
+from exact_mdp.paper_repro.claim import Finding, claim, entries, statement
 from exact_mdp.paper_repro.paper import ACTIONS, BITS, SETTINGS, STATUSES, TABLE_4
 from exact_mdp.paper_repro.section_2 import outcomes
 from exact_mdp.paper_repro.silent_points import Reading
@@ -87,7 +88,8 @@ def max_trial(reading: Reading) -> Finding:
     mdp, paper = reading.mdp, SETTINGS["max_trial"]
     trials = int(mdp.space.values("trial")[~mdp.forced & ~mdp.terminal].max()) + 1
     why = f"a subtask is skipped on failed trial {trials}"
-    return statement(trials == paper, why, paper=Fraction(paper), **certified(Fraction(trials)))
+    number = Certified(value=Fraction(trials))
+    return statement(trials == paper, why, paper=Fraction(paper), number=number)
 
 
 # ---- rewards -------------------------------------------------------------------------------------

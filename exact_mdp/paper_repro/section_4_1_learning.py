@@ -8,21 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from exact_mdp import Estimated
 from exact_mdp.analysis.learning.curves import random_curve
+from exact_mdp.analysis.vary.intervals import mean_of
 from exact_mdp.paper_repro import drawing
-from exact_mdp.paper_repro.claim import (
-    NEARLY_ALL,
-    Finding,
-    about,
-    claim,
-    estimated,
-    share,
-    statement,
-)
+from exact_mdp.paper_repro.claim import NEARLY_ALL, Finding, about, claim, share, statement
 from exact_mdp.paper_repro.drawing import BLUE, FILLS, GREEN, RED, figure
 from exact_mdp.paper_repro.learner import CONVERGED, CURVES, SHOWN, child
 from exact_mdp.paper_repro.paper import ACTIONS, ANGRY, AVERAGES, ORDERS, REPORTED, STATUSES, fits
@@ -51,12 +45,7 @@ def converged(reading: Reading, schedule: str) -> Finding:
         f"{len(tails)} runs; nine runs in ten lie between {low:.1f} and {high:.1f}, the optimum is "
         f"{reading.value('optimal').mean:.1f}"
     )
-    return about(REPORTED["converged"], why, **mean_of(tails))
-
-
-def mean_of(values: np.ndarray) -> dict[str, Any]:
-    """Return a mean over runs with its standard error, for a finding."""
-    return estimated(float(values.mean()), float(values.std(ddof=1)) / sqrt(len(values)))
+    return about(REPORTED["converged"], mean_of(tails), why)
 
 
 @claim("learning.similar", "Section 4.1", "Figure 9", learns=True)
@@ -70,7 +59,7 @@ def similar(reading: Reading) -> Finding:
         abs(apart) <= 2 * point,
         f"decaying less constant: {apart:+.2f}; the standard error of one point of the plot "
         f"({FEW} experiments) is {point:.1f}, and alike means within twice that",
-        **estimated(apart, error),
+        number=Estimated(value=apart, standard_error=error),
     )
 
 
@@ -139,15 +128,15 @@ def unique(reading: Reading, schedule: str) -> Finding:
     """With {means} unique policies in its last 100 episodes."""
     distinct = reading.learned(schedule).outcomes.distinct
     paper = REPORTED["unique_policies"][schedule]
-    number = mean_of(distinct)
+    number = mean_of(distinct.astype(float))
     return share(
         int((distinct == paper).sum()),
         len(distinct),
         "runs",
-        f"the runs end with {number['exact']:.2f} on average, {distinct.min()} to {distinct.max()}",
+        f"the runs end with {number.value:.2f} on average, {distinct.min()} to {distinct.max()}",
         paper=float(paper),
         details={"share": float((distinct == paper).mean())},
-        **number,
+        number=number,
     )
 
 
@@ -280,6 +269,7 @@ def first_status_unsettled(reading: Reading) -> Finding:
     # The same model, the same chance and exploration: only the step falls.
     constant, fallen = first_actions(reading), first_actions(reading.falling)
     total, settled = int(fallen.sum()), int(fallen.max())
+    error = sqrt((settled + 0.5) * (total - settled + 0.5) / total**3)
     best = set.intersection(*optimal_actions(reading, "0000"))
     kind = "an optimal" if ACTIONS[int(fallen.argmax())] in best else "no optimal"
     return statement(
@@ -287,7 +277,7 @@ def first_status_unsettled(reading: Reading) -> Finding:
         f"with the paper's constant learning rate {shares(constant)}, over {constant.sum()} runs; "
         f"with a step of 0.5 n^-0.7 {shares(fallen)}, over {total}: {kind} action. Model, chance "
         "and exploration are the same, so that the learning rate is the cause",
-        **estimated(settled / total, sqrt((settled + 0.5) * (total - settled + 0.5) / total**3)),
+        number=Estimated(value=settled / total, standard_error=error),
         details={"constant_step": constant.tolist(), "falling_step": fallen.tolist()},
     )
 

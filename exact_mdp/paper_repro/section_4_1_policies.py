@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp import Policy, check, evaluate, return_distribution
+from exact_mdp import Certified, Estimated, Policy, check, evaluate, return_distribution
 from exact_mdp.paper_repro import drawing
 from exact_mdp.paper_repro.claim import (
     CHANCE,
@@ -24,11 +24,8 @@ from exact_mdp.paper_repro.claim import (
     Finding,
     about,
     average,
-    bounded,
     by_chance,
-    certified,
     claim,
-    estimated,
     statement,
     undecided,
 )
@@ -58,8 +55,7 @@ if TYPE_CHECKING:
 def random_return(reading: Reading) -> Finding:
     """The random strategy reaches an average return of around 70."""
     exact = reading.value("random")
-    number = bounded(exact.mean, exact.start.error)
-    return about(REPORTED["random"], details={"sd": exact.sd}, **number)
+    return about(REPORTED["random"], exact.start, details={"sd": exact.sd})
 
 
 @claim("return.superior", "Section 4.1", open=True)
@@ -73,12 +69,10 @@ def superior(reading: Reading) -> Finding:
 
 def both_orders(reading: Reading, start: str) -> str:
     """Return the value of a reported policy in both orders, with its distance from the paper's."""
-    sentences = []
-    for order in ORDERS:
-        exact = reading.value(start, order)
-        errors = (exact.mean - AVERAGES[start]) / (exact.sd / sqrt(EXPERIMENTS))
-        sentences.append(f"{order} {exact.mean:.2f} ({errors:+.1f} s.e.)")
-    return ", ".join(sentences)
+    return ", ".join(
+        f"{order} {reading.value(start, order).mean:.2f} ({reading.off(start, order):+.1f} s.e.)"
+        for order in ORDERS
+    )
 
 
 @claim(
@@ -126,9 +120,7 @@ def ranking(reading: Reading) -> Finding:
     supportive.
     """
     means = {order: [reading.value(start, order).mean for start in AVERAGES] for order in ORDERS}
-    listed = "; ".join(
-        f"{order} {' > '.join(f'{mean:.2f}' for mean in each)}" for order, each in means.items()
-    )
+    listed = "; ".join(f"{o} {' > '.join(f'{m:.2f}' for m in each)}" for o, each in means.items())
     falls = all(a > b + 1e-6 for a, b in pairwise(means[reading.order]))
     return statement(falls, f"exact values of {', '.join(AVERAGES)}, 1000 and 0100 {listed}")
 
@@ -136,23 +128,19 @@ def ranking(reading: Reading) -> Finding:
 @claim("return.ranking.by-experiments", "Section 4.1")
 def ranking_by_experiments(reading: Reading) -> Finding:
     """1,000 experiments tell this ranking."""
-    exact = [reading.value(start) for start in AVERAGES]
-    chance = ranked([e.mean for e in exact], [e.sd / sqrt(EXPERIMENTS) for e in exact])
+    means = [reading.value(start).mean for start in AVERAGES]
+    chance = ranked(means, [reading.standard_error(start) for start in AVERAGES])
     return statement(
         chance >= NEARLY_ALL,
         f"{EXPERIMENTS:,} experiments with each rank them so with probability {chance:.5f}, by the "
         "normal law with the exact means and variances, 1000 and 0100 as written; 95 % or more "
         "counts as told",
-        **estimated(chance, 1e-5),
+        number=Estimated(value=chance, standard_error=1e-5),
     )
 
 
 def ranked(means: list[float], errors: list[float]) -> float:
-    """Return P(A > B > C) for independent normal averages.
-
-    >>> round(ranked([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), 12)  # one order of six
-    0.166666666667
-    """
+    """Return P(A > B > C) for independent normal averages."""
     nodes = np.linspace(-10.0, 10.0, 4001)  # the trapezoidal rule is exact to rounding here
     middle = means[1] + errors[1] * nodes
     above, below = (
@@ -166,11 +154,11 @@ def ranked(means: list[float], errors: list[float]) -> float:
 @claim("return.experiments", "Section 4.1", "Section 3.2.5", kind="input", rule="open")
 def experiments(reading: Reading) -> Finding:
     """The final policies were compared by 1,000 experiments each; Section 3.2.5 says 10,000."""
-    sd, many = reading.value(FINAL).sd, SETTINGS["experiments_of_a_candidate"]
-    few, least = sd / sqrt(EXPERIMENTS), sd / sqrt(many)
+    least = reading.value(FINAL).sd / sqrt(SETTINGS["experiments_of_a_candidate"])
     return undecided(
-        f"standard errors of the final policy's average are {least:.2f} and {few:.2f}. The smaller "
-        "number is used here, which is kinder to the paper"
+        f"standard errors of the final policy's average are {least:.2f} and "
+        f"{reading.standard_error(FINAL):.2f}. The smaller number is used here, which is kinder to "
+        "the paper"
     )
 
 
@@ -183,14 +171,13 @@ def three_policies(reading: Reading) -> Figure:
     fig, ax = drawing.axes(6.4, 4.0)
     rows = [(start, order) for start in AVERAGES for order in ORDERS]
     for row, (start, order) in enumerate(rows):
-        exact = reading.value(start, order)
-        error = exact.sd / sqrt(EXPERIMENTS)
+        exact, error = reading.value(start, order), reading.standard_error(start, order)
         for reach, width in ((3, 1.2), (1, 4.0)):
             ends = [exact.mean - reach * error, exact.mean + reach * error]
             ax.plot(ends, [row, row], color="0.45", lw=width, solid_capstyle="butt")
         ax.plot(exact.mean, row, "o", color="black", ms=5)
         ax.plot(AVERAGES[start], row - 0.28, "D", color="black", mfc="white", ms=6)
-        apart = f"{(exact.mean - AVERAGES[start]) / error:+.1f} s.e.".replace("-", "−")
+        apart = f"{reading.off(start, order):+.1f} s.e.".replace("-", "−")
         ax.annotate(apart, (1.01, row), xycoords=("axes fraction", "data"), va="center")
     optimum = reading.value("optimal").mean
     ax.axvline(optimum, color="black", ls=":", lw=1)
@@ -264,7 +251,7 @@ def best_action(reading: Reading, place: str) -> Finding:
         right == len(best),
         f"{action} is optimal in {right} of {len(best)} states with "
         f"{'this status' if len(statuses) == 1 else 'anger'}{instead}",
-        **certified(Fraction(right, len(best))),
+        number=Certified(value=Fraction(right, len(best))),
     )
 
 
@@ -312,8 +299,8 @@ def final_is_optimal(reading: Reading) -> Finding:
     if costs:
         listed = ", ".join(f"{status} {cost:.2f}" for status, cost in costs.items())
         why += f"; {reading.order}, by status: {listed}"
-    number = certified(Fraction(audit.regret.at_start.value))
-    return statement(audit.passed, why, **number, details={"cost_by_status": costs})
+    number = Certified(value=Fraction(audit.regret.at_start.value))
+    return statement(audit.passed, why, number=number, details={"cost_by_status": costs})
 
 
 @figure("cost_of_choices", title="What each choice costs")
@@ -333,16 +320,9 @@ def cost_of_choices(reading: Reading) -> Figure:
         cell = Rectangle((column, row), 1, 1, facecolor=str(light), edgecolor="0.85", lw=0.5)
         ax.add_patch(cell)
         text = "best" if loss == 0 else f"{loss:.2f}" if loss >= 0.005 else "under 0.01"
-        ax.text(
-            column + 0.5,
-            row + 0.5,
-            text,
-            ha="center",
-            va="center",
-            fontsize=8,
-            color=ink,
-            fontweight="bold" if loss == 0 else "normal",
-        )
+        look = {"ha": "center", "va": "center", "fontsize": 8, "color": ink}
+        weight = "bold" if loss == 0 else "normal"
+        ax.text(column + 0.5, row + 0.5, text, fontweight=weight, **look)
         if policy[STATUSES[row]] == ACTIONS[column]:
             ax.plot(column + 0.12, row + 0.5, "o", color=ink, ms=4)
     ax.set(xlim=(0, len(ACTIONS)), ylim=(len(STATUSES), 0))

@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from math import log
+from math import log, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -113,25 +113,32 @@ class Reading:
 
     def value(self, name: str, order: str = "") -> Any:
         """Return the exact evaluation of a policy: mean, sd and the proven error of the mean."""
-        key = (name, order or self.order)
-        if key not in self._values:
-            self._values[key] = evaluate(self.mdp, self.policy(*key))
-        return self._values[key]
+        key = ("value", name, order or self.order)
+        if key not in self._known:
+            self._known[key] = evaluate(self.mdp, self.policy(name, order))
+        return self._known[key]
 
-    @cached_property
-    def _values(self) -> dict[tuple[str, str], Any]:
-        return {}
+    def standard_error(self, start: str, order: str = "") -> float:
+        """Return the exact standard error of the paper's average of a reported policy."""
+        return float(self.value(start, order).sd / sqrt(EXPERIMENTS))
+
+    def off(self, start: str, order: str = "") -> float:
+        """Return by how many standard errors the exact mean is above the paper's average."""
+        above = self.value(start, order).mean - AVERAGES[start]
+        return float(above / self.standard_error(start, order))
 
     def learned(self, schedule: str) -> Learned:
         """Return the training runs under an exploration schedule, "constant" or "decaying"."""
-        if schedule not in self._learned:
-            self._learned[schedule] = learn(
+        key = ("learned", schedule)
+        if key not in self._known:
+            self._known[key] = learn(
                 self.mdp, schedule, self.runs, folder=self.folder, changes=self.training
             )
-        return self._learned[schedule]
+        learned: Learned = self._known[key]
+        return learned
 
     @cached_property
-    def _learned(self) -> dict[str, Learned]:
+    def _known(self) -> dict[tuple[str, ...], Any]:
         return {}
 
     @cached_property
@@ -154,21 +161,12 @@ def compiled(scenario: Scenario) -> MDP:
 
 
 def default(**sizes: Any) -> Reading:
-    """Return the default reading.
-
-    >>> readings = default()
-    >>> f"{readings.value('non-directive').mean:.2f}, {readings.value('optimal').mean:.2f}"
-    '142.07, 146.24'
-    """
+    """Return the default reading."""
     return Reading(scenario=Scenario.load("yuan2025"), **sizes)
 
 
 def one_change(base: Reading) -> list[Reading]:
-    """Return every reading that differs from the default in one point.
-
-    >>> len(one_change(default()))
-    17
-    """
+    """Return every reading that differs from the default in one point."""
     readings = []
     for name, options in POINTS.items():
         for option in list(options)[1:]:
@@ -251,11 +249,7 @@ def facts(evidence: Support, changed: Sequence[Reading]) -> dict[str, Any]:
             "label": reading.label,
             "order": order,
             "averages": {start: reading.value(start, order).mean for start in AVERAGES},
-            "errors": {
-                start: (reading.value(start, order).mean - average)
-                / (reading.value(start, order).sd / EXPERIMENTS**0.5)
-                for start, average in AVERAGES.items()
-            },
+            "errors": {start: reading.off(start, order) for start in AVERAGES},
             "random": reading.value("random").mean,
             "log_likelihood": log_likelihood(reading, order),
         }

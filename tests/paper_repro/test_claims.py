@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from care_oracle import ACTIONS, CLEAR, Oracle, acting
 
-from exact_mdp import ModelError, Scenario, return_distribution
+from exact_mdp import Bounded, ModelError, Scenario, return_distribution
 from exact_mdp.paper_repro import run
 from exact_mdp.paper_repro.claim import CLAIMS, Verdict, average, by_chance, judged, share
 from exact_mdp.paper_repro.paper import (
@@ -271,7 +271,8 @@ def test_an_average_is_compatible_within_three_standard_errors() -> None:
     for errors, verdict in ((2.99, Verdict.COMPATIBLE), (3.01, Verdict.NOT_REPRODUCED)):
         answer = average(errors, 0.0, 10.0, 100, error=0.0, why="")
         assert answer.verdict is verdict
-        assert answer.difference == -errors
+        assert answer.number == Bounded(value=0.0, error=0.0)
+        assert answer.paper == errors
     assert by_chance(0.01, "").says == "compatible, p = 0.01"
 
 
