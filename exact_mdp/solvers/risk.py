@@ -237,21 +237,16 @@ def _optimum(of: Budgeted) -> tuple[Integers, Level, Level]:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CVaROptimum(Result):
-    """A policy with the greatest mean of the worst share of episodes.
+    """A policy with the greatest mean of the worst share of episodes."""
 
-    With a horizon, `mdp` is the model with the time in its states. The `threshold` is the return η
-    from which the policy has the least expected shortage. In each state of `budgeted` it takes a
-    pair of `mdp`; these have certain `values`, for rewards that are maximised.
-    """
-
-    mdp: MDP
+    mdp: MDP  # with a horizon, that with the time in its states
     level: Fraction
-    weight: Fraction
+    weight: Fraction  # of the mean
     value: Fraction
     mean: Fraction
-    threshold: Fraction
-    pairs: Integers
-    values: Level
+    threshold: Fraction  # the return η of which the policy has the least expected shortage
+    pairs: Integers  # of `mdp`, taken in each state of `budgeted`
+    values: Level  # of these, for rewards that are maximised
 
     claim = Claim.CERTIFIED
 
@@ -312,10 +307,7 @@ class CVaROptimum(Result):
         }
 
     def rules(self) -> list[tuple[int, Fraction, Fraction, str]]:
-        """Return the policy as (state, from, to, action), for rewards so far within two ends.
-
-        These are all that it meets from the start, in the states that leave a choice.
-        """
+        """Return what the policy does as (state, from, to, action), for rewards so far it meets."""
         rules = list[tuple[int, Fraction, Fraction, str]]()
         for state, so_far in self._met().items():
             if self.mdp.asked[state]:
@@ -385,11 +377,6 @@ def best_cvar(
     Returns
     -------
     CVaROptimum
-
-    Raises
-    ------
-    ModelError
-        For other discounts, cycles, too many returns, and numbers out of range.
 
     Examples
     --------

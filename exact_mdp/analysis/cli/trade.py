@@ -109,10 +109,10 @@ def risk(
     Keys
     ----
     Of MeanCVaR.
-    measure: `cvar`; value: the value of the best policy; mean: expected return of the best policy;
-    threshold: the return below which an episode is among the worst; distribution: {return:
-    probability}; points: policies from the mean to the worst share; policies: each policy given,
-    with its values.
+    level: the share of the worst episodes; measure: `cvar`; value: the value of the best policy;
+    mean: expected return of the best policy; threshold: the return below which an episode is among
+    the worst; distribution: {return: probability}; points: policies from the mean to the worst
+    share; policies: each policy given, with its values.
     """
     check_outputs((policy_out, (".csv", ".json")))
     beside = {form: given.policy(form) for form in policies}

@@ -15,6 +15,7 @@ on Computing 22, 2010.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -53,16 +54,14 @@ LONGEST = 200  # states that lead to each other: a front of two totals takes a m
 class Edge:
     """Two neighbouring vertices, by number, and what one total costs of another between them.
 
-    With two totals, `rate` is how much of the second one point of the first costs, and both are
-    optimal for `weights`; with three, the change for each point by which the first that differs
-    rises.
+    With two totals, `rate` is how much of the second one point of the first costs; with three, the
+    change for each point by which the first that differs rises.
     """
 
     start: int
     end: int
     change: Point  # totals of the end less those of the start
     rate: Fraction | Point
-    weights: Point | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,17 +107,15 @@ class Front(TotalsProof, Pictured):
     def edges(self) -> list[Edge]:
         """The edges between neighbouring vertices."""
         vertices, edges, two = self.vertices, list[Edge](), len(self.names) == 2
-        shared: dict[tuple[int, int], list[Point]] = {}
-        for corner in self.corners:
-            for both in combinations(corner.best, 2):
-                shared.setdefault(both, []).append(corner.weights)
+        shared = Counter(both for c in self.corners for both in combinations(c.best, 2))
         for (i, j), corners in sorted(shared.items()):
-            if two or len(corners) > 1:
+            if two or corners > 1:
                 change = tuple(b - a for a, b in zip(vertices[i], vertices[j], strict=True))
                 first = next(step for step in change if step)
                 each = tuple(step / abs(first) for step in change)
-                rate, weights = (abs(each[1]), corners[0]) if two else (each, None)
-                edges.append(Edge(start=i, end=j, change=change, rate=rate, weights=weights))
+                edges.append(
+                    Edge(start=i, end=j, change=change, rate=abs(each[1]) if two else each)
+                )
         return edges
 
     @property
@@ -223,8 +220,8 @@ def tradeoff(model: MDP | Scenario, names: Sequence[str]) -> Front:
     Raises
     ------
     ModelError
-        For an unknown name, or a total that is infinite under some policy; and where more than 200
-        states lead to each other, as the fractions of a front are then very long.
+        For a total that is infinite under some policy, and where more than 200 states lead to each
+        other, as the fractions of a front are then very long.
 
     Examples
     --------

@@ -34,16 +34,10 @@ WEIGHTS = (Fraction(0), Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MeanCVaR(Pictured):
-    """Best policies for several weights of the mean, and given policies.
-
-    Attributes
-    ----------
-    level : Fraction
-        The share of the worst episodes.
-    """
+    """Best policies for several weights of the mean, and given policies."""
 
     mdp: MDP
-    level: Fraction
+    level: Fraction  # the share of the worst episodes
     optima: tuple[CVaROptimum, ...]  # by rising weight of the mean
     policies: Mapping[str, tuple[Fraction, Fraction]]  # mean and CVaR by name
 
@@ -132,11 +126,6 @@ def mean_cvar(
     Returns
     -------
     MeanCVaR
-
-    Raises
-    ------
-    ModelError
-        As `best_cvar` does.
 
     Examples
     --------

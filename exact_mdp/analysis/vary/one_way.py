@@ -267,13 +267,15 @@ def tornado(
     points: list[Point] = []
     if ends:
         table = study_of(family, columns, [fixed_policy])[1]
-        for (_, at), (best, own) in zip(ends, table.bounded(), strict=True):
-            points.append(Point(at=at, optimal=best, fixed=own, sense=sense))
+        values = np.column_stack([table.optimal, table.fixed, table.error]).tolist()
+        for (_, at), (best, own, off, own_off) in zip(ends, values, strict=True):
+            optimal, fixed = Bounded(value=best, error=off), Bounded(value=own, error=own_off)
+            points.append(Point(at=at, optimal=optimal, fixed=fixed, sense=sense))
     pairs = zip(parameters.values(), points[::2], points[1::2], strict=True)
     bars = [Bar(parameter=parameter, low=low, high=high) for parameter, low, high in pairs]
     bars.sort(key=lambda bar: -bar.swing)
-    fixed = finite_worth(base.mdp, fixed_policy, "today's parameters")
-    now = Point(optimal=base.solution.start, fixed=fixed, sense=sense)
+    worth = finite_worth(base.mdp, fixed_policy, "today's parameters")
+    now = Point(optimal=base.solution.start, fixed=worth, sense=sense)
     return Tornado(model=family.name, today=now, bars=tuple(bars))
 
 

@@ -35,7 +35,7 @@ from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
-from exact_mdp.solvers.solution import Bounded, Solution, regrets
+from exact_mdp.solvers.solution import Solution, regrets
 from exact_mdp.solvers.values.evaluate import evaluate
 
 if TYPE_CHECKING:
@@ -73,12 +73,6 @@ class Study(Result):
         """(D, N) what holding each policy costs; 0 where the errors leave open whether it does."""
         error = self.error[:, :1] + self.error[:, 1:]
         return regrets(self.optimal[:, None], self.fixed, error, self.sign)
-
-    def bounded(self) -> list[list[Bounded]]:
-        """Return at each point the value of the optimum, and of each policy."""
-        values = np.column_stack([self.optimal, self.fixed])
-        pairs = np.stack([values, self.error], axis=2).tolist()
-        return [[Bounded(value=value, error=error) for value, error in row] for row in pairs]
 
     def values(self) -> DataFrame:
         """Return one row for each point: the optimum, each policy and its regret (reward)."""

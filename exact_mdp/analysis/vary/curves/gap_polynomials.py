@@ -59,7 +59,19 @@ class Gaps:
                 for pair in self.pairs[state]
                 for each in (self.rows.reward[pair], *(p for _, p in self.rows.following[pair]))
             )
-        self._check_size()
+        live, where = len(self.live), f"parameter {change.name}"
+        if not self.order and live > LARGEST:
+            raise ModelError(
+                f"{live} states with cycles among them",
+                where=where,
+                fix=f"with cycles, use at most {LARGEST} states that are not terminal",
+            )
+        if self.degree > CYCLIC_DEGREE:
+            raise ModelError(
+                f"{live} states on cycles give rational functions of degree {self.degree}",
+                where=where,
+                fix=f"thresholds are exact up to degree {CYCLIC_DEGREE}; use a smaller model",
+            )
         self.q = [flint.fmpq_poly()] * mdp.n_pairs
         self.gap, self.renewed = [*self.q], set[int]()
 
@@ -74,23 +86,6 @@ class Gaps:
         ):
             return []
         return [int(state) for state in np.argsort(order, kind="stable")]
-
-    def _check_size(self) -> None:
-        live, where = len(self.live), f"parameter {self.rows.change.name}"
-        if not self.order and live > LARGEST:
-            raise ModelError(
-                f"{live} states with cycles among them",
-                where=where,
-                fix=f"with cycles, use at most {LARGEST} states that are not terminal",
-            )
-        if self.degree > CYCLIC_DEGREE:
-            raise ModelError(
-                f"{live} states on cycles give rational functions of degree {self.degree}",
-                where=where,
-                fix=f"thresholds are exact up to degree {CYCLIC_DEGREE}; use a smaller model",
-            )
-
-    # ---- the values of a policy ------------------------------------------------------------------
 
     def values_of(self, mix: Mix) -> Values:
         """Return the values of a policy."""
@@ -171,8 +166,6 @@ class Gaps:
             for powers in zip(*columns, strict=True)
         ]
         return numerators, flint.fmpq_poly(below)(rate / unit) * times
-
-    # ---- the gaps of a policy --------------------------------------------------------------------
 
     def follow(self, policy: Integers) -> None:
         """Work out the gaps of the policy that takes these pairs (S,)."""

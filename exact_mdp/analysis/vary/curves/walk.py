@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import chain, count, islice, pairwise
 from math import ceil, floor
 
@@ -126,12 +126,10 @@ class Sweep:
 
     def _next(self, here: Fraction) -> Root | None:
         """Return the first root beyond `here` at which a gap turns negative."""
-        best: Root | None = None
-        for pair in range(len(self.gaps.gap)):
-            turning = (root for root, turns in self._roots(pair, here) if turns)
-            if (root := next(turning, None)) is not None:
-                best = root if best is None else _earlier(best, root)
-        return None if best is None else best.narrowed(WIDTH / 16)
+        every = (self._roots(pair, here) for pair in range(len(self.gaps.gap)))
+        turning = ([root for root, turns in known if turns] for known in every)
+        first = [each[0] for each in turning if each]
+        return reduce(_earlier, first).narrowed(WIDTH / 16) if first else None
 
     def _touches(self, low: Fraction, high: Fraction) -> list[tuple[Fraction, Fraction, int]]:
         """Return the brackets between two points, and pairs, of gaps that are 0 at one point."""
@@ -147,9 +145,13 @@ class Sweep:
 
     def _cross(self, root: Root, brackets: Iterable[Bracket]) -> Bracket:
         """Follow the policy that is optimal from a root on; return the bracket that shows it."""
+        former = self.policy
         for bracket in islice(brackets, ATTEMPTS):
-            if self._fits(root, bracket):
+            self._improve(*bracket)
+            if all(self._clear(pair, root, *bracket) for pair in range(len(self.gaps.gap))):
                 return bracket
+            self.ahead.clear()
+            self._follow(former)
         raise RuntimeError("thresholds without end, or two that cannot be told apart")
 
     def _brackets(self, root: Root, here: Fraction) -> Iterator[Bracket]:
@@ -169,19 +171,6 @@ class Sweep:
             yield low, high
             width /= 1024
             root = root.narrowed(width)
-
-    def _fits(self, root: Root, bracket: Bracket) -> bool:
-        """Whether the policy that is optimal at the bracket's end is so from the root on.
-
-        The policy is followed if it is.
-        """
-        former = self.policy
-        self._improve(*bracket)
-        if all(self._clear(pair, root, *bracket) for pair in range(len(self.gaps.gap))):
-            return True
-        self.ahead.clear()
-        self._follow(former)
-        return False
 
     def _improve(self, low: Fraction, high: Fraction) -> None:
         """Follow a policy that is optimal at the end of a bracket (policy iteration)."""
@@ -250,10 +239,7 @@ def optimum(mdp: MDP) -> tuple[Integers, Certified | Bounded]:
 def pieces_of(
     family: Parametric, name: str, span: Range, sign: int, mix: Mix | None
 ) -> tuple[list[CurvePiece], list[Sweep]]:
-    """Return the pieces over a range, and the sections that they are on; sign is -1 for costs.
-
-    `mix` is a policy held fixed. Raises ModelError where some policy never ends at discount 1.
-    """
+    """Return the pieces over a range, and their sections; sign is -1 for costs, `mix` is held."""
     inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
     at = lru_cache(lambda value: family.at({name: value}))
     pieces, sweeps, policy = list[CurvePiece](), list[Sweep](), None
