@@ -15,7 +15,15 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, known, no_such, suggest, words_of
+from exact_mdp.mdp.errors import (
+    ModelError,
+    check_names,
+    known,
+    located,
+    no_such,
+    suggest,
+    words_of,
+)
 from exact_mdp.mdp.forms.names import Names, object_key, whole_of
 
 Integers = NDArray[np.int64]
@@ -68,7 +76,8 @@ class Column:
 
     def number(self, value: object) -> int:
         """Return the value that a text or a number is: see `mdp.forms.names`."""
-        return self.parse(value) if isinstance(value, str) else self.lookup.number(value)
+        with located(f"column {self.name}"):
+            return self.parse(value) if isinstance(value, str) else self.lookup.number(value)
 
     def parse(self, label: str) -> int:
         """Return the value that prints as `label`; raises ModelError where there is none."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import tomllib
+from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
 from math import sqrt
@@ -78,9 +79,8 @@ def test_every_claim_has_its_places_and_a_reason_for_what_is_pinned() -> None:
 
 
 def test_the_exact_claims_are_as_pinned_and_as_committed(claims: dict[str, Any]) -> None:
-    names = {claim.id for claim in EXACT}
     assert not [line for line in run.disagreements(list(claims.values())) if "no claim" not in line]
-    for name in names:
+    for name in (claim.id for claim in EXACT):
         old, new = COMMITTED[name], claims[name]
         for key in ("says", "source", "paper", "code", "why", "verdict_of_default_reading"):
             assert new[key] == old[key], (name, key)
@@ -126,32 +126,25 @@ def test_tables_3_and_4_against_the_independent_model(reading: Reading, oracle: 
     assert not read
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("start", AVERAGES)
-def test_reported_policies_against_the_independent_model(
-    reading: Reading, oracle: Oracle, start: str, order: str
-) -> None:
-    policy = reading.reported(start, order)
-    assert set(policy) == set(STATUSES)
-    assert all(policy[status] == "supportive" for status in (*OPEN, *ANGRY))
-    exact, known = reading.value(start, order), oracle.evaluate(acting(policy), distribution=False)
-    assert abs(Fraction(exact.mean) - known["mean"]) <= Fraction(exact.start.error)
-    assert exact.sd == pytest.approx(sqrt(known["variance"]), rel=1e-9)
-    log = RESULTS["values"][order][start]
-    assert log == pytest.approx(float(known["mean"]), rel=1e-12)
-
-
-def test_optimum_random_and_regret_against_the_independent_model(
+def test_values_against_the_independent_model(
     reading: Reading, claims: dict[str, Any], oracle: Oracle
 ) -> None:
-    best = oracle.value(oracle.start)
-    quarter = dict.fromkeys(ACTIONS, Fraction(1, 4))
-    random = oracle.evaluate(lambda state: quarter, distribution=False)["mean"]
+    best, quarter = oracle.value(oracle.start), dict.fromkeys(ACTIONS, Fraction(1, 4))
+    every = {("random", "as written"): (lambda state: quarter, RESULTS["values"]["random"])}
+    for start, order in itertools.product(AVERAGES, ORDERS):
+        policy = reading.reported(start, order)
+        assert set(policy) == set(STATUSES)
+        assert all(policy[status] == "supportive" for status in (*OPEN, *ANGRY))
+        every[start, order] = acting(policy), RESULTS["values"][order][start]
+    for named, (policy, committed) in every.items():
+        exact, known = reading.value(*named), oracle.evaluate(policy, distribution=False)
+        assert abs(Fraction(exact.mean) - known["mean"]) <= Fraction(exact.start.error)
+        assert exact.sd == pytest.approx(sqrt(known["variance"]), rel=1e-9)
+        assert committed == pytest.approx(float(known["mean"]), rel=1e-12)
+    optimum = reading.value("optimal")
+    assert abs(Fraction(optimum.mean) - best) <= Fraction(optimum.start.error)
+    assert RESULTS["values"]["optimal"] == pytest.approx(float(best), rel=1e-12)
     final = oracle.evaluate(acting(reading.reported(FINAL)), distribution=False)["mean"]
-    for name, exact in (("optimal", best), ("random", random)):
-        value = reading.value(name)
-        assert abs(Fraction(value.mean) - exact) <= Fraction(value.start.error)
-        assert RESULTS["values"][name] == pytest.approx(float(exact), rel=1e-12)
     assert Fraction(claims["policy.final-is-optimal"]["exact_rational"]) == best - final
 
 
@@ -169,12 +162,11 @@ def test_best_actions_against_the_independent_model(
 
 
 def test_losses_against_the_independent_model(reading: Reading, oracle: Oracle) -> None:
-    states = [(k, t, 1, (0, 1, 0, 0)) for k, t in itertools.product(range(3), range(5))]
-    values = [
-        sum(p * (sum(rewards.values()) + oracle.value(after)) for p, after, rewards, _ in listed)
-        for listed in (oracle.outcomes(state, "supportive") for state in states)
-    ]
-    exact = [oracle.value(state) - each for state, each in zip(states, values, strict=True)]
+    exact = []
+    for state in ((k, t, 1, (0, 1, 0, 0)) for k, t in itertools.product(range(3), range(5))):
+        outcomes = oracle.outcomes(state, "supportive")
+        ahead = (p * (sum(gains.values()) + oracle.value(then)) for p, then, gains, _ in outcomes)
+        exact.append(oracle.value(state) - sum(ahead))
     assert sorted(losses(reading, "0100", 1)) == sorted(exact)
 
 
@@ -183,13 +175,14 @@ def test_the_flow_of_trials_against_the_independent_model(reading: Reading, orac
     reached = {CLEAR: Fraction(1)}
     for trial in range(5):
         assert flow[trial] == pytest.approx(float(sum(reached.values())))
-        skips, following = Fraction(0), dict[Any, Fraction]()
+        following: Counter[Any] = Counter()
         for status, weight in reached.items():
             for chance, state, _, skipped in oracle.outcomes((0, trial, 1, status), "directive"):
-                if skipped:
-                    skips += weight * chance
-                elif state[0] == 0:
-                    following[state[3]] = following.get(state[3], Fraction(0)) + weight * chance
+                following["skip" if skipped else state[3] if state[0] == 0 else None] += (
+                    weight * chance
+                )
+        skips = following.pop("skip", 0)
+        following.pop(None)
         reached = following
     assert flow[5] == pytest.approx(float(skips))
 

@@ -132,6 +132,13 @@ def burning(discount: str) -> Parametric:
     return moving(mdp, {"fire": [(mdp.pair(state, 0), 0) for state in range(3)]})
 
 
+def wager(*chances: str, gain: object = 1) -> Parametric:
+    """Return one step in which action a pays with the a-th chance; the first two are p and q."""
+    rows = [(0, a, [(F(p), 1, gain), (1 - F(p), 2, 0)]) for a, p in enumerate(chances)]
+    ends = [(s, 0, [(1, s, 0)]) for s in (1, 2)]
+    return moving(MDP.from_outcomes([*rows, *ends]), {"p": [(0, 1)], "q": [(1, 1)]})
+
+
 MOVES = ["LEFT", "DOWN", "RIGHT", "UP"]
 
 

@@ -105,7 +105,7 @@ class Sobol(Pictured):
 
     def of(self, output: str) -> Indices:
         """Return the indices of one output; raises ModelError unless it has this name."""
-        indices: Indices = getattr(self, known(output, OUTPUTS, "output"))
+        indices: Indices = getattr(self, known(output, OUTPUTS, "output", "output"))
         return indices
 
     def report(self) -> Report:

@@ -170,7 +170,7 @@ def _parsed(mdp: MDP, text: str) -> tuple[str, Terms]:
                 if written
                 else f"{suggest(part, known)}; a sum is written name=2*a-b",
             )
-        factor = exact(found[2] or "1")
+        factor = exact(found[2] or "1", f"objective {text!r}")
         terms.append((-factor if found[1] == "-" else factor, found[3]))
         at = found.end()
     if not terms:

@@ -146,9 +146,6 @@ def test_a_part_is_shown_by_its_columns() -> None:
     for state, (row, column) in part.items():
         at = CARE.space.as_dict(state)
         assert (at["status"], str(at["subtask"])) == (rows[row] + columns[column], "1")
-    for bad in ({"subtask": 5}, {"nothing": 0}, {"shape": (3, 4)}):
-        with pytest.raises(ModelError):
-            plots.plot_policy(CARE, "random", **bad)
     tea = Scenario.load("tea").compile()
     assert numbered(tea, down="subtask", trial=0) == numbered(tea, down=["subtask"], trial=0)
 

@@ -1,18 +1,15 @@
 """Figures: what stands on the axes is what was found, and every picture has its function."""
 
 import itertools
-from collections.abc import Iterator
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from exact_mdp import (
     MDP,
-    ModelError,
     QLearning,
     Scenario,
     accuracy_curves,
@@ -58,11 +55,9 @@ def test_a_fill_says_where_the_value_goes(model: MDP | Scenario) -> None:
     ax = slopes.plot(most=60)
     names = [label.get_text() for label in ax.get_yticklabels()]
     legend = ax.get_legend()
-    assert legend is not None
     looks = {t.get_text(): p for t, p in zip(legend.get_texts(), legend.get_patches(), strict=True)}
     for name, bar in zip(names, ax.patches, strict=True):
         each = slopes[name]
-        assert each.value is not None
         assert bar.get_width() == each.elasticity
         drawn = looks["raises the value" if each.value.value > 0 else low]
         assert (bar.get_facecolor(), bar.get_hatch()) == (drawn.get_facecolor(), drawn.get_hatch())
@@ -145,72 +140,37 @@ def test_the_heat_map_shows_shares_of_draws(draws: Any) -> None:
     assert [each.get_text() for each in ax.get_yticklabels()] == list(draws.labels)
 
 
-LEARNER = QLearning(epochs=40)
-
-
-@pytest.fixture(scope="module")
-def care() -> MDP:
-    return Scenario.load("yuan2025").compile()
-
-
-@pytest.fixture(scope="module")
-def learned(care: MDP) -> Any:
-    return outcomes(care, train(care, LEARNER, 12, rng=0))
-
-
-@pytest.fixture(scope="module")
-def curves(care: MDP) -> dict[str, Any]:
+def test_figures_of_learning() -> None:
+    """What is drawn is the mean of each run, with a legend, on labelled axes."""
+    mdp, learner = Scenario.load("yuan2025").compile(), QLearning(epochs=40)
     names = ("constant ε", "another run")
-    return {
-        name: learning_curve(care, LEARNER.train(care, k), rng=1) for k, name in enumerate(names)
+    curves = {
+        name: learning_curve(mdp, learner.train(mdp, k), rng=1) for k, name in enumerate(names)
     }
-
-
-@pytest.fixture
-def ax() -> Iterator[Axes]:
-    with plots.style():
-        yield Figure().subplots()
-
-
-def drawn(ax: Axes) -> None:
-    """Draw it for real; every axis is labelled."""
-    assert ax.get_ylabel()
-    ax.figure.canvas.draw()
-
-
-def test_learning_curves(ax: Axes, curves: dict[str, Any]) -> None:
-    assert plots.plot_learning_curves(curves, optimum=146.2, window=5, ax=ax) is ax
-    labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert labels == ["constant ε", "another run", "optimum"]
-    heavy = next(line for line in ax.get_lines() if line.get_label() == "constant ε")
-    exact = curves["constant ε"].value
-    assert heavy.get_ydata() == pytest.approx([exact[i : i + 5].mean() for i in range(36)])
-    drawn(ax)
-    drawn(plots.plot_learning_curves(curves))  # a window longer than the curve
-
-
-def test_value_bands(ax: Axes) -> None:
+    learned = outcomes(mdp, train(mdp, learner, 12, rng=0))
     values = np.random.default_rng(0).normal(size=(9, 30))
-    plots.plot_value_bands({"a": values, "b": values + 1}, window=1, optimum=3.0, ax=ax)
-    line = next(line for line in ax.get_lines() if line.get_label() == "a")
-    assert line.get_ydata() == pytest.approx(values.mean(axis=0))
-    drawn(ax)
-
-
-def test_regrets(ax: Axes, learned: Any) -> None:
-    plots.plot_regrets({"constant ε": learned}, ax=ax)
-    x, y = ax.get_lines()[0].get_data()
-    assert x[-1] == learned.regret.max()
-    assert y[-1] == 1
-    assert f"{learned.regret.mean():.2f}" in ax.get_legend().get_texts()[0].get_text()
-    drawn(ax)
-
-
-def test_distinct(ax: Axes, learned: Any) -> None:
-    plots.plot_distinct({"constant ε": learned, "again": learned}, ax=ax)
-    heights = [bar.get_height() for bar in ax.patches]
-    assert sum(heights) == pytest.approx(2)
-    drawn(ax)
+    with plots.style():
+        drawn = [
+            plots.plot_learning_curves(curves, optimum=146.2, window=5),
+            plots.plot_value_bands({"a": values, "b": values + 1}, window=1, optimum=3.0),
+            plots.plot_regrets({"constant ε": learned}, ax=Figure().subplots()),
+            plots.plot_distinct({"constant ε": learned, "again": learned}),
+            plots.plot_learning_curves(curves),  # a window longer than the curve
+        ]
+    for ax in drawn:
+        assert ax.get_ylabel()
+        ax.figure.canvas.draw()
+    smoothed, bands, regrets, distinct, _ = drawn
+    legend = [text.get_text() for text in smoothed.get_legend().get_texts()]
+    assert legend == [*names, "optimum"]
+    lines = {line.get_label(): line.get_ydata() for ax in (smoothed, bands) for line in ax.lines}
+    exact = curves["constant ε"].value
+    assert lines["constant ε"] == pytest.approx([exact[i : i + 5].mean() for i in range(36)])
+    assert lines["a"] == pytest.approx(values.mean(axis=0))
+    x, y = regrets.lines[0].get_data()
+    assert (x[-1], y[-1]) == (learned.regret.max(), 1)
+    assert f"{learned.regret.mean():.2f}" in regrets.get_legend().get_texts()[0].get_text()
+    assert sum(bar.get_height() for bar in distinct.patches) == pytest.approx(2)
 
 
 def test_figures_of_one_parameter() -> None:
@@ -235,9 +195,6 @@ def test_figures_of_indices() -> None:
     widths = [patch.get_width() for patch in ax.patches]
     assert widths[2:] == sorted(total.values(), reverse=True)[:2]
     assert ax.get_yticklabels()[0].get_text().startswith(max(total, key=total.__getitem__))
-    nothing = sobol(SMALL, names=["reward.subtask-complete"], n=4, rng=0)
-    with pytest.raises(ModelError, match="the same at every draw"):
-        nothing.plot(output="regret")
 
 
 def test_figures_of_perception() -> None:

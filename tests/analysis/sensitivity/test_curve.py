@@ -1,18 +1,21 @@
-"""The value as a function of a parameter, against closed forms and single certificates."""
+"""The value along one parameter and where its policies change: closed forms and certificates."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import pytest
+from cases import BY_NAME
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_models import forest
+from oracle import best_average, gain_and_bias
+from strategies import Rows, models
 
 from exact_mdp import (
     MDP,
@@ -25,21 +28,31 @@ from exact_mdp import (
     certify,
     check,
     curve,
-    explore,
+    evaluate,
     gradient,
     moving,
     parametric,
+    solve,
     thresholds,
 )
 
 F = Fraction
-SMALL = Scenario.load("tea").with_(tasks=[1], max_trial=2)
+WIDTH = F(1, 10**12)
+YUAN = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+TEA = Scenario.load("tea").with_(tasks=[1], max_trial=2)
 # Puterman (1994), section 3.1; QuantEcon.py, quantecon/markov/tests/test_ddp.py
 PUTERMAN = MDP.from_outcomes(
     [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])], "1/2"
 )
-TODAY = Parameter(name="t", value=F(0), low=F(-1), high=F(1))
-HALF = Parameter(name="p", value=F(1, 2), low=F(0), high=F(1))
+WAIT = MDP.from_outcomes(
+    [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 2, 5)]), (1, 0, [(1, 1, -1)]), (2, 0, [(1, 2, 0)])]
+)
+
+
+def lone(build: Callable[[Any], MDP], value: object = 0, low: int = -1, **more: Any) -> Family:
+    """Return a family of one parameter, p, of at most 1."""
+    (p,) = parameters = (Parameter(name="p", value=value, low=low, high=1),)
+    return Family(parameters=parameters, build=lambda at: build(at[p.name]), **more)
 
 
 def start_of(mdp: MDP, policy: object) -> Fraction:
@@ -49,7 +62,8 @@ def start_of(mdp: MDP, policy: object) -> Fraction:
     return value
 
 
-def agrees(slopes: Any, family: Parametric, at: Fraction, policy: object) -> None:
+def agrees(slopes: Any, family: Parametric, at: Fraction, policy: object) -> dict[str, set[str]]:
+    """Compare a curve with a certificate; return the optimal actions by the names of states."""
     mdp = family.at({slopes.parameter.name: at})
     certificate = certify(mdp)
     assert slopes.at(at) == certificate.start_value
@@ -57,15 +71,76 @@ def agrees(slopes: Any, family: Parametric, at: Fraction, policy: object) -> Non
     for piece in slopes.around(at):
         if piece.low[1] < at < piece.high[0]:
             assert (piece.optimal == certificate.optimal_pairs)[~mdp.terminal[mdp.pair_state]].all()
+    best = [
+        [p for p in mdp.pairs_of(s) if certificate.optimal_pairs[p]] for s in range(mdp.n_states)
+    ]
+    return {
+        mdp.space.label(s): {mdp.actions[mdp.pair_action[p]] for p in own}
+        for s, own in enumerate(best)
+    }
 
 
-def test_puterman_in_closed_form() -> None:
-    low, high = curve(PUTERMAN, "discount", (0, "99/100")).pieces
+def test_puterman_leaves_at_ten_elevenths() -> None:
+    value_curve = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
+    low, high = value_curve.pieces
     assert (low.value.numerator, low.value.denominator) == ((10, -11), (1, -1))
     assert high.value.numerator == (5, F(-11, 2))
     assert high.value.denominator == (1, F(-3, 2), F(1, 2))
     assert low.high == high.low
-    assert low.high[0] <= F(10, 11) <= low.high[1]
+    (kept,) = value_curve.within()  # where action 0 is optimal
+    assert kept.low[0] <= F(10, 11) <= kept.low[1]
+    assert (kept.low, kept.high) == (low.high, (F(99, 100),) * 2)
+    switches = thresholds(PUTERMAN, "discount", (0, F(999, 1000)))
+    (one,) = switches.found
+    assert one.low <= F(10, 11) <= one.high <= one.low + WIDTH
+    (switch,) = one.switches
+    assert (switch.state, switch.before, switch.after) == (0, ("1",), ("0",))
+    assert switches.stable() == (0, one.low)
+    assert switches.radius == one.low - F(1, 2)
+
+
+THIRD, HALF, TINY = F(1, 3), F(1, 2), F(1, 10**15)
+SWITCHES: dict[str, tuple[Callable[[F], list[F]], dict[str, Any], list[Any], tuple[F, F]]] = {
+    "a root that touches": (
+        lambda p: [F(0), -((p - THIRD) ** 2)], {"degrees": {"p": 2}}, [(THIRD, "0", "01")], (0, 1),
+    ),
+    "closer than a bracket": (
+        lambda p: [F(0), p - THIRD, 2 * (p - THIRD) - TINY], {},
+        [(THIRD, "0", "1"), (THIRD + TINY, "1", "2")], (THIRD, 1),
+    ),
+    "three at one point": (
+        lambda p: [F(0), p - THIRD, 2 * (p - THIRD)], {}, [(THIRD, "0", "2")], (THIRD, 1),
+    ),
+    "a tie today, of actions that are alike": (
+        lambda p: [HALF, p, p], {}, [(HALF, "0", "12")], (HALF, HALF),
+    ),
+    "a breakpoint": (
+        lambda p: [F(0), max(F(0), p - HALF)], {"breaks": {"p": [HALF]}}, [(HALF, "01", "1")],
+        (HALF, HALF),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SWITCHES)
+def test_where_one_action_of_several_becomes_best(name: str) -> None:
+    gains, more, wanted, stable = SWITCHES[name]
+
+    def build(p: F) -> MDP:
+        rows = [(0, action, [(1, 1, gain)]) for action, gain in enumerate(gains(p))]
+        return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])])
+
+    switches = thresholds(lone(build, HALF, 0, **more), "p", (0, 1))
+    for found, (at, before, after) in zip(switches.found, wanted, strict=True):
+        assert found.low <= at <= found.high <= found.low + WIDTH
+        assert found.touch == name.endswith("touches")
+        assert ["".join(found.switches[0].before), "".join(found.switches[0].after)] == [
+            before,
+            after,
+        ]
+    assert all(one.high <= other.low for one, other in pairwise(switches.found))
+    for end, wanted_end in zip(switches.stable(), stable, strict=True):
+        assert abs(end - wanted_end) <= WIDTH
+    assert (switches.radius == 0) == (stable[0] == stable[1])
 
 
 @st.composite
@@ -102,17 +177,50 @@ def test_random_models_with_cycles(
             agrees(value_curve, family, end, "random")
 
 
-@pytest.mark.parametrize("name", ["base.anxiety", "reward.assist.prompt", "discount"])
-def test_scenarios(name: str) -> None:
-    family = parametric(SMALL)
-    span = (F(1, 10), F(9, 10)) if name != "reward.assist.prompt" else (-6, 1)
-    value_curve = curve(SMALL, name, span, policy="always:prompt")
-    crossed = [t for t in thresholds(SMALL, name, span).found if not t.touch]
-    ends = {(t.low, t.high) for t in crossed}
-    assert ends <= {piece.high for piece in value_curve.pieces[:-1]}
-    assert len(value_curve.frame()) == len(value_curve.pieces) > len(ends)
-    for k in range(5):
-        agrees(value_curve, family, F(span[0]) + (F(span[1]) - span[0]) * F(k, 4), "always:prompt")
+@pytest.mark.parametrize(
+    ("model", "name", "bounds"),
+    [
+        (TEA, "base.anxiety", None),
+        (TEA, "reward.assist.prompt", (-6, 1)),
+        (TEA, "discount", ("1/10", "9/10")),
+        (YUAN, "assistance.directive.confusion.persistence", ("1/2", 1)),
+        (YUAN.with_(readings={"skip_onset": "base"}), "reward.anger", (-2, 0)),
+        (
+            YUAN.with_(readings={"influence_on_present": "additive"}),
+            "influence.disengagement.anger",
+            (0, 1),
+        ),
+        (
+            YUAN.with_(readings={"skip_onset": "base", "influence_orientation": "column-to-row"}),
+            "base.confusion",
+            (0, 1),
+        ),
+        (YUAN.with_(readings={"skip_timestep": "own"}), "discount", ("1/10", 1)),
+    ],
+)
+def test_scenarios_against_certificates_at_single_points(
+    model: Scenario, name: str, bounds: Any
+) -> None:
+    """Between two points the optimal actions of a state are those before and after its switches."""
+    value_curve, switches = (
+        curve(model, name, bounds, policy="random"),
+        thresholds(model, name, bounds),
+    )
+    low, high = value_curve.range.low, value_curve.range.high
+    assert (low, high) == tuple(map(F, bounds or (0, 1)))  # or all that a probability may be
+    cuts = [each for each in switches.found if not each.touch]
+    assert {(each.low, each.high) for each in cuts} <= {p.high for p in value_curve.pieces[:-1]}
+    assert len(value_curve.frame()) == len(value_curve.pieces) > len(cuts)
+    assert all(each.high - each.low <= WIDTH for each in switches.found)
+    grid = [low + (high - low) * F(2 * k + 1, 12) for k in range(6)]
+    family = parametric(model)
+    answers = [agrees(value_curve, family, at, "random") for at in grid]
+    for (left, one), (right, two) in pairwise(zip(grid, answers, strict=True)):
+        inside = [each for each in cuts if left < each.low and each.high < right]
+        turned = [switch for each in inside for switch in each.switches]
+        for label in {state for state in one if one[state] != two[state]}:
+            own = [switch for switch in turned if switch.label == label]
+            assert (set(own[0].before), set(own[-1].after)) == (one[label], two[label])
 
 
 @settings(max_examples=25, deadline=None)
@@ -135,31 +243,14 @@ def test_where_a_policy_keeps_a_limit(
 
 
 def test_a_root_on_one_side_of_a_breakpoint_is_none_on_the_other() -> None:
-    """Max(0, 1 - |t|) against 0: nothing is lost at both ends alone, and most in the middle."""
-    family = Family(
-        parameters=(TODAY,),
-        build=lambda at: MDP.from_outcomes(
-            [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 1 - abs(at["t"]))]), (1, 0, [(1, 1, 0)])], 1
-        ),
-        breaks={"t": [0]},
-    )
-    within = curve(family, "t", (-1, 1), policy=[0, 0]).within(0)
-    assert [(each.low, each.high) for each in within] == [((t, t), (t, t)) for t in (F(-1), F(1))]
+    """Max(0, 1 - |p|) against 0: nothing is lost at both ends alone, and most in the middle."""
 
+    def build(p: F) -> MDP:
+        rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 1 - abs(p))]), (1, 0, [(1, 1, 0)])]
+        return MDP.from_outcomes(rows)
 
-def test_limits_that_say_nothing_are_refused() -> None:
-    value_curve = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
-    for call, message in (
-        (lambda: curve(PUTERMAN, "discount", (0, "99/100")).within(1), "no policy"),
-        (lambda: value_curve.within(1, 1), "two limits"),
-        (lambda: value_curve.within(-1), "0 or more"),
-        (lambda: value_curve.at(1), "outside the range"),
-    ):
-        with pytest.raises(ModelError, match=message):
-            call()
-    (only,) = value_curve.within()  # optimal from 10/11 on
-    assert only.low[0] <= F(10, 11) <= only.low[1]
-    assert only.high == (F(99, 100),) * 2
+    within = curve(lone(build, breaks={"p": [0]}), "p", (-1, 1), policy=[0, 0]).within(0)
+    assert [(each.low, each.high) for each in within] == [((p, p), (p, p)) for p in (F(-1), F(1))]
 
 
 def test_what_is_false_between_breakpoints_is_found() -> None:
@@ -195,103 +286,97 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
         assert message in faults(first, second)
 
 
-def test_the_command_says_where_a_policy_keeps_a_limit() -> None:
-    line = "curve tea --set tasks=[1] --set max_trial=2 --parameter base.anxiety"
-    line += " --max-relative-regret 1/100"
-    result = run(line, "--policy", "always:prompt", "--json").result
-    value_curve = curve(SMALL, "base.anxiety", policy="always:prompt")
+def test_the_command() -> None:
+    line = "curve tea --set tasks=[1] --set max_trial=2 --parameter"
+    limit = "base.anxiety --max-relative-regret 1/100"
+    result = run(line, *limit.split(), "--policy", "always:prompt", "--json").result
+    value_curve = curve(TEA, "base.anxiety", policy="always:prompt")
     within = value_curve.within(max_relative_regret="1/100")
     brackets = [(*each["from_bracket"], *each["to_bracket"]) for each in result["within"]]
     assert [tuple(map(F, each)) for each in brackets] == [(*e.low, *e.high) for e in within]
-    fixed = result["pieces"][0]["fixed"]
-    assert tuple(map(F, fixed["numerator"])) == value_curve.pieces[0].fixed.numerator
-    assert "keeps the limit" in run(line).out  # of the optimum, unless a policy is given
-    assert "two limits" in run(line, "--max-regret", "1").refusal()
+    pieces = result["pieces"]
+    assert (pieces[0]["from"], pieces[-1]["to"]) == ("0", "1")
+    assert all(a["to"] == b["from"] for a, b in pairwise(pieces))
+    for name, value in (
+        ("fixed", value_curve.pieces[0].fixed),
+        (None, value_curve.pieces[0].value),
+    ):
+        said = pieces[0][name] if name else pieces[0]
+        assert tuple(map(F, said["numerator"])) == value.numerator
+        assert tuple(map(F, said["denominator"])) == value.denominator
+    far = run(line, "discount", "--json").result["pieces"][-1]
+    last = TEA.compile().with_(discount="999999/1000000")
+    assert evaluate(last, far["policy"]).mean == pytest.approx(solve(last).start.value)
+    assert "pieces of the optimal value" in run(line, "discount").out
+    assert "keeps the limit" in run(line, *limit.split()).out  # of the optimum
+    assert "two limits" in run(line, *limit.split(), "--max-regret", "1").refusal()
+
+
+# ---- policies that are held where nothing is earned ----------------------------------------------
 
 
 @pytest.mark.parametrize("sense", ["max", "min"])
 def test_a_table_is_followed_where_nothing_is_earned_today(sense: str) -> None:
     """Its greedy action counts in states that are over, or whose actions are alike, at 0."""
 
-    def build(at: Mapping[str, F]) -> MDP:
-        rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, at["t"])]), (2, 0, [(1, 2, 0)])]
-        rows += [(1, 0, [(1, 1, at["t"])]), (1, 1, [(1, 1, 0)])]
+    def build(p: F) -> MDP:
+        rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, p)]), (2, 0, [(1, 2, 0)])]
+        rows += [(1, 0, [(1, 1, p)]), (1, 1, [(1, 1, 0)])]
         return MDP.from_outcomes(rows, "1/2", sense=sense)
 
-    family = Family(parameters=(TODAY,), build=build)
-    table = np.array([[0.0, 2.0], [1.0, 3.0], [0.0, 0.0]]) * (1 if sense == "max" else -1)
-    value_curve = curve(family, "t", (-1, 1), policy=table)
-    for t in (F(-1), F(-1, 2), F(0), F(1)):
-        assert value_curve.fixed_at(t) == t  # action 1 in state 0, and nothing after that
+    sign = 1 if sense == "max" else -1
+    table = [[0, 2 * sign], [1 * sign, 3 * sign], [0, 0]]
+    value_curve = curve(lone(build), "p", (-1, 1), policy=table)
+    for p in (F(-1), F(-1, 2), F(0), F(1)):
+        assert value_curve.fixed_at(p) == p  # action 1 in state 0, and nothing after that
     [kept] = value_curve.within(0)  # what it earns is good in state 0, and bad in state 1
     assert (float(kept.low[0]), float(kept.high[1])) == pytest.approx((0, 0))
 
 
 def test_a_policy_that_is_silent_where_it_matters_elsewhere_is_refused() -> None:
     """A function is not asked about a state in which all is over today."""
-    family = Family(
-        parameters=(TODAY,),
-        build=lambda at: MDP.from_outcomes([(0, 0, [(1, 0, at["t"])]), (0, 1, [(1, 0, 0)])], "1/2"),
-    )
+    family = lone(lambda p: MDP.from_outcomes([(0, 0, [(1, 0, p)]), (0, 1, [(1, 0, 0)])], "1/2"))
     for policy in ([[1.0, 2.0]], [1], {0: 1}, [[0.0, 1.0]]):
-        value_curve = curve(family, "t", (-1, 1), policy=policy)
+        value_curve = curve(family, "p", (-1, 1), policy=policy)
         assert (value_curve.fixed_at(-1), value_curve.fixed_at(1)) == (0, 0)
         assert value_curve.within(0)[0].low[0] == -1
         assert value_curve.within(0)[-1].high[1] == pytest.approx(0)
     with pytest.raises(ModelError, match="says nothing of a state"):
-        curve(family, "t", (-1, 1), policy=lambda state: 1)
+        curve(family, "p", (-1, 1), policy=lambda state: 1)
 
 
-# ---- discount 1, where some policy never ends ----------------------------------------------------
-
-WAIT = MDP.from_outcomes(
-    [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 2, 5)]), (1, 0, [(1, 1, -1)]), (2, 0, [(1, 2, 0)])]
-)
+# ---- discount 1, and close to it -----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("engine", [thresholds, curve, explore])
-def test_where_some_policy_never_ends_curves_are_refused(engine: Callable[..., object]) -> None:
-    with pytest.raises(ModelError, match="some policy never ends") as refused:
-        engine(WAIT, "reward.5")
-    assert "discount below 1" in (refused.value.fix or "")
-    assert engine(WAIT.with_(discount="9/10"), "reward.5")
-    assert engine(WAIT.within(3), "reward.5")
-
-
-def test_where_some_policy_never_ends_derivatives_are_refused() -> None:
-    with pytest.raises(ModelError, match="some policy never ends"):
-        gradient(WAIT)
-    slopes = gradient(WAIT, policy=[1, 0, 0], names=["reward.5"])  # this one ends
+def test_where_some_policy_never_ends_a_policy_that_ends_has_derivatives() -> None:
+    slopes = gradient(WAIT, policy=[1, 0, 0], names=["reward.5"])
     assert slopes["reward.5"].value == Certified(value=F(1))
     assert gradient(WAIT.with_(discount="9/10"))["reward.5"].value == Certified(value=F(1))
+    assert curve(WAIT.within(3), "reward.5").at(7) == 7
+    for line in (thresholds(WAIT, "discount").curve, curve(WAIT, "discount")):
+        assert line.range.high < 1
 
 
 def test_a_policy_that_never_ends_at_one_value_alone_is_found() -> None:
-    """An episode goes on with the chance (2x - 1)², or 1 - (2x - 1)², and pays 1 a step."""
+    """An episode goes on with the chance (2p - 1)², or 1 - (2p - 1)², and pays 1 a step."""
+    for stays, wrong, right in (
+        (lambda p: (2 * p - 1) ** 2, (0, F(3, 4)), (F(1, 8), F(3, 4))),
+        (lambda p: 1 - (2 * p - 1) ** 2, (F(1, 8), F(3, 4)), (F(1, 8), F(3, 8))),
+    ):
 
-    def family(stays: Callable[[Fraction], Fraction]) -> Parametric:
-        def build(at: Mapping[str, Fraction]) -> MDP:
-            p = stays(at["x"])
-            row = [(chance, to, 1) for chance, to in ((p, 0), (1 - p, 1)) if chance]
+        def build(p: F, stays: Callable[[F], F] = stays) -> MDP:
+            row = [(chance, to, 1) for chance, to in ((stays(p), 0), (1 - stays(p), 1)) if chance]
             return MDP.from_outcomes([(0, 0, row), (1, 0, [(1, 1, 0)])])
 
-        x = Parameter(name="x", value=F(1, 4), low=F(0), high=F(1))
-        return Family(parameters=(x,), build=build, degrees={"x": 2})
-
-    for stays, wrong, right in (
-        (lambda x: (2 * x - 1) ** 2, (0, F(3, 4)), (F(1, 8), F(3, 4))),
-        (lambda x: 1 - (2 * x - 1) ** 2, (F(1, 8), F(3, 4)), (F(1, 8), F(3, 8))),
-    ):
+        family = lone(build, "1/4", 0, degrees={"p": 2})
         with pytest.raises(ModelError, match="some policy never ends"):
-            curve(family(stays), "x", wrong)
-        value_curve = curve(family(stays), "x", right)
+            curve(family, "p", wrong)
+        value_curve = curve(family, "p", right)
         assert value_curve.at("1/4") == 1 / (1 - stays(F(1, 4)))
         assert value_curve.violations() == []
 
 
-def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -> None:
-    for line in (thresholds(WAIT, "discount").curve, curve(WAIT, "discount")):
-        assert line.range.high < 1
+def test_rows_of_floats_have_a_curve_of_the_discount() -> None:
     thirds = [0.1, 0.2, 0.3]
     row = [(p, to, 0.0) for to, p in enumerate([*thirds, 1 - sum(thirds)])]
     rest = [(1 / 3, 1, 0), (1 / 3, 2, 0), (1 / 3 + 1e-16, 0, 0)]  # a little more than 1
@@ -304,35 +389,79 @@ def test_the_curve_of_the_discount_ends_below_1_where_some_policy_never_ends() -
     assert by_discount.at("1/2") == certify(floats.with_(discount="1/2")).start_value
 
 
+@settings(max_examples=10, deadline=None)
+@given(rows=models(discounts=(F(1, 2),)))
+def test_the_last_piece_has_the_best_gain_and_of_these_the_best_bias(rows: Rows) -> None:
+    """V = g / (1 - γ) + h + …: its first two terms (Puterman 1994, theorem 10.1.5)."""
+    mdp = rows.model()
+    optimal = curve(mdp, "discount").pieces[-1].optimal
+    pairs = [next(p for p in mdp.pairs_of(s) if optimal[p]) for s in range(mdp.n_states)]
+    actions = mdp.pair_action[pairs].tolist()
+    chosen = [next(r for r in rows.pairs if r[:2] == (s, a)) for s, a in enumerate(actions)]
+    gain, bias = gain_and_bias(chosen)
+    assert (gain, bias) == best_average(rows.pairs)
+    average = certify(mdp, criterion="average")
+    assert tuple(average.value) == gain
+    assert average.optimal_pairs[pairs].all()
+
+
+def test_howards_taxicab_at_every_discount() -> None:
+    """Howard (1960), chapter 4: the stand in every town, at discount 1 and at those near to it."""
+    case = BY_NAME["howard-taxicab"]
+    mdp = Rows(n_states=3, pairs=case.pairs, discount=case.discount).model()
+    by_discount = curve(mdp, "discount")
+    assert by_discount.violations() == []
+    assert by_discount.pieces[-1].optimal[[mdp.pair(s, 1) for s in range(3)]].all()
+    last = by_discount.pieces[-1].value
+    gain = sum(c for c in last.numerator) / -sum(k * c for k, c in enumerate(last.denominator))
+    assert gain == certify(mdp, criterion="average").value[0]  # the residue at 1
+
+
+def test_the_forest_switches_where_two_of_its_policies_are_equal() -> None:
+    # pymdptoolbox src/tests/test_PolicyIteration.py: values at 0.9 and 0.96, never cut
+    value_curve = curve(forest("1/2"), "discount", (0, "99/100"))
+    assert (value_curve.at("9/10"), value_curve.at("24/25")) == (F("26.244"), F("74.6496"))
+    assert value_curve.violations() == []
+    # Waiting in the middle is worth it from γ on where 9/10 (1 + 9/10 γ …) pays for the cut's 1:
+    # 1 + γ V_0 = γ (V_0 / 10 + 9/10 V_2), with V_2 = 4 + γ (V_0 / 10 + 9/10 V_2).
+    for at, sign in zip(value_curve.pieces[-2].high, (1, -1), strict=True):
+        mdp = forest("1/2").with_(discount=at)
+        value = certify(mdp).value
+        gain = 1 + at * value[0] - at * (value[0] / 10 + F(9, 10) * value[2])
+        assert gain * sign >= 0
+    assert value_curve.pieces[-1].optimal[[mdp.pair(s, 0) for s in range(3)]].all()
+
+
 # ---- one curve, and its views -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["base.anxiety", "reward.assist.prompt", "discount"])
 def test_slopes_of_the_curve_are_the_derivatives(name: str) -> None:
-    value_curve = curve(SMALL, name)
-    each = gradient(SMALL, names=[name])[name]
+    value_curve = curve(TEA, name)
+    each = gradient(TEA, names=[name])[name]
     sides = [None if side is None else side.value for side in (each.left, each.right)]
     assert [*value_curve.slope(value_curve.parameter.value)] == sides
 
 
-def test_slopes_at_a_tie_are_those_of_the_policies_on_both_sides() -> None:
-    def build(at: Mapping[str, Fraction]) -> MDP:
-        rows = [(0, 0, [(1, 1, at["p"])]), (0, 1, [(1, 1, 1 - at["p"])]), (1, 0, [(1, 1, 0)])]
-        return MDP.from_outcomes(rows)
+def test_at_a_tie_each_side_has_the_better_policy() -> None:
+    """Twice one of two gains, p and 1 - p."""
 
-    family = Family(parameters=(HALF,), build=build)
+    def build(p: F) -> MDP:
+        rows = [(s, a, [(1, s + 1, gain)]) for s in (0, 1) for a, gain in enumerate((p, 1 - p))]
+        return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])])
+
+    family = lone(build, HALF, 0)
     value_curve, each = curve(family, "p"), gradient(family)["p"]
-    assert value_curve.slope("1/2") == (each.left.value, each.right.value) == (-1, 1)
-    assert (value_curve.slope(0), value_curve.slope(1)) == ((None, -1), (1, None))
+    assert value_curve.slope("1/2") == (each.left.value, each.right.value) == (-2, 2)
+    assert (value_curve.slope(0), value_curve.slope(1)) == ((None, -2), (2, None))
+    assert gradient(family, policy=[0, 1, 0])["p"].value.value == 0
 
 
 def test_components_change_no_claim() -> None:
     """What is earned in parts is known as well as what is earned at once."""
-    rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]
-    whole = MDP.from_outcomes(rows, "1/2")
-    parts = MDP.from_outcomes(rows, "1/2", components={"a": [1, 2, 0], "b": [4, 8, -1]})
+    parts = PUTERMAN.with_(components={"a": [1, 2, 0], "b": [4, 8, -1]})
     for name in ("p", "gain", "discount"):
-        one, two = (moving(mdp, {"p": [(0, 0)]}, {"gain": 10}) for mdp in (whole, parts))
+        one, two = (moving(mdp, {"p": [(0, 0)]}, {"gain": 10}) for mdp in (PUTERMAN, parts))
         assert curve(one, name).claim == curve(two, name).claim == "certified"
         assert thresholds(one, name).claim == thresholds(two, name).claim == "certified"
         assert gradient(one)[name] == gradient(two)[name]
@@ -343,12 +472,12 @@ def test_components_change_no_claim() -> None:
 def test_every_model_of_a_threshold_is_made_once() -> None:
     made: list[Fraction] = []
 
-    def build(at: Mapping[str, Fraction]) -> MDP:
-        made.append(at["p"])
-        rows = [(0, 0, [(at["p"], 1, 1), (1 - at["p"], 0, 0)]), (0, 1, [(1, 1, F(3, 4))])]
+    def build(p: F) -> MDP:
+        made.append(p)
+        rows = [(0, 0, [(p, 1, 1), (1 - p, 0, 0)]), (0, 1, [(1, 1, F(3, 4))])]
         return MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], "9/10")
 
-    family = Family(parameters=(HALF,), build=build)
+    family = lone(build, HALF, 0)
     for _ in range(2):
         made.clear()
         assert len(thresholds(family, "p", (F(1, 10), F(3, 4))).found) == 1

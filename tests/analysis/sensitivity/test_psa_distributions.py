@@ -1,6 +1,5 @@
 """Distributions of uncertain parameters: moments, streams, files, and what is refused."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +11,9 @@ from numpy.random import SeedSequence
 from exact_mdp import (
     MDP,
     Family,
-    ModelError,
     Parameter,
     Scenario,
     Uncertain,
-    Uncertainty,
     load_uncertainty,
     moving,
     parametric,
@@ -99,10 +96,6 @@ def test_a_sample_of_ones_own_is_drawn_row_by_row() -> None:
     assert analysis.table.points.tolist() == frame.to_numpy().tolist()
     assert psa(MODEL, 2, uncertain=frame).table.points.tolist() == frame.to_numpy()[:2].tolist()
     assert analysis.uncertainty.fixed == {"weight": "not in the sample"}
-    with pytest.raises(ModelError, match="4 draws of a sample of 3"):
-        psa(MODEL, 4, uncertain=frame)
-    with pytest.raises(ModelError, match="unknown parameter 'price'"):
-        psa(MODEL, uncertain=frame.rename(columns={"cost": "price"}))
 
 
 def test_a_dirichlet_row_is_negatively_correlated_as_it_must_be() -> None:
@@ -155,41 +148,6 @@ def test_the_longest_beginning_counts(tmp_path: Path) -> None:
     assert distributions.fixed["reward.assist.none"] == "0 today"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[base\n", "broken TOML"),
-        ("", "nothing is stated"),
-        ('["base.angre"]\neffective_sample_size = 3\n', "base.angre"),
-        ("[base]\neffective_sample = 3\n", "unknown setting 'effective_sample'"),
-        ("effective_sample_size = 3\n", "unknown setting"),
-        ("[default]\nrelative_sd = 3\n", "states more than"),
-        ('[default]\neffective_sample_size = "three"\n', "'three'"),
-        ("[base]\neffective_sample_size = 0\n", "effective sample size 0"),
-        ("[base]\neffective_sample_size = nan\n", "effective sample size nan"),
-        ("[base]\neffective_sample_size = true\n", "True"),
-        ("[reward]\neffective_sample_size = 9\n", "effective sample size of a normal"),
-        ("[reward]\nrelative_sd = 0\n", "relative standard deviation 0"),
-        ('[reward]\ndistribution = "gamma"\n', "gamma with mean"),
-        ('[base]\nfixed = "false"\n', "fixed is 'false'"),
-        ("[base]\nfixed = true\neffective_sample_size = 3\n", "fixed, and a distribution"),
-        ("[base]\nrelative_sd = 0.1\neffective_sample_size = 3\n", "state a mean and one of|beta"),
-        ("[reward]\nrelative_sd = 1e-200\n", "relative standard deviation 1e-200"),
-        ("[reward]\nrelative_sd = 1e200\n", r"1e\+200"),
-        (f"[base]\neffective_sample_size = {10**300}\n", r"1e\+300"),
-        (f"[base]\neffective_sample_size = {10**400}\n", "too large for a float"),
-        ("[base]\neffective_sample_size = 1e-300\n", "1e-300"),
-        ("[base]\neffective_sample_size = inf\n", "inf"),
-        ('"base.anger" = [0.1, 0.2]\n', "psa takes distributions"),
-    ],
-)
-def test_files_that_cannot_be_are_refused(tmp_path: Path, text: str, message: str) -> None:
-    file = tmp_path / "uncertain.toml"
-    file.write_text(text)
-    with pytest.raises(ModelError, match=message):
-        uncertainty(YUAN, load_uncertainty(file)[0])
-
-
 ROW = "(state 0, 0)"
 ONE, TWO = f"{ROW}: to state 1", f"{ROW}: to state 2"
 THREE = "(state 1, 0): to state 1"
@@ -199,50 +157,6 @@ ROWS = replace(
     rows={ROW: (ONE, TWO), "(state 1, 0)": (THREE,)},
 )
 FIVE, FIXED = {"effective_sample_size": 5}, {"fixed": True}
-PART = Uncertain.of("a", "beta", mean=0.3, effective_sample_size=10)
-REFUSED: dict[str, Callable[[], object]] = {
-    "unknown setting 'efective_sample_size'": lambda: uncertainty(
-        YUAN, {"base": {"efective_sample_size": 3}}
-    ),
-    "fixed is 1": lambda: uncertainty(YUAN, {"base": {"fixed": 1}}),
-    "50 is stated": lambda: uncertainty(YUAN, {"base": 50}),
-    "gama": lambda: uncertainty(YUAN, {"reward": {"distribution": "gama"}}),
-    "outside of what the parameter may be": lambda: uncertainty(
-        MODEL, {"p": {"distribution": "uniform", "low": 0, "high": 2}}
-    ),
-    "beta with mean = 1.2": lambda: Uncertain.of("a", "beta", mean=1.2, sd=0.1),
-    "beta with mean = 0.5, sd = 0.6": lambda: Uncertain.of("a", "beta", mean=0.5, sd=0.6),
-    "alpha = 0": lambda: Uncertain.of("a", "beta", alpha=0, beta=2),
-    "gamma with mean = 0": lambda: Uncertain.of("a", "gamma", mean=0, sd=1),
-    "lognormal with mean = -1": lambda: Uncertain.of("a", "lognormal", mean=-1, sd=1),
-    "low = 2": lambda: Uncertain.of("a", "uniform", low=2, high=1),
-    "mode = 3": lambda: Uncertain.of("a", "triangular", low=0, mode=3, high=1),
-    "normal with mean": lambda: Uncertain.of("a", "normal", mean=1),
-    "relative_sd": lambda: Uncertain.of("a", "normal", mean=1, sd=1, relative_sd=1),
-    "around inf": lambda: Uncertain.of("a", "normal", mean=float("inf"), sd=1),
-    "around nan": lambda: Uncertain.of("a", "beta", mean=float("nan"), effective_sample_size=9),
-    "relative spread around 0": lambda: Uncertain.of("a", "normal", mean=0, relative_sd=1),
-    "'gauss'": lambda: Uncertain.of("a", "gauss", mean=0, sd=1),
-    "2 concentrations for 2": lambda: Uncertain.of_row("row", ("a", "b"), (1, 2)),
-    "concentrations 1, 0": lambda: Uncertain.of_row("row", ("a",), (1, 0)),
-    "a is drawn twice": lambda: Uncertainty(parts=(PART, PART), fixed={}),
-    "different settings.*1": lambda: uncertainty(ROWS, {ONE: FIVE}),
-    "different settings.*2": lambda: uncertainty(ROWS, {TWO: FIXED}),
-    "different settings.*3": lambda: uncertainty(ROWS, {ROW: FIVE, TWO: FIXED}),
-    "are Dirichlet": lambda: uncertainty(ROWS, {ROW: {"relative_sd": 0.3}}),
-    "unknown parameter": lambda: uncertainty(ROWS, {"(state 0, 1)": FIXED}),
-    "without the others.*1": lambda: uncertainty(ROWS, names=[ONE]),
-    "without the others.*2": lambda: uncertainty(ROWS, names=[TWO]),
-    "in two rows": lambda: uncertainty(replace(ROWS, rows={"a": (ONE,), "b": (ONE, TWO)})),
-    "not a probability of a row": lambda: uncertainty(replace(ROWS, rows={"a": ("discount",)})),
-    "no parameter is uncertain": lambda: psa(MDP.from_arrays([[[1]]], [1], "1/2"), 2),
-}
-
-
-@pytest.mark.parametrize("message", REFUSED)
-def test_what_cannot_be_stated_is_refused(message: str) -> None:
-    with pytest.raises(ModelError, match=message.partition(".*")[0]):
-        REFUSED[message]()
 
 
 # ---- rows ----------------------------------------------------------------------------------------

@@ -1,27 +1,38 @@
-"""A table of points and policies against models that are built and solved one by one."""
+"""Points, ranges, bars, maps and the worst corner, against models that are solved one by one."""
 
+from dataclasses import replace
 from fractions import Fraction as F
+from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from care_oracle import oracle_of
 from made_models import burning
 
 from exact_mdp import (
     MDP,
+    Claim,
     Family,
-    ModelError,
     Parameter,
     Parametric,
+    Range,
     Scenario,
     evaluate,
+    load_ranges,
     moving,
+    one_way,
     parametric,
     solve,
     study,
+    thresholds,
+    tornado,
+    two_way,
+    worst_point,
 )
 
-POINTS = {"x": [0.1, "1/3", 0.75]}
+YUAN = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
 READINGS: list[tuple[dict[str, str], list[int]]] = [
     ({}, [2]),
     ({"skip_timestep": "own", "status_cost": "current"}, [1, 1]),
@@ -52,10 +63,11 @@ def care(readings: dict[str, str], tasks: list[int]) -> tuple[Parametric, dict[s
     rng = np.random.default_rng(5)
     names = ["base.anger", "influence.anger.confusion", "reward.trial", "discount"]
     draws = [*rng.random((2, 6)), rng.normal(size=6), 0.5 + rng.random(6) / 2]
-    scenario = Scenario.load("yuan2025").with_(readings=readings, tasks=tasks, max_trial=2)
+    scenario = YUAN.with_(readings=readings, tasks=tasks)
     return parametric(scenario), dict(zip(names, draws, strict=True))
 
 
+POINTS = {"x": [0.1, "1/3", 0.75]}
 MODELS: list[Any] = [
     *((small(n, g), POINTS, ["random"]) for n in range(12) for g in (1, "9/10", "999/1000")),
     (burning("24/25"), {"fire": [0.05, 0.1, 0.6], "discount": [0.9, 0.96, 0.5]}, ["always:1"]),
@@ -87,33 +99,162 @@ def test_points_are_the_numbers_that_were_given() -> None:
     assert table.frame()["x"].tolist() == [0.1, 0.1, 0.5]
 
 
-TWO = moving(
-    MDP.from_outcomes(
-        [(0, 0, [("1/3", s, 1) for s in (1, 2, 3)]), *((s, 0, [(1, s, 0)]) for s in (1, 2, 3))]
-    ),
-    {"a": [(0, 1)], "b": [(0, 2)]},
-)
-
-
-@pytest.mark.parametrize(
-    ("points", "message", "where"),
-    [
-        ({"a": [0.5, 0.5], "b": [0.25, 0.75]}, "more than 1", "draw 1, a = 0.5, b = 0.75"),
-        ({"a": [0.5], "b": [1.5]}, "outside", "draw 0"),
-        ({"a": [0.5], "b": [float("nan")]}, "outside", "draw 0"),
-        ({"a": [1], "b": [1, 2]}, "columns of shape", ""),
-        ({"a": [[1, 2]]}, "columns of shape", ""),
-        ({"a": []}, "no points", ""),
-        ({}, "none", ""),
-        ({"as": [1]}, "unknown parameter 'as'", ""),
-    ],
-)
-def test_points_that_make_no_models_are_refused(points: Any, message: str, where: str) -> None:
-    with pytest.raises(ModelError, match=message) as refused:
-        study(TWO, points)
-    assert where in refused.value.where
-
-
 def test_a_model_may_have_more_actions_than_a_short_integer_counts() -> None:
     mdp = MDP.from_arrays(np.ones((40_000, 1, 1)), [[*range(40_000)]], "1/2")
     assert study(mdp, {"discount": ["1/4"]}).rows.tolist() == [[39_999]]
+
+
+# ---- models that move ----------------------------------------------------------------------------
+
+
+def test_numbers_of_many_digits_compile_to_distributions() -> None:
+    own = Scenario.load("yuan2025")
+    for name in ("skip.disengagement.persistence", "persistence.disengagement", "base.anger"):
+        mdp = own.with_(parameters={name: F(1234567890123, 10**13)}).compile()
+        assert (np.add.reduceat(mdp.table.weight, mdp.table.offsets[:-1]) > 0).all()
+
+
+@pytest.mark.parametrize("last", ["exact", "floats"])
+def test_what_is_left_of_a_row_is_shared_in_proportion(last: str) -> None:
+    """A row of floats means tenths: the other outcomes share what the named ones leave of 1."""
+    given: list[Any] = ["1/10", "1/5", "7/10"] if last == "exact" else [0.1, 0.2, 0.7 - 2.0**-34]
+    mdp = MDP.from_arrays([[given, [0, 1, 0], [0, 0, 1]]], [1, 0, 0])
+    for named, rest in (({"a": F(1, 4)}, [F(2, 9), F(7, 9)]), ({"a": F(1, 4), "b": F(1, 3)}, [1])):
+        family = moving(mdp, {name: [(0, place)] for place, name in enumerate(named)})
+        row = [p for p, _, _ in family.at(named).table.row(0)]
+        left = 1 - sum(named.values())
+        assert row == [*named.values(), *(left * share for share in rest)]
+
+
+# ---- ranges --------------------------------------------------------------------------------------
+
+
+def test_a_range_that_passes_1_by_default_is_warned_of() -> None:
+    """A utility may not be 1.02; an open number may, and where a range is stated nobody asks."""
+    family = Family(
+        parameters={"u": "17/20"}, build=lambda at: MDP.from_arrays([[[1]]], [at["u"]], "1/2")
+    )
+    with pytest.warns(UserWarning, match=r'u, 0.85 today, .* to 1.02; .*name="u", .*high=1'):
+        tornado(family)
+    assert tornado(family, ranges={"u": (0, 1)}).bars[0].high.at == 1
+    assert tornado(family, relative="1/5").bars[0].high.at == F(51, 50)
+    bounded = replace(family, parameters=(Parameter(name="u", value="17/20", low=0, high=1),))
+    assert tornado(bounded).bars[0].high.at == 1
+
+
+def test_ranges_are_shares_of_today_that_end_where_the_parameter_does() -> None:
+    given = (("p", "1/10", 0, 1), ("q", "9/10", 0, 1), ("r", -5, None, None))
+    family = Family(
+        parameters=[Parameter(name=n, value=v, low=low, high=high) for n, v, low, high in given],
+        build=lambda at: MDP.from_arrays([[[1]]], [sum(at.values())], 0),
+    )
+    for relative, wanted in (
+        (2, {"p": (0, F(3, 10)), "q": (0, 1), "r": (-15, 5)}),
+        ("1/2", {"p": (F(1, 20), F(3, 20)), "q": (F(9, 20), 1), "r": (F(-15, 2), F(-5, 2))}),
+    ):
+        bars = tornado(family, relative=relative).bars
+        assert {bar.parameter.name: (bar.low.at, bar.high.at) for bar in bars} == wanted
+
+
+def test_ranges_from_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "ranges.toml"
+    file.write_text('"base.anger" = [0.02, "1/10"]\n[reward]\nanger = [-6, -4]\n', "utf-8")
+    assert load_ranges(parametric(YUAN), file) == {
+        "base.anger": Range(low=F(1, 50), high=F(1, 10)),
+        "reward.anger": Range(low=F(-6), high=F(-4)),
+    }
+
+
+# ---- bars and maps -------------------------------------------------------------------------------
+
+
+def test_bars_are_values_of_an_independent_model() -> None:
+    own = YUAN.with_(readings={"influence_orientation": "column-to-row"})
+    bars = tornado(own, policy="always:directive", names=["base.confusion", "reward.anger"])
+    for bar in bars.bars:
+        for end in (bar.low, bar.high):
+            twin = oracle_of(own, {bar.parameter.name: end.at})
+            assert end.optimal.value == pytest.approx(float(twin.value(twin.start)), abs=1e-9)
+            fixed = twin.evaluate(lambda _: {"directive": F(1)}, distribution=False)["mean"]
+            assert end.fixed.value == pytest.approx(float(fixed), abs=1e-9)
+            assert end.regret.value == pytest.approx(end.optimal.value - end.fixed.value)
+            assert end.regret.error >= end.optimal.error + end.fixed.error
+    assert [bar.swing for bar in bars.bars] == sorted((b.swing for b in bars.bars), reverse=True)
+    units = dict(zip(bars.frame()["parameter"], bars.frame()["unit"], strict=True))
+    assert units == {"base.confusion": "probability", "reward.anger": "reward"}
+
+
+def test_curves_start_to_part_at_a_threshold() -> None:
+    name = "reward.assist.non-directive"
+    low, high = thresholds(YUAN, name, (-10, 0)).stable(reached=True)
+    assert -10 < low < -3
+    assert high == 0
+    curve = one_way(YUAN, name, (low, high), points=5)
+    assert curve.table.regret.max() < 1e-9
+    below = one_way(YUAN, name, (-10, low), points=5)
+    assert below.table.regret[0, 0] > 1e-3
+    assert len(curve.frame()) == 5
+
+
+def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:
+    x = "assistance.directive.confusion.persistence"
+    grid = two_way(YUAN, x, "base.confusion", ranges={x: (0, 1)}, points=5)
+    assert grid.policy.shape == (5, 5)
+    today = thresholds(YUAN, x, (0, 1))
+    across = grid.table.points[:5, 0]
+    middle = grid.choices[2]  # base.confusion as it is today
+    for column in range(4):
+        moved = np.flatnonzero(middle[column] != middle[column + 1]).tolist()
+        inside = [t for t in today.found if across[column] < t.value < across[column + 1]]
+        assert set(moved) <= {switch.state for t in inside for switch in t.switches}
+    frame = grid.frame()
+    assert len(frame) == 25
+    assert (frame["regret"] >= 0).all()
+    assert frame["value"][10] >= frame["fixed_value"][10] - 1e-9
+
+
+# ---- the worst corner ----------------------------------------------------------------------------
+
+STAY = [["1/2", "1/4", "1/4", 0], ["1/5", "1/2", "1/5", "1/10"], ["1/4", "1/4", "1/4", "1/4"]]
+TURNS = moving(
+    MDP.from_arrays([[*STAY, [0, 0, 0, 1]]], [[1], [-2], [3], [0]]), {"p": [(0, 1)], "q": [(1, 3)]}
+)
+TWO = {"p": (F(1, 10), F(1, 2)), "q": (F(1, 20), F(3, 10))}
+BOX = {
+    "base.anger": (0, F(1, 5)),
+    "persistence.confusion": (F(1, 2), 1),
+    "skip.confusion.alone": (0, F(2, 5)),
+    "reward.anger": (-7, -2),
+}
+CARE = parametric(YUAN.with_(tasks=[1, 1]))
+
+
+@pytest.mark.parametrize(
+    ("family", "policy", "box"),
+    [
+        *((CARE, policy, BOX) for policy in ("optimal", "always:directive", "random")),
+        (TURNS, "optimal", TWO),
+        (burning("9/10"), "optimal", {"fire": (F(1, 20), F(3, 10))}),
+    ],
+)
+def test_no_corner_is_worse(family: Parametric, policy: str, box: dict[str, Any]) -> None:
+    worst = worst_point(family, policy, box)
+    fixed = solve(family.at({})).policy if policy == "optimal" else policy
+    corners = [dict(zip(box, each, strict=True)) for each in product(*box.values())]
+    values = [evaluate(family.at(corner), fixed).mean for corner in corners]
+    assert worst.value.value == pytest.approx(min(values), abs=1e-9)
+    assert values[corners.index(worst.point)] == min(values) < max(values) - 0.1
+    best = solve(family.at(worst.point)).start_value
+    assert worst.optimum.value == pytest.approx(best, abs=1e-9)
+    assert worst.optimum.value >= worst.value.value - 1e-9
+    assert worst.claim is Claim.ESTIMATED
+    assert worst.frame()["parameter"].tolist() == [*box]
+
+
+def test_of_costs_the_greatest_is_the_worst() -> None:
+    """A short way may fail, which costs 7."""
+    rows = [(0, 0, [("1/2", 1, 1), ("1/2", 2, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 1, 7)])]
+    for sense, at, value in (("min", F(1, 4), 1 + 7 * 3 / 4), ("max", F(3, 4), 1 + 7 / 4)):
+        family = moving(MDP.from_outcomes(rows, sense=sense), {"short": [(0, 1)]})
+        worst = worst_point(family, ranges={"short": ("1/4", "3/4")})
+        assert (worst.point, worst.value.value) == ({"short": at}, pytest.approx(value))

@@ -154,31 +154,8 @@ def test_a_run_that_misses_the_goal_has_no_finite_total() -> None:
     mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], labels={"goal": [False, True, False]})
     assert tradeoff(mdp, ["reward", "steps"]).vertices == [(F(3), F(1))]
     assert certify(mdp.until("goal")).start_value == math.inf
-    for ask in (lambda m: tradeoff(m, ["reward", "steps"]),
-                lambda m: solve(m, subject_to={"steps": "<= 1"})):  # fmt: skip
-        with pytest.raises(ModelError, match="may end beside the goal"):
-            ask(mdp.until("goal"))
     sure = MDP.from_outcomes(rows[1:], labels={"goal": [False, True]}).until("goal")
     assert tradeoff(sure, ["reward", "steps"]).vertices == [(F(3), F(1))]
-
-
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (["angre", "trial"], "called 'angre'"),
-        (["anger", "x=2*angry-trial"], "called 'angry'"),
-        (["anger", "anger"], "'anger' is named twice"),
-        (["anger"], "front of 1 totals"),
-        ("anger", "front of 'anger' totals"),
-        (["anger", "x="], "names nothing to count"),
-        (["anger", "x=1/0*trial"], "not a finite rational"),
-        (["anger", "x=2 trial"], "nothing to count"),
-        (["anger", "forgetfulness"], "is no expected total"),
-    ],
-)
-def test_what_is_no_front(names: Any, message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        tradeoff(Scenario.load("yuan2025"), names)
 
 
 def test_the_checker_notices() -> None:
@@ -207,13 +184,9 @@ def test_a_vertex_written_twice_does_not_count_twice(third: dict[str, list[int]]
     front = tradeoff(MDP.from_outcomes(rows, "1/2", components=parts), list(parts))
     assert front.violations() == []
     assert len(front.attained) > 1
-    for vertex in front.attained:
-        copies = {n: [vertex] * n for n in range(2, 7)}
-        number = front.attained.index(vertex)
-        own = [replace(c, best=(0, 1)) for c in front.corners if number in c.best]
-        forged = [
-            replace(front, attained=tuple(some), corners=tuple(own)) for some in copies.values()
-        ]
+    for number, vertex in enumerate(front.attained):
+        own = tuple(replace(c, best=(0, 1)) for c in front.corners if number in c.best)
+        forged = [replace(front, attained=(vertex,) * n, corners=own) for n in range(2, 7)]
         forged.append(replace(front, attained=(*front.attained, vertex)))
         assert all("written twice" in " ".join(each.violations()) for each in forged)
 
@@ -245,14 +218,10 @@ def test_at_discount_0_only_the_start_counts() -> None:
     assert rationalize(mdp, [1, 0]).violations() == []
 
 
-def test_a_front_of_long_fractions_is_refused() -> None:
-    """What the message proposes is answered."""
+def test_what_is_proposed_instead_of_a_front_of_long_fractions_is_answered() -> None:
     rows = [(s, a, [(1, (s + 1) % 201, 0)]) for s in range(201) for a in (0, 1)]
     mdp = MDP.from_outcomes(rows, "1/2", components={"a": [0, 1] * 201, "b": [2, 0] * 201})
-    for names in (["a", "b"], ["a", "b", "steps"]):
-        with pytest.raises(ModelError, match="201 states lead to each other") as refused:
-            tradeoff(mdp, names)
-    assert "horizon" in refused.value.fix
-    assert "subject_to" in refused.value.fix
+    with pytest.raises(ModelError, match="201 states lead to each other"):
+        tradeoff(mdp, ["a", "b"])
     assert tradeoff(mdp.within(3), ["a", "b"]).vertices == [(0, F(7, 2)), (F(7, 4), 0)]
     assert solve(mdp, subject_to={"a": ">= 1"}).violations() == []
