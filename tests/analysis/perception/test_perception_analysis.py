@@ -1,13 +1,19 @@
-"""What errors of perception cost: against differences, the reference model, and on paper."""
+"""What errors of perception cost, and analyses of a policy that acts on what it perceives.
+
+Against differences, the reference model, and values of the policy that mixes as perception does.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 from fractions import Fraction
 from math import prod
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from care_oracle import ACTIONS, Oracle
 from cli_runner import run
@@ -21,32 +27,32 @@ from exact_mdp import (
     evaluate,
     independent,
     perceived,
+    sobol,
+    solve,
 )
 
 F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]
 HITS, CLEARS = [0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6]
 ROUGH = independent(HITS, CLEARS)
-
-
-def plan(status: str) -> str:
-    return ACTIONS[(3 * int(status, 2) + 2) % 4]
-
-
-POLICY = {label: plan(label) for label in LABELS}
+PLAN = {label: ACTIONS[(3 * status + 2) % 4] for status, label in enumerate(LABELS)}
+SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+CARE = SMALL.compile()
+HELD = perceived(CARE, solve(CARE).policy, ROUGH)
+VALUE = evaluate(CARE, HELD).mean
 
 
 @pytest.fixture(scope="module")
 def care() -> MDP:
-    return Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
+    return SMALL.with_(tasks=[2]).compile()
 
 
-def worth(mdp: MDP, matrix: np.ndarray, policy: object = POLICY) -> float:
+def worth(mdp: MDP, matrix: np.ndarray, policy: object = PLAN) -> float:
     return evaluate(mdp, perceived(mdp, policy, matrix)).mean
 
 
 def test_what_one_more_misreading_costs(care: MDP) -> None:
-    costs = error_costs(care, POLICY, ROUGH)
+    costs = error_costs(care, PLAN, ROUGH)
     rng = np.random.default_rng(0)
     for true, seen in rng.integers(0, 16, (12, 2)).tolist():
         step, moved = 1e-5, []
@@ -60,7 +66,7 @@ def test_what_one_more_misreading_costs(care: MDP) -> None:
 
 
 def test_what_a_rate_is_worth(care: MDP) -> None:
-    costs = error_costs(care, POLICY, ROUGH)
+    costs = error_costs(care, PLAN, ROUGH)
     for bit, name in enumerate(costs.statuses):
         for which in (0, 1):
             ends = []
@@ -73,7 +79,7 @@ def test_what_a_rate_is_worth(care: MDP) -> None:
 
 
 def test_losses_add_up(care: MDP) -> None:
-    for policy in (POLICY, "random", "always:directive"):
+    for policy in (PLAN, "random", "always:directive"):
         costs = error_costs(care, policy, ROUGH)
         whole = evaluate(care, policy).mean - worth(care, ROUGH, policy)
         assert costs.loss.sum() == pytest.approx(whole, abs=2 * costs.error)
@@ -87,7 +93,7 @@ def test_losses_add_up(care: MDP) -> None:
 def test_curves_are_the_reference_models_values(status: str) -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=3).compile()
     levels = (F(1, 2), F(2, 3), F(1))
-    curves = accuracy_curves(mdp, POLICY, levels=map(float, levels), statuses=[status])
+    curves = accuracy_curves(mdp, PLAN, levels=map(float, levels), statuses=[status])
     for level, value in zip(levels, curves.values[status], strict=True):
         right = [level if status == "all" or bit == 1 else F(1) for bit in range(4)]
 
@@ -95,7 +101,7 @@ def test_curves_are_the_reference_models_values(status: str) -> None:
             mixed = dict.fromkeys(ACTIONS, F(0))
             for seen in LABELS:
                 bits = zip(state[3], map(int, seen), right, strict=True)
-                mixed[plan(seen)] += prod(x if true == shown else 1 - x for true, shown, x in bits)
+                mixed[PLAN[seen]] += prod(x if true == shown else 1 - x for true, shown, x in bits)
             return {action: chance for action, chance in mixed.items() if chance}
 
         wanted = Oracle(tasks=[1], max_trial=3).evaluate(decide, distribution=False)["mean"]
@@ -107,13 +113,97 @@ def test_who_does_not_look_does_not_mind(care: MDP) -> None:
     assert np.ptp(curves.values["anger"]) <= 2 * curves.error
 
 
+# ---- by command ----------------------------------------------------------------------------------
+
+MODEL = "yuan2025 --set tasks=[1] --set max_trial=2"
+ANGER, CONFUSION = ("--parameter", "base.anger"), ("--parameter", "base.confusion")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    pd.DataFrame(ROUGH, LABELS, LABELS).to_csv("seen.csv", index_label="status")
+    Path("plan.json").write_text(json.dumps(PLAN))
+
+
+def ask(kind: str, *words: object) -> tuple[dict[str, Any], str]:
+    """Return the JSON of a command and its text, on one line."""
+    seen = (f"{kind} {MODEL} --perception seen.csv", *words)
+    answer = run(*seen, "--json").result
+    assert answer["perception"] == "seen.csv"
+    return answer, " ".join(run(*seen).out.split())
+
+
+def at(**values: object) -> MDP:
+    return SMALL.with_(parameters=values).compile()
+
+
+def test_a_tornado_is_that_of_the_policy_held_fixed() -> None:
+    answer, text = ask("tornado", *ANGER, *CONFUSION, "--parameter", "influence.anger.confusion")
+    assert answer["policy_value"] == pytest.approx(VALUE, rel=1e-12)
+    for bar in answer["bars"]:
+        for end in ("low", "high"):
+            there = at(**{bar["parameter"]: repr(bar[end])})
+            value = evaluate(there, HELD).mean
+            assert bar[f"fixed_value_{end}"] == pytest.approx(value, rel=1e-9)
+            assert bar[f"value_{end}"] == pytest.approx(solve(there).start_value, rel=1e-9)
+    swings = [bar["fixed_swing"] for bar in answer["bars"]]
+    assert swings == sorted(swings, reverse=True)
+    assert "start value at both ends, policy held fixed" in text
+    assert "which the policy acts on" in text
+    assert f"{answer['bars'][0]['fixed_value_low']:.6g}" in text
+
+
+def test_a_gradient_is_that_of_the_mixed_policy_and_says_what_is_certified() -> None:
+    answer, text = ask("gradient", *ANGER)
+    assert answer["start_value"] == pytest.approx(VALUE, rel=1e-12)
+    ends = ("49999/1000000", "50001/1000000")
+    below, above = (evaluate(at(**{"base.anger": x}), HELD).mean for x in ends)
+    assert answer["derivatives"]["base.anger"] == pytest.approx((above - below) / 2e-6, rel=1e-6)
+    assert answer["claim"] == "certified"
+    assert "as rounded to floats" in answer["claim_of"]
+    assert "as rounded to floats" in text
+    plain = run("gradient yuan2025 --parameter base.anger --json").result
+    assert plain["perception"] is None
+    assert "claim_of" not in plain
+
+
+@pytest.mark.parametrize("form", ["optimal", "plan.json"])
+def test_psa_and_sobol_hold_it(form: str) -> None:
+    words = ("--policy", form, "--n-jobs", 1, *ANGER, *CONFUSION)
+    policy = perceived(CARE, PLAN, ROUGH) if form == "plan.json" else HELD
+    wide = sobol(SMALL, names=["base.anger", "base.confusion"], n=8, rng=0, policy=policy)
+    assert ask("sobol", "--samples", 8, *words)[0]["regret"]["mean"] == wide.regret.mean > 0
+    drawn, _ = ask("psa", "--samples", 30, *words)
+    lost = solve(CARE).start_value - evaluate(CARE, policy).mean
+    spread = drawn["regret"]
+    assert abs(spread["mean"] - lost) < 6 * spread["standard_error"] + 0.05 * lost
+    assert drawn["candidates"][0]["actions"] is None  # it mixes
+
+
+@pytest.mark.parametrize("kind", ["interval", "absolute", "l1", "kl", "entropy"])
+def test_the_worst_case_of_it(kind: str) -> None:
+    answer, _ = ask("robust", "--radius", 0, "--set-kind", kind)
+    assert answer["start_value"] == pytest.approx(VALUE, rel=1e-12)
+    assert answer["worst_case"]["nominal_policy"]["value"] == pytest.approx(VALUE, rel=1e-6)
+    wide, _ = ask("robust", "--radius", 0.05, "--set-kind", kind)
+    assert wide["worst_case"]["nominal_policy"]["value"] < VALUE - 1e-3
+
+
+def test_the_worst_case_in_a_box() -> None:
+    answer, _ = ask("robust", "--set-kind", "box", "--range", "base.anger=1/25:3/50")
+    worst = evaluate(at(**{"base.anger": "3/50"}), HELD).mean
+    assert answer["worst_case"]["point"] == {"base.anger": 0.06}
+    assert answer["worst_case"]["value"] == pytest.approx(worst, rel=1e-9)
+    assert answer["start_value"] == pytest.approx(VALUE, rel=1e-12)
+
+
 def test_the_command_says_what_the_functions_say(tmp_path: Path) -> None:
-    line = "perception yuan2025 --set tasks=[1] --set max_trial=2"
+    line = f"perception {MODEL}"
     content = run(line, "--accuracy", "0.9", "--json").result
-    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
-    costs = error_costs(mdp, "optimal", independent([0.9] * 4, [0.9] * 4))
+    costs = error_costs(CARE, "optimal", independent([0.9] * 4, [0.9] * 4))
     assert content["taken_as_true"]["value"] == pytest.approx(costs.value.value, rel=1e-12)
-    assert content["perfect"]["value"] == pytest.approx(float(certify(mdp).start_value), rel=1e-12)
+    assert content["perfect"]["value"] == pytest.approx(float(certify(CARE).start_value), rel=1e-12)
     assert content["errors"]["anger"]["by_sensitivity"] == pytest.approx(costs.rates["anger"][0])
     assert content["claim"] == "bounded"
     pairs = "".join(f"{s},{s}\n" for s in LABELS)

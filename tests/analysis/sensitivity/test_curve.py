@@ -288,28 +288,20 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
 
 def test_the_command() -> None:
     line = "curve tea --set tasks=[1] --set max_trial=2 --parameter"
-    limit = "base.anxiety --max-relative-regret 1/100"
-    result = run(line, *limit.split(), "--policy", "always:prompt", "--json").result
-    value_curve = curve(TEA, "base.anxiety", policy="always:prompt")
-    within = value_curve.within(max_relative_regret="1/100")
-    brackets = [(*each["from_bracket"], *each["to_bracket"]) for each in result["within"]]
-    assert [tuple(map(F, each)) for each in brackets] == [(*e.low, *e.high) for e in within]
-    pieces = result["pieces"]
-    assert (pieces[0]["from"], pieces[-1]["to"]) == ("0", "1")
-    assert all(a["to"] == b["from"] for a, b in pairwise(pieces))
-    for name, value in (
-        ("fixed", value_curve.pieces[0].fixed),
-        (None, value_curve.pieces[0].value),
-    ):
-        said = pieces[0][name] if name else pieces[0]
-        assert tuple(map(F, said["numerator"])) == value.numerator
-        assert tuple(map(F, said["denominator"])) == value.denominator
+    limit = ("base.anxiety", "--max-relative-regret", "1/100")
+    within = run(line, *limit, "--policy", "always:prompt", "--json").result["within"]
+    wanted = curve(TEA, "base.anxiety", policy="always:prompt").within(max_relative_regret="1/100")
+    for said, each in zip(within, wanted, strict=True):
+        assert [tuple(map(F, said[end])) for end in ("from_bracket", "to_bracket")] == [
+            each.low,
+            each.high,
+        ]
     far = run(line, "discount", "--json").result["pieces"][-1]
     last = TEA.compile().with_(discount="999999/1000000")
     assert evaluate(last, far["policy"]).mean == pytest.approx(solve(last).start.value)
     assert "pieces of the optimal value" in run(line, "discount").out
-    assert "keeps the limit" in run(line, *limit.split()).out  # of the optimum
-    assert "two limits" in run(line, *limit.split(), "--max-regret", "1").refusal()
+    assert "keeps the limit" in run(line, *limit).out  # of the optimum
+    assert "two limits" in run(line, *limit, "--max-regret", "1").refusal()
 
 
 # ---- policies that are held where nothing is earned ----------------------------------------------

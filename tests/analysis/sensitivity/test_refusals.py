@@ -103,8 +103,6 @@ def loaded() -> Certificate:
 
 
 REFUSED = r"""
-worst_point(SMALL, "optimal", {"base.angr": (0, 1)}) -> unknown parameter
-worst_point(SMALL, "optimal", {"base.anger": (1, 0)}) -> empty
 worst_point(SMALL, "optimal", {"base.anger": (0, 2)}) -> outside
 moving(LAWS, {"a": [(2, 2)]}) -> all of a row
 moving(LAWS, {"a": [(0, 0), (0, 1)]}) -> 2 different
@@ -115,9 +113,6 @@ two_way(SMALL, "base.anger", "base.anger") -> both parameters are
 two_way(SMALL, "discount", "base.confusion", ranges={"base.anger": (0, 1)}) ->
     base.anger has a range
 ranges('"base.angre" = [0, 1]') -> unknown parameter 'base.angre'
-ranges('"base.anger" = [0.2, 0.1]') -> empty
-ranges('"base.anger" = [0.2, 0.2]') -> empty
-ranges('"base.anger" = [0.2, 1.1]') -> outside
 ranges('"base.anger" = 0.2') -> not a pair
 ranges('"base.anger" = [0.2') -> broken TOML
 ranges("") -> no range
@@ -136,23 +131,17 @@ HELD.within(1, 1) -> two limits
 HELD.within(-1) -> 0 or more
 HELD.at(1) -> outside the range
 gradient(KINK, exact=False) -> several actions are optimal
-gradient(WAIT) -> some policy never ends
-thresholds(WAIT, "reward.5") -> some policy never ends; discount below 1
 curve(WAIT, "reward.5") -> some policy never ends; discount below 1
-explore(WAIT, "reward.5") -> some policy never ends; discount below 1
-explore(TEA, "base.anxiety", ranges={"base.anxiety": (0, 2)}) -> outside
 explore(TEA, "zzz") -> unknown parameter 'zzz'; model tea; base.anxiety, ; reward.assist.prompt
 explore(PUTERMAN, "zzz") -> where: model
 explore(TEA, ["base.anxiety"]) -> names of parameters are texts
 psa(YUAN, 0, rng=0) -> n is 0
-psa(YUAN, -1, rng=0) -> n is -1
 psa(YUAN, 5.0, rng=0) -> n is 5.0
 psa(YUAN, True, rng=0) -> n is True
 psa(YUAN, 5, rng=None) -> None is not a source
 psa(YUAN, 5, rng=True) -> True is not a source
 psa(YUAN, 5, rng=-1) -> -1 is not a source
 psa(YUAN, 5, rng=1.5) -> 1.5 is not a source
-psa(YUAN, 5, effective_sample_size=0) -> sample size 0
 psa(YUAN, 5, effective_sample_size=np.nan) -> sample size nan
 psa(YUAN, 5, uncertain=uncertainty(CARE, names=["persistence.anger"])) -> uncertain
 psa(MDP.from_arrays([[[1]]], [1], "1/2"), 2) -> no parameter is uncertain
@@ -161,12 +150,6 @@ psa(BETS, uncertain=OWN.rename(columns={"r": "price"})) -> unknown parameter 'pr
 sobol(BETS, n=0, rng=0) -> n is 0
 sobol(BETS, n=100, rng=0) -> not a power of 2
 sobol(BETS, n=True, rng=0) -> n is True
-sobol(BETS, n=4, rng=-1) -> -1 is not a source
-sobol(BETS, n=4, rng=0, names=["x"]) -> unknown parameter 'x'
-sobol(BETS, n=4, rng=0, ranges={"r": ("1/2", "1/2")}) -> empty
-sobol(SHARE, n=4, rng=0, ranges={"p": (0, 2)}) -> outside
-sobol(BETS, n=4, rng=0, relative=0) -> share of 0
-sobol(BETS, n=4, rng=0, policy="nobody") -> nobody
 sobol(BETS, n=4, rng=0, n_jobs=0) -> n_jobs
 sobol(BETS, n=4, rng=0).frame("loss") -> unknown output
 sobol(SMALL, names=["reward.subtask-complete"], n=4, rng=0).plot(output="regret") ->
@@ -193,7 +176,6 @@ stated("base = {effective_sample_size = 0}") -> effective sample size 0
 stated("base = {effective_sample_size = nan}") -> effective sample size nan
 stated("base = {effective_sample_size = true}") -> True
 stated("reward = {effective_sample_size = 9}") -> effective sample size of a normal
-stated("reward = {relative_sd = 0}") -> relative standard deviation 0
 stated('reward = {distribution = "gamma"}') -> gamma with mean
 stated('base = {fixed = "false"}') -> fixed is 'false'
 stated("base = {fixed = true, effective_sample_size = 3}") -> fixed, and a distribution
@@ -202,8 +184,6 @@ stated("reward = {relative_sd = 1e-200}") -> relative standard deviation 1e-200
 stated("reward = {relative_sd = 1e200}") -> 1e+200
 stated(f"base = {{effective_sample_size = {10**300}}}") -> 1e+300
 stated(f"base = {{effective_sample_size = {10**400}}}") -> too large for a float
-stated("base = {effective_sample_size = 1e-300}") -> 1e-300
-stated("base = {effective_sample_size = inf}") -> inf
 stated('"base.anger" = [0.1, 0.2]') -> psa takes distributions
 uncertainty(CARE, {"base": 50}) -> 50 is stated
 uncertainty(CARE, {"reward": {"distribution": "gama"}}) -> gama
@@ -234,10 +214,8 @@ Uncertain.of("a", "gauss", mean=0, sd=1) -> 'gauss'
 Uncertain.of_row("row", ("a", "b"), (1, 2)) -> 2 concentrations for 2
 Uncertain.of_row("row", ("a",), (1, 0)) -> concentrations 1, 0
 Uncertainty(parts=(PART, PART), fixed={}) -> a is drawn twice
-tradeoff(YUAN, ["angre", "trial"]) -> called 'angre'
 tradeoff(YUAN, ["anger", "x=2*angry-trial"]) -> called 'angry'
 tradeoff(YUAN, ["anger", "anger"]) -> 'anger' is named twice
-tradeoff(YUAN, ["anger"]) -> front of 1 totals
 tradeoff(YUAN, "anger") -> front of 'anger' totals
 tradeoff(YUAN, ["anger", "x="]) -> names nothing to count
 tradeoff(YUAN, ["anger", "x=1/0*trial"]) -> not a finite rational

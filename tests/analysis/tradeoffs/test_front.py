@@ -6,7 +6,7 @@ import math
 import random
 from dataclasses import replace
 from fractions import Fraction
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -85,31 +85,6 @@ def test_the_front_of_the_care_model() -> None:
     assert all(0 <= v[1] <= 2 for v in steps.vertices)
 
 
-def test_events_and_labels_are_counted() -> None:
-    """The probability of a label that is not left, and the steps until the end, by hand."""
-    rows = [
-        (0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]),
-        (0, 1, [("1/3", 0, 0), ("2/3", 1, 0)]),
-        (1, 0, [(1, 1, 0)]),
-        (2, 0, [(1, 2, 0)]),
-    ]
-    labels = {"home": [False, True, False], "away": [False, False, True]}
-    mdp = MDP.from_outcomes(rows, labels=labels)
-    front = tradeoff(mdp, ["home", "quick=-1*steps"])
-    assert front.vertices == [(F(1, 2), F(-1)), (F(1), F(-3, 2))]
-    assert front.edges[0].rate == 1
-    both = tradeoff(mdp, ["home", "away"])
-    assert both.vertices == [(F(1, 2), F(1, 2)), (F(1), F(0))]
-
-
-def test_what_is_counted_for_ever_is_refused_by_name() -> None:
-    rows = [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes(rows, components={"a": [1, 2, 0], "b": [0, 1, 0]})
-    with pytest.raises(ModelError, match="'a' has no finite total"):
-        tradeoff(mdp, ["b", "a"])
-    assert tradeoff(mdp.with_(discount="1/2"), ["a", "b"]).vertices == [(F(2), F(1))]
-
-
 @settings(max_examples=40)
 @given(mdp=with_components(1, for_ever=True))
 def test_steps_go_on_where_a_component_is_earned_for_ever(mdp: MDP) -> None:
@@ -122,40 +97,81 @@ def test_steps_go_on_where_a_component_is_earned_for_ever(mdp: MDP) -> None:
     assert components["c0"] == pytest.approx(float(front.vertices[0][0]), abs=1e-9)
 
 
-def test_an_end_that_earns_components_for_ever_has_no_finite_total_at_discount_1() -> None:
-    rows = [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
-    parts = {"a": [3, -1], "b": [-3, 1], "c": [1, 0]}
-    mdp = MDP.from_outcomes(rows, components=parts)
-    for names, endless in ((["c", "steps"], "steps"), (["a", "c"], "a")):
-        with pytest.raises(ModelError, match=f"'{endless}' has no finite total"):
+HOME = MDP.from_outcomes(
+    [
+        (0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]),
+        (0, 1, [("1/3", 0, 0), ("2/3", 1, 0)]),
+        (1, 0, [(1, 1, 0)]),
+        (2, 0, [(1, 2, 0)]),
+    ],
+    labels={"home": [False, True, False], "away": [False, False, True]},
+)
+STAYS = MDP.from_outcomes(
+    [(0, 0, [(1, 0, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])],
+    components={"a": [1, 2, 0], "b": [0, 1, 0]},
+)
+EARNS = MDP.from_outcomes(  # in its end, for ever
+    [(0, 0, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])], components={"a": [3, -1], "b": [-3, 1], "c": [1, 0]}
+)
+RINGS = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (1, 0, [(1, 1, 0)])], "3/4")  # for ever, in state 0
+RINGS = replace(RINGS, table=replace(RINGS.table, event=np.array([1, 0])), events=("bell",))
+GOAL = [(0, 0, [("1/2", 1, 1), ("1/2", 2, 1)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
+MISSES = MDP.from_outcomes([*GOAL, (2, 0, [(1, 2, 0)])])
+SURE = MDP.from_outcomes(GOAL[1:], labels={"goal": [False, True]}).until("goal")
+NOW = MDP.from_outcomes(  # what is gained in the state that comes next does not count
+    [
+        (s, a, [(1, 1, gain)])
+        for s, both in enumerate([(2, 1), (5, 1)])
+        for a, gain in enumerate(both)
+    ],
+    0,
+    components={"a": [2, 0, 5, 0], "b": [0, 1, 0, 1]},
+)
+
+
+@pytest.mark.parametrize(
+    ("mdp", "names", "wanted"),
+    [
+        (HOME, ["home", "quick=-1*steps"], [(F(1, 2), -1), (1, F(-3, 2))]),
+        (HOME, ["home", "away"], [(F(1, 2), F(1, 2)), (1, 0)]),
+        (STAYS, ["b", "a"], "'a' has no finite total"),
+        (STAYS.with_(discount="1/2"), ["a", "b"], [(2, 1)]),
+        (EARNS, ["c", "steps"], "'steps' has no finite total"),
+        (EARNS, ["a", "c"], "'a' has no finite total"),
+        (RINGS, ["bell", "steps"], [(4, 4)]),
+        (RINGS.with_(start=1), ["bell", "steps"], [(0, 0)]),
+        (MISSES, ["reward", "steps"], [(3, 1)]),
+        (SURE, ["reward", "steps"], [(3, 1)]),
+        (NOW, ["a", "b"], [(0, 1), (2, 0)]),
+    ],
+)
+def test_fronts_by_hand(mdp: MDP, names: list[str], wanted: Any) -> None:
+    """What is counted for ever at discount 1 is refused by name."""
+    if isinstance(wanted, str):
+        with pytest.raises(ModelError, match=wanted):
             tradeoff(mdp, names)
-    evaluation = evaluate(mdp, [0, 0])
-    assert evaluation.components == {"a": -math.inf, "b": math.inf, "c": 1.0, "rest": -1.0}
-    half = evaluate(mdp.with_(discount="1/2"), [0, 0]).components
+        return
+    front = tradeoff(mdp, names)
+    assert (front.vertices, front.violations()) == (wanted, [])
+    for edge, (left, right) in zip(front.edges, pairwise(wanted), strict=True):
+        assert edge.rate == F(left[1] - right[1]) / (right[0] - left[0])
+
+
+def test_components_that_an_end_earns_for_ever_are_infinite() -> None:
+    ends = {"a": -math.inf, "b": math.inf, "c": 1.0, "rest": -1.0}
+    assert evaluate(EARNS, [0, 0]).components == ends
+    half = evaluate(EARNS.with_(discount="1/2"), [0, 0]).components
     assert half == {"a": 2.0, "b": -2.0, "c": 1.0, "rest": -1.0}
-    two = MDP.from_outcomes(
-        [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])],
-        components={"a": [0, 1, -1]},
-    )
+    rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, 0)])]
+    two = MDP.from_outcomes(rows, components={"a": [0, 1, -1]})
     assert math.isnan(evaluate(two, [0, 0, 0]).components["a"])
     assert evaluate(two.with_(start=1), [0, 0, 0]).components["a"] == math.inf
 
 
-def test_steps_go_on_where_an_event_happens_for_ever() -> None:
-    """It is then counted for ever, too; an end without it is one."""
-    mdp = MDP.from_outcomes([(0, 0, [(1, 0, 0)]), (1, 0, [(1, 1, 0)])], "3/4")
-    mdp = replace(mdp, table=replace(mdp.table, event=np.array([1, 0])), events=("bell",))
-    assert tradeoff(mdp, ["bell", "steps"]).vertices == [(F(4), F(4))]
-    assert tradeoff(mdp.with_(start=1), ["bell", "steps"]).vertices == [(F(0), F(0))]
-
-
-def test_a_run_that_misses_the_goal_has_no_finite_total() -> None:
-    rows = [(0, 0, [("1/2", 1, 1), ("1/2", 2, 1)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])], labels={"goal": [False, True, False]})
-    assert tradeoff(mdp, ["reward", "steps"]).vertices == [(F(3), F(1))]
-    assert certify(mdp.until("goal")).start_value == math.inf
-    sure = MDP.from_outcomes(rows[1:], labels={"goal": [False, True]}).until("goal")
-    assert tradeoff(sure, ["reward", "steps"]).vertices == [(F(3), F(1))]
+def test_at_discount_0_limits_and_weights_have_proofs() -> None:
+    limited = solve(NOW, subject_to={"b": ">= 1/2"})
+    assert (limited.start_value, limited.violations()) == (F(3, 2), [])
+    assert rationalize(NOW, [1, 0]).violations() == []
 
 
 def test_the_checker_notices() -> None:
@@ -205,17 +221,6 @@ def test_amounts_of_very_different_size(size: int) -> None:
         front = tradeoff(mdp, ["a", "b"])
         assert front.vertices == sorted(vertices(totals(mdp, ["a", "b"]), 1))
         assert front.violations() == []
-
-
-def test_at_discount_0_only_the_start_counts() -> None:
-    """What is gained in the state that comes next is no vertex, and no part of an edge."""
-    gains = zip(product(range(2), repeat=2), [2, 1, 5, 1], strict=True)
-    rows = [(s, a, [(1, 1, gain)]) for (s, a), gain in gains]
-    mdp = MDP.from_outcomes(rows, 0, components={"a": [2, 0, 5, 0], "b": [0, 1, 0, 1]})
-    assert tradeoff(mdp, ["a", "b"]).vertices == [(0, 1), (2, 0)]
-    limited = solve(mdp, subject_to={"b": ">= 1/2"})
-    assert (limited.start_value, limited.violations()) == (F(3, 2), [])
-    assert rationalize(mdp, [1, 0]).violations() == []
 
 
 def test_what_is_proposed_instead_of_a_front_of_long_fractions_is_answered() -> None:
