@@ -100,12 +100,6 @@ def tea() -> Any:
     return explore(TEA, *BOTH, ranges=RANGES, policy="random", n=3)
 
 
-def test_it_is_a_result() -> None:
-    assert repr(tea()).startswith("Explorer(base.anxiety from 0 to 0.5, ")
-    assert set(tea().frame()["reward.assist.prompt"]) == {-4.0, -2.0, 0.0}
-    assert 'srcdoc="&lt;!DOCTYPE html&gt;' in tea()._repr_html_()
-
-
 def cliff(names: list[str]) -> MDP:
     rows = [(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (0, 1, [(1, 2, 3)]), (1, 0, [(1, 2, 5)])]
     return MDP.from_outcomes(
