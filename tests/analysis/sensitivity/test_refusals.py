@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from made_models import forest, grid
+from refusal_tables import entries
 
 import exact_mdp
 from exact_mdp import (
@@ -117,10 +117,8 @@ ranges('"base.anger" = 0.2') -> not a pair
 ranges('"base.anger" = [0.2') -> broken TOML
 ranges("") -> no range
 study(THIRDS, {"a": [0.5, 0.5], "b": [0.25, 0.75]}) -> more than 1; draw 1, a = 0.5, b = 0.75
-study(THIRDS, {"a": [0.5], "b": [1.5]}) -> outside; draw 0
-study(THIRDS, {"a": [0.5], "b": [np.nan]}) -> outside; draw 0
-study(THIRDS, {"a": [1], "b": [1, 2]}) -> columns of shape
-study(THIRDS, {"a": [[1, 2]]}) -> columns of shape
+study(THIRDS, {"a": [0.5], "b": [<1.5|np.nan>]}) -> outside; draw 0
+study(THIRDS, {"a": <[1], "b": [1, 2]|[[1, 2]]>}) -> columns of shape
 study(THIRDS, {"a": []}) -> no points
 study(THIRDS, {}) -> none
 study(THIRDS, {"as": [1]}) -> unknown parameter 'as'
@@ -135,29 +133,22 @@ curve(WAIT, "reward.5") -> some policy never ends; discount below 1
 explore(TEA, "zzz") -> unknown parameter 'zzz'; model tea; base.anxiety, ; reward.assist.prompt
 explore(PUTERMAN, "zzz") -> where: model
 explore(TEA, ["base.anxiety"]) -> names of parameters are texts
-psa(YUAN, 0, rng=0) -> n is 0
-psa(YUAN, 5.0, rng=0) -> n is 5.0
-psa(YUAN, True, rng=0) -> n is True
-psa(YUAN, 5, rng=None) -> None is not a source
-psa(YUAN, 5, rng=True) -> True is not a source
-psa(YUAN, 5, rng=-1) -> -1 is not a source
-psa(YUAN, 5, rng=1.5) -> 1.5 is not a source
+psa(YUAN, <0|-1|5.0|True>, rng=0) -> n is *
+psa(YUAN, 5, rng=<None|True|-1|1.5>) -> * is not a source
 psa(YUAN, 5, effective_sample_size=np.nan) -> sample size nan
 psa(YUAN, 5, uncertain=uncertainty(CARE, names=["persistence.anger"])) -> uncertain
 psa(MDP.from_arrays([[[1]]], [1], "1/2"), 2) -> no parameter is uncertain
 psa(BETS, 4, uncertain=OWN) -> 4 draws of a sample of 3
 psa(BETS, uncertain=OWN.rename(columns={"r": "price"})) -> unknown parameter 'price'
-sobol(BETS, n=0, rng=0) -> n is 0
+sobol(BETS, n=<0|True>, rng=0) -> n is *
 sobol(BETS, n=100, rng=0) -> not a power of 2
-sobol(BETS, n=True, rng=0) -> n is True
 sobol(BETS, n=4, rng=0, n_jobs=0) -> n_jobs
 sobol(BETS, n=4, rng=0).frame("loss") -> unknown output
 sobol(SMALL, names=["reward.subtask-complete"], n=4, rng=0).plot(output="regret") ->
     the same at every draw
 tornado(BETS).plot(fixed=True) -> there is no option fixed=
 tornado(BETS).plot(output="fixd") -> did you mean fixed
-cost_effectiveness(BETS, ["wait"], 5, uncertain=SAID) -> give {name: policy}
-cost_effectiveness(BETS, {}, 5, uncertain=SAID) -> give {name: policy}
+cost_effectiveness(BETS, <["wait"]|{}>, 5, uncertain=SAID) -> give {name: policy}
 cost_effectiveness(BETS, {}, 5, uncertain={}) -> no strategy
 cost_effectiveness(BETS, {"a": "1"}, 5, effect="reward", cost="reward", uncertain=SAID) ->
     did you mean always:1?
@@ -172,15 +163,14 @@ stated("base = {effective_sample = 3}") -> unknown setting 'effective_sample'
 stated("effective_sample_size = 3") -> unknown setting
 stated("default = {relative_sd = 3}") -> states more than
 stated('default = {effective_sample_size = "three"}') -> 'three'
-stated("base = {effective_sample_size = 0}") -> effective sample size 0
-stated("base = {effective_sample_size = nan}") -> effective sample size nan
+stated("base = {effective_sample_size = <0|nan|inf|1e-300>}") -> effective sample size *
 stated("base = {effective_sample_size = true}") -> True
 stated("reward = {effective_sample_size = 9}") -> effective sample size of a normal
 stated('reward = {distribution = "gamma"}') -> gamma with mean
 stated('base = {fixed = "false"}') -> fixed is 'false'
 stated("base = {fixed = true, effective_sample_size = 3}") -> fixed, and a distribution
 stated("base = {relative_sd = 0.1, effective_sample_size = 3}") -> state a mean and one of
-stated("reward = {relative_sd = 1e-200}") -> relative standard deviation 1e-200
+stated("reward = {relative_sd = <0|1e-200>}") -> relative standard deviation *
 stated("reward = {relative_sd = 1e200}") -> 1e+200
 stated(f"base = {{effective_sample_size = {10**300}}}") -> 1e+300
 stated(f"base = {{effective_sample_size = {10**400}}}") -> too large for a float
@@ -189,13 +179,11 @@ uncertainty(CARE, {"base": 50}) -> 50 is stated
 uncertainty(CARE, {"reward": {"distribution": "gama"}}) -> gama
 uncertainty(SHARE, {"p": {"distribution": "uniform", "low": 0, "high": 2}}) ->
     outside of what the parameter may be
-uncertainty(ROWS, {ONE: {"effective_sample_size": 5}}) -> different settings
-uncertainty(ROWS, {TWO: {"fixed": True}}) -> different settings
+uncertainty(ROWS, {<ONE: {"effective_sample_size": 5}|TWO: {"fixed": True}>}) -> different settings
 uncertainty(ROWS, {ROW: {"effective_sample_size": 5}, TWO: {"fixed": True}}) -> different settings
 uncertainty(ROWS, {ROW: {"relative_sd": 0.3}}) -> are Dirichlet
 uncertainty(ROWS, {"another row": {"fixed": True}}) -> unknown parameter
-uncertainty(ROWS, names=[ONE]) -> without the others
-uncertainty(ROWS, names=[TWO]) -> without the others
+uncertainty(ROWS, names=[<ONE|TWO>]) -> without the others
 uncertainty(replace(ROWS, rows={"a": (ONE,), "b": (ONE, TWO)})) -> in two rows
 uncertainty(replace(ROWS, rows={"a": ("discount",)})) -> not a probability of a row
 Uncertain.of("a", "beta", mean=1.2, sd=0.1) -> beta with mean = 1.2
@@ -221,8 +209,7 @@ tradeoff(YUAN, ["anger", "x="]) -> names nothing to count
 tradeoff(YUAN, ["anger", "x=1/0*trial"]) -> not a finite rational
 tradeoff(YUAN, ["anger", "x=2 trial"]) -> nothing to count
 tradeoff(YUAN, ["anger", "forgetfulness"]) -> is no expected total
-tradeoff(ROUND, ["a", "b"]) -> 201 states lead to each other; horizon; subject_to
-tradeoff(ROUND, ["a", "b", "steps"]) -> 201 states lead to each other; horizon; subject_to
+tradeoff(ROUND, ["a", "b"<|, "steps">]) -> 201 states lead to each other; horizon; subject_to
 tradeoff(SMALL, ["anger", "trial", "steps"]).plot() -> no flat picture
 error_costs(statuses(TURNING), "optimal", np.eye(2)) -> come back
 accuracy_curves(statuses(TURNING)) -> come back
@@ -244,12 +231,10 @@ compare(grid(2, 2), {}) -> no policies
 loaded().plot() -> does not contain the model
 """
 NAMES = {name: getattr(exact_mdp, name) for name in exact_mdp.__all__} | {"np": np, "grid": grid}
-ROWS_OF_TABLE = re.sub(r"\n {4}", " ", REFUSED).strip().splitlines()
 
 
-@pytest.mark.parametrize("row", ROWS_OF_TABLE)
-def test_refused(row: str) -> None:
-    call, _, said = row.rpartition(" -> ")
+@pytest.mark.parametrize(("call", "said"), entries(REFUSED))
+def test_refused(call: str, said: str) -> None:
     with pytest.raises(ModelError) as caught:
         eval(call, NAMES | globals())
     assert caught.value.where
