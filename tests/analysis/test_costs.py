@@ -16,40 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from exact_mdp import (
-    MDP,
-    Family,
-    OffPolicy,
-    Posterior,
-    QLearning,
-    Robust,
-    best_cvar,
-    best_policy,
-    certify,
-    check,
-    check_trainer,
-    compare,
-    curve,
-    evaluate,
-    gradient,
-    learning_curve,
-    mean_cvar,
-    moving,
-    one_way,
-    outcomes,
-    psa,
-    rationalize,
-    return_distribution,
-    robust,
-    robust_curve,
-    simulate,
-    sobol,
-    solve,
-    thresholds,
-    tornado,
-    tradeoff,
-    two_way,
-)
+import exact_mdp as em
 
 POLICY = [1, 0, 0, 0]
 WORTH = re.compile(
@@ -66,7 +33,7 @@ SPREAD = {"interval", "quantiles", "bootstrap", "optimal_value", "learned_value"
 DIFFERENT = {"seconds", "limits", "checks", "assumptions", "mdp"}
 
 
-def model(sign: int, discount: object = "9/10") -> MDP:
+def model(sign: int, discount: object = "9/10") -> em.MDP:
     """Return the model whose rewards are 1 or -1 times the same numbers, to be made the most of."""
     table = [
         (0, 0, [("1/2", 1, 3), ("1/4", 2, 0), ("1/4", 3, 1)]),
@@ -79,7 +46,7 @@ def model(sign: int, discount: object = "9/10") -> MDP:
     ]
     rows = [(s, a, [(p, t, sign * r) for p, t, r in each]) for s, a, each in table]
     anger = [F(2), F(1, 3), F(1), F(-1), F(1), F(0), F(0)]
-    return MDP.from_outcomes(
+    return em.MDP.from_outcomes(
         rows,
         discount,
         sense="max" if sign > 0 else "min",
@@ -89,12 +56,12 @@ def model(sign: int, discount: object = "9/10") -> MDP:
     )
 
 
-def family(sign: int) -> Family:
-    return moving(model(sign), {"p": [(0, 1)], "q": [(4, 0)]})
+def family(sign: int) -> em.Family:
+    return em.moving(model(sign), {"p": [(0, 1)], "q": [(4, 0)]})
 
 
-def recorded(sign: int) -> MDP:
-    return MDP.from_transitions(records(sign), discount="9/10", sense=model(sign).sense)
+def recorded(sign: int) -> em.MDP:
+    return em.MDP.from_transitions(records(sign), discount="9/10", sense=model(sign).sense)
 
 
 def records(sign: int) -> pd.DataFrame:
@@ -124,9 +91,9 @@ def limits(sign: int) -> dict[str, str]:
     return {"anger": "<= 1/2"} if sign > 0 else {"anger": ">= -1/2"}
 
 
-def endless(sign: int) -> MDP:
+def endless(sign: int) -> em.MDP:
     rows = [(0, 0, [("1/2", 0, 1), ("1/2", 1, 3)]), (0, 1, [(1, 1, 2)]), (1, 0, [(1, 0, -1)])]
-    return MDP.from_outcomes(
+    return em.MDP.from_outcomes(
         [(s, a, [(p, t, sign * r) for p, t, r in each]) for s, a, each in rows],
         "9/10",
         sense="max" if sign > 0 else "min",
@@ -140,18 +107,18 @@ def audited(audit: Any) -> Any:
 
 
 def with_interval(sign: int, by: Any) -> Any:
-    return audited(check(recorded(sign), POLICY, confidence=0.9, by=by))
+    return audited(em.check(recorded(sign), POLICY, confidence=0.9, by=by))
 
 
 def pieces(sign: int) -> Any:
-    value_curve = curve(family(sign), "p", ("1/100", "99/100"), policy=POLICY)
+    value_curve = em.curve(family(sign), "p", ("1/100", "99/100"), policy=POLICY)
     at = ["1/100", "1/7", "1/2", "5/6"]
     values = [value_curve.at(x) for x in at] + [value_curve.fixed_at(x) for x in at]
     return value_curve, {"value": values}, value_curve.within("1/10")
 
 
 def drawn(sign: int) -> Any:
-    analysis = psa(family(sign), 60, rng=0, policy=POLICY)
+    analysis = em.psa(family(sign), 60, rng=0, policy=POLICY)
     values = {"value": [analysis.table.optimal, analysis.table.fixed]}
     return (
         analysis,
@@ -163,75 +130,77 @@ def drawn(sign: int) -> Any:
 
 
 def learned(sign: int) -> Any:
-    run = QLearning(epochs=20, discount="9/10").train(model(sign), rng=3)
-    return {"value": [run.q, run.returns]}, run.policies, outcomes(model(sign), [run])
+    run = em.QLearning(epochs=20, discount="9/10").train(model(sign), rng=3)
+    return {"value": [run.q, run.returns]}, run.policies, em.outcomes(model(sign), [run])
 
 
 def limited(sign: int) -> Any:
-    best = solve(model(sign), subject_to=limits(sign))
+    best = em.solve(model(sign), subject_to=limits(sign))
     said = {"value": best.start_value, "totals": best.totals, "closest": best.closest}
     return said, best.prices, best.rule, best.violations()
 
 
 TABLE: dict[str, Callable[[int], Any]] = {
-    "solve": lambda s: ((solution := solve(model(s))), solution.gap_table),
-    "solve, horizon": lambda s: solve(model(s), horizon=3, terminal_value=[s * 5, 0, s * -2, s]),
-    "certify": lambda s: certify(model(s)),
+    "solve": lambda s: ((solution := em.solve(model(s))), solution.gap_table),
+    "solve, horizon": lambda s: em.solve(model(s), horizon=3, terminal_value=[s * 5, 0, s * -2, s]),
+    "certify": lambda s: em.certify(model(s)),
     "evaluate": lambda s: (
-        (own := evaluate(model(s, 1), "random")),
+        (own := em.evaluate(model(s, 1), "random")),
         {"value": own.value, "occupancy": own.occupancy},
     ),
     "solve under limits": limited,
-    "check": lambda s: audited(check(model(s), POLICY)),
-    "check, bounds": lambda s: audited(check(model(s), POLICY, exact_values=False)),
+    "check": lambda s: audited(em.check(model(s), POLICY)),
+    "check, bounds": lambda s: audited(em.check(model(s), POLICY, exact_values=False)),
     "check, Q-table": lambda s: audited(
-        check(model(s), s * np.array([[1.0, 2], [0, 3], [2, 1], [0, 0]]), kind="q")
+        em.check(model(s), s * np.array([[1.0, 2], [0, 3], [2, 1], [0, 0]]), kind="q")
     ),
-    "check, horizon": lambda s: audited(check(model(s), POLICY, horizon=3)),
-    "check under limits": lambda s: audited(check(model(s), POLICY, subject_to=limits(s))),
-    "check, average": lambda s: audited(check(endless(s), [1, 0], criterion="average")),
-    "check, robust": lambda s: with_interval(s, Robust(rewards=span(s, -3, 8))),
-    "check, posterior": lambda s: with_interval(s, Posterior(n=100)),
+    "check, horizon": lambda s: audited(em.check(model(s), POLICY, horizon=3)),
+    "check under limits": lambda s: audited(em.check(model(s), POLICY, subject_to=limits(s))),
+    "check, average": lambda s: audited(em.check(endless(s), [1, 0], criterion="average")),
+    "check, robust": lambda s: with_interval(s, em.Robust(rewards=span(s, -3, 8))),
+    "check, posterior": lambda s: with_interval(s, em.Posterior(n=100)),
     "check, off-policy": lambda s: with_interval(
-        s, OffPolicy(records=records(s), behaviour="random", rewards=span(s, -3, 8), n=100)
+        s, em.OffPolicy(records=records(s), behaviour="random", rewards=span(s, -3, 8), n=100)
     ),
-    "compare": lambda s: compare(model(s), {"mine": POLICY, "coin": "random", "best": "optimal"}),
+    "compare": lambda s: em.compare(
+        model(s), {"mine": POLICY, "coin": "random", "best": "optimal"}
+    ),
     "best policy of columns": lambda s: (
-        (best := best_policy(model(s), [])),
+        (best := em.best_policy(model(s), [])),
         {"value": [best.value.value, best.upper_bound, best.mixed_upper_bound]},
     ),
-    "tradeoff": lambda s: tradeoff(model(s), ["anger", "rest"]),
-    "rationalize": lambda s: rationalize(model(s), POLICY),
-    "tornado": lambda s: tornado(family(s), policy=POLICY),
-    "one-way": lambda s: one_way(family(s), "p", policy=POLICY, points=5),
+    "tradeoff": lambda s: em.tradeoff(model(s), ["anger", "rest"]),
+    "rationalize": lambda s: em.rationalize(model(s), POLICY),
+    "tornado": lambda s: em.tornado(family(s), policy=POLICY),
+    "one-way": lambda s: em.one_way(family(s), "p", policy=POLICY, points=5),
     "two-way": lambda s: (
-        (grid := two_way(family(s), "p", "q", policy=POLICY, points=4)),
+        (grid := em.two_way(family(s), "p", "q", policy=POLICY, points=4)),
         grid.choices,
     ),
-    "gradient": lambda s: gradient(family(s), policy=POLICY),
-    "thresholds": lambda s: thresholds(family(s), "p", ("1/100", "99/100")),
+    "gradient": lambda s: em.gradient(family(s), policy=POLICY),
+    "thresholds": lambda s: em.thresholds(family(s), "p", ("1/100", "99/100")),
     "curve": pieces,
     "psa": drawn,
-    "sobol": lambda s: sobol(family(s), policy=POLICY, n=16, rng=0),
-    "robust": lambda s: robust(model(s), policy=POLICY),
-    "robust curve": lambda s: robust_curve(model(s), "l1", [0, 0.1], policy=POLICY),
+    "sobol": lambda s: em.sobol(family(s), policy=POLICY, n=16, rng=0),
+    "robust": lambda s: em.robust(model(s), policy=POLICY),
+    "robust curve": lambda s: em.robust_curve(model(s), "l1", [0, 0.1], policy=POLICY),
     "Q-learning": learned,
-    "learning curve": lambda s: learning_curve(
-        model(s), QLearning(epochs=5).train(model(s), rng=0), rng=0, n=20
+    "learning curve": lambda s: em.learning_curve(
+        model(s), em.QLearning(epochs=5).train(model(s), rng=0), rng=0, n=20
     ),
-    "check trainer": lambda s: check_trainer(
+    "check trainer": lambda s: em.check_trainer(
         model(s), lambda seed: [seed % 2, 0, 0, 0], rng=0, runs=30
     ),
-    "simulate": lambda s: ((sample := simulate(model(s), POLICY, 50, 0)), sample.frame()),
-    "returns": lambda s: return_distribution(model(s, 1), POLICY),
+    "simulate": lambda s: ((sample := em.simulate(model(s), POLICY, 50, 0)), sample.frame()),
+    "returns": lambda s: em.return_distribution(model(s, 1), POLICY),
     "average": lambda s: (
-        certify(endless(s), criterion="average"),
-        solve(endless(s), criterion="average"),
-        evaluate(endless(s), [0, 0], criterion="average"),
+        em.certify(endless(s), criterion="average"),
+        em.solve(endless(s), criterion="average"),
+        em.evaluate(endless(s), [0, 0], criterion="average"),
     ),
     "CVaR": lambda s: (
-        mean_cvar(model(s, 1), "1/4", policies={"mine": POLICY}, horizon=4).frame(),
-        {"value": [(best := best_cvar(model(s, 1), "1/4", horizon=4)).value, best.mean]},
+        em.mean_cvar(model(s, 1), "1/4", policies={"mine": POLICY}, horizon=4).frame(),
+        {"value": [(best := em.best_cvar(model(s, 1), "1/4", horizon=4)).value, best.mean]},
     ),
 }
 

@@ -12,7 +12,6 @@ from oracle import each_choice, fixed_point, rows_of, visits
 
 from exact_mdp import (
     MDP,
-    Audit,
     Bounded,
     Certified,
     Claim,
@@ -256,17 +255,6 @@ def test_limits_are_compared_exactly(limits: dict[str, object], passed: bool) ->
     assert bounded.passed is (passed and not at_the_limit)
     if passed and not bounded.passed:
         assert "do not decide" in bounded.message()
-
-
-def test_assertion_names_the_costly_states_and_returns_the_audit() -> None:
-    audit = assert_policy_optimal(TWO_WAYS, [0, 0])
-    assert isinstance(audit, Audit)
-    assert assert_policy_optimal(TWO_WAYS, [1, 0], 0.2).regret.at_start.value == F(1, 10)
-    with pytest.raises(AssertionError) as error:
-        assert_policy_optimal(TWO_WAYS, [1, 0])
-    assert "state 0: yours 1, optimal 0; loses 0.1 x 1 visits = 0.1" in str(error.value)
-    with pytest.raises(AssertionError):
-        assert_policy_optimal(TWO_WAYS, [1, 0], 0.2, max_relative_regret="1/100")
 
 
 # ---- bounds -----------------------------------------------------------------------------------
