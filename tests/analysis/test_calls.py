@@ -112,8 +112,6 @@ def test_a_table_by_state_and_action_is_never_one_by_row_and_column() -> None:
     lakes: Any = ("gymnasium:FrozenLake-v1", gymnasium.make("FrozenLake-v1"))
     named, made = (check(each, values, kind="q").value for each in lakes)
     assert named == made == check(MDP.from_gymnasium("FrozenLake-v1"), values, kind="q").value
-    with pytest.raises(ModelError, match="there is no option is_slippery="):
-        MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, is_slippery=False)
 
 
 # ---- limits that no policy keeps -----------------------------------------------------------------

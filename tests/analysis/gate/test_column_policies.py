@@ -60,29 +60,13 @@ def test_the_best_policy_is_the_best_of_all(mdp: MDP) -> None:
         assert evaluate(mdp, best.policy).mean == pytest.approx(best.value.value, abs=1e-9)
         assert best.policy.columns == columns
         cut = best_policy(mdp, columns, node_limit=1)
-        assert cut.upper_bound >= max(values) - 1e-12
+        assert max(values) - 1e-12 <= cut.upper_bound <= best.mixed_upper_bound + 1e-12
+        assert best.upper_bound <= cut.upper_bound
         assert cut.value.value <= max(values) + 1e-9
         assert cut.proven == (cut.upper_bound - cut.value.value < 1e-8)
     exact = float(certify(mdp).start_value)
     assert best_policy(mdp, ("time", "row")).value.value == pytest.approx(exact, abs=1e-9)
     assert best.mixed_upper_bound == pytest.approx(exact, abs=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_bounds_hold_where_states_come_back(seed: int) -> None:
-    """Every policy that reads one column is found, and no mixed one exceeds the bound on these."""
-    rng = np.random.default_rng(seed)
-    space = StateSpace(columns=(Column(name="time", size=2), Column(name="row", size=3)))
-    law, reward = rng.dirichlet(np.full(6, 0.3), (3, 6)), rng.normal(size=(6, 3))
-    mdp = MDP.from_arrays(law, reward, discount=0.9).with_(space=space)
-    values = every_policy(mdp, ("row",))
-    best, first = best_policy(mdp, ("row",)), best_policy(mdp, ("row",), node_limit=1)
-    assert best.proven
-    assert best.value.value == pytest.approx(max(values), abs=1e-9)
-    assert best.upper_bound <= first.upper_bound <= best.mixed_upper_bound + 1e-12
-    for _ in range(20):
-        mixed = Policy.by(mdp, ("row",), rng.dirichlet(np.ones(3), 3))
-        assert evaluate(mdp, mixed).mean <= best.mixed_upper_bound
 
 
 def test_what_a_status_policy_cannot_express() -> None:
