@@ -3,7 +3,6 @@
 import ast
 import errno
 import io
-import json
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -158,15 +157,11 @@ def test_integers_have_all_their_digits(digits: int) -> None:
 
 @settings(max_examples=50)
 @given(st.floats() | st.integers() | st.text() | st.booleans() | st.none())
-def test_json_is_strict_and_exact(value: object) -> None:
-    written = strict(Report(title="", facts={"x": [value]}).json())["x"][0]
-    assert written is None if value != value or value in (inf, -inf) else written == value
-
-
-def test_json_takes_arrays_and_rationals() -> None:
-    facts = {"a": np.array([1.5, nan]), 2: (np.int64(3), np.bool_(True)), "q": Fraction(1, 3)}
-    expected = {"format": 2, "a": [1.5, None], "2": [3, True], "q": "1/3"}
-    assert json.loads(Report(title="", facts=facts).json()) == expected
+def test_json_is_strict_and_exact_and_takes_arrays_and_rationals(value: object) -> None:
+    facts = {"x": [value], "a": np.array([1.5, nan]), 2: (np.int64(3), np.bool_(True))}
+    written = strict(Report(title="", facts=facts | {"q": Fraction(1, 3)}).json())
+    told = None if value != value or value in (inf, -inf) else value
+    assert written == {"format": 2, "x": [told], "a": [1.5, None], "2": [3, True], "q": "1/3"}
 
 
 @given(st.floats(-1e9, 1e9), st.floats(1e-15, 1e9), st.floats(0, 1e300))
