@@ -198,13 +198,12 @@ check(MODEL.with_(discount="1/2"), [0, 0], like=check(MODEL, [1, 0])) ->
     of another model; like; check(audit.mdp
 check(<EARN|EARN.with_(sense="min")>, [0]) ->
     both infinite, so that nothing can be compared; the total at discount 1; discount=
-check(MODEL, [0, 0], <max_regret|max_relative_regret>=nan) -> nan is not a finite; *; 0.1
-check(MODEL, [0, 0], max_regret=<'nan'|'inf'|'x'>) -> * is not a finite; max_regret; 0.1
-check(MODEL, [0, 0], max_regret=<True|[1]>) -> * is not a number; max_regret; "p/q"
-check(MODEL, [0, 0], max_regret=inf) -> inf is not a finite; max_regret; 0.1
-check(MODEL, [0, 0], max_regret=<-1|-1e-300>) -> max_regret is *; max_regret; 0 or more
-check(MODEL, [0, 0], max_regret=10**400) -> 1e400, beyond the floats; max_regret; choose less
-check(MODEL, [0, 0], max_relative_regret="-1/3") -> regret is -0.333333; max_relative; 0 or more
+check(MODEL, [0, 0], <max_regret|max_relative_regret>=<nan|inf|'nan'|'inf'|'x'>) ->
+    is not a finite rational; *; 0.1
+check(MODEL, [0, 0], <max_regret|max_relative_regret>=<True|[1]>) -> is not a number; *; "p/q"
+check(MODEL, [0, 0], <max_regret|max_relative_regret>=<-1|-1e-300|"-1/3">) -> * is -; *; 0 or more
+check(MODEL, [0, 0], <max_regret|max_relative_regret>=10**400) ->
+    * is 1e400, beyond the floats; *; choose less
 check(CARE, "optimal", subject_to={"anger": ">= 0"}, criterion="average") ->
     limits hold of total rewards; subject_to; leave criterion out
 check(FOREST, "random", horizon=3, criterion="average") -> no horizon; horizon; divide
