@@ -57,13 +57,10 @@ class CostEffectiveness(Pictured):
     cost: Floats
     seed: int
 
+    claim = Claim.ESTIMATED
+
     def __repr__(self) -> str:
         return f"CostEffectiveness({', '.join(self.strategies)}; draws {len(self.draws):,})"
-
-    @property
-    def claim(self) -> Claim:
-        """Estimated."""
-        return Claim.ESTIMATED
 
     def net_benefit(self, wtp: ArrayLike) -> Floats:
         """Return (D, N) λ E - C at a willingness to pay for a unit of effect; at W, (W, D, N)."""

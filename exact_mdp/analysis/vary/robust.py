@@ -304,10 +304,7 @@ class WorstPoint(Result):
     optimum: Bounded  # the optimal value there: the worst case of no policy is better
     corners: int  # how many were evaluated
 
-    @property
-    def claim(self) -> Claim:
-        """Estimated: a worse point may exist."""
-        return Claim.ESTIMATED
+    claim = Claim.ESTIMATED  # a worse point may exist
 
     def report(self) -> Report:
         """Return the value there, and the corner."""

@@ -197,8 +197,7 @@ class ValueFunction(Pictured):
                 at, root, open_ = (near.low + origin, near.high + origin), True, False
                 here = near.high
             yield at, root, open_, _kept(sides, here, high)
-        root = _root_on(sides, last, last.high)
-        yield last.high, root, root and last.high[0] < last.high[1], False
+        yield last.high, _root_on(sides, last, last.high), False, False
 
     def _margins(self, piece: CurvePiece, most: Fraction, share: Fraction) -> list[fmpq_poly]:
         """Return polynomials of which one is not negative where the limit is kept.
