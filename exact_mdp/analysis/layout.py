@@ -1,13 +1,10 @@
 """Where each state stands in a picture: in a row and a column of a map.
 
-A map is spanned by columns of the state space, `down` and `across`. Unless said otherwise, the one
-that actions such as "right" change goes across and that of "down" goes down, in the direction of
-the arrow; other columns make blocks of such maps. Without such actions the last column goes across
-and all others down; the digits of a column that is left alone go both ways.
-
-The parts of states that are tuples of one length are such columns; ends that are no tuples stand
-outside. States of a grid world that are only numbered fill its `shape` row by row; without one they
-stand in rows of ten.
+A map is spanned by columns of the state space, or by the parts of states that are tuples. Unless
+said otherwise, the one that actions such as "right" change goes across and that of "down" goes
+down, in the direction of the arrow; other columns make blocks of such maps. Without such actions
+the last column goes across and all others down; the digits of one that is alone go both ways.
+Numbered states of a grid world fill its `shape` row by row; without one they stand in rows of ten.
 """
 
 from __future__ import annotations

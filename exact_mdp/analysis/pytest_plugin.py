@@ -4,11 +4,9 @@
     policy_gate("yuan2025", train, max_regret=0.5, runs=100, share="9/10", alpha="1/100", rng=0)
 
 The model is an `MDP`, or any MODEL of the command line, with `set` and `discount` as its options;
-files are looked for beside the test first. All else is what `analysis.check` takes, or with `runs`,
-for a trainer that is random, `analysis.check_trainer`. The test fails, naming the costly states,
-where a limit does not hold; otherwise the audit is returned for further assertions. What was found
-is recorded as properties of the test in pytest's own JUnit report (`--junitxml`). pytest finds the
-plugin where exact-mdp is installed; `-p no:exact_mdp` leaves it out.
+files are looked for beside the test first. All else is what `check` takes, or with `runs`
+`check_trainer`. The test fails, naming the costly states, where a limit does not hold; otherwise
+the audit is returned. What was found is recorded in pytest's own JUnit report (`--junitxml`).
 """
 
 from __future__ import annotations

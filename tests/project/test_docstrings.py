@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-ROOMS = ("", ".mdp", ".solvers", ".analysis", ".analysis.perception", ".analysis.plots")
+ROOMS = ("", ".mdp", ".solvers", ".analysis")
 
 
 def public() -> Iterator[tuple[str, Any]]:

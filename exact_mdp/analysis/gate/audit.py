@@ -239,7 +239,11 @@ class Audit(Pictured):
         decision = interval.decided(self.forgiven if limit is None else limit)
         text = f"it is in {interval}; {number(self.value)} in the estimated model"
         if decision is None:
-            text += f", which leaves the limit open: {interval.open_text(limit or Fraction(0))}"
+            more = "more records may decide it, or give a limit above the interval"
+            if interval.draws is not None:
+                kept = interval.within(limit or Fraction(0)).value
+                more = f"it is kept with probability {kept:.3g} by the posterior"
+            text += f", which leaves the limit open: {more}"
         yield Verdict("the regret", name, decision, text)
 
     def _of_model(self) -> Iterator[Verdict]:

@@ -106,31 +106,22 @@ def check(
     (False, 63.062, 0.333)
     """
     evidence = None if confidence is None else _evidence(by)
-    if evidence is None and by != "robust":
-        raise ModelError(
-            "no confidence is given for the interval", where="by", fix="give confidence=0.95"
-        )
     average, limited = is_average(criterion), subject_to is not None
+    if evidence is None and by != "robust":
+        fix = "give confidence=0.95"
+        raise ModelError("no confidence is given for the interval", where="by", fix=fix)
     if evidence is not None and (max_relative_regret is not None or limited or average):
-        raise ModelError(
-            "records bound the total regret alone",
-            where="confidence",
-            fix="give max_regret, without a relative limit, limits on totals or an average reward",
-        )
+        fix = "give max_regret, without a relative limit, limits on totals or an average reward"
+        raise ModelError("records bound the total regret alone", where="confidence", fix=fix)
     if average and limited:
-        raise ModelError(
-            "limits hold of total rewards, not of an average",
-            where="subject_to",
-            fix="leave criterion out",
-        )
+        what = "limits hold of total rewards, not of an average"
+        raise ModelError(what, where="subject_to", fix="leave criterion out")
     if average:
         require_no_horizon(horizon)
     recorded = mdp_of(model)
     mdp = recorded if horizon is None else recorded.within(horizon)
     limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
-    most: dict[str, Any] = {
-        name: limit_of(name, limit) for name, limit in limits.items() if limit is not None
-    }
+    most: Any = {name: limit_of(name, x) for name, x in limits.items() if x is not None}
     chain = PolicyChain.of(mdp, policy_of(mdp, policy, kind=kind, criterion=criterion))
     about = Average(chain=chain) if average else Total(chain=chain, optimum=_optimum(like, mdp))
     if subject_to is not None:
@@ -160,11 +151,8 @@ def _optimum(like: Audit | None, mdp: MDP) -> Certificate | Bounds | None:
     if like is None:
         return None
     if not isinstance(like, Audit) or like.mdp is not mdp or like.criterion.name != "total":
-        raise ModelError(
-            "the audit is of another model",
-            where="like",
-            fix="give its model: check(audit.mdp, policy, like=audit)",
-        )
+        fix = "give its model: check(audit.mdp, policy, like=audit)"
+        raise ModelError("the audit is of another model", where="like", fix=fix)
     return like.regret.optimum if like.criterion.plain else None
 
 
@@ -193,19 +181,11 @@ def assert_policy_optimal(
     max_regret : number or "p/q", optional
         Greatest regret at the start; without a limit it must be zero.
     **asked
-        What else `check` takes.
+        As `check` takes them.
 
     Returns
     -------
     Audit
-        For further checks.
-
-    Raises
-    ------
-    AssertionError
-        Where a limit does not hold.
-    ModelError
-        As `check` does.
 
     Examples
     --------

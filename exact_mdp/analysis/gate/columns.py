@@ -99,8 +99,8 @@ def best_policy(
     start : Policy, optional
         A policy that reads these columns, to begin from as well.
     node_limit : int, optional
-        Relaxations to solve at most; by the model's size unless given, from 100 to 5,000. Where the
-        search ends there, the upper bound is sound all the same, and `proven` is false.
+        Relaxations to solve at most; 100 to 5,000, by the model's size, unless given. The upper
+        bound is sound wherever the search ends.
 
     Returns
     -------

@@ -26,7 +26,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from exact_mdp.analysis.gate.disagreements import Findings, findings, listed
-from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.analysis.gate.forgiveness import per_use, rounded
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
 from exact_mdp.analysis.gate.waiting import taking
@@ -41,7 +40,7 @@ from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError, regret
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.policy_chain import PolicyChain, average
+from exact_mdp.solvers.values.policy_chain import PolicyChain, average, flow_of
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exact_mdp.analysis.gate.exact_policy import exact_visits
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap
 from exact_mdp.analysis.gate.waiting import attaining, final_class, shares
 from exact_mdp.mdp.table import Floats
@@ -54,7 +53,7 @@ def findings(chain: PolicyChain, regret: Regret) -> Findings:
     stays = label >= 0
     leaving = chain.ended(stays) if stays.any() else chain
     try:
-        came = exact_visits(leaving).floats() if exact else leaving.discounted.visits.value
+        came = leaving.exact_visits.floats() if exact else leaving.discounted.visits.value
     except SolverError:
         came = np.full(mdp.n_states, np.nan)
     came = np.where(chain.reached, came, 0.0)

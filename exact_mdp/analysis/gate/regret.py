@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exact_mdp.analysis.gate.exact_policy import exact_policy
 from exact_mdp.analysis.gate.forgiveness import forgiven, rounded, ties, widest
 from exact_mdp.analysis.gate.waiting import taking, to_blame
 from exact_mdp.mdp.care.scenario import Scenario
@@ -234,11 +233,6 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     -------
     PolicyComparison
 
-    Raises
-    ------
-    ModelError
-        Without policies, and for one that does not fit the model.
-
     Examples
     --------
     >>> from exact_mdp import MDP
@@ -272,7 +266,7 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
     own = proven(chain.model) if unending else best
     value, mine, learned, level = best.value_float, own.value_float, own.start_value, own.h
     if not unending and not best.optimal_pairs[chain.pairs].all():
-        level = exact_policy(chain)
+        level = chain.exact_value
         mine, learned = level.floats(), level.mean(mdp.start)
     lost = _less(best.start_value, learned, mdp)
     ideal = taking(mdp, best.pairs if unending else first_of(mdp, best.optimal_pairs))

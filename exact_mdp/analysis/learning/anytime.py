@@ -1,20 +1,16 @@
 """An interval for a share that holds at every moment, so that one may look, and stop, at any time.
 
-Of n independent trials k succeeded and m did not; p is the chance of success. If p is the truth,
-whoever bets against it, with stakes that follow the trials so far, has after n trials
+Of n independent trials k succeeded and m did not. If p is the chance of success, whoever bets
+against it, with stakes that follow the trials so far, has after n trials
 
     E_n(p) = ∫ q^k (1 - q)^m dBeta(1/2, 1/2)(q) / (p^k (1 - p)^m)
            = C(2k, k) C(2m, m) / (4^n C(n, k)) / (p^k (1 - p)^m)
 
-times what was there at first, and nothing on average is won: E_n(p) is a martingale of mean 1. So
-P(E_n(p) ≥ 1/α at some n) ≤ α (Ville, Étude critique de la notion de collectif, 1939), and all p
-with E_n(p) < 1/α so far are an interval that holds at all n together with probability 1 - α
-(Robbins, Annals of Mathematical Statistics 41, 1970; Waudby-Smith and Ramdas, Journal of the Royal
-Statistical Society B 86, 2024, for betting). An interval for a fixed n, such as Wilson's, does not:
-looked at after each trial, it misses the truth sooner or later. The mixture over q is Krichevsky's
-and Trofimov's (IEEE Transactions on Information Theory 27, 1981), good near 0 and 1.
-
-All is worked out in integers: no rounding decides what is excluded.
+times what was there at first: E_n(p) is a martingale of mean 1. So P(E_n(p) ≥ 1/α at some n) ≤ α
+(Ville, Étude critique de la notion de collectif, 1939), and all p with E_n(p) < 1/α so far are an
+interval that holds at all n together with probability 1 - α (Robbins, Annals of Mathematical
+Statistics 41, 1970). An interval for a fixed n, looked at after each trial, misses the truth sooner
+or later. All is worked out in integers: no rounding decides what is excluded.
 """
 
 from __future__ import annotations

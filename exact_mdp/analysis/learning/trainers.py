@@ -1,18 +1,10 @@
 """A gate for a trainer that is random: how many of its seeds give a policy within the limits.
 
-    found = check_trainer(model, train, max_regret=…, runs=100, share="9/10", alpha="1/100", rng=0)
-
-`train(seed)` is called for one seed after the other, and each policy is audited exactly
-(`analysis.gate.check`). The share of seeds within the limits has an interval that holds after every
-run at once (`analysis.learning.anytime`), so that the gate ends as soon as it can say:
-
-    failed    the share is proven to be below `share`: whatever the interval is looked at for, this
-              happens by chance with probability α at most
-    passed    it is proven to be at least `share`, or it is still open after all runs (`proven`)
-
-So a trainer that is good enough does not fail more often than α, however many runs there are; with
-`prove`, what is open fails too. Runs so few that all of them could lose and the gate would still be
-open are refused: what cannot fail is no gate.
+Each policy is audited exactly, one run after the other. The share of seeds within the limits has an
+interval that holds after every run at once (`analysis.learning.anytime`), so that the gate ends as
+soon as the share is proven to be below `share`, and fails, or at least that, and passes. A share
+that is open after all runs passes: a trainer that is good enough fails with probability α at most.
+With `prove`, what is open fails too. Runs so few that the gate could not fail are refused.
 """
 
 from __future__ import annotations

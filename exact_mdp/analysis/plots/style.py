@@ -104,12 +104,7 @@ def _context(settings: Any) -> Iterator[None]:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw with the project's settings inside a `with` block.
-
-    >>> with style():
-    ...     mpl.rcParams["svg.fonttype"]
-    'none'
-    """
+    """Draw with the project's settings inside a `with` block."""
     with _context(SETTINGS):
         yield
 

@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
@@ -42,6 +41,7 @@ from exact_mdp.solvers.exact.levels import Level, combined
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import Attained, Point, TotalsProof, about, extreme
 from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.policy_chain import flow_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -19,7 +19,6 @@ from fractions import Fraction
 from math import inf
 from typing import TYPE_CHECKING, ClassVar
 
-from exact_mdp.analysis.gate.exact_policy import flow_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.model import MDP
@@ -39,6 +38,7 @@ from exact_mdp.solvers.objectives.totals import (
 )
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.solver import mdp_of
+from exact_mdp.solvers.values.policy_chain import flow_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -56,7 +56,10 @@ from exact_mdp.solvers.endless.chain import (
 )
 from exact_mdp.solvers.endless.chain import evaluated as bounded_average
 from exact_mdp.solvers.exact.find import one_sign
-from exact_mdp.solvers.exact.linear import FEW, MANY, equations, solved, visited
+from exact_mdp.solvers.exact.levels import Level
+from exact_mdp.solvers.exact.linear import FEW, MANY, equations, evaluated, solved, visited
+from exact_mdp.solvers.objectives.amounts import Objectives
+from exact_mdp.solvers.objectives.totals import Flow
 from exact_mdp.solvers.solution import SolverError, Status
 from exact_mdp.solvers.solver import Criterion, solve
 
@@ -402,6 +405,25 @@ class PolicyChain:
             float_rewards=mdp.float_rewards,
         )
 
+    @cached_property
+    def exact_value(self) -> Level:
+        """The exact values, where the equations are known to have one solution.
+
+        They have where the optimum is proven: a rank that falls along every pair, or w > γ P w,
+        holds for mixtures of rows, too. 0 stands for states that need not end at discount 1.
+        """
+        rows = self.rows()
+        if self.mdp.discount_exact == 1:
+            rows = replace(rows, terminal=rows.terminal | ~self.ends)
+        (level,) = evaluated(rows, np.arange(self.mdp.n_states))
+        return level
+
+    @cached_property
+    def exact_visits(self) -> Level:
+        """The expected discounted visits from the start; terminal states count arrivals."""
+        (visits,) = visited(self.rows(), self.reached & ~self.mdp.terminal, self.mdp.start)
+        return visits
+
     @property
     def exact_gain(self) -> Numbers:
         """(S,) the average reward per step as Fractions."""
@@ -411,6 +433,15 @@ class PolicyChain:
     def ended(self, states: Mask) -> PolicyChain:
         """Return the chain with some states (S,) made terminal."""
         return replace(self, mdp=ended(self.mdp, states))
+
+
+def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
+    """Return the expected visits of pairs under any policy, of which totals are made."""
+    chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
+    visits = chain.exact_visits.fractions()
+    states = np.flatnonzero(chain.reached & ~of.ending.terminal).tolist()
+    uses = ((visits[s], chain.exact_weights(s).items()) for s in states if visits[s])
+    return Flow.of({pair: share * number for number, shares in uses for pair, share in shares})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -209,3 +209,11 @@ def test_figures_of_perception() -> None:
     bars = sorted(round(bar.get_width(), 9) for bar in drawn[1].patches)
     losses = error_costs(mdp, policy, ROUGH).by_status.values()
     assert bars == sorted(round(loss, 9) for both in losses for loss in both)
+
+
+def test_a_care_model_is_drawn_by_its_numbers() -> None:
+    ax = plots.plot_influence(SMALL)
+    assert ax.texts[0].get_text().splitlines()[0] == "forgetfulness"
+    ax = plots.plot_status_transitions(np.eye(4), ["anger", "confusion"])
+    assert [text.get_text() for text in ax.texts] == ["100"] * 4
+    assert ax.get_ylabel() == "status now: anger, confusion"

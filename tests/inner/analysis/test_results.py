@@ -79,11 +79,6 @@ MADE: dict[str, Callable[[], object]] = {
     "MeanCVaR": lambda: em.mean_cvar(care(), "1/10", policies={"random": "random"}),
     "Outcomes": lambda: em.outcomes(care(), em.train(care(), LEARNER, 3, rng=0)),
     "PSA": lambda: em.psa(SMALL, 50, rng=0),
-    "PosteriorInterval": lambda: (
-        em.check(
-            recorded().mdp, "always:wait", confidence=0.95, by=em.Posterior(n=80, rng=0)
-        ).interval
-    ),
     "PolicyComparison": lambda: em.compare(care(), {"a": "random", "b": "optimal"}),
     "ReturnDistribution": lambda: em.return_distribution(care(), "random"),
     "Rationalization": lambda: em.rationalize(care(), "always:directive"),

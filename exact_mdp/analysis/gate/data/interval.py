@@ -1,8 +1,8 @@
 """What records allow one to say of a regret: an interval at a stated confidence.
 
-Each kind of evidence is a frozen object with settings, `Robust`, `Posterior` or `OffPolicy`, whose
-`interval(model, chain, confidence)` gives a `RegretInterval`. A limit is kept where the upper end
-of the interval keeps it, and broken where the lower end breaks it; in between more records decide.
+`interval(model, chain, confidence)` of each kind of evidence, `Robust`, `Posterior` or `OffPolicy`,
+gives a `RegretInterval`. A limit is kept where its upper end keeps it, and broken where its lower
+end breaks it; in between more records decide.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from exact_mdp.analysis.gate.regret import kept
+from exact_mdp.analysis.vary.intervals import Ranged, share_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.mdp.table import Floats, Integers, exact, float_of
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.solution import Claim
 
@@ -51,6 +52,8 @@ class RegretInterval(Result):
     claim : Claim
         Bounded where the ends are bounds for every process in the sets, estimated where they are
         drawn or worked out in floats without a bound of the rounding; at the confidence, in both.
+    draws : (D,), optional
+        Of a posterior interval, the regret in each model drawn.
     """
 
     low: float
@@ -60,6 +63,7 @@ class RegretInterval(Result):
     assumptions: tuple[str, ...]
     found: Mapping[str, Any]
     claim: Claim = Claim.ESTIMATED
+    draws: Floats | None = None
 
     def __repr__(self) -> str:
         return f"RegretInterval({self})"
@@ -72,17 +76,22 @@ class RegretInterval(Result):
         """Return whether the regret is at most `limit`; None where the records leave it open."""
         return kept((self.low, self.high), limit)
 
-    def open_text(self, limit: Fraction) -> str:
-        """Return what to say of a limit that the interval leaves open."""
-        return "more records may decide it, or give a limit above the interval"
+    def within(self, limit: Fraction) -> Ranged:
+        """Return the probability that the regret is at most `limit`, as the draws show it."""
+        assert self.draws is not None
+        hits = int((self.draws <= float_of(limit, "limit")).sum())
+        return share_of(hits, len(self.draws))
 
     def facts(self, limit: Fraction | None) -> dict[str, Any]:
-        """Return what a report says of it."""
+        """Return what a report says of it; of draws also how likely the limit is kept."""
+        found = dict(self.found)
+        if self.draws is not None and limit is not None:
+            found["probability_within"] = self.within(limit)
         return {
             "regret_interval": Shown((self.low, self.high), f"{self} ({self.claim})"),
             "confidence": Shown(self.confidence),
             "by": Shown(self.by),
-            "interval": dict(self.found),
+            "interval": found,
             "assumptions": Shown(self.assumptions),
         }
 
@@ -159,14 +168,19 @@ def range_of(given: Any, what: str) -> Ends | None:
 # ---- what records leave open of the model -------------------------------------------------------
 
 
+def over(mdp: MDP) -> Flags:
+    """Return (S,) ends, worth 0 whatever the rows: nobody left them, and nobody was cut off."""
+    assert mdp.observations is not None
+    left = np.logical_or.reduceat(mdp.observations > 0, mdp.pair_offsets[:-1])
+    return np.asarray(mdp.terminal & ~left & ~cut_off(mdp))
+
+
 def entered(mdp: MDP) -> tuple[str, ...]:
     """Return the states of a model with counts that were entered and never left.
 
     It takes them for ends, which the records do not say: they may have been cut off there.
     """
-    assert mdp.observations is not None
-    left = np.logical_or.reduceat(mdp.observations > 0, mdp.pair_offsets[:-1])
-    states = np.flatnonzero(mdp.terminal & ~left & ~cut_off(mdp))
+    states = np.flatnonzero(over(mdp))
     own = states[states < mdp.n_states - len(mdp.space.extra)]
     return tuple(mdp.space.label(state) for state in own.tolist())
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.random import SeedSequence
@@ -27,17 +27,11 @@ from exact_mdp.analysis.gate.data.interval import (
     observations_of,
     of_process,
 )
-from exact_mdp.analysis.vary.intervals import (
-    Ranged,
-    quantiles,
-    require_draws,
-    share_of,
-    upper_quantile,
-)
+from exact_mdp.analysis.vary.intervals import quantiles, require_draws, upper_quantile
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
-from exact_mdp.mdp.table import Floats, exact, float_of, shown
+from exact_mdp.mdp.table import Floats, exact, shown
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
@@ -49,29 +43,6 @@ DRAWS = 2000
 BLOCK = 250  # draws in a piece of work
 ROOM = 2**22  # numbers that are worked on at once
 MOST_ROOM = 10**8  # of one draw
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PosteriorInterval(RegretInterval):
-    """A credible interval, from 0 upward."""
-
-    draws: Floats  # (D,) the regret in each model drawn
-
-    def open_text(self, limit: Fraction) -> str:
-        """Return how probable it is that the limit is kept."""
-        return f"it is kept with probability {self.within(limit).value:.3g} by the posterior"
-
-    def facts(self, limit: Fraction | None) -> dict[str, Any]:
-        """Return what a report says of it, with the probability that the limit is kept."""
-        facts = super().facts(limit)
-        if limit is not None:
-            facts["interval"]["probability_within"] = self.within(limit)
-        return facts
-
-    def within(self, limit: Fraction) -> Ranged:
-        """Return the probability that the regret is at most `limit`, as the draws show it."""
-        hits = int((self.draws <= float_of(limit, "limit")).sum())
-        return share_of(hits, len(self.draws))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +83,7 @@ class Posterior:
 
     def interval(
         self, mdp: MDP, chain: PolicyChain, confidence: Fraction, horizon: int | None = None
-    ) -> PosteriorInterval:
+    ) -> RegretInterval:
         """Return the interval; raises ModelError without counts, for a bad prior or few draws."""
         _refuse_cut_off(mdp, horizon)
         if mdp.n_states * mdp.n_pairs > MOST_ROOM:
@@ -139,7 +110,7 @@ class Posterior:
         )
         draws = joined(blocks)["regret"]
         low, high = quantiles(draws, [(1 - level) / 2, (1 + level) / 2])
-        return PosteriorInterval(
+        return RegretInterval(
             low=0.0,
             high=upper_quantile(draws, level),
             confidence=level,

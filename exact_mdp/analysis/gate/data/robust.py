@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, partial
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,9 +33,10 @@ from exact_mdp.analysis.gate.data.interval import (
     named,
     observations_of,
     of_process,
+    over,
     range_of,
 )
-from exact_mdp.analysis.gate.data.sets import Given, RowSets
+from exact_mdp.analysis.gate.data.sets import Given, RowSets, Step
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
@@ -52,14 +53,7 @@ SMALL = 1e-10  # of the range: steps not worth another one; bounds hold wherever
 Sides = tuple[Floats, Floats]  # bounds (S,) from below and from above
 
 
-class Step(NamedTuple):
-    """An operator at some values: a bound of each state's (or pair's), and its linear piece."""
-
-    bound: Floats
-    piece: Callable[[], tuple[sp.csr_array, Floats]]
-
-
-Operator = Callable[[Floats], Any]  # gives a `Step`, or `Rows` of the sets
+Operator = Callable[[Floats], Step]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,10 +152,9 @@ class Robust:
 def _require_seen(mdp: MDP, returns: Ends) -> None:
     """Raise ModelError where a recorded transition cannot have a total in the range stated."""
     table = mdp.table
-    pair = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))
-    seen = observations_of(mdp)[pair] > 0
-    over = mdp.terminal & ~cut_off(mdp)
-    gain, after = table.gains(), np.where(over[table.next], 0.0, mdp.discount)
+    seen = observations_of(mdp)[table.pair] > 0
+    ended = mdp.terminal & ~cut_off(mdp)
+    gain, after = table.gains(), np.where(ended[table.next], 0.0, mdp.discount)
     low, high = (gain + after * end for end in returns)
     outside = seen & ((low > returns[1]) | (high < returns[0]))
     if outside.any():
@@ -169,7 +162,7 @@ def _require_seen(mdp: MDP, returns: Ends) -> None:
         raise ModelError(
             f"a reward of {gain[first]:g} was seen, after which no total lies from "
             f"{returns[0]:g} to {returns[1]:g}",
-            where=mdp.where(int(pair[first])),
+            where=mdp.where(int(table.pair[first])),
             fix="state a range that holds all totals: returns=(low, high), "
             "--evidence returns=LOW,HIGH",
         )
@@ -203,8 +196,10 @@ def robust_bounds(sets: RowSets, own: Floats, returns: Ends | None = None) -> Ro
         return _by_stage(sets, own)
     ends = _range(sets) if returns is None else returns
     at = Operators(sets=sets, own=own, ends=ends)
-    mine = at.settled(at.policy(0), 0), at.settled(at.policy(1), 1)
-    best = at.settled(at.optimum(0), 0), at.settled(at.optimum(1), 1)
+    mine, best = (
+        (at.settled(at.worth(0, mixing), 0), at.settled(at.worth(1, mixing), 1))
+        for mixing in (at.mixing, None)
+    )
     advantages = at.advantages(*mine)
     lost = []
     for most in (0, 1):
@@ -223,10 +218,10 @@ def _by_stage(sets: RowSets, own: Floats) -> RobustBounds:
         at = Operators(sets=sets, own=own[time], ends=ends)
         advantages, later = at.advantages(*mine), best
         rounding = [4 * UNIT * sets.mdp.n_actions * sign for sign in (-1, 1)]
-        value = [at.policy(most)(mine[most]).bound for most in (0, 1)]
+        value = [at.worth(most, at.mixing)(mine[most]).bound for most in (0, 1)]
         value = [v + off * np.abs(v) for v, off in zip(value, rounding, strict=True)]
         mine = value[0], value[1]
-        best = at.optimum(0)(best[0]).bound, at.optimum(1)(best[1]).bound
+        best = at.worth(0)(best[0]).bound, at.worth(1)(best[1]).bound
         gain = []
         for most, better in ((0, np.maximum), (1, np.minimum)):
             step = at.gaining(most, advantages[most], later[most], mine[1 - most])
@@ -269,15 +264,10 @@ class Operators:
         offsets = self.sets.mdp.pair_offsets
         return sp.csr_array((self.own, np.arange(len(self.own)), offsets))
 
-    def policy(self, most: int) -> Operator:
-        """Return the operator of V^π, from below or above."""
+    def worth(self, most: int, mixing: sp.csr_array | None = None) -> Operator:
+        """Return the operator of V^π, with its `mixing`, or of V*; from below or above."""
         rows = partial(self.sets.worth, most=bool(most))
-        return partial(self._step, rows, lambda bound: self.mixing, self.ends[most])
-
-    def optimum(self, most: int) -> Operator:
-        """Return the operator of V*."""
-        rows = partial(self.sets.worth, most=bool(most))
-        return partial(self._step, rows, self._best, self.ends[most])
+        return partial(self._step, rows, mixing, self.ends[most])
 
     def gaining(self, most: int, advantage: Floats, best: Floats, own: Floats) -> Operator:
         """Return the operator of D: no action gains more than with a model for each side.
@@ -299,14 +289,14 @@ class Operators:
 
             return Step(bound, piece)
 
-        return partial(self._step, rows, self._best, (self.ends[1] - self.ends[0]) * most)
+        return partial(self._step, rows, None, (self.ends[1] - self.ends[0]) * most)
 
     def _step(
-        self, rows: Operator, choose: Callable[[Floats], sp.csr_array], gain: float, value: Floats
+        self, rows: Operator, mixing: sp.csr_array | None, gain: float, value: Floats
     ) -> Step:
-        """Return what the pairs chosen make of the states, worth `gain` where nobody knows."""
+        """Return what the policy, or the best pair, makes of states; `gain` where nobody knows."""
         unknown, pairs = self.sets.unknown, rows(value)
-        mixing = choose(pairs.bound)
+        mixing = self._best(pairs.bound) if mixing is None else mixing
 
         def piece() -> tuple[sp.csr_array, Floats]:
             laws, constant = pairs.piece()
@@ -350,7 +340,7 @@ class Operators:
         `first` (S,) are such bounds, unless given the ends of the range, and 0 where all is over.
         """
         sign, take = (1, np.minimum) if side else (-1, np.maximum)
-        known = np.where(self.sets.over, 0.0, self.ends[side]) if first is None else first
+        known = np.where(over(self.sets.mdp), 0.0, self.ends[side]) if first is None else first
         mdp = self.sets.mdp
         left, scale = float(1 - mdp.discount_exact), SMALL * (self.ends[1] - self.ends[0])
         if not left:
@@ -363,8 +353,8 @@ class Operators:
         value = known
         for _ in range(IMPROVEMENTS):
             after = step(value)
-            over = max(float((sign * (after.bound - value)).max()), 0.0) / left * SLACK
-            known = take(known, value + sign * (over + 4 * UNIT * (np.abs(value) + over)))
+            beyond = max(float((sign * (after.bound - value)).max()), 0.0) / left * SLACK
+            known = take(known, value + sign * (beyond + 4 * UNIT * (np.abs(value) + beyond)))
             chain, constant = after.piece()
             target = LinearSystem(chain, mdp.discount).approximate(constant)
             if np.abs(target - value).max() <= scale:

@@ -14,10 +14,11 @@ chosen. The mean μ of rewards in a range, scaled to [0, 1], obeys n kl(mean see
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import log
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,11 +31,18 @@ from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT
 from exact_mdp.solvers.robust.divergence import Likelihood
-from exact_mdp.solvers.robust.sets import Block, Inner, entries, inner, side_by_side
+from exact_mdp.solvers.robust.sets import Block, entries, inner, side_by_side
 
 KNOWN = "known"
 HALVINGS = 60
 Given = Literal["known"] | tuple[object, object] | None
+
+
+class Step(NamedTuple):
+    """An operator at some values: a bound of each state's or pair's, rounding included."""
+
+    bound: Floats
+    piece: Callable[[], tuple[sp.csr_array, Floats]]  # works out the linear piece it is of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +61,7 @@ class RowSets:
         """Return the sets of a model's counts; `rewards` as `Robust` has them."""
         seen = observations_of(mdp).astype(np.float64)
         table = mdp.table
-        gains = table.gains()[np.repeat(seen > 0, np.diff(table.offsets))]
+        gains = table.gains()[(seen > 0)[table.pair]]
         ends = (float(gains.min()), float(gains.max()))
         if rewards is None:
             raise ModelError(
@@ -93,12 +101,6 @@ class RowSets:
     def unknown(self) -> Flags:
         """(S,) states of which nobody knows what follows: episodes were cut off there."""
         return cut_off(self.mdp)
-
-    @cached_property
-    def over(self) -> Flags:
-        """(S,) ends, worth 0 in every model of the sets: no row counted, nobody cut off."""
-        left = np.logical_or.reduceat(self.counted > 0, self.mdp.pair_offsets[:-1])
-        return np.asarray(self.mdp.terminal & ~left & ~self.unknown)
 
     @property
     def of_a_step(self) -> Ends:
@@ -170,9 +172,8 @@ class RowSets:
     def gains(self) -> Floats:
         """The reward of each entry of `counts`, where rewards are known."""
         mdp, table = self.mdp, self.mdp.table
-        seen = np.repeat(self.counted > 0, np.diff(table.offsets))
-        row = np.repeat(np.arange(mdp.n_pairs), np.diff(table.offsets))[seen]
-        then, gain = table.next[seen], table.gains()[seen]
+        seen = (self.counted > 0)[table.pair]
+        row, then, gain = table.pair[seen], table.next[seen], table.gains()[seen]
         order = np.lexsort([then, row])
         row, then, gain = row[order], then[order], gain[order]
         again = (row[1:] == row[:-1]) & (then[1:] == then[:-1])
@@ -201,8 +202,11 @@ class RowSets:
     def _blocks(self) -> tuple[list[Block], list[Block]]:
         return self.blocks(self.rewards[0]), self.blocks(self.rewards[1])
 
-    def worth(self, value: Floats, *, most: bool, rewards: bool = True) -> Rows:
-        """Return what nature makes of every pair at values (S,): as much or as little as it can."""
+    def worth(self, value: Floats, *, most: bool, rewards: bool = True) -> Step:
+        """Return what nature makes of every pair at values (S,): as much or as little as it can.
+
+        The piece has the laws (L, S) that it chose, and the rewards (L,) under them.
+        """
         mdp, pairs = self.mdp, self.pairs
         far = int(value.argmax() if most else value.argmin())
         blocks = self._blocks[most]
@@ -223,32 +227,19 @@ class RowSets:
         size = np.abs(value).max() + rewards * (np.abs(reward) + np.abs(self.rewards).max())
         length = np.diff(mdp.transition.indptr) + 8
         bound = bound + reward + sign * (length * 4 * UNIT * size + TINY * (size > 0))
-        return Rows(sets=self, bound=bound, reward=reward, blocks=blocks, found=values, far=far)
 
+        def piece() -> tuple[sp.csr_array, Floats]:
+            place, following, weight, earned = entries(blocks, values.laws)
+            following = np.where(following == mdp.n_states, far, following)
+            certain = mdp.transition.multiply((self.counted == 0).reshape(-1, 1)).tocoo()
+            row = np.concatenate([pairs[place], certain.coords[0]])
+            column = np.concatenate([following, certain.coords[1]])
+            laws = (np.append(weight, certain.data), (row, column))
+            total = reward.copy()
+            total[pairs] += earned
+            return sp.csr_array(laws, mdp.transition.shape), total
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
-    """What nature makes of all pairs at some values: reward and discounted value that follows."""
-
-    sets: RowSets
-    bound: Floats  # (L,) rounding included
-    reward: Floats
-    blocks: list[Block]
-    found: Inner
-    far: int
-
-    def piece(self) -> tuple[sp.csr_array, Floats]:
-        """Return the laws (L, S) that nature chose, and the rewards (L,) under them."""
-        sets, mdp = self.sets, self.sets.mdp
-        place, following, weight, earned = entries(self.blocks, self.found.laws)
-        following = np.where(following == mdp.n_states, self.far, following)
-        certain = mdp.transition.multiply((sets.counted == 0).reshape(-1, 1)).tocoo()
-        row = np.concatenate([sets.pairs[place], certain.coords[0]])
-        column = np.concatenate([following, certain.coords[1]])
-        laws = sp.csr_array((np.append(weight, certain.data), (row, column)), mdp.transition.shape)
-        reward = self.reward.copy()
-        reward[sets.pairs] += earned
-        return laws, reward
+        return Step(bound, piece)
 
 
 def _radius(p: Floats, row: Integers, n: Floats, states: int, doubt: float) -> Floats:

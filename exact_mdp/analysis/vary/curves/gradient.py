@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.analysis.gate.exact_policy import exact_policy, exact_visits
 from exact_mdp.analysis.gate.regret import proven
 from exact_mdp.analysis.vary.base_case import unending
 from exact_mdp.analysis.vary.ranges import unit_of
@@ -354,13 +353,13 @@ class _ExactPass:
         if mdp.discount_exact == 1:
             chain.require_end()
         if self.certificate is None:
-            level = exact_policy(chain)
+            level = chain.exact_value
             value, start = level.fractions(), Certified(value=level.mean(mdp.start))
         else:
             value, start = self.certificate.value, self.certificate.start
         self.value, self.start = np.array([*map(rational, value)], dtype=object), start
         self.uses = np.array([rational(0)] * mdp.n_pairs, dtype=object)
-        for state, seen in enumerate(exact_visits(chain).fractions()):
+        for state, seen in enumerate(chain.exact_visits.fractions()):
             if seen:
                 leak = 1 - mdp.discount_exact
                 amount = rational(seen / leak if mdp.terminal[state] and leak else seen)
