@@ -113,20 +113,11 @@ def confusion_at(model: MDP, accuracy: float, status: str = ALL) -> Floats:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class AccuracyCurves(Pictured):
-    """Values of a policy on perceptions along accuracies, status by status and for all.
+    """Values of a policy on perceptions along accuracies, status by status and for all."""
 
-    Attributes
-    ----------
-    levels : (M,)
-    values : {status, or "all": (M,)}
-        The value where this status is perceived with the accuracy and the others perfectly.
-    error : float
-        No value is off by more than this.
-    """
-
-    levels: Floats
-    values: dict[str, Floats]
-    error: float
+    levels: Floats  # (M,)
+    values: dict[str, Floats]  # (M,) where this status is perceived so and the others perfectly
+    error: float  # no value is off by more than this
 
     def frame(self) -> DataFrame:
         """Return one row for each accuracy, one column for each status and for all."""
@@ -200,32 +191,16 @@ def value_under_counts(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ErrorCosts(Pictured):
-    """Which errors of perception cost a policy most.
+    """Which errors of perception cost a policy most."""
 
-    Attributes
-    ----------
-    statuses : tuple of str
-        Names of the bits, the most significant first.
-    value, perfect : Bounded
-        The policy's value under the perception, and where it sees the truth.
-    derivative : (Z, Z)
-        dV / dC(s, z); only differences within a row have a meaning of their own.
-    loss : (Z, Z)
-        What reading s as z loses; the sum is `perfect` less `value`.
-    rates : {status: (by sensitivity, by specificity)}
-        The value that one unit more of a status's sensitivity or specificity brings, the reading
-        of the other statuses held as it is.
-    error : float
-        No entry of `derivative` or `loss`, and no rate, is off by more than this.
-    """
-
-    statuses: tuple[str, ...]
-    value: Bounded
-    perfect: Bounded
-    derivative: Floats
-    loss: Floats
+    statuses: tuple[str, ...]  # names of the bits, the most significant first
+    value: Bounded  # of the policy under the perception
+    perfect: Bounded  # where it sees the truth
+    derivative: Floats  # (Z, Z) dV / dC(s, z); only differences within a row have a meaning
+    loss: Floats  # (Z, Z) what reading s as z loses; the sum is `perfect` less `value`
+    # What a unit more of a status's sensitivity or specificity brings, others read as they are.
     rates: dict[str, tuple[float, float]]
-    error: float
+    error: float  # of each entry of `derivative` and `loss`, and of each rate, at most
 
     @property
     def marginal(self) -> Floats:

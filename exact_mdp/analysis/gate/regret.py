@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exact_mdp.analysis.gate.forgiveness import forgiven, rounded, ties, widest
-from exact_mdp.analysis.gate.waiting import taking, to_blame
+from exact_mdp.analysis.gate.waiting import outcomes, taking, to_blame
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import bellman_rows
@@ -469,20 +469,11 @@ class ActionBounds:
         mdp = self.mdp
         live = (chain.reached & ~mdp.terminal)[mdp.pair_state]
         return all(  # all other pairs are worse, or have the same outcomes
-            _outcomes(mdp, other) == _outcomes(mdp, pair)
+            outcomes(mdp, other) == outcomes(mdp, pair)
             for pair in np.flatnonzero(live & (chain.chosen > 0) & self.open).tolist()
             for other in mdp.pairs_of(int(mdp.pair_state[pair]))
             if other != pair and self.high[other] > self.low[pair]
         )
-
-
-def _outcomes(mdp: MDP, pair: int) -> tuple[Fraction, dict[int, Fraction]]:
-    """Return the exact expected reward and the exact row of a pair."""
-    reward, row = Fraction(0), dict[int, Fraction]()
-    for chance, following, gain in mdp.table.row(pair):
-        reward += chance * gain
-        row[following] = row.get(following, Fraction(0)) + chance
-    return reward, row
 
 
 def _outward(values: Floats, sign: int, share: float = SLACK - 1) -> Floats:

@@ -14,11 +14,13 @@ there are several states, each has an equal share.
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import scipy.sparse as sp
 
 from exact_mdp.mdp.exact import bellman_rows
-from exact_mdp.mdp.graph import closure, endless, strong_components
+from exact_mdp.mdp.graph import closure, endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
@@ -29,41 +31,36 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 def final_class(chain: PolicyChain) -> Integers:
     """Return (S,) the number of the class that a state is in and a policy never leaves, or -1."""
-    graph, mdp = chain.graph, chain.mdp
-    label = strong_components(graph)
-    source = np.repeat(np.arange(mdp.n_states), np.diff(graph.indptr))
-    left = np.zeros(int(label.max()) + 1, dtype=bool)
-    left[label[source[label[source] != label[graph.indices]]]] = True
-    return np.where(left[label] | mdp.terminal, -1, label)
+    return np.where(chain.mdp.terminal, -1, chain.classes.label)
 
 
-def ways_out(mdp: MDP, label: Integers, optimal: Flags) -> Flags:
-    """Return (S,) states of a final class (S,) in which an optimal pair may lead out of it."""
-    matrix = mdp.transition
-    pair = np.repeat(np.arange(mdp.n_pairs), np.diff(matrix.indptr))
-    out = np.zeros(mdp.n_pairs, dtype=bool)
-    out[pair[label[matrix.indices] != label[mdp.pair_state[pair]]]] = True
-    return np.logical_or.reduceat(out & optimal, mdp.pair_offsets[:-1]) & (label >= 0)
+def outcomes(mdp: MDP, pair: int) -> tuple[Fraction, frozenset[tuple[int, Fraction]]]:
+    """Return the exact expected reward and the exact row of a pair, which its twins share."""
+    reward, row = Fraction(0), dict[int, Fraction]()
+    for chance, following, gain in mdp.table.row(pair):
+        reward += chance * gain
+        row[following] = row.get(following, Fraction(0)) + chance
+    return reward, frozenset(row.items())
 
 
 def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
     """Return (L,) pairs of a policy that are to blame for what is lost (S,) in its classes."""
-    mdp, label = chain.mdp, final_class(chain)
+    mdp, table, label = chain.mdp, chain.mdp.table, final_class(chain)
     of, taken, optimal = mdp.pair_state, chain.chosen > 0, np.asarray(best.optimal_pairs)
     departs = taken & (mdp.pair_action != best.policy[of])
+    moves = label[table.next] != label[of[table.pair]]
+    out = np.logical_or.reduceat(moves, table.offsets[:-1]) & optimal
+    leaves = taken & np.logical_or.reduceat(out, mdp.pair_offsets[:-1])[of]
     at_fault, named = taken & ~optimal, np.zeros(mdp.n_states, dtype=bool)
-    for pairs in (at_fault, taken & ways_out(mdp, label, optimal)[of], None, departs, taken):
+    for pairs in (at_fault, leaves, None, departs, taken):
         open_ = ((label >= 0) & (lost > 0) & ~named[label])[of]
         some = _falling(mdp, best, departs & open_) if pairs is None else pairs & open_
         at_fault = at_fault | some
         named[label[of[some]]] = True
-    rows = bellman_rows(mdp)  # twins of an action are to blame with it
-    following, weight = rows.next.tolist(), rows.weight.tolist()
-    entries = map(slice, rows.offsets[:-1].tolist(), rows.offsets[1:].tolist())
-    parts = zip(of.tolist(), rows.constant.tolist(), entries, strict=True)
-    content = [(s, c, *following[each], *weight[each]) for s, c, each in parts]
-    blamed = {content[pair] for pair in np.flatnonzero(at_fault)}
-    return np.array([each in blamed for each in content])
+    near = np.flatnonzero(np.isin(of, of[at_fault])).tolist()  # twins are to blame, too
+    kinds = {(of[pair], outcomes(mdp, pair)) for pair in near if at_fault[pair]}
+    at_fault[near] = [(of[pair], outcomes(mdp, pair)) in kinds for pair in near]
+    return at_fault
 
 
 def _falling(mdp: MDP, best: Certificate, pairs: Flags) -> Flags:
@@ -101,16 +98,14 @@ def taking(mdp: MDP, pairs: Integers) -> PolicyChain:
 def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:
     """Return the optimal pairs (L,) of a state that belong to some optimal policy."""
     pairs = [pair for pair in mdp.pairs_of(state) if optimal[pair]]
-    sign, stays = best.infinite_sign, final_class(taking(mdp, best.pairs)) >= 0
-    stays |= mdp.terminal
-    if not endless(mdp) or len(pairs) < 2 or stays[state] or sign[state] < 0:
+    if not endless(mdp) or len(pairs) < 2:
+        return pairs
+    sign, stays = best.infinite_sign, taking(mdp, best.pairs).classes.recurrent
+    if stays[state] or sign[state] < 0:
         return pairs
     used = np.flatnonzero(optimal & (mdp.pair_state != state))
-    choice = sp.csr_array(
-        (np.ones(len(used)), (mdp.pair_state[used], used)), (mdp.n_states, mdp.n_pairs)
-    )
-    home = stays & (sign == sign[state])
-    arrives = closure((choice @ mdp.transition).T.tocsr(), home)
+    shape = (mdp.n_states, mdp.n_pairs)
+    choice = sp.csr_array((np.ones(len(used)), (mdp.pair_state[used], used)), shape)
+    arrives = closure((choice @ mdp.transition).T.tocsr(), stays & (sign == sign[state]))
     arrives[state] = False
-    attaining_pairs = [pair for pair in pairs if arrives[mdp.transition[[pair]].indices].any()]
-    return attaining_pairs or pairs
+    return [pair for pair in pairs if arrives[mdp.transition[[pair]].indices].any()] or pairs

@@ -33,25 +33,14 @@ MAX_STEPS = 10_000  # an experiment is cut short after this many timesteps
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LearningCurve(Pictured):
-    """Mean returns of the greedy policies of E epochs, by experiment and exact.
+    """Mean returns of the greedy policies of E epochs, by experiment and exact."""
 
-    Attributes
-    ----------
-    sampled, standard_error : (E,)
-        Mean of `experiments` sampled returns, and its standard error.
-    value, error : (E,)
-        Value of the same policy, up to rounding.
-    experiments : int
-    cut_short : int
-        Experiments that did not end; they are counted as far as they went.
-    """
-
-    sampled: Floats
+    sampled: Floats  # (E,) the mean of `experiments` returns
     standard_error: Floats
-    value: Floats
+    value: Floats  # (E,) of the same policy, up to rounding
     error: Floats
     experiments: int
-    cut_short: int
+    cut_short: int  # experiments that did not end; they are counted as far as they went
 
     def frame(self) -> DataFrame:
         """Return one row for each epoch."""

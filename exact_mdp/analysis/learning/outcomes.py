@@ -45,48 +45,22 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Outcomes(Pictured):
-    """Final policies of R runs, U of them distinct, with their exact values.
+    """Final policies of R runs, U of them distinct, with their exact values at the start."""
 
-    Attributes
-    ----------
-    mdp : MDP
-        Values are those at its discount.
-    rows : Rows
-    policies : (U, K) ints
-        Final and selected greedy policies, the most frequent final one first.
-    value, error : (U,)
-        Their exact values at the start, up to rounding.
-    final, selected : (R,) ints
-        Which one each run ended with, and which it would select among its candidates.
-    distinct : (R,) ints
-        How many policies were greedy in each run's last episodes.
-    changed : (R, K) bool
-        Rows in which these policies differ.
-    optimum : Bounded
-        The optimal value at the start.
-    best : BestPolicy or None
-        The best policy that reads what the learner reads; None where that is everything.
-    candidates : tuple of (int, (K,) ints)
-        The policies that were greedy in the last episodes of the first run, the most often first,
-        with the number of episodes.
-    steps, cut_short : int
-        Steps of all runs, and episodes that did not end.
-    """
-
-    mdp: MDP
+    mdp: MDP  # values are those at its discount
     rows: Rows
-    policies: Numbers
-    value: Floats
+    policies: Numbers  # (U, K) final and selected greedy ones, the most frequent final one first
+    value: Floats  # (U,) exact up to the error
     error: Floats
-    final: Integers
-    selected: Integers
-    distinct: Integers
-    changed: NDArray[np.bool_]
+    final: Integers  # (R,) which of them each run ended with
+    selected: Integers  # (R,) which it would select among its candidates
+    distinct: Integers  # (R,) how many were greedy in each run's last episodes
+    changed: NDArray[np.bool_]  # (R, K) rows in which these differ
     optimum: Bounded
-    best: BestPolicy | None
-    candidates: tuple[tuple[int, Numbers], ...]
-    steps: int
-    cut_short: int
+    best: BestPolicy | None  # that reads what the learner reads; None where that is everything
+    candidates: tuple[tuple[int, Numbers], ...]  # of the first run: episodes, the most first
+    steps: int  # of all runs
+    cut_short: int  # episodes that did not end
 
     def __repr__(self) -> str:
         return (
@@ -330,7 +304,7 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     Raises
     ------
     ModelError
-        Where there is no run, or runs on another model.
+        Without a run, or for runs on another model.
 
     Examples
     --------
@@ -343,40 +317,32 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     (np.int64(12), True)
     """
     mdp, rows = model, common_rows(model, runs)
-    known: dict[bytes, int] = {}
-    listed: list[Numbers] = []
+    known: dict[tuple[int, ...], int] = {}
 
     def number(policy: Numbers) -> int:
-        place = known.setdefault(policy.tobytes(), len(known))
-        if place == len(listed):
-            listed.append(policy)
-        return place
+        return known.setdefault(tuple(policy.tolist()), len(known))
 
     candidates = [[number(run.policies[i]) for i in run.last_counts()][:CANDIDATES] for run in runs]
     final = np.array([number(run.final) for run in runs])
-    values = policy_values(mdp, rows, np.array(listed))
-    values_of = -values.value if mdp.sense == "min" else values.value
-    selected = np.array([max(tried, key=lambda i: values_of[i]) for tried in candidates])
-    counts = np.bincount(final, minlength=len(listed))
-    policies_used = np.union1d(final, selected)
-    policies_used = policies_used[np.argsort(-counts[policies_used], kind="stable")]
-    place = np.empty(len(listed), dtype=np.int64)
-    place[policies_used] = np.arange(len(policies_used))
-    changed = []
-    for run in runs:
-        recent = run.policies[np.unique(run.last)]
-        changed.append((recent != recent[0]).any(axis=0))
+    values = policy_values(mdp, rows, policies := np.array([*known]))
+    worth = mdp.sign * values.value
+    selected = np.array([max(tried, key=lambda i: worth[i]) for tried in candidates])
+    used = np.union1d(final, selected)
+    used = used[np.argsort(-np.bincount(final, minlength=len(known))[used], kind="stable")]
+    place = np.empty(len(known), dtype=np.int64)
+    place[used] = np.arange(len(used))
+    recent = [run.policies[np.unique(run.last)] for run in runs]
     partial = len(rows.space.columns) < len(mdp.space.columns)
     return Outcomes(
         mdp=mdp,
         rows=rows,
-        policies=np.array(listed)[policies_used],
-        value=values.value[policies_used],
-        error=values.error[policies_used],
+        policies=policies[used],
+        value=values.value[used],
+        error=values.error[used],
         final=place[final],
         selected=place[selected],
-        distinct=np.array([len(np.unique(run.last)) for run in runs]),
-        changed=np.array(changed),
+        distinct=np.array([len(each) for each in recent]),
+        changed=np.array([(each != each[0]).any(axis=0) for each in recent]),
         optimum=solve(mdp).start,
         best=best_policy(mdp, rows.space.names) if partial and bound else None,
         candidates=tuple((n, runs[0].policies[k]) for k, n in runs[0].last_counts().items()),

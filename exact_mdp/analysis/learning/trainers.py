@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import islice
+from itertools import count, islice
 from numbers import Number
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -42,30 +42,15 @@ Interval = tuple[Fraction, Fraction]
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TrainerAudit(Pictured):
-    """Which runs of a trainer gave a policy within the limits, and what share of all seeds does.
+    """Which runs of a trainer gave a policy within the limits, and what share of all seeds does."""
 
-    Attributes
-    ----------
-    names : tuple
-        What each run is called: its seed, or its number.
-    audits : tuple of Audit
-    intervals : tuple of (Fraction, Fraction)
-        The interval of the share after each run; all hold together with probability 1 - alpha.
-    share, alpha : Fraction
-        The share of seeds that has to be within the limits, and the risk of error.
-    runs : int
-        How many runs there might have been.
-    prove : bool
-        Whether a share that is open fails.
-    """
-
-    names: tuple[Any, ...]
+    names: tuple[Any, ...]  # what each run is called: its seed, or its number
     audits: tuple[Audit, ...]
-    intervals: tuple[Interval, ...]
-    share: Fraction
-    alpha: Fraction
-    runs: int
-    prove: bool = False
+    intervals: tuple[Interval, ...]  # of the share after each run; all hold together
+    share: Fraction  # of seeds that has to be within the limits
+    alpha: Fraction  # the risk of error
+    runs: int  # how many there might have been
+    prove: bool = False  # whether a share that is open fails
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
 
@@ -87,7 +72,10 @@ class TrainerAudit(Pictured):
     @property
     def proven(self) -> bool | None:
         """Whether the share of all seeds is at least `share`; None where that is open."""
-        return _decided(self.within, len(self.audits), self.share, self.alpha)
+        hits, n = self.within, len(self.audits)
+        if not excluded(self.share, hits, n - hits, self.alpha):
+            return None
+        return hits > n * self.share
 
     @property
     def passed(self) -> bool:
@@ -230,8 +218,7 @@ def check_trainer(
     Raises
     ------
     ModelError
-        For shares and counts out of range, no runs at all, so few that none of their outcomes
-        could fail, and what `check` refuses.
+        For shares and counts out of range, and runs so few that no outcome could fail.
 
     Examples
     --------
@@ -262,24 +249,23 @@ def check_trainer(
             audits.append(audit)
             yield audit.passed
 
-    intervals = list[Interval]()
+    intervals, trainer = list[Interval](), None
     with answering():
         for interval in share_intervals(passes(), risk):
             intervals.append(interval)
-            within = sum(audit.passed for audit in audits)
-            if _decided(within, len(audits), wanted, risk) is not None:
+            trainer = TrainerAudit(
+                names=tuple(names),
+                audits=tuple(audits),
+                intervals=tuple(intervals),
+                share=wanted,
+                alpha=risk,
+                runs=runs,
+                prove=prove,
+            )
+            if trainer.proven is not None:
                 break
-    if not audits:
+    if trainer is None:
         raise ModelError("no policies", where="check_trainer", fix="give at least one")
-    trainer = TrainerAudit(
-        names=tuple(names),
-        audits=tuple(audits),
-        intervals=tuple(intervals),
-        share=wanted,
-        alpha=risk,
-        runs=runs,
-        prove=prove,
-    )
     if trainer.proven is None and not prove:
         _require_runs(len(audits), wanted, risk)
     return trainer
@@ -297,11 +283,6 @@ def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:
         fix=f"give {least} runs or more, or ask for a proof that the share is kept (--prove, "
         "prove=True)",
     )
-
-
-def _decided(hits: int, n: int, share: Fraction, alpha: Fraction) -> bool | None:
-    """Return whether the chance of success is at least `share`; None where that is open."""
-    return hits > n * share if excluded(share, hits, n - hits, alpha) else None
 
 
 def _policies(
@@ -323,11 +304,10 @@ def _policies(
             where="rng",
             fix="give rng=0: the seeds of the runs are drawn from it",
         )
-    root, number = as_sequence(rng), 0
-    while True:
+    root = as_sequence(rng)
+    for number in count():
         seed = int(child(root, number).generate_state(1)[0])
         yield seed, train(seed)
-        number += 1
 
 
 def _is_one(given: object) -> bool:

@@ -40,30 +40,20 @@ class RegretInterval(Result):
 
     Attributes
     ----------
-    low, high : float
-        Ends, in units of reward.
     confidence : float
         The share of data sets, of a posterior interval that of the models, that it is to hold for.
-    by : "robust", "posterior" or "off-policy"
     assumptions : tuple of str
         What the interval rests on besides the records.
-    found : {name: number or pair}
-        What else this kind of evidence says.
-    claim : Claim
-        Bounded where the ends are bounds for every process in the sets, estimated where they are
-        drawn or worked out in floats without a bound of the rounding; at the confidence, in both.
-    draws : (D,), optional
-        Of a posterior interval, the regret in each model drawn.
     """
 
-    low: float
+    low: float  # in units of reward
     high: float
     confidence: float
-    by: str
+    by: str  # "robust", "posterior" or "off-policy"
     assumptions: tuple[str, ...]
-    found: Mapping[str, Any]
-    claim: Claim = Claim.ESTIMATED
-    draws: Floats | None = None
+    found: Mapping[str, Any]  # what else this kind of evidence says: {name: number or pair}
+    claim: Claim = Claim.ESTIMATED  # bounded where it holds for every process in sets of rows
+    draws: Floats | None = None  # (D,) of the posterior: the regret in each model drawn
 
     def __repr__(self) -> str:
         return f"RegretInterval({self})"
