@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -124,15 +122,15 @@ def risk(
 
 def _write_rules(path: str, rules: Sequence[Mapping[str, Any]]) -> None:
     """Write what a policy does by state and reward so far, exactly."""
+    import pandas
+
     texts = [{name: str(value) for name, value in rule.items()} for rule in rules]
     if path.lower().endswith(".json"):
-        write_atomically(path, json.dumps(texts, indent=2, ensure_ascii=False) + "\n")
-        return
-    out = io.StringIO()
-    writer = csv.DictWriter(out, ["state", "from", "to", "action"], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(texts)
-    write_atomically(path, out.getvalue())
+        content = json.dumps(texts, indent=2, ensure_ascii=False) + "\n"
+    else:
+        table = pandas.DataFrame(texts, columns=["state", "from", "to", "action"])
+        content = table.to_csv(index=False, lineterminator="\n")
+    write_atomically(path, content)
 
 
 # ---- perception ----------------------------------------------------------------------------------

@@ -21,7 +21,6 @@ def audit_page(
     texts = [text for row in grid for each in row if each for text in (each.text, each.small)]
     legend = [f"{a} {b}" for a, b in zip(layout.signs, actions, strict=True) if a != b]
     legend += counts(texts)
-    tables = [replace(each, first=first) for each in report.shown_tables()]
     return render(
         "audit.html.j2",
         model=model,
@@ -34,16 +33,7 @@ def audit_page(
         layout=layout,
         cells=grid,
         legend=", ".join(legend),
-        tables=[
-            {
-                "heading": each.heading(),
-                "note": each.note,
-                "columns": list(each.columns),
-                "numeric": each.numeric(),
-                "rows": each.cells(),
-            }
-            for each in tables
-        ],
+        tables=[replace(each, first=first) for each in report.shown_tables()],
         notes=[note for note in report.notes if note != ADVICE],  # at the foot of every page
         rerun=rerun,
     )

@@ -18,22 +18,16 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 def render(template: str, **data: Any) -> str:
     """Return the page of a template in the folder `templates`; an undefined name is an error."""
-    page: str = environment().get_template(template).render(data)
-    return page
-
-
-def environment(*folders: Path, escape: bool = True) -> Any:
-    """Return what makes pages from the templates of this folder and others; `escape` for HTML."""
     import jinja2
 
     templates = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([*folders, TEMPLATES]),
+        loader=jinja2.FileSystemLoader(TEMPLATES),
         undefined=jinja2.StrictUndefined,
-        autoescape=escape,
+        autoescape=True,
         finalize=lambda value: shown_text(value, lines=True) if type(value) is str else value,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    templates.globals["advice"] = ADVICE
-    return templates
+    page: str = templates.get_template(template).render(data, advice=ADVICE)
+    return page
