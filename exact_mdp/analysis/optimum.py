@@ -12,7 +12,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,9 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.dynamic.iterate import check_tolerance
 from exact_mdp.solvers.endless.average import AverageSolution
+from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
+from exact_mdp.solvers.objectives.limits import ConstrainedSolution
 from exact_mdp.solvers.solution import (
     Bounded,
     Certified,
@@ -36,10 +38,6 @@ from exact_mdp.solvers.solution import (
     warn,
 )
 from exact_mdp.solvers.solver import SOLVERS, Criterion, solve
-
-if TYPE_CHECKING:
-    from exact_mdp.solvers.exact.certificate import Certificate
-    from exact_mdp.solvers.objectives.limits import ConstrainedSolution
 
 LISTED = 1000  # states whose actions are listed
 SHOWN_DIGITS = 1000  # longer exact values are left to --json

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +34,7 @@ from exact_mdp.mdp.errors import ModelError, known, listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, float_of
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.bounds import levels
@@ -43,9 +42,6 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY, gamma
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.values.layers import Layers
 from exact_mdp.solvers.values.policy_chain import policy_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 ALL = "all"
 BATCH = 256  # matrices evaluated at once
@@ -121,9 +117,7 @@ class AccuracyCurves(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each accuracy, one column for each status and for all."""
-        import pandas
-
-        return pandas.DataFrame({"accuracy": self.levels} | self.values)
+        return data_frame({"accuracy": self.levels} | self.values)
 
 
 def accuracy_curves(
@@ -226,8 +220,6 @@ class ErrorCosts(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each pair of statuses that is confused, the costliest first."""
-        import pandas
-
         form, loss, marginal = f"0{len(self.statuses)}b", self.loss, self.marginal
         rows = [
             (format(true, form), format(seen, form), loss[true, seen], marginal[true, seen])
@@ -235,7 +227,7 @@ class ErrorCosts(Pictured):
             if true != seen
         ]
         names = ["true", "perceived", "loss (reward)", "loss per unit of probability (reward)"]
-        return pandas.DataFrame(sorted(rows, key=lambda row: -row[2]), columns=names)
+        return data_frame(sorted(rows, key=lambda row: -row[2]), columns=names)
 
     def report(self) -> Report:
         """Return the value, what the errors of each status cost, and the costliest confusions."""

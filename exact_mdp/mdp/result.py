@@ -19,7 +19,9 @@ from exact_mdp.mdp.table import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from pandas import DataFrame
+    from pandas import DataFrame as DataFrame
+else:  # loaded where a table is asked for
+    DataFrame = Any
 
 ROWS_SHOWN = 20
 LETTERS_SHOWN = 16  # of an exact number; of a longer one, twelve digits
@@ -94,6 +96,13 @@ class Pictured(Result):
 
         drawn: Axes = exact_mdp.draw(self, ax=ax, **settings)
         return drawn
+
+
+def data_frame(*content: Any, **settings: Any) -> DataFrame:
+    """Return a table of pandas, which is loaded here."""
+    import pandas
+
+    return pandas.DataFrame(*content, **settings)
 
 
 def as_html(said: str, frame: DataFrame, *, rows: int) -> str:

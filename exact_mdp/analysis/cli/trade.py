@@ -18,6 +18,7 @@ from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown, between
+from exact_mdp.mdp.result import data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.risk import share_of
 from exact_mdp.solvers.solver import solve
@@ -122,13 +123,11 @@ def risk(
 
 def _write_rules(path: str, rules: Sequence[Mapping[str, Any]]) -> None:
     """Write what a policy does by state and reward so far, exactly."""
-    import pandas
-
     texts = [{name: str(value) for name, value in rule.items()} for rule in rules]
     if path.lower().endswith(".json"):
         content = json.dumps(texts, indent=2, ensure_ascii=False) + "\n"
     else:
-        table = pandas.DataFrame(texts, columns=["state", "from", "to", "action"])
+        table = data_frame(texts, columns=["state", "from", "to", "action"])
         content = table.to_csv(index=False, lineterminator="\n")
     write_atomically(path, content)
 

@@ -8,7 +8,7 @@ from decimal import ROUND_DOWN, Context, Decimal
 from fractions import Fraction
 from functools import cached_property
 from math import inf, isfinite, isinf, isnan, nan, nextafter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,14 +22,10 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.questions import unlimited
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, shown
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 SHOWN = 5  # states that `message` names
 AT_A_GLANCE = 3  # of them in `print(audit)`
@@ -195,8 +191,6 @@ class Audit(Pictured):
 
     def frame(self, *, full: bool = False) -> DataFrame:
         """Return the disagreements, by the number of the state; `full` adds expected visits."""
-        import pandas
-
         rows = [
             row
             | {"label": row["state"], "state": row["number"]}
@@ -204,7 +198,7 @@ class Audit(Pictured):
             for row in self._rows()
         ]
         names = ["state", "label", "learned", "optimal", "cost", "share", "gap", "expected_visits"]
-        return pandas.DataFrame(rows, columns=names[: 8 if full else 7]).set_index("state")
+        return data_frame(rows, columns=names[: 8 if full else 7]).set_index("state")
 
     def _rows(self) -> list[dict[str, Any]]:
         """Return each disagreement with its share of all that is lost, where that is finite."""

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import count
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,7 +25,7 @@ from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags, counted
@@ -37,10 +36,6 @@ from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import Layers
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 WORK = 2**25  # transitions times relaxations, unless a limit is given
 PROVEN = 1e-9  # of |value|
@@ -78,9 +73,7 @@ class BestPolicy(Result):
 
     def frame(self) -> DataFrame:
         """Return the policy, one row for each combination of values of the columns."""
-        import pandas
-
-        return pandas.DataFrame([*self.actions.items()], columns=["row", "action"])
+        return data_frame([*self.actions.items()], columns=["row", "action"])
 
 
 def best_policy(

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from math import inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from exact_mdp.mdp.graph import components, endless, is_acyclic, ways_out
 from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import ratio
-from exact_mdp.mdp.result import Brief, Pictured
+from exact_mdp.mdp.result import Brief, DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import LARGEST, Floats, Integers, shown
 from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
@@ -45,9 +44,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, a
 from exact_mdp.solvers.solver import mdp_of, solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.policy_chain import PolicyChain, policy_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 
 def proven(mdp: MDP, criterion: str = "total") -> Certificate:
@@ -207,15 +203,13 @@ class PolicyComparison(Pictured):
 
     def frame(self) -> DataFrame:
         """Return a row for each policy, with its exact value where that is short."""
-        import pandas
-
         rows = []
         for name, each in self.regrets.items():
             value, claim = each.learned.value, each.learned.claim
             short = claim == Claim.CERTIFIED and len(ratio(value)) <= LONGEST
             exact, regret = value if short else None, float(each.at_start.value)
             rows.append((name, float(value), regret, exact, str(claim)))
-        return pandas.DataFrame(rows, columns=["policy", "value", "regret", "exact", "claim"])
+        return data_frame(rows, columns=["policy", "value", "regret", "exact", "claim"])
 
     def __repr__(self) -> str:
         return f"PolicyComparison({len(self.regrets)} policies; optimal value {self.value})"

@@ -9,23 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exact_mdp.analysis.learning.outcomes import common_rows
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Seed, child, rows_of, stream, tables
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.layers import policy_values
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 EXPERIMENTS = 40
 MAX_STEPS = 10_000  # an experiment is cut short after this many timesteps
@@ -44,16 +39,13 @@ class LearningCurve(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each epoch."""
-        import pandas
-
-        return pandas.DataFrame(
+        return data_frame(
             {
                 "exact value (reward)": self.value,
                 "mean of experiments (reward)": self.sampled,
                 "standard error (reward)": self.standard_error,
-            },
-            index=pandas.RangeIndex(len(self.value), name="epoch"),
-        )
+            }
+        ).rename_axis("epoch")
 
 
 def learning_curve(

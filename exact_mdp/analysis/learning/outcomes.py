@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from exact_mdp.analysis.vary.intervals import mean_interval, wilson
 from exact_mdp.mdp.errors import ModelError, listed
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, number
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.learning.q_learning import TrainingRun
 from exact_mdp.solvers.learning.sampler import Rows, rows_of
@@ -31,10 +31,6 @@ from exact_mdp.solvers.solution import Bounded, regrets
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
 from exact_mdp.solvers.values.layers import policy_values
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 CANDIDATES = 5
@@ -140,10 +136,8 @@ class Outcomes(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each final policy, the most frequent first."""
-        import pandas
-
         shown = np.flatnonzero(self.counts)
-        return pandas.DataFrame(
+        return data_frame(
             {
                 "count": self.counts[shown],
                 "value": self.value[shown],

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from itertools import count, islice
 from numbers import Number
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from exact_mdp.analysis.exit_status import answering
 from exact_mdp.analysis.gate.audit import Audit
@@ -26,16 +26,12 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 Interval = tuple[Fraction, Fraction]
 
@@ -72,10 +68,7 @@ class TrainerAudit(Pictured):
     @property
     def proven(self) -> bool | None:
         """Whether the share of all seeds is at least `share`; None where that is open."""
-        hits, n = self.within, len(self.audits)
-        if not excluded(self.share, hits, n - hits, self.alpha):
-            return None
-        return hits > n * self.share
+        return _decided(self.within, len(self.audits), self.share, self.alpha)
 
     @property
     def passed(self) -> bool:
@@ -89,9 +82,7 @@ class TrainerAudit(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each run: its regret, and the interval of the share after it."""
-        import pandas
-
-        return pandas.DataFrame(
+        return data_frame(
             {
                 "run": self.names,
                 "regret": [float(audit.value.value) for audit in self.audits],
@@ -283,6 +274,11 @@ def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:
         fix=f"give {least} runs or more, or ask for a proof that the share is kept (--prove, "
         "prove=True)",
     )
+
+
+def _decided(hits: int, n: int, share: Fraction, alpha: Fraction) -> bool | None:
+    """Return whether the chance of success is at least `share`; None where that is open."""
+    return hits > n * share if excluded(share, hits, n - hits, alpha) else None
 
 
 def _policies(

@@ -16,7 +16,7 @@ from fractions import Fraction
 from html import escape
 from itertools import pairwise
 from math import lcm
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -35,12 +35,9 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Table
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import DataFrame, Result
 from exact_mdp.mdp.table import shown
 from exact_mdp.mdp.validate import Flags, counted
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 GRID = 11  # values of the second parameter
 MOST_GRID = 101

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch
 
+from exact_mdp.analysis.perception import AccuracyCurves, ErrorCosts
 from exact_mdp.analysis.plots.style import (
     HIGH,
     LOW,
@@ -23,9 +23,6 @@ from exact_mdp.analysis.plots.style import (
 )
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.table import Floats
-
-if TYPE_CHECKING:
-    from exact_mdp.analysis.perception import AccuracyCurves, ErrorCosts
 
 DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), (0, (3, 1, 1, 1, 1, 1)))
 RADIUS = 0.36  # of a status, where the statuses lie on a circle of radius 1

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
+from exact_mdp.analysis.learning.curves import LearningCurve
+from exact_mdp.analysis.learning.outcomes import Outcomes
+from exact_mdp.analysis.learning.trainers import TrainerAudit
 from exact_mdp.analysis.plots.style import (
     BLUE,
     HATCHES,
@@ -23,11 +25,6 @@ from exact_mdp.analysis.plots.style import (
 )
 from exact_mdp.analysis.vary.intervals import wilson
 from exact_mdp.mdp.table import Floats
-
-if TYPE_CHECKING:
-    from exact_mdp.analysis.learning.curves import LearningCurve
-    from exact_mdp.analysis.learning.outcomes import Outcomes
-    from exact_mdp.analysis.learning.trainers import TrainerAudit
 
 BIN = 20  # epochs that a band of sampled values is drawn over
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.plots.style import axes_or_new, described, picture
-
-if TYPE_CHECKING:
-    from exact_mdp.solvers.values.returns import ReturnDistribution
-    from exact_mdp.solvers.values.simulate import Simulation
+from exact_mdp.solvers.values.returns import ReturnDistribution
+from exact_mdp.solvers.values.simulate import Simulation
 
 
 @picture

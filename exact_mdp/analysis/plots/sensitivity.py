@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fractions import Fraction
 from textwrap import fill
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -33,20 +32,18 @@ from exact_mdp.analysis.plots.style import (
     shaded,
     swatch,
 )
+from exact_mdp.analysis.vary.curves.curve import ValueFunction
+from exact_mdp.analysis.vary.curves.gradient import Gradient
+from exact_mdp.analysis.vary.curves.thresholds import Thresholds
+from exact_mdp.analysis.vary.economics import CostEffectiveness
 from exact_mdp.analysis.vary.intervals import tolerances_of
+from exact_mdp.analysis.vary.one_way import Bar, Curve, Tornado, TwoWay
+from exact_mdp.analysis.vary.psa import PSA
 from exact_mdp.analysis.vary.ranges import unit_of
+from exact_mdp.analysis.vary.robust import RobustCurve
+from exact_mdp.analysis.vary.sobol import Sobol
 from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.parameter import Parameter
-
-if TYPE_CHECKING:
-    from exact_mdp.analysis.vary.curves.curve import ValueFunction
-    from exact_mdp.analysis.vary.curves.gradient import Gradient
-    from exact_mdp.analysis.vary.curves.thresholds import Thresholds
-    from exact_mdp.analysis.vary.economics import CostEffectiveness
-    from exact_mdp.analysis.vary.one_way import Bar, Curve, Tornado, TwoWay
-    from exact_mdp.analysis.vary.psa import PSA
-    from exact_mdp.analysis.vary.robust import RobustCurve
-    from exact_mdp.analysis.vary.sobol import Sobol
 
 OUTPUT = {
     "optimal": "value at the start, policy re-optimised",

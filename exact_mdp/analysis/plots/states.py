@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,6 +21,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
 
+from exact_mdp.analysis.gate.audit import Audit
+from exact_mdp.analysis.gate.regret import PolicyComparison
 from exact_mdp.analysis.layout import (
     ARROWS,
     MOST_CELLS,
@@ -49,13 +51,9 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.solution import Solution
+from exact_mdp.solvers.values.evaluate import Evaluation
 from exact_mdp.solvers.values.policy_chain import policy_of
-
-if TYPE_CHECKING:
-    from exact_mdp.analysis.gate.audit import Audit
-    from exact_mdp.analysis.gate.regret import PolicyComparison
-    from exact_mdp.solvers.solution import Solution
-    from exact_mdp.solvers.values.evaluate import Evaluation
 
 MOST_TEXTS = 700  # cells that have room for a text
 NUMBERED = 60  # cells that have room for a number, too

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.plots.style import BLACK, BLUE, INK, MARKS, axes_or_new, described, picture
+from exact_mdp.analysis.tradeoffs.front import Front
+from exact_mdp.analysis.tradeoffs.risk import MeanCVaR
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.policies.policy import PolicyLike
-
-if TYPE_CHECKING:
-    from exact_mdp.analysis.tradeoffs.front import Front
-    from exact_mdp.analysis.tradeoffs.risk import MeanCVaR
 
 NEAR = 0.02  # of an axis: marks that are nearer lie on each other
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,14 +20,10 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.transitions import CUT_OFF
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, exact, float_of
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.solution import Claim
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 SHOWN = 5  # states that are named
 
@@ -87,10 +83,8 @@ class RegretInterval(Result):
 
     def frame(self) -> DataFrame:
         """Return the interval, and what else was found, in one row."""
-        import pandas
-
         ends = {"low": self.low, "high": self.high, "confidence": self.confidence, "by": self.by}
-        return pandas.DataFrame([ends | dict(self.found)])
+        return data_frame([ends | dict(self.found)])
 
 
 def observations_of(mdp: MDP) -> Integers:
