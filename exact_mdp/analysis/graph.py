@@ -67,11 +67,6 @@ def dot(model: MDP | Scenario, policy: PolicyLike | None = None) -> str:
     str
         Text for a `.dot` file.
 
-    Raises
-    ------
-    ModelError
-        For a larger model.
-
     Examples
     --------
     >>> from exact_mdp import MDP

@@ -58,10 +58,8 @@ def check(
     With --confidence, MODEL is one that `exact-mdp data` made, and the check passes where the upper
     end of an interval for the regret in the process behind the records keeps the limit.
 
-    Example:
-
-    exact-mdp check yuan2025 q_table.npy --max-regret 1/10
-    exact-mdp check tea runs/*.npy --share 9/10 --max-regret 1
+    Example: exact-mdp check yuan2025 q_table.npy --max-regret 1/10
+    Example: exact-mdp check tea runs/*.npy --share 9/10 --max-regret 1
 
     Parameters
     ----------

@@ -87,11 +87,7 @@ def _flag(name: str) -> str:
 
 
 def singular(name: str) -> str:
-    """Return the singular of a name, whose option may be repeated.
-
-    >>> singular("ranges"), singular("policies"), singular("subject_to")
-    ('range', 'policy', 'subject_to')
-    """
+    """Return the singular of a name, whose option may be repeated."""
     return re.sub("ie$", "y", name.removesuffix("s"))
 
 
@@ -168,6 +164,7 @@ def command(
     `shared` are the parameters of `given` that it has as options; `epilog` stands below these.
     """
     text, own = function(target)
+    said, *examples = re.split(r"\s*^Example: ", text, flags=re.M)
     named = {each.name for each in own}
     asked = [each for each in function(GIVEN)[1] if each.name in {*shared} - named]
     params: list[click.Parameter]
@@ -192,7 +189,7 @@ def command(
         name,
         params=params,
         callback=work,
-        help=text.replace("Example:\n\n", "\b\nExample:\n"),
+        help="\n".join([said, "", "\b", "Example:", *examples]),
         short_help=text.partition("\n")[0],
         epilog=epilog,
         context_settings={"help_option_names": HELP},

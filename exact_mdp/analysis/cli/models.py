@@ -46,9 +46,7 @@ ENDS = (
 def new(file: str) -> Report:
     """Write a commented scenario to change.
 
-    Example:
-
-    exact-mdp new mine.toml
+    Example: exact-mdp new mine.toml
     """
     check_outputs((file, (".toml",)))
     if Path(file).exists():
@@ -64,9 +62,7 @@ def lint(file: str) -> Report:
     An error keeps the scenario from being read; a warning is about numbers that can be read, and
     are probably not what was meant.
 
-    Example:
-
-    exact-mdp lint mine.toml
+    Example: exact-mdp lint mine.toml
 
     Keys
     ----
@@ -94,9 +90,7 @@ def lint(file: str) -> Report:
 def info(given: Given) -> Report:
     """Describe a model: sizes, discount, whether every policy ends.
 
-    Example:
-
-    exact-mdp info gymnasium:FrozenLake-v1
+    Example: exact-mdp info gymnasium:FrozenLake-v1
 
     Keys
     ----
@@ -187,9 +181,7 @@ def data(
     false), marks the rows after which an episode was cut off, as by a time limit; --column
     truncated=NAME where it is called otherwise. The numbers of observations are kept in the model.
 
-    Example:
-
-    exact-mdp data records.csv --discount 0.95 --out model.npz
+    Example: exact-mdp data records.csv --discount 0.95 --out model.npz
 
     Parameters
     ----------
@@ -281,9 +273,7 @@ def convert(
 
     IN may also be a .prism or .jani file, which Storm builds.
 
-    Example:
-
-    exact-mdp convert tea tea.umb
+    Example: exact-mdp convert tea tea.umb
 
     Parameters
     ----------

@@ -58,10 +58,8 @@ def solve(
     optimum under limits is exact, with its policy, which may draw its actions, and the price of
     each limit; the exit status is 1 where no policy keeps the limits.
 
-    Example:
-
-    exact-mdp solve yuan2025 --certify --certificate proof.json
-    exact-mdp solve tea --subject-to 'steps <= 20'
+    Example: exact-mdp solve yuan2025 --certify --certificate proof.json
+    Example: exact-mdp solve tea --subject-to 'steps <= 20'
 
     Parameters
     ----------
@@ -142,9 +140,7 @@ def verify(certificate: str, given: Given) -> Report:
     It is what solve wrote, with limits or without, or tradeoff: a front then. The checker imports
     no solver. The exit status is 1 where CERTIFICATE does not hold of MODEL.
 
-    Example:
-
-    exact-mdp verify proof.json yuan2025
+    Example: exact-mdp verify proof.json yuan2025
 
     Parameters
     ----------
@@ -221,9 +217,7 @@ def _proven_start(proof: Certificate | BoundedCertificate) -> dict[str, Any]:
 def evaluate(given: Given, policy: Policy) -> Report:
     """Compute a policy's mean return, its spread and its parts.
 
-    Example:
-
-    exact-mdp evaluate yuan2025 always:directive
+    Example: exact-mdp evaluate yuan2025 always:directive
 
     Keys
     ----
@@ -238,9 +232,7 @@ def evaluate(given: Given, policy: Policy) -> Report:
 def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
     """Compute the exact law of a policy's return, at discount 1.
 
-    Example:
-
-    exact-mdp returns yuan2025 random --set tasks=[1]
+    Example: exact-mdp returns yuan2025 random --set tasks=[1]
 
     Parameters
     ----------
@@ -263,9 +255,7 @@ def returns(given: Given, policy: Policy, *, exact: bool = False) -> Report:
 def simulate(given: Given, policy: Policy, *, episodes: int, seed: int = 0) -> Report:
     """Estimate a policy's mean return by simulation.
 
-    Example:
-
-    exact-mdp simulate tea random --episodes 10000
+    Example: exact-mdp simulate tea random --episodes 10000
 
     Parameters
     ----------

@@ -37,9 +37,7 @@ def tradeoff(
     Each is a component of the reward, steps, an event, a label that is not left again, or a sum:
     name=2*a-b. The front maximises all of them; in a model of costs it minimises them.
 
-    Example:
-
-    exact-mdp tradeoff yuan2025 anger subtask-complete --set tasks=[1]
+    Example: exact-mdp tradeoff yuan2025 anger subtask-complete --set tasks=[1]
 
     Parameters
     ----------
@@ -71,9 +69,7 @@ def rationalize(given: Given, policy: Policy) -> Report:
     interval of its weight that does it alone, the others unchanged. Multipliers are of today's
     weights. A change of 1 can make all weights zero: no smaller change makes the policy optimal.
 
-    Example:
-
-    exact-mdp rationalize tea random --set tasks=[1]
+    Example: exact-mdp rationalize tea random --set tasks=[1]
 
     Keys
     ----
@@ -92,9 +88,7 @@ def risk(
     mean of the worst episodes, which remembers the reward so far, and those with the most of a
     weighted mean of this and the mean of all. In a model of costs, the least.
 
-    Example:
-
-    exact-mdp risk yuan2025 --cvar 1/10 --set tasks=[1]
+    Example: exact-mdp risk yuan2025 --cvar 1/10 --set tasks=[1]
 
     Parameters
     ----------
@@ -150,9 +144,7 @@ def perception(
     The value where the status is known, and where the policy takes what it perceives for true; then
     which errors cost most.
 
-    Example:
-
-    exact-mdp perception yuan2025 --accuracy 0.9
+    Example: exact-mdp perception yuan2025 --accuracy 0.9
 
     Parameters
     ----------

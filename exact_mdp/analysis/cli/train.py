@@ -38,9 +38,7 @@ def train(
 
     Regret is that of the final greedy policies, at the model's discount, over the seeds.
 
-    Example:
-
-    exact-mdp train yuan2025 --seeds 10 --learner epochs=1000
+    Example: exact-mdp train yuan2025 --seeds 10 --learner epochs=1000
 
     Parameters
     ----------

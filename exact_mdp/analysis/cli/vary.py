@@ -76,10 +76,8 @@ def tornado(given: Given) -> Report:
 
     One parameter moves at a time, the others stay at today's values.
 
-    Example:
-
-    exact-mdp tornado yuan2025 --relative 1/10
-    exact-mdp tornado tea --range base.anxiety=0.05:0.2 --policy random
+    Example: exact-mdp tornado yuan2025 --relative 1/10
+    Example: exact-mdp tornado tea --range base.anxiety=0.05:0.2 --policy random
 
     Keys
     ----
@@ -99,9 +97,7 @@ def gradient(given: Given) -> Report:
     They are those of the optimum, or of the --policy held fixed. Where the optimal policy changes
     at today's value, both one-sided derivatives are given.
 
-    Example:
-
-    exact-mdp gradient tea --parameter base.anxiety
+    Example: exact-mdp gradient tea --parameter base.anxiety
 
     Keys
     ----
@@ -121,9 +117,7 @@ def threshold(given: Given) -> Report:
 
     One parameter moves at a time. The policy is optimal knowing the state at every value.
 
-    Example:
-
-    exact-mdp threshold yuan2025 --parameter base.anger --relative whole
+    Example: exact-mdp threshold yuan2025 --parameter base.anger --relative whole
 
     Keys
     ----
@@ -150,9 +144,7 @@ def curve(
     With --max-regret, also for which values the policy held fixed keeps within that limit. The
     parameter moves over all that it may be, unless it is given a range.
 
-    Example:
-
-    exact-mdp curve yuan2025 --parameter reward.trial --range reward.trial=-3:-1
+    Example: exact-mdp curve yuan2025 --parameter reward.trial --range reward.trial=-3:-1
 
     Parameters
     ----------
@@ -184,9 +176,7 @@ def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -
 
     The policy is optimal at each of the values, and held fixed beside it.
 
-    Example:
-
-    exact-mdp one-way tea --parameter base.anxiety --points 11
+    Example: exact-mdp one-way tea --parameter base.anxiety --points 11
 
     Parameters
     ----------
@@ -210,9 +200,7 @@ def two_way(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -
 
     Give --parameter twice: the first lies across, the second along.
 
-    Example:
-
-    exact-mdp two-way tea --parameter base.anxiety --parameter discount
+    Example: exact-mdp two-way tea --parameter base.anxiety --parameter discount
 
     Parameters
     ----------
@@ -248,9 +236,7 @@ def psa(
     The policy held fixed is judged by how likely it is to lose at most so much, and by what better
     numbers would be worth (EVPI, EVPPI).
 
-    Example:
-
-    exact-mdp psa yuan2025 --samples 1000 --effective-sample-size 50
+    Example: exact-mdp psa yuan2025 --samples 1000 --effective-sample-size 50
 
     Parameters
     ----------
@@ -304,9 +290,7 @@ def sobol(
     First-order and total indices of Sobol, of the optimum and of a policy's regret, with intervals.
     All parameters but the discount vary unless some are named.
 
-    Example:
-
-    exact-mdp sobol tea --samples 256
+    Example: exact-mdp sobol tea --samples 256
 
     Parameters
     ----------
@@ -346,9 +330,7 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
     And the policy that is best against them, with the price of that where the tables are right.
     Parameters and ranges are those of a box.
 
-    Example:
-
-    exact-mdp robust tea --set-kind l1 --radius 0.1
+    Example: exact-mdp robust tea --set-kind l1 --radius 0.1
 
     Parameters
     ----------
@@ -437,9 +419,7 @@ def explore(
     The pieces between the switching points are worked out beforehand, in rational arithmetic, so
     that the page needs no server and shows exact values; it says which of them are certified.
 
-    Example:
-
-    exact-mdp explore yuan2025 --parameter base.anger --range base.anger=0:0.3 --html page.html
+    Example: exact-mdp explore yuan2025 --parameter base.anger --html page.html
 
     Parameters
     ----------

@@ -45,12 +45,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain, average, flow_of
 
 @dataclass(frozen=True)
 class Verdict:
-    """One thing that was checked, such as "the regret" "at most 1/2", and what was found.
-
-    >>> verdict = Verdict("the regret", "zero", False, "it is 2")
-    >>> verdict.name, verdict.passed, verdict.told
-    ('the regret is zero', False, 'the regret is not zero: it is 2')
-    """
+    """One thing that was checked, such as "the regret" "at most 1/2", and what was found."""
 
     subject: str
     limit: str

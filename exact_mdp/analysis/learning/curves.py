@@ -69,11 +69,6 @@ def learning_curve(
     -------
     LearningCurve
 
-    Raises
-    ------
-    ModelError
-        For a run on another model, or fewer than two experiments.
-
     Examples
     --------
     >>> from exact_mdp import Scenario

@@ -295,11 +295,6 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     -------
     Outcomes
 
-    Raises
-    ------
-    ModelError
-        Without a run, or for runs on another model.
-
     Examples
     --------
     >>> from exact_mdp import Scenario

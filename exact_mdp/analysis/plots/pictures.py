@@ -53,11 +53,6 @@ def draw(result: object, ax: Axes | None = None, **settings: Any) -> Axes:
     -------
     Axes
 
-    Raises
-    ------
-    ModelError
-        Where there is no picture of such a result.
-
     Examples
     --------
     >>> from exact_mdp import MDP, draw, solve

@@ -149,6 +149,11 @@ def range_of(given: Any, what: str) -> Ends | None:
     return low, high
 
 
+def of_sense(mdp: MDP, ends: Ends) -> Ends:
+    """Return ends of rewards; in a model of costs, those of costs as rewards and the reverse."""
+    return ends if mdp.sense == "max" else (-ends[1], -ends[0])
+
+
 # ---- what records leave open of the model -------------------------------------------------------
 
 

@@ -12,11 +12,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
-from exact_mdp.analysis.gate.data.interval import Ends, RegretInterval, cut_off, observations_of
+from exact_mdp.analysis.gate.data.interval import (
+    Ends,
+    RegretInterval,
+    cut_off,
+    observations_of,
+    of_sense,
+)
 from exact_mdp.analysis.gate.data.robust import Robust
 from exact_mdp.analysis.gate.data.sets import Given, RowSets
 from exact_mdp.analysis.vary.intervals import bootstrap, mean_at_least, mean_of
@@ -98,33 +104,40 @@ class OffPolicy:
         bounds = robust.bounds(mdp, sets, chain, horizon)
         behaviour = self._behaviour(mdp)
         own = chain.weights[None] if horizon is None else by_time(mdp, chain.weights, horizon)
-        ratio = np.stack([_ratios(mdp, each, behaviour) for each in own])
+        if (never := ((own > 0) & (behaviour <= 0)).any(axis=0)).any():
+            raise ModelError(
+                "the behaviour never does what the policy does, so that its trajectories tell "
+                f"nothing of it (and in {int(never.sum()) - 1} more pairs)",
+                where=mdp.where(int(np.flatnonzero(never)[0])),
+                fix="audit by robust sets or the posterior, or give the behaviour's true "
+                "probabilities",
+            )
+        ratio = np.divide(own, behaviour, out=np.zeros_like(own), where=behaviour > 0)
         if (refuted := (behaviour <= 0) & (observations_of(mdp) > 0)).any():
             raise ModelError(
                 "the behaviour never does what was recorded",
                 where=mdp.where(int(np.flatnonzero(refuted)[0])),
                 fix="state the policy that chose the recorded actions, or leave it to be estimated",
             )
-        seen = _trajectories(mdp, ratio, self.records, self.columns, horizon)
+        record = transitions.Record(self.records, self.columns)
+        w, returns, steps, cut, ended = _trajectories(mdp, ratio, record, horizon)
         lowest, highest = bounds.range
-        whole = seen.returns[~seen.cut]
-        sign = mdp.sign
+        whole = returns[~cut]
         if len(whole) and not lowest <= whole.min() <= whole.max() <= highest:
-            low, high = sorted((sign * whole.min(), sign * whole.max()))
+            low, high = of_sense(mdp, (whole.min(), whole.max()))
             raise ModelError(
                 f"returns from {low:g} to {high:g} were recorded",
                 where="returns",
                 fix="state a range that holds them",
             )
-        left = np.where(seen.cut, mdp.discount**seen.steps, 0.0)
-        above = np.clip(seen.returns + left * lowest, lowest, highest) - lowest
-        below = highest - np.clip(seen.returns + left * highest, lowest, highest)
-        low = min(lowest + mean_at_least(seen.weight * above, doubt / 4), highest)
-        high = max(highest - mean_at_least(seen.weight * below, doubt / 4), lowest)
+        left = np.where(cut, mdp.discount**steps, 0.0)
+        above = np.clip(returns + left * lowest, lowest, highest) - lowest
+        below = highest - np.clip(returns + left * highest, lowest, highest)
+        low = min(lowest + mean_at_least(w * above, doubt / 4), highest)
+        high = max(highest - mean_at_least(w * below, doubt / 4), lowest)
         best = bounds.at_start(mdp.maximised, bounds.best)
-        w, terms = seen.weight, seen.weight * seen.returns
-        total = float(w.sum())
-        drawn = bootstrap(seen.weight, seen.returns, float(confidence), bounds.range, draws, seed)
+        terms, total = w * returns, float(w.sum())
+        drawn = bootstrap(w, returns, float(confidence), bounds.range, draws, seed)
         return RegretInterval(
             low=max(best[0] - high, 0.0),
             high=max(best[1] - low, 0.0),
@@ -139,17 +152,17 @@ class OffPolicy:
             ),
             found={
                 "optimal_value": bounds.at_start(mdp, bounds.best),
-                "learned_value": (low, high) if sign > 0 else (-high, -low),
-                "weighted": sign * float(terms.sum()) / total if total > 0 else float("nan"),
-                "bootstrap": drawn if sign > 0 else (-drawn[1], -drawn[0]),
+                "learned_value": of_sense(mdp, (low, high)),
+                "weighted": mdp.sign * float(terms.sum()) / total if total > 0 else float("nan"),
+                "bootstrap": of_sense(mdp, drawn),
                 "draws": draws,
                 "seed": seed,
-                "ordinary": sign * float(terms.mean()),
+                "ordinary": mdp.sign * float(terms.mean()),
                 "standard_error": mean_of(terms).standard_error,
                 "effective_sample_size": total**2 / float(w @ w) if total > 0 else 0.0,
                 "episodes": len(w),
-                "cut_off": int(seen.cut.sum()),
-                "taken_for_ended": seen.entered,
+                "cut_off": int(cut.sum()),
+                "taken_for_ended": ended,
             },
         )
 
@@ -162,42 +175,14 @@ class OffPolicy:
         return np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
 
 
-def _ratios(mdp: MDP, own: Floats, behaviour: Floats) -> Floats:
-    """Return (L,) π / b; raises ModelError where π does what the behaviour never does."""
-    never = (own > 0) & (behaviour <= 0)
-    if never.any():
-        pair = int(np.flatnonzero(never)[0])
-        raise ModelError(
-            "the behaviour never does what the policy does, so that its trajectories tell nothing "
-            f"of it (and in {int(never.sum()) - 1} more pairs)",
-            where=mdp.where(pair),
-            fix="audit by robust sets or the posterior, or give the behaviour's true probabilities",
-        )
-    return np.divide(own, behaviour, out=np.zeros_like(own), where=behaviour > 0)
-
-
-class _Trajectories(NamedTuple):
-    """Weight, return and length (E,) of each episode, and whether it was cut off."""
-
-    weight: Floats
-    returns: Floats
-    steps: Integers
-    cut: Flags
-    entered: int  # episodes that stop in a state that is taken for an end
-
-
 def _trajectories(
-    mdp: MDP,
-    ratio: Floats,
-    records: Any,
-    columns: Mapping[str, str] | None,
-    horizon: int | None,
-) -> _Trajectories:
-    """Return what the episodes of records weigh and earn, up to the horizon.
+    mdp: MDP, ratio: Floats, record: transitions.Record, horizon: int | None
+) -> tuple[Floats, Floats, Integers, Flags, int]:
+    """Return weight, return and length (E,) of each episode, whether it was cut off, and entries.
 
-    `ratio` (1, L), or (N, L) by time.
+    These are episodes that stop in a state that is taken for an end. `ratio` is (1, L), or (N, L)
+    by time.
     """
-    record = transitions.Record(records, columns)
     parts = list(record.read())
     if not parts:
         raise ModelError("no transitions", where=record.where, fix="give at least one row")
@@ -226,19 +211,20 @@ def _trajectories(
         )
     steps = np.diff(first, append=len(episode))
     times = np.arange(len(episode)) - np.repeat(first, steps)
-    within = np.full(len(times), True) if horizon is None else times < horizon
+    most = len(episode) + 1 if horizon is None else horizon
+    within = times < most
     factor = np.where(within, ratio[np.minimum(times, len(ratio) - 1), pair], 1.0)
     reward = mdp.sign * np.array([float(value) for value in record.values])[keys[:, 3]]
     # The last two states: cut off, or over, without a next state.
     last = np.append(states, [-2, -1])[keys[first + steps - 1, 2]]
     end = np.append(mdp.terminal & ~cut_off(mdp), [False, True])[last]
     regular = last < mdp.n_states - len(mdp.space.extra)
-    return _Trajectories(
-        weight=np.multiply.reduceat(factor, first),
-        returns=np.add.reduceat(np.where(within, mdp.discount**times * reward, 0.0), first),
-        steps=steps if horizon is None else np.minimum(steps, horizon),
-        cut=~end if horizon is None else ~end & (steps < horizon),
-        entered=int((end & (last >= 0) & regular).sum()),
+    return (
+        np.multiply.reduceat(factor, first),
+        np.add.reduceat(np.where(within, mdp.discount**times * reward, 0.0), first),
+        np.minimum(steps, most),
+        ~end & (steps < most),
+        int((end & (last >= 0) & regular).sum()),
     )
 
 

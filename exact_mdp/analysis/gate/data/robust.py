@@ -33,6 +33,7 @@ from exact_mdp.analysis.gate.data.interval import (
     named,
     observations_of,
     of_process,
+    of_sense,
     over,
     range_of,
 )
@@ -122,13 +123,12 @@ class Robust:
             return robust_bounds(sets, by_time(mdp, chain.weights, horizon))
         if returns is not None:
             _require_seen(mdp, returns)
-            if mdp.sense == "min":
-                returns = -returns[1], -returns[0]
+            returns = of_sense(mdp, returns)
         return robust_bounds(sets, chain.weights, returns)
 
     def assumptions(self, mdp: MDP, sets: RowSets) -> tuple[str, ...]:
         """Return what the sets rest on besides the records."""
-        low, high = sets.rewards if mdp.sense == "max" else (-sets.rewards[1], -sets.rewards[0])
+        low, high = of_sense(mdp, sets.rewards)
         said = list(of_process(mdp))
         if sets.known:
             said.append(
@@ -181,7 +181,7 @@ class RobustBounds:
     def at_start(self, mdp: MDP, whose: Sides) -> Ends:
         """Return the bounds of a value at the start, in the sense of the model given."""
         low, high = (self.sets.at_start(whose[most], most=bool(most)) for most in (0, 1))
-        return (low, high) if mdp.sense == "max" else (-high, -low)
+        return of_sense(mdp, (low, high))
 
     @property
     def regret(self) -> Ends:

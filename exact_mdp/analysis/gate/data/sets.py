@@ -24,7 +24,13 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import special
 
-from exact_mdp.analysis.gate.data.interval import Ends, cut_off, observations_of, range_of
+from exact_mdp.analysis.gate.data.interval import (
+    Ends,
+    cut_off,
+    observations_of,
+    of_sense,
+    range_of,
+)
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
@@ -86,14 +92,12 @@ class RowSets:
                     fix="state a range that holds them",
                 )
             ends = stated
-        if mdp.sense == "min":
-            ends = (-ends[1], -ends[0])
         return cls(
             mdp=mdp.maximised,
             counted=seen,
             doubt=doubt,
             known=known,
-            rewards=ends,
+            rewards=of_sense(mdp, ends),
             episodes=mdp.episodes,
         )
 
