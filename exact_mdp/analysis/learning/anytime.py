@@ -18,9 +18,12 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
-from math import comb, lgamma, log, log1p
+from math import comb, log, log1p, pi
+
+from scipy import special
 
 GRID = 2**20  # ends of intervals are multiples of 1 / GRID, outwards
+FEW, MOST = 1000, 2**62  # trials
 
 
 def excluded(share: Fraction, hits: int, misses: int, alpha: Fraction) -> bool:
@@ -35,19 +38,18 @@ def fewest(share: Fraction, alpha: Fraction) -> int:
     """Return the least number of misses, without a hit, that exclude a share below 1.
 
     E_n(p) falls and then rises in the number of misses, so that it is found by bisection; in
-    logarithms, since a small share needs millions.
+    logarithms where a small share needs thousands.
     """
     if share == 1:
         return 1
 
     def excludes(misses: int) -> bool:
-        mixed = lgamma(2 * misses + 1) - 2 * lgamma(misses + 1) - misses * log(4)
-        return mixed - misses * log1p(-float(share)) >= -log(alpha)
+        if misses < FEW:
+            return excluded(share, 0, misses, alpha)
+        mixed = special.betaln(misses + 0.5, 0.5) - log(pi)  # C(2m, m) / 4^m
+        return bool(mixed - misses * log1p(-float(share)) >= -log(alpha))
 
-    high = 1
-    while not excludes(high):
-        high *= 2
-    return bisect_left(range(high), True, key=excludes)
+    return bisect_left(range(MOST), True, key=excludes)
 
 
 def share_intervals(trials: Iterable[bool], alpha: Fraction) -> Iterator[tuple[Fraction, Fraction]]:

@@ -2,11 +2,11 @@
 
 from fractions import Fraction as F
 from itertools import count
-from math import log
+from math import log, pi
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.special import betaln
 from scipy.stats import binomtest
@@ -60,9 +60,15 @@ def test_intervals_hold_all_shares_not_excluded_so_far(trials: list[bool], alpha
         low, high = left, right
 
 
+@example(F(3, 4), F(1, 2))  # E_1 is 1/α
 @given(SHARES, st.fractions(F(1, 1000), F(1, 2), max_denominator=1000))
 def test_the_fewest_runs_that_can_fail(share: F, alpha: F) -> None:
     assert fewest(share, alpha) == next(n for n in count(1) if excluded(share, 0, n, alpha))
+
+
+def test_the_fewest_runs_for_a_tiny_share() -> None:
+    n = fewest(F(1, 10**15), F(1, 100))
+    assert n / 1e15 - log(pi * n) / 2 == pytest.approx(log(100))
 
 
 @pytest.fixture(scope="module")
