@@ -12,11 +12,11 @@ from exact_mdp.analysis.perception import AccuracyCurves, ErrorCosts
 from exact_mdp.analysis.plots.style import (
     HIGH,
     LOW,
-    MARKS,
     Look,
     axes_or_new,
     bars,
     described,
+    lines,
     picture,
     shaded,
     swatch,
@@ -24,7 +24,6 @@ from exact_mdp.analysis.plots.style import (
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.table import Floats
 
-DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), (0, (3, 1, 1, 1, 1, 1)))
 RADIUS = 0.36  # of a status, where the statuses lie on a circle of radius 1
 APART = 0.07  # of an arrow from the line between two centres: arrows to and fro lie side by side
 
@@ -99,20 +98,8 @@ def _vector_map(ax: Axes | None, shares: Floats, threshold: float) -> Axes:
 def plot_accuracy_curves(curves: AccuracyCurves, *, ax: Axes | None = None) -> Axes:
     """Draw the value of a policy against the accuracy of one status, and of all."""
     ax = axes_or_new(ax)
-    for number, (name, values) in enumerate(curves.values.items()):
-        every = name == "all"
-        ax.plot(
-            curves.levels,
-            values,
-            linestyle=DASHES[number % len(DASHES)],
-            marker=MARKS[number % len(MARKS)],
-            markevery=max(1, len(curves.levels) // 8),
-            markersize=4,
-            markerfacecolor="white",
-            color="black" if every else "0.35",
-            linewidth=1.8 if every else 1.1,
-            label="all four alike" if every and len(curves.values) == 5 else name,
-        )
+    alike = {"all": "all four alike"} if len(curves.values) == 5 else {}
+    lines(ax, {alike.get(n, n): (curves.levels, each) for n, each in curves.values.items()})
     return described(
         ax,
         "What a policy is worth by how well the status is read",
