@@ -12,7 +12,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -41,10 +41,18 @@ from exact_mdp.solvers.solver import SOLVERS, Criterion, solve
 
 LISTED = 1000  # states whose actions are listed
 SHOWN_DIGITS = 1000  # longer exact values are left to --json
+AnyProof = TypeVar("AnyProof", Certificate, ConstrainedSolution)
 
 
 class Contradiction(RuntimeError):
     """A solver and a proof that do not agree, or a proof that does not hold."""
+
+
+def sound(proof: AnyProof) -> AnyProof:
+    """Return a proof that its checker has accepted."""
+    if faults := proof.violations():
+        raise Contradiction(f"a proof does not hold: {faults[0]}")
+    return proof
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -285,9 +293,7 @@ def optimum(
         warn(f"{error} (the exact values stand)", PrecisionWarning)
     if not certify:
         return Optimum(mdp=model, solution=solution, certificate=None)
-    certificate = certified(model, criterion=criterion)
-    if faults := certificate.violations():
-        raise Contradiction(f"the certificate does not hold: {faults[0]}")
+    certificate = sound(certified(model, criterion=criterion))
     best = Optimum(mdp=model, solution=solution, certificate=certificate)
     if solution is not None:
         same = solution.value == best.value  # infinite ones

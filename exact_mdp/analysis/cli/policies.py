@@ -10,11 +10,7 @@ from typing import Any
 
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import check_outputs, limits_from, number_of, refuse
-from exact_mdp.analysis.optimum import (
-    Contradiction,
-    limited_report,
-    optimum,
-)
+from exact_mdp.analysis.optimum import limited_report, optimum, sound
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
 from exact_mdp.mdp.errors import ModelError
@@ -100,9 +96,7 @@ def solve(
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
         refuse(refused | {"--criterion average": average}, "limits")
-        limited = solve_model(mdp, subject_to=limits_from(subject_to))
-        if faults := limited.violations():
-            raise Contradiction(f"the proof does not hold: {faults[0]}")
+        limited = sound(solve_model(mdp, subject_to=limits_from(subject_to)))
         if policy_out:
             limited.policy.write(policy_out)
         if certificate:

@@ -29,6 +29,7 @@ from exact_mdp.analysis.gate.disagreements import Findings, findings, listed
 from exact_mdp.analysis.gate.forgiveness import per_use, rounded
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
 from exact_mdp.analysis.gate.waiting import taking
+from exact_mdp.analysis.optimum import sound
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
@@ -251,10 +252,7 @@ class UnderLimits(Total):
     @classmethod
     def of(cls, chain: PolicyChain, subject_to: Mapping[str, Any]) -> UnderLimits:
         """Return the criterion of limits, as `solve` takes them."""
-        best = solve_under(chain.mdp, subject_to)
-        if faults := best.violations():
-            raise RuntimeError(f"the proof of an optimum under limits does not hold: {faults[0]}")
-        return cls(chain=chain, best=best)
+        return cls(chain=chain, best=sound(solve_under(chain.mdp, subject_to)))
 
     @property
     def feasible(self) -> bool:

@@ -156,27 +156,24 @@ def plot_value_function(curve: ValueFunction, *, n: int = 33, ax: Axes | None = 
 
     A dotted line is a value at which another policy becomes optimal; each piece has `n` points.
     """
-    ax, name, drawn = axes_or_new(ax), curve.parameter.name, list[float]()
-    for number, piece in enumerate(curve.pieces):
-        low, high, first = piece.low[1], piece.high[0], number == 0
+    ax, name = axes_or_new(ax), curve.parameter.name
+    x, best, own = list[float](), list[float](), list[float]()
+    for piece in curve.pieces:
+        low, high = piece.low[1], piece.high[0]
         at = [low + (high - low) * Fraction(k, n - 1) for k in range(n)]
-        x = [float(value) for value in at]
-        if number:
-            label = "another policy becomes optimal" if number == 1 else None
-            ax.axvline(x[0], color="0.5", linestyle=":", linewidth=1, label=label)
-        for ratio, dashes, ink, how in (
-            (piece.value, "-", BLACK, "re-optimised"),
-            (piece.fixed, "--", "0.4", "held fixed"),
-        ):
-            if ratio is not None:
-                values = [float(ratio.at(value)) for value in at]
-                ax.plot(x, values, dashes, color=ink, label=f"policy {how}" if first else None)
-                drawn += values
-    sizes = np.abs(drawn)
-    near = np.array(drawn)[sizes <= STEEP * (float(np.median(sizes)) or 1.0)]
+        x += map(float, at)
+        best += [float(piece.value.at(value)) for value in at]
+        own += [float(piece.fixed.at(value)) for value in at] if piece.fixed is not None else []
+    held = {"policy held fixed": (x, own)} if own else {}
+    lines(ax, {"policy re-optimised": (x, best)} | held, inks=(BLACK, "0.4"))
+    for number, end in enumerate(x[n::n]):
+        label = None if number else "another policy becomes optimal"
+        ax.axvline(end, color="0.5", linestyle=":", linewidth=1, label=label)
+    drawn = np.array([*best, *own])
+    near = drawn[np.abs(drawn) <= STEEP * (float(np.median(np.abs(drawn))) or 1.0)]
     if len(near) < len(drawn):  # a discount near 1
         ax.set_ylim(near.min(), near.max())
-        ax.plot([], [], " ", label=f"beyond the picture: {drawn[sizes.argmax()]:.3g}")
+        ax.plot([], [], " ", label=f"beyond the picture: {drawn[np.abs(drawn).argmax()]:.3g}")
     _mark_today(ax, float(curve.parameter.value), curve.range.low, curve.range.high)
     names = {"x": _axis(curve.parameter), "y": f"value at the start (reward; {curve.claim})"}
     return described(ax, f"The optimal value along {name}", curve.mdp.name, **names)
