@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Hashable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import prod
@@ -92,7 +93,8 @@ def arrange(
     else:
         space, states, heading = _headed(model, space, states)
     rest = [name for name in space.names if name not in named]
-    split = across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1
+    if across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1:
+        space, rest = _halved(space, rest[0])
     if heading and not (down or across) and set(heading) <= set(rest):
         below, across = _blocks(space, heading, [name for name in rest if name not in heading])
     else:
@@ -104,26 +106,29 @@ def arrange(
     (row, rows), (column, columns) = (
         _along(space, names, states) for names in (below, list(across))
     )
-    under, over = ", ".join(below) or "-", ", ".join(across) or "-"
     # In blocks of maps an arrow points inside one.
     last = [space.values(names[-1], states) if names else 0 * states for names in (below, across)]
-    if split:
-        low = space.column(rest[0]).bits // 2
-        row, column = column >> low, column & (2**low - 1)
-        rows, columns = (
-            tuple(dict.fromkeys(label[:-low] for label in columns)),
-            tuple(dict.fromkeys(label[-low:] for label in columns)),
-        )
-        under, over = f"{over}: first digits", f"{over}: last digits"
     return Layout(
         row=np.where(inside, row, -1),
         column=np.where(inside, column, -1),
         rows=rows,
         columns=columns,
-        down=under,
-        across=over,
-        signs=_signs(model, row, column) if split else _signs(model, *last),
+        down=", ".join(below) or "-",
+        across=", ".join(across) or "-",
+        signs=_signs(model, *last),
     )
+
+
+def _halved(space: StateSpace, name: str) -> tuple[StateSpace, list[str]]:
+    """Return the space in which the first and the last digits of a column are two columns."""
+    own = space.column(name)
+    place, low = space.columns.index(own), own.bits // 2
+    halves = [
+        Column(name=f"{name}: {which} digits", size=2**bits, bits=bits)
+        for which, bits in (("first", own.bits - low), ("last", low))
+    ]
+    columns = (*space.columns[:place], *halves, *space.columns[place + 1 :])
+    return replace(space, columns=columns), [each.name for each in halves]
 
 
 def _check_shape(space: StateSpace, shape: tuple[int, int], named: Sequence[str]) -> None:
@@ -161,7 +166,9 @@ def _parts(model: MDP) -> tuple[StateSpace, Integers] | None:
     fields = getattr(tuples[0], "_fields", None) or [f"state[{k}]" for k in range(width)]
     columns, values = [], np.full((width, model.n_states), -1)
     for k, field in enumerate(fields):
-        distinct = _sorted(list(dict.fromkeys(each[k] for each in tuples)))
+        distinct: list[Any] = [*dict.fromkeys(each[k] for each in tuples)]
+        with suppress(TypeError):  # of several kinds
+            distinct = sorted(distinct)
         place = {value: number for number, value in enumerate(distinct)}
         values[k, inside] = [place[each[k]] for each in tuples]
         texts = [(text_of(value), repr(value)) for value in distinct]
@@ -173,13 +180,6 @@ def _parts(model: MDP) -> tuple[StateSpace, Integers] | None:
     number = np.full(model.n_states, space.regular)
     number[inside] = np.ravel_multi_index([*values[:, inside]], [c.size for c in columns])
     return space, number
-
-
-def _sorted(values: list[Any]) -> list[Any]:
-    try:
-        return sorted(values)
-    except TypeError:  # of several kinds
-        return values
 
 
 def _headed(

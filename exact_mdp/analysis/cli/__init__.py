@@ -38,13 +38,7 @@ def cli() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The words after the program's name; those of this process unless given.
-    """
+    """Run one command, by default that of this process, and return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if asked := os.environ.get(COMPLETE):
         return shell_complete(cli, {}, PROGRAM, COMPLETE, asked)
