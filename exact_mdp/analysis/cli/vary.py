@@ -40,7 +40,7 @@ from exact_mdp.analysis.vary.ranges import (
     ranges_of,
     usual,
 )
-from exact_mdp.analysis.vary.robust import SETS, ambiguity_of, worst_point
+from exact_mdp.analysis.vary.robust import ambiguity_of, worst_point
 from exact_mdp.analysis.vary.robust import robust as robust_of
 from exact_mdp.analysis.vary.sobol import sobol as sobol_of
 from exact_mdp.analysis.vary.study import solver_of
@@ -55,14 +55,12 @@ from exact_mdp.solvers.solver import solve
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
 """What is certified under a perception: a file may state 1/3, which no float is."""
-RADII = {"interval": RELATIVE, "absolute": "0.02", "l1": "0.1", "kl": "0.01", "entropy": "0.01"}
-"""The radius of each kind of set unless one is given."""
-MEANING = {
-    "interval": "each transition probability ± {} of itself, rows on their own",
-    "absolute": "each transition probability ± {}, rows on their own",
-    "l1": "rows within an L1 distance of {}, on their own",
-    "kl": "rows that keep the tables likely, KL(p‖q) ≤ {}, on their own",
-    "entropy": "rows of relative entropy KL(q‖p) ≤ {}, on their own",
+ROWS = {  # the radius of each kind of set unless one is given, and what is in the set
+    "interval": (RELATIVE, "each transition probability ± {} of itself, rows on their own"),
+    "absolute": ("0.02", "each transition probability ± {}, rows on their own"),
+    "l1": ("0.1", "rows within an L1 distance of {}, on their own"),
+    "kl": ("0.01", "rows that keep the tables likely, KL(p‖q) ≤ {}, on their own"),
+    "entropy": ("0.01", "rows of relative entropy KL(q‖p) ≤ {}, on their own"),
 }
 BOX = "box"
 MOST_APART = 2  # the L1 distance of laws that have nothing in common
@@ -351,14 +349,14 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
     """
     if set_kind == BOX:
         return _box(given, radius)
-    known(set_kind, [*SETS, BOX], "set", "--set-kind")
+    usual_radius, meaning = ROWS[known(set_kind, [*ROWS, BOX], "set", "--set-kind")]
     if any(given.options[name] for name in ("parameters", "ranges", "relative")):
         raise ModelError(
             "parameters and ranges are for a box",
             where="robust",
             fix="add --set-kind box, or give --radius instead",
         )
-    size = _radius(RADII[set_kind] if radius is None else radius)
+    size = _radius(usual_radius if radius is None else radius)
     if set_kind == "l1" and size > MOST_APART:
         raise ModelError(
             f"an L1 radius of {beside(size, Fraction(MOST_APART))}, "
@@ -368,8 +366,8 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
         )
     sets_of = ambiguity_of(given.mdp, set_kind, size)
     result = robust_of(given.mdp, sets_of, policy=given.fixed)
-    meaning = Shown(set_kind, MEANING[set_kind].format(f"{float(size):.4g}"))
-    return _report(given, "robust", result.report(), set_kind=meaning, radius=float(size))
+    kind = Shown(set_kind, meaning.format(f"{float(size):.4g}"))
+    return _report(given, "robust", result.report(), set_kind=kind, radius=float(size))
 
 
 def _box(given: Given, radius: str | None) -> Report:
