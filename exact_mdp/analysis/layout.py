@@ -13,7 +13,6 @@ import re
 from collections.abc import Hashable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import prod
 from typing import Any, Literal
 
@@ -21,11 +20,12 @@ import numpy as np
 
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.disagreements import either
+from exact_mdp.analysis.vary.base_case import actions_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Integers
 
 MOST_CELLS = 4000
 WIDE = 10  # states in a row where nothing says how many
@@ -284,15 +284,6 @@ def _signs(model: MDP, row: Integers, column: Integers) -> tuple[str, ...]:
     return tuple(signs)
 
 
-def taken(model: MDP, chosen: Floats) -> list[list[int]]:
-    """Return the numbers of the actions that probabilities (L,) of pairs give to each state."""
-    used = np.asarray(chosen) > 0
-    return [
-        model.pair_action[first:last][used[first:last]].tolist()
-        for first, last in pairwise(model.pair_offsets.tolist())
-    ]
-
-
 COUNTED = {"mixed": "one of n actions is drawn", "tied": "n actions are optimal"}
 """What a cell says of n actions, and what that means."""
 
@@ -346,7 +337,7 @@ class Cell:
 
 def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     """Return the cell at each row and column of the map; None where no state is."""
-    mdp, choices = audit.mdp, taken(audit.mdp, audit.chain.chosen)
+    mdp, choices = audit.mdp, actions_of(audit.mdp, audit.chain.chosen > 0)
     sign = dict(zip(mdp.actions, layout.signs, strict=True))
     grid: list[list[Cell | None]] = [[None] * len(layout.columns) for _ in layout.rows]
     wrong = {each.state: each for each in audit.disagreements}
@@ -354,7 +345,7 @@ def cells(audit: Audit, layout: Layout) -> list[list[Cell | None]]:
     idle = ~mdp.asked | (audit.visits == 0)
     for state in layout.shown.tolist():
         each, label = wrong.get(state), mdp.space.label(state)
-        names = [mdp.actions[action] for action in choices[state]]
+        names = choices[state]
         text, best = joined([sign[name] for name in names], "mixed"), ""
         said = f"{either(names)}; {audit.visits[state]:.6g} expected visits"
         if mdp.over[state]:

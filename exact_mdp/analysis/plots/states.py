@@ -31,7 +31,6 @@ from exact_mdp.analysis.layout import (
     cells,
     counts,
     joined,
-    taken,
 )
 from exact_mdp.analysis.plots.style import (
     BLACK,
@@ -47,6 +46,7 @@ from exact_mdp.analysis.plots.style import (
     picture,
     swatch,
 )
+from exact_mdp.analysis.vary.base_case import actions_of
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
@@ -68,10 +68,10 @@ LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **place: Any) -> Axes:
     """Draw what a policy does in each state, in the style of its action."""
     layout, ends, used = _placed(model, place), _ends(model), set[int]()
-    signs, choices = layout.signs, taken(model, policy_of(model, policy).weights(model))
+    signs, choices = layout.signs, actions_of(model, policy_of(model, policy).weights(model) > 0)
     shown: dict[int, tuple[str, Look]] = {}
     for state in layout.shown.tolist():
-        numbers = choices[state]
+        numbers = [*map(model.actions.index, choices[state])]
         if state in ends:
             shown[state] = ends[state][0], {"fill": "0.92", "ink": "0.2"}
         elif len(numbers) > 1:
@@ -109,8 +109,9 @@ def plot_states(
         )
     layout, texts = _placed(model, place), [""] * model.n_states
     if policy is not None:
-        choices = taken(model, policy_of(model, policy).weights(model))
-        texts = [joined([layout.signs[n] for n in numbers], "mixed") for numbers in choices]
+        sign = dict(zip(model.actions, layout.signs, strict=True))
+        choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
+        texts = [joined([sign[name] for name in names], "mixed") for names in choices]
     signs = [] if policy is None else _signs(model, layout)
     what = label.partition(" (")[0].capitalize()
     acting = ", and what the policy does" if policy is not None else ""
