@@ -209,8 +209,6 @@ class Average(Total):
     def _bounded(self) -> Regret:
         mdp, own = self.chain.mdp.maximised, self.own
         solution = solve(mdp, criterion="average")
-        taken = np.zeros(mdp.n_pairs, dtype=bool)
-        taken[solution.pairs] = True
         return Regret(
             optimal=solution.start,
             learned=own.start,
@@ -219,7 +217,7 @@ class Average(Total):
             learned_value=own.value,
             by_state=np.maximum(solution.value - own.value, 0.0),
             optimal_pairs=np.ones(mdp.n_pairs, dtype=bool),
-            unclear=~taken,
+            unclear=np.bincount(solution.pairs, minlength=mdp.n_pairs) == 0,
             gap=np.zeros(mdp.n_pairs),
             optimum=None,
         )

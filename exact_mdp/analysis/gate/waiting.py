@@ -90,9 +90,7 @@ def shares(label: Integers, came: Floats, by_state: Floats, gap: Floats, wrong: 
 
 def taking(mdp: MDP, pairs: Integers) -> PolicyChain:
     """Return the chain of a policy that takes these pairs (S,)."""
-    chosen = np.zeros(mdp.n_pairs)
-    chosen[pairs] = 1.0
-    return PolicyChain(mdp=mdp, chosen=chosen)
+    return PolicyChain(mdp=mdp, chosen=np.bincount(pairs, minlength=mdp.n_pairs).astype(float))
 
 
 def attaining(mdp: MDP, best: Certificate, optimal: Flags, state: int) -> list[int]:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from exact_mdp import MDP, Claim, SolverError, assert_policy_optimal, check, evaluate
-from exact_mdp.analysis.gate import disagreements
 from exact_mdp.analysis.gate import regret as regret_module
 from exact_mdp.analysis.gate.forgiveness import per_use, widest
 from exact_mdp.solvers.bounds.linear import FixedPoint
@@ -19,7 +18,7 @@ def test_a_verdict_is_shown_where_visits_are_not_known(monkeypatch: pytest.Monke
     def unbounded(*_: Any, **__: Any) -> Any:
         raise SolverError("no bound")
 
-    monkeypatch.setattr(disagreements, "exact_visits", unbounded)
+    monkeypatch.setattr(PolicyChain, "exact_visits", property(unbounded))
     mdp = MDP.from_arrays([np.full((3, 3), 1 / 3)] * 2, [[1.0, 0.0]] * 3, discount=0.9)
     audit = check(mdp, [0, 1, 0], exact_values=False)
     assert not audit.passed
