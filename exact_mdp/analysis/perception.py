@@ -86,12 +86,12 @@ class Passes:
         weights = np.ones((mdp.n_pairs, len(confusions)))
         weights[inside] = mixed[:, mdp.pair_state[inside], mdp.pair_action[inside]].T
         total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
-        return np.asarray(weights / total[mdp.pair_state])
+        return weights / total[mdp.pair_state]
 
     def start_values(self, confusions: Floats) -> Floats:
         """Return (N,) the start values of the policy under confusions (N, Z, Z)."""
         value, _ = self.layers.mean(self.weights(confusions))
-        return np.asarray(self.mdp.start_distribution @ value)
+        return self.mdp.start_distribution @ value
 
 
 # ---- values along accuracies, and under counts ---------------------------------------------------
@@ -199,7 +199,7 @@ class ErrorCosts(Pictured):
     @property
     def marginal(self) -> Floats:
         """(Z, Z) what each unit of probability moved from s read rightly to z loses."""
-        return np.asarray(np.diag(self.derivative)[:, None] - self.derivative)
+        return np.diag(self.derivative)[:, None] - self.derivative
 
     @property
     def by_status(self) -> dict[str, tuple[float, float]]:
@@ -293,7 +293,7 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     passes = Passes(model, policy)
     size, table = passes.statuses, passes.table
     matrix = checked(confusion, size=size, where="confusion matrix")
-    matrix = np.asarray(matrix / matrix.sum(axis=1, keepdims=True))
+    matrix = matrix / matrix.sum(axis=1, keepdims=True)
     weights = passes.weights(np.stack([matrix, np.eye(size)]))
     value, q = passes.layers.mean(weights)
     value_read, perfect = (model.start_distribution @ value).tolist()

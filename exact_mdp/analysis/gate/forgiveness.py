@@ -62,7 +62,7 @@ def per_use(mdp: MDP, known: FixedPoint, *, rewards: bool = True) -> Floats:
     x, error = gain + rate * known.value[there], rate * known.error[there]
     error += 3 * UNIT * (np.abs(gain) + np.abs(x))
     moved = _rounded_rewards(mdp) * rewards + _moved_by_rows(mdp, x, error)
-    return np.asarray(moved * SLACK + TINY)
+    return moved * SLACK + TINY
 
 
 def widest(mdp: MDP, known: FixedPoint) -> float:

@@ -409,7 +409,7 @@ def _losing(ideal: PolicyChain, known: FixedPoint, least_gap: Floats) -> Flags:
         if open_.any():
             with suppress(SolverError):
                 loses &= ~open_ | (least_gap > ties(ideal, known))
-    return np.asarray(loses)
+    return loses
 
 
 def _optimum(mdp: MDP) -> Bounds:
@@ -469,4 +469,4 @@ class ActionBounds:
 
 
 def _outward(values: Floats, sign: int, share: float = SLACK - 1) -> Floats:
-    return np.asarray(values + sign * (share * np.abs(values) + TINY))
+    return values + sign * (share * np.abs(values) + TINY)

@@ -46,7 +46,7 @@ def outcomes(mdp: MDP, pair: int) -> tuple[Fraction, frozenset[tuple[int, Fracti
 def to_blame(chain: PolicyChain, best: Certificate, lost: Floats) -> Flags:
     """Return (L,) pairs of a policy that are to blame for what is lost (S,) in its classes."""
     mdp, table, label = chain.mdp, chain.mdp.table, final_class(chain)
-    of, taken, optimal = mdp.pair_state, chain.chosen > 0, np.asarray(best.optimal_pairs)
+    of, taken, optimal = mdp.pair_state, chain.chosen > 0, best.optimal_pairs
     departs = taken & (mdp.pair_action != best.policy[of])
     moves = label[table.next] != label[of[table.pair]]
     out = np.logical_or.reduceat(moves, table.offsets[:-1]) & optimal

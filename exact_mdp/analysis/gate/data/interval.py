@@ -161,7 +161,7 @@ def over(mdp: MDP) -> Flags:
     """Return (S,) ends, worth 0 whatever the rows: nobody left them, and nobody was cut off."""
     assert mdp.observations is not None
     left = np.logical_or.reduceat(mdp.observations > 0, mdp.pair_offsets[:-1])
-    return np.asarray(mdp.terminal & ~left & ~cut_off(mdp))
+    return mdp.terminal & ~left & ~cut_off(mdp)
 
 
 def entered(mdp: MDP) -> tuple[str, ...]:

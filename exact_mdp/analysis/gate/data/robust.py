@@ -345,7 +345,7 @@ class Operators:
         left, scale = float(1 - mdp.discount_exact), SMALL * (self.ends[1] - self.ends[0])
         if not left:
             for _ in range(SWEEPS):
-                value = np.asarray(take(known, step(known).bound))
+                value = take(known, step(known).bound)
                 if np.abs(value - known).max() <= scale:
                     break
                 known = value
@@ -360,4 +360,4 @@ class Operators:
             if np.abs(target - value).max() <= scale:
                 break
             value = target
-        return np.asarray(known)
+        return known

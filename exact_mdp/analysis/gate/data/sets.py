@@ -223,7 +223,7 @@ class RowSets:
             rewards=rewards and self.known,
         )
         sign = 1 if most else -1
-        bound = np.asarray(mdp.discount * (mdp.transition @ value))  # of rows that are certain
+        bound = mdp.discount * (mdp.transition @ value)  # of rows that are certain
         reward = self.reward[most] if rewards and not self.known else np.zeros(mdp.n_pairs)
         if rewards and self.known:
             reward = np.where(self.counted > 0, 0.0, mdp.reward)
