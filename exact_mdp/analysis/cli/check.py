@@ -15,13 +15,14 @@ from exact_mdp.analysis.cli.words import check_outputs, limits_from, refuse, set
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
-from exact_mdp.analysis.pages.audit import audit_page
-from exact_mdp.analysis.pages.page import ADVICE
+from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells, counts
+from exact_mdp.analysis.pages.page import ADVICE, render
 from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.report import Report, Shown
 
 ON_PAGE = 2000  # disagreements
+AT_THE_TOP = ("passed", "checks")  # of the page
 
 
 def check(
@@ -165,12 +166,32 @@ def _publish(
         suite = f"exact-mdp check {model}"
         ci.write_junit(junit, suite, cases, seconds=seconds, properties=properties)
     if html is not None and isinstance(audit, Audit):
-        words = shlex.join(["exact-mdp", *typed()])
-        page = audit_page(audit, report, model, name, rerun=words, first=ON_PAGE)
-        write_atomically(html, page)
+        write_atomically(html, _page(audit, report, model, name))
     ci.summarise(markdown(report))
     if not report.passed:
         ci.annotate(report.title, text)
+
+
+def _page(audit: Audit, report: Report, model: str, policy: str) -> str:
+    """Return the page: verdict, what is lost, the policy with its wrong states, every table."""
+    layout, actions = arrange(audit.mdp), audit.mdp.actions
+    grid = cells(audit, layout) if layout.cells <= MOST_CELLS else []
+    texts = [text for row in grid for each in row if each for text in (each.text, each.small)]
+    legend = [f"{a} {b}" for a, b in zip(layout.signs, actions, strict=True) if a != b]
+    return render(
+        "audit.html.j2",
+        model=model,
+        policy=policy,
+        passed=audit.passed,
+        verdict="; ".join(map(str, audit.verdicts)),
+        facts=[each for each in report.lines().items() if each[0] not in AT_THE_TOP],
+        layout=layout,
+        cells=grid,
+        legend=", ".join(legend + counts(texts)),
+        tables=[replace(each, first=ON_PAGE) for each in report.shown_tables()],
+        notes=[note for note in report.notes if note != ADVICE],  # at the foot of every page
+        rerun=shlex.join(["exact-mdp", *typed()]),
+    )
 
 
 def _audited(
