@@ -14,8 +14,8 @@ from exact_mdp.analysis.cli.render import markdown
 from exact_mdp.analysis.cli.words import check_outputs, limits_from, refuse, settings_of, typed
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
-from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
 from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells, counts
+from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
 from exact_mdp.analysis.pages.page import ADVICE, render
 from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.io.files import write_atomically

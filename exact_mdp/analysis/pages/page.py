@@ -1,4 +1,4 @@
-"""A page from a template: every text is escaped, and nothing is loaded from elsewhere.
+"""A page from a template, which fills the blocks `title`, `style`, `main` and `script` of the base.
 
 Names come from models and files, so they stay text: jinja2 escapes what stands in elements and
 attributes, `tojson` what a script reads, and characters that steer a terminal or turn the text
