@@ -40,7 +40,7 @@ from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
 from exact_mdp.solvers.exact.find import first_of
-from exact_mdp.solvers.exact.levels import Level, surplus
+from exact_mdp.solvers.exact.levels import surplus
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, at_start, regret
 from exact_mdp.solvers.solver import mdp_of, solve
 from exact_mdp.solvers.values.evaluate import evaluate
@@ -269,7 +269,9 @@ def _certified(mdp: MDP, chain: PolicyChain, best: Certificate) -> Regret:
             for each in (chain, ideal)
         ]
         movable = partial(forgiven, mdp, *zip(chains, (rounded(mine), rounded(value)), strict=True))
-    by_state = _differences(best.h, level)
+    # The exact differences, each rounded once.
+    parts = zip(best.h.top, best.h.each_below, level.top, level.each_below, strict=True)
+    by_state = np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
     if unending:
         with np.errstate(invalid="ignore"):
             apart = np.where(value == mine, 0.0, value - mine)
@@ -324,12 +326,6 @@ def _unending_gaps(
     optimal = np.array(best.optimal_pairs)
     optimal[to_blame(chain, best, by_state)] = False
     return optimal, np.where(best.optimal_pairs, 0.0, np.maximum(gap, 0.0))
-
-
-def _differences(best: Level, own: Level) -> Floats:
-    """Return (S,) the exact differences of the values, each rounded once."""
-    parts = zip(best.top, best.each_below, own.top, own.each_below, strict=True)
-    return np.array([(a * d - c * b) / (b * d) for a, b, c, d in parts])
 
 
 def _gaps(mdp: MDP, best: Certificate, ideal: PolicyChain | None) -> tuple[Flags, Floats]:

@@ -169,7 +169,9 @@ def explore(
     for where, here in models:
         with located(where):
             curve = exact_curves.curve(here, names[0], spans[names[0]], policy=policy)
-            _prove(here, curve)
+            for point in certified(curve):
+                if proven(here.at({names[0]: point})).start_value != curve.at(point):
+                    raise RuntimeError(f"the curve is not the optimum at {point}")
         curves.append(curve)
     if said is None and policy is not None:
         said = policy if isinstance(policy, str) else "the policy"
@@ -188,13 +190,6 @@ def certified(curve: ValueFunction) -> list[Fraction]:
     points |= {end for piece in curve.pieces for end in (*piece.low, *piece.high)}
     today = curve.parameter.value
     return sorted(points | ({today} if curve.range.low <= today <= curve.range.high else set()))
-
-
-def _prove(family: Parametric, curve: ValueFunction) -> None:
-    """Prove the optimum at the points that are called certified, and compare the ratios there."""
-    for point in certified(curve):
-        if proven(family.at({curve.parameter.name: point})).start_value != curve.at(point):
-            raise RuntimeError(f"the curve is not the optimum at {point}")
 
 
 # ---- what the script of the page reads ---------------------------------------------------------
