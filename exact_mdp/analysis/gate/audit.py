@@ -254,7 +254,8 @@ class Audit(Pictured):
                 moved = below.create_decimal(Decimal(float(regret.forgiven)))
                 name += " up to the rounding of the given floats"
                 text += f"; rounding can move it by up to {moved:g}"
-            yield _decided("the regret", name, regret.zero, text)
+            zero = regret.decided(Fraction(0)) or regret.decided(regret.forgiven)
+            yield _decided("the regret", name, zero, text)
         if self.max_regret is not None:
             name = f"at most {shown(self.max_regret, 10)}"
             yield _decided("the regret", name, regret.decided(self.max_regret), text)

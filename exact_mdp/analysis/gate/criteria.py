@@ -284,11 +284,11 @@ class UnderLimits(Total):
         return limit.sign * (self.totals[limit.name] - limit.bound) >= 0
 
     @cached_property
-    def priced(self) -> MDP:
-        """The model that earns r + λ c; the model itself where no policy keeps the limits."""
+    def _total(self) -> Total:
+        """The audit of the model that earns r + λ c; of itself where no policy keeps the limits."""
         of, best = self.best.of, self.best
         if not best.feasible:
-            return of.mdp
+            return Total(chain=replace(self.chain, mdp=of.mdp))
         whole, below = common(best.weights)
         scale = of.rows.scale[of.mdp.pair_state].astype(object)
         table = replace(
@@ -296,12 +296,8 @@ class UnderLimits(Total):
             gain=integers((of.sign * of.weighted(whole).astype(object)).tolist()),
             gain_denominator=integers((scale * below).tolist()),
         )
-        return of.mdp.with_(table=table, goal=None)
-
-    @cached_property
-    def _total(self) -> Total:
-        """The audit of the priced model."""
-        return Total(chain=replace(self.chain, mdp=self.priced))
+        priced = of.mdp.with_(table=table, goal=None)
+        return Total(chain=replace(self.chain, mdp=priced))
 
     def regret(self, exact: bool | None) -> Regret:
         """Return the regret against the optimum under limits; NaN where no policy keeps them."""

@@ -115,11 +115,6 @@ class Regret(Brief):
         """Return whether the regret is at most `limit`; None where the bounds do not decide."""
         return kept(ends(self.at_start), limit)
 
-    @property
-    def zero(self) -> bool | None:
-        """Whether the regret is zero up to rounding; None where the bounds do not decide."""
-        return self.decided(Fraction(0)) or self.decided(self.forgiven)
-
 
 def ends(number: Certified | Bounded) -> tuple[Fraction | float, Fraction | float]:
     """Return between what a number lies: exactly where it is certified."""

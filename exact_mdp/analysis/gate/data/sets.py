@@ -189,22 +189,19 @@ class RowSets:
             )
         return np.asarray(gain[np.append(True, ~again)])
 
-    def blocks(self, gain: float) -> list[Block]:
-        """Return the counted rows, each with one more outcome that nobody saw, of reward `gain`.
+    @cached_property
+    def blocks(self) -> list[list[Block]]:
+        """The counted rows, each with one more outcome that nobody saw, of the least reward; most.
 
         The states' numbers end with one for that outcome.
         """
         ends = self.counts.indptr
         seen = self.gains if self.known else np.zeros(self.counts.nnz)
-        following = np.insert(self.counts.indices, ends[1:], self.mdp.n_states)
-        gains = np.insert(seen, ends[1:], gain * self.known)
+        following = np.insert(self.counts.indices, ends[1:], self.mdp.n_states).astype(np.int64)
+        counts = np.insert(self.counts.data, ends[1:], 0.0)
         rows = ends[:-1] + np.arange(len(self.pairs)), np.diff(ends) + 1
-        outcomes = following.astype(np.int64), np.insert(self.counts.data, ends[1:], 0.0), gains
-        return side_by_side(self.pairs, rows, outcomes)
-
-    @cached_property
-    def _blocks(self) -> tuple[list[Block], list[Block]]:
-        return self.blocks(self.rewards[0]), self.blocks(self.rewards[1])
+        gains = (np.insert(seen, ends[1:], gain * self.known) for gain in self.rewards)
+        return [side_by_side(self.pairs, rows, (following, counts, each)) for each in gains]
 
     def worth(self, value: Floats, *, most: bool, rewards: bool = True) -> Step:
         """Return what nature makes of every pair at values (S,): as much or as little as it can.
@@ -213,7 +210,7 @@ class RowSets:
         """
         mdp, pairs = self.mdp, self.pairs
         far = int(value.argmax() if most else value.argmin())
-        blocks = self._blocks[most]
+        blocks = self.blocks[most]
         values = inner(
             Likelihood(radius=self.radius),
             blocks,
