@@ -30,7 +30,6 @@ from exact_mdp.analysis.gate.forgiveness import per_use, rounded
 from exact_mdp.analysis.gate.regret import LAST_CYCLE, Regret, cheap, policy_regret, proven
 from exact_mdp.analysis.gate.waiting import taking
 from exact_mdp.analysis.optimum import sound
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
 from exact_mdp.solvers.bounds.bounds import Bounds
