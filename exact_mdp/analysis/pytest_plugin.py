@@ -12,7 +12,6 @@ the audit is returned. What was found is recorded in pytest's own JUnit report (
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +29,13 @@ SUFFIXES = (".toml", ".npz", ".umb", ".json", ".csv", ".npy")
 @pytest.fixture
 def policy_gate(request: pytest.FixtureRequest) -> Callable[..., Audit | TrainerAudit]:
     """Assert that a policy loses no more than it may against the exact optimum of a model."""
+    from exact_mdp.analysis.exit_status import answering
+    from exact_mdp.analysis.gate.check import check
+    from exact_mdp.analysis.learning.trainers import check_trainer
+    from exact_mdp.mdp.errors import ModelError
+    from exact_mdp.mdp.io.load import load
 
+    @answering()
     def gate(
         model: MDP | str | Path,
         policy: Any,
@@ -40,34 +45,29 @@ def policy_gate(request: pytest.FixtureRequest) -> Callable[..., Audit | Trainer
         **limits: Any,
     ) -> Any:
         __tracebackhide__ = True
-        load = import_module("exact_mdp.mdp.io.load").load
         if isinstance(model, str | Path):
             mdp = load(_beside(request.path, model), sets=set, discount=discount)
         else:
             mdp = model if discount is None else model.with_(discount=discount)
         # Not by `record_property`, which warns where pytest's own report is of the family xunit2.
         if "runs" in limits:
-            check = import_module("exact_mdp.analysis.learning.trainers").check_trainer
             if isinstance(policy, list | tuple | Iterator):
                 policy = [_beside(request.path, one) for one in policy]
-            result = check(mdp, policy, **{"rng": 0} | limits)
+            result: Any = check_trainer(mdp, policy, **{"rng": 0} | limits)
         else:
             if few := [name for name in OF_RUNS if name in limits]:
-                raise import_module("exact_mdp.mdp.errors").ModelError(
+                raise ModelError(
                     f"{few[0]} is a question of several runs",
                     where=few[0],
                     fix="give runs, as in runs=100, or leave it out",
                 )
-            check = import_module("exact_mdp.analysis.gate.check").check
             result = check(mdp, _beside(request.path, policy), **limits)
         request.node.user_properties += result.measures.items()
         if not result.passed:
             pytest.fail(result.message(), pytrace=False)
         return result
 
-    judged: Callable[..., Audit | TrainerAudit]
-    judged = import_module("exact_mdp.analysis.exit_status").answering()(gate)
-    return judged
+    return gate
 
 
 def _beside(test: Path, name: Any) -> Any:

@@ -178,10 +178,10 @@ class OffPolicy:
 def _trajectories(
     mdp: MDP, ratio: Floats, record: transitions.Record, horizon: int | None
 ) -> tuple[Floats, Floats, Integers, Flags, int]:
-    """Return weight, return and length (E,) of each episode, whether it was cut off, and entries.
+    """Return weight, return and length (E,) of each episode, and whether it was cut off.
 
-    These are episodes that stop in a state that is taken for an end. `ratio` is (1, L), or (N, L)
-    by time.
+    Last comes how many stop in a state that is taken for an end. `ratio` is (1, L), or (N, L) by
+    time.
     """
     parts = list(record.read())
     if not parts:
