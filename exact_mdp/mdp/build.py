@@ -536,7 +536,6 @@ def _model(
     names |= named_components(names, table)
     discount, start = names.pop("discount"), names.pop("start")
     return dict(
-        table=table,
         pair_state=state,
         pair_action=action,
         space=space,

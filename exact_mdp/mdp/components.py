@@ -1,18 +1,18 @@
 """What a reward is made of: the exact expected amount of each component, for every pair.
 
-    r(l) = Σ_c amount[l, c] / denominator[l]
+    r(l) = Σ_c components[l, c] / component_denominator[l]
 
-Amounts are integers over one denominator for each pair, or floats, each the dyadic rational that it
-is. What components given by name leave of the reward is one more, "rest"; so a cost that is no part
-of the reward (Altman, Constrained Markov Decision Processes, 1999) is a component like any other.
-Floats that add up to the reward but for rounding, and exactly as the decimals that they print as,
-are these decimals: 6.1 and -1.1 are parts of 5.
+The amounts are columns of the table of outcomes: integers over one denominator for each pair, or
+floats, each the dyadic rational that it is. What components given by name leave of the reward is
+one more, "rest"; so a cost that is no part of the reward (Altman, Constrained Markov Decision
+Processes, 1999) is a component like any other. Floats that add up to the reward but for rounding,
+and exactly as the decimals that they print as, are these decimals: 6.1 and -1.1 are parts of 5.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
 from fractions import Fraction
 from typing import Any
 
@@ -24,7 +24,6 @@ from exact_mdp.mdp.table import (
     Floats,
     Numbers,
     OutcomeTable,
-    divide,
     dyadic,
     integers,
     multiply,
@@ -36,62 +35,19 @@ from exact_mdp.mdp.table import (
 REST = "rest"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ComponentTable:
-    """Expected reward of L pairs by component: `amount` (L, C) over `denominator` (L,)."""
-
-    amount: Numbers
-    denominator: Numbers
-
-    def floats(self) -> Floats:
-        """Return (L, C) the amounts, each rounded once."""
-        pairs, parts = self.amount.shape
-        counts = np.full(pairs, parts)
-        return divide(self.amount.reshape(-1), self.denominator, counts).reshape(pairs, parts)
-
-    def exact(self) -> tuple[Numbers, Numbers]:
-        """Return the amounts as integers (L, C) over denominators (L,)."""
-        if self.amount.dtype != np.float64:
-            return self.amount, self.denominator
-        pairs, parts = self.amount.shape
-        top, bottom = dyadic(self.amount.reshape(-1), np.arange(pairs + 1) * parts)
-        return top.reshape(pairs, parts), bottom
-
-    def column(self, number: int) -> tuple[Numbers, Numbers]:
-        """Return the amounts (L,) of one component over their denominators (L,)."""
-        return np.ascontiguousarray(self.amount[:, number]), self.denominator
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, ComponentTable) or self.amount.shape != other.amount.shape:
-            return NotImplemented
-        (ours, below), (theirs, bottom) = self.exact(), other.exact()
-        left = multiply(ours, bottom[:, None]), multiply(theirs, below[:, None])
-        return np.array_equal(*left)
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __neg__(self) -> ComponentTable:
-        amount = self.amount
-        if amount.dtype == np.int64 and amount.min(initial=0) == np.iinfo(np.int64).min:
-            amount = amount.astype(object)
-        return ComponentTable(amount=-amount, denominator=self.denominator)
-
-
-def of_columns(columns: Sequence[tuple[Numbers, Numbers]]) -> ComponentTable:
-    """Return the table of components that are given as numerators and denominators (L,) each."""
+def made_of(table: OutcomeTable, columns: Sequence[tuple[Numbers, Numbers]]) -> OutcomeTable:
+    """Return a table with components, given as numerators and denominators (L,) each."""
     if all(top.dtype == np.float64 for top, _ in columns):
-        amount = np.stack([top for top, _ in columns], axis=1)
-        return ComponentTable(amount=amount, denominator=ones(len(amount)))
-    each = [reduced(*_whole(column)) for column in columns]
-    bottom = each[0][1].astype(object)
-    for _, below in each[1:]:
-        bottom = np.lcm(bottom, below.astype(object))
-    amounts = [multiply(top, bottom // below).astype(object) for top, below in each]
-    shape = len(bottom), len(columns)
-    return ComponentTable(
-        amount=integers(np.stack(amounts, axis=1).reshape(-1).tolist()).reshape(shape),
-        denominator=integers(bottom.tolist()),
-    )
+        amounts, bottom = np.stack([top for top, _ in columns], axis=1), ones(table.pairs)
+    else:
+        each = [reduced(*_whole(column)) for column in columns]
+        common = np.lcm.reduce([below.astype(object) for _, below in each])
+        whole = [multiply(top, common // below).astype(object) for top, below in each]
+        amounts = integers(np.stack(whole, axis=1).reshape(-1).tolist())
+        amounts, bottom = amounts.reshape(table.pairs, len(columns)), integers(common.tolist())
+    made = copy(table)  # what is known of its rows still holds
+    vars(made).update(components=amounts, component_denominator=bottom)
+    return made
 
 
 def _whole(column: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
@@ -99,30 +55,32 @@ def _whole(column: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
     return dyadic(top, np.arange(len(top) + 1)) if top.dtype == np.float64 else (top, bottom)
 
 
-def completed(
-    columns: Mapping[str, tuple[Numbers, Numbers]], table: OutcomeTable
-) -> tuple[tuple[str, ...], ComponentTable]:
+def _completed(
+    columns: dict[str, tuple[Numbers, Numbers]], earned: OutcomeTable
+) -> tuple[tuple[str, ...], OutcomeTable]:
     """Return names and table of components that were given by name, with the rest of the reward."""
-    components = of_columns(list(columns.values()))
-    left, below = _rest(components, table)
+    table = made_of(earned, [*columns.values()])
+    left, below = _rest(table)
     if not np.asarray(left != 0).any():
-        return tuple(columns), components
-    if _adds_up(components, table):
-        printed = of_columns([_as_printed(column) for column in columns.values()])
-        whole = not np.asarray(_rest(printed, table)[0] != 0).any()
-        return tuple(columns), printed if whole else components
+        return tuple(columns), table
+    floats = np.float64 in (table.components.dtype, table.gain.dtype, table.weight.dtype)
+    if floats and not wrong_rows(table, table.expected_gain()).any():
+        printed = made_of(table, [*map(_as_printed, columns.values())])
+        whole = not np.asarray(_rest(printed)[0] != 0).any()
+        return tuple(columns), printed if whole else table
     if REST in columns:
         raise ModelError(
             f"components are given with one called {REST!r}, and do not add up to the reward",
             where="components",
             fix=f"leave {REST!r} out: it is what the others leave of the reward",
         )
-    return (*columns, REST), of_columns([*columns.values(), reduced(left, below)])
+    more = columns | {REST: reduced(left, below)}
+    return tuple(more), made_of(table, [*more.values()])
 
 
-def _rest(components: ComponentTable, table: OutcomeTable) -> tuple[Numbers, Numbers]:
+def _rest(table: OutcomeTable) -> tuple[Numbers, Numbers]:
     """Return what components leave of the reward of each pair, over denominators (L,)."""
-    amount, below = components.exact()
+    amount, below = table.expected_components_exact()
     total = np.asarray(multiply(amount, integers([1]), terms=amount.shape[1]).sum(axis=1))
     gain, bottom = table.expected_gain_exact()
     return multiply(gain, below) - multiply(total, bottom), multiply(bottom, below)
@@ -136,15 +94,9 @@ def _as_printed(column: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
     return over_groups(values, np.arange(len(values) + 1))
 
 
-def _adds_up(components: ComponentTable, table: OutcomeTable) -> bool:
-    """Return whether floats add up to the reward but for rounding."""
-    given = np.float64 in (components.amount.dtype, table.gain.dtype, table.weight.dtype)
-    return given and not wrong_rows(components, table.expected_gain()).any()
-
-
-def wrong_rows(components: ComponentTable, reward: Floats) -> Numbers:
+def wrong_rows(table: OutcomeTable, reward: Floats) -> Numbers:
     """Return (L,) where components do not add up to the rewards, up to rounding in floats."""
-    floats = components.floats()
+    floats = table.expected_components()
     with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
         total = floats.sum(axis=1)
         scale = np.abs(floats).sum(axis=1) + np.abs(reward)
@@ -186,25 +138,24 @@ def of_length(values: Any, where: str, pairs: int) -> Any:
 
 
 def named_components(parts: dict[str, Any], table: OutcomeTable) -> dict[str, Any]:
-    """Take `components`, of pairs or transitions, out of parts; return names and table of all."""
+    """Take `components` out of parts; return the names of all, and the table with them."""
     if parts.get("components") is None:
         parts.pop("components", None)
-        return {}
+        return {"table": table}
     each_component(parts, lambda values, where: _of_table(values, where, table))
     columns = {}
     for name, values in parts.pop("components").items():
         if values.ndim == 1:
             top, bottom = grouped(np.array(values), np.arange(table.pairs + 1))
         else:
-            gain, under = grouped(picked(values, table.pair, table.next), table.offsets)
-            earning = replace(table, gain=gain, gain_denominator=under)
-            top, bottom = earning.expected_gain_exact()
+            gain = grouped(picked(values, table.pair, table.next), table.offsets)
+            top, bottom = table.earning(*gain).expected_gain_exact()
         if top.dtype == np.float64 and not np.isfinite(top).all():
             what = f"an amount is {top[~np.isfinite(top)][0]}"
             raise ModelError(what, where=f"component {name}", fix="give a finite number")
         columns[name] = top, bottom
-    names, known = completed(columns, table)
-    return {"component_names": names, "component_table": known}
+    names, table = _completed(columns, table)
+    return {"component_names": names, "table": table}
 
 
 def _of_table(values: Any, where: str, table: OutcomeTable) -> Any:

@@ -11,7 +11,7 @@ each number rounded once (state-action pairs: Puterman, Markov Decision Processe
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -85,9 +85,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         The discount γ in [0, 1].
     start : tuple of (state, probability)
         Initial distribution, by the numbers of states; state 0 unless said otherwise.
-    component_table, component_names : ComponentTable or None, tuple of str
-        Exact expected reward by component, of which there are C; None where the reward is the only
-        one. `components` has it in floats (L, C), whose row sums are `reward`.
+    component_names : tuple of str
+        Names of the C components of the reward. `components` has the expected reward by component
+        (L, C), whose row sums are `reward`.
     events : tuple of str
         Names of the bits of `table.event`.
     time_limit : int, optional
@@ -169,8 +169,8 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
 
     def _lock(self) -> None:
         """Make all arrays read-only."""
-        for part in (self, self.table, self.component_table, self.transition):
-            for value in () if part is None else vars(part).values():
+        for part in (self, self.table, self.transition):
+            for value in vars(part).values():
                 if isinstance(value, np.ndarray):
                     value.setflags(write=False)
 
@@ -297,8 +297,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     @cached_property
     def components(self) -> Floats:
         """(L, C) the expected reward of each pair by component."""
-        table = self.component_table
-        amounts = self.reward[:, None] if table is None else table.floats()
+        amounts = self.table.expected_components()
         amounts.setflags(write=False)
         return amounts
 
@@ -312,9 +311,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         (('effort', 'rest'), [-1, 3])
         """
         known(name, self.component_names, "component", "components")
-        if self.component_table is None:
-            return self.table.expected_gain_exact()
-        amount, denominator = self.component_table.exact()
+        amount, denominator = self.table.expected_components_exact()
         return np.asarray(amount[:, self.component_names.index(name)]), denominator
 
     @cached_property
@@ -342,8 +339,8 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     def over(self) -> NDArray[np.bool_]:
         """(S,) True where all is over: terminal, without any component or event to be counted."""
         counted = np.zeros(self.n_pairs, dtype=bool)
-        if self.component_table is not None:
-            counted |= np.asarray(self.component_table.amount != 0, dtype=bool).any(axis=1)
+        if self.table.components is not None:
+            counted |= np.asarray(self.table.components != 0, dtype=bool).any(axis=1)
         if self.table.event is not None:
             counted |= self.table.any_outcome("event")
         return self.terminal & ~np.logical_or.reduceat(counted, self.pair_offsets[:-1])
@@ -409,18 +406,16 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         same = lengths == lengths[first]
         rows = np.flatnonzero(same)
         ours, theirs = table.of_pairs(rows), table.of_pairs(first[rows])
-        for name in ("next", "weight", "denominator", "gain", "gain_denominator", "event"):
+        for name in [part.name for part in fields(table)[1:]]:  # all but the offsets
             here, there = getattr(ours, name), getattr(theirs, name)
             if here is None:
                 continue
             equal = np.asarray(here == there, dtype=bool)
-            each = len(equal) == len(ours.next)
-            if each:
+            if equal.ndim == 2:
+                equal = np.asarray(equal.all(axis=1))
+            if len(equal) == len(ours.next):
                 equal = np.asarray(np.logical_and.reduceat(equal, ours.offsets[:-1]))
             same[rows] &= equal
-        if (known := self.component_table) is not None:
-            same &= np.asarray(known.amount == known.amount[first], dtype=bool).all(axis=1)
-            same &= np.asarray(known.denominator == known.denominator[first], dtype=bool)
         return np.asarray(np.logical_and.reduceat(same, self.pair_offsets[:-1]))
 
     def pairs_of(self, state: int) -> range:
@@ -524,10 +519,12 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             parts.setdefault("episodes", None)
         if "table" in parts:
             parts = questions.NO_DATA | parts
-            if not parts.keys() & {"components", "component_table"}:
+            if not parts.keys() & {"components", "component_names"}:
+                table = of_type(parts["table"], OutcomeTable, "table", "give an OutcomeTable")
                 parts |= questions.ONE_COMPONENT
+                parts["table"] = table.earning(table.gain, table.gain_denominator)
         if "components" in parts:
-            if self.component_table is not None:
+            if self.table.components is not None:
                 parts.setdefault("component_names", self.component_names)
             parts |= named_components(parts, parts.get("table", self.table))
         return replace(self, **parts)
@@ -548,13 +545,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         >>> costs.negated().sense, costs.negated().reward.tolist()
         ('max', [-1.5, 0.0])
         """
-        gain = self.table.gain
-        if gain.dtype == np.int64 and gain.min() == np.iinfo(np.int64).min:
-            gain = gain.astype(object)
         return replace(
             self,
-            table=replace(self.table, gain=-gain),
-            component_table=None if self.component_table is None else -self.component_table,
+            table=self.table.negated(),
             sense="max" if self.sense == "min" else "min",
             unreached=-self.unreached,
         )
@@ -652,23 +645,23 @@ def _transition(table: OutcomeTable, states: int) -> sp.csr_array:
 
 
 def _check_components(mdp: MDP) -> None:
-    table, names = mdp.component_table, mdp.component_names
-    if table is None and len(names) == 1:
+    amounts, below = mdp.table.components, mdp.table.component_denominator
+    if amounts is None and len(mdp.component_names) == 1:
         return
-    shape = (mdp.n_pairs, len(names))
-    if table is None or table.amount.shape != shape or table.denominator.shape != shape[:1]:
+    shape = (mdp.n_pairs, len(mdp.component_names))
+    if amounts is None or amounts.shape != shape or np.shape(below) != shape[:1]:
         raise ModelError(
-            f"components have shape {None if table is None else table.amount.shape}, not {shape}",
+            f"components have shape {np.shape(amounts)}, not {shape}",
             where="reward components",
             fix="give one column for each component name",
         )
-    if not table.denominator.min() > 0:
+    if not below.min() > 0:
         raise ModelError(
             "a denominator of the components is not positive",
             where="reward components",
             fix="make it > 0",
         )
-    wrong = wrong_rows(table, mdp.reward)
+    wrong = wrong_rows(mdp.table, mdp.reward)
     if wrong.any():
         pair = int(np.flatnonzero(wrong)[0])
         raise ModelError(

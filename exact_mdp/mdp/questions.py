@@ -26,7 +26,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.components import ComponentTable, of_columns
+from exact_mdp.mdp.components import made_of
 from exact_mdp.mdp.errors import ModelError, known, located, suggest
 from exact_mdp.mdp.space import TIME, Column, StateSpace
 from exact_mdp.mdp.table import (
@@ -45,7 +45,7 @@ from exact_mdp.mdp.table import (
 from exact_mdp.mdp.validate import Flags, Parts, by_state, counted
 
 REACHED, TERMINAL_VALUE = "reached", "terminal value"
-ONE_COMPONENT = {"component_names": ("reward",), "component_table": None}
+ONE_COMPONENT = {"component_names": ("reward",)}
 # Other rows than those that were observed; a pair has no number of them for each time either.
 NO_DATA: dict[str, Any] = {"observations": None, "episodes": None}
 
@@ -95,9 +95,8 @@ class Questions(Parts):
                     fix="allow it, or start elsewhere",
                 )
         states, pairs = np.append(self.pair_state, size), self.n_pairs
-        unearned = replace(self.table, gain=np.zeros(pairs, np.int64))
         table = _ended(
-            replace(unearned, gain_denominator=ones(pairs)),
+            self.table.earning(np.zeros(pairs, np.int64), ones(pairs)),
             np.append((target | outside)[self.pair_state], True),
             np.where(np.append(target, False)[states], size, states),
         )
@@ -158,9 +157,12 @@ class Questions(Parts):
         target = labelled(self, label)
         model: Any = self
         if reward is not None and (reward,) != self.component_names:
-            gain, below = _component(self, reward)
-            table = replace(self.table, gain=gain, gain_denominator=below)
-            model = replace(self, table=table, component_table=None, component_names=(reward,))
+            if reward not in self.component_names:
+                fix = suggest(reward, self.component_names)
+                what = f"no reward component {reward!r}"
+                raise ModelError(what, where="reward components", fix=fix)
+            table = self.table.earning_component(self.component_names.index(reward))
+            model = replace(self, table=table, component_names=(reward,))
         until: Self = ended(model, target, goal=target if self.discount_exact == 1 else None)
         return until
 
@@ -214,14 +216,13 @@ class Questions(Parts):
                 where="state space",
                 fix="unroll the model that it was made from, or name that column differently",
             )
-        table, first, known = self.table, offsets, self.component_table
         rows = _kept(self, offsets, over)
-        kept = table.of_pairs(rows)
+        kept = self.table.of_pairs(rows)
         _check_size(self, own, count, len(kept.next))
 
         def layers(values: Numbers, last: Numbers) -> Numbers:
             """Return what each of the times 0 … N-1 has, and what the last one has."""
-            return np.concatenate([np.tile(values, count), last])
+            return np.concatenate([np.tile(values, (count, *[1] * (values.ndim - 1))), last])
 
         def ending(name: str, values: Numbers) -> Numbers:
             return layers(values, _certain(name, values, states))
@@ -237,30 +238,15 @@ class Questions(Parts):
         def timed(flags: Flags) -> Flags:
             return np.append(np.tile(flags[:own], count + 1), flags[own:])
 
-        components: dict[str, Any] = {
-            "component_table": None
-            if known is None
-            else ComponentTable(
-                amount=np.concatenate(
-                    [
-                        np.tile(known.amount[rows], (count, 1)),
-                        np.zeros_like(known.amount[first[:-1]]),
-                    ]
-                ),
-                denominator=layers(known.denominator[rows], np.ones(states, np.int64)),
-            )
-        }
+        names = self.component_names
         if any(values):
             later = [self.discount_exact * values[state] for state in kept.next]
-            paid = _paid(layered, len(rows) * (count - 1), later)
-            if self.component_names != ("reward",):
-                components = _with_payment(self, components["component_table"], layered, paid)
-            layered = paid
+            names, layered = _paid(layered, len(rows) * (count - 1), later, names)
         parts = {
             "table": layered,
-            **components,
+            "component_names": names,
             "pair_state": layers(self.pair_state[rows], np.arange(states)) + own * time,
-            "pair_action": layers(self.pair_action[rows], self.pair_action[first[:-1]]),
+            "pair_action": layers(self.pair_action[rows], self.pair_action[offsets[:-1]]),
             "space": StateSpace(
                 columns=(Column(name=TIME, size=count + 1), *space.columns), extra=space.extra
             ),
@@ -304,16 +290,6 @@ def labelled(model: Parts, label: str) -> Flags:
     return model.labels[known(label, model.labels, "label", "labels")]
 
 
-def _component(model: Parts, name: str) -> tuple[Numbers, Numbers]:
-    """Return the expected reward (L,) of a component over its denominators (L,)."""
-    if name not in model.component_names:
-        fix = suggest(name, model.component_names)
-        raise ModelError(f"no reward component {name!r}", where="reward components", fix=fix)
-    if model.component_table is None:
-        return model.table.expected_gain_exact()
-    return model.component_table.column(model.component_names.index(name))
-
-
 def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
     """Return the table whose marked pairs lead for sure to the states that follow, and earn 0.
 
@@ -321,7 +297,7 @@ def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
     """
 
     def longer(name: str, values: Numbers) -> Numbers:
-        return np.append(values, _certain(name, values, 1))
+        return np.concatenate([values, _certain(name, values, 1)])
 
     ending = replace(
         table.mapped(longer, longer),
@@ -336,17 +312,14 @@ def _ended(table: OutcomeTable, ends: Flags, follows: Numbers) -> OutcomeTable:
 
 def ended(model: Any, states: Flags, **changes: Any) -> Any:
     """Return the model with some states (S,) made terminal, and with other changes."""
-    ends, parts = states[model.pair_state], model.component_table
-    if parts is not None:
-        parts = replace(parts, amount=np.where(ends[:, None], 0, parts.amount))
-    table = _ended(model.table, ends, model.pair_state)
-    return replace(model, table=table, component_table=parts, **NO_DATA, **changes)
+    table = _ended(model.table, states[model.pair_state], model.pair_state)
+    return replace(model, table=table, **NO_DATA, **changes)
 
 
 def _certain(name: str, values: Numbers, count: int) -> Numbers:
     """Return the numbers of a name for outcomes that are certain, and earn 0."""
-    one = name in ("weight", "denominator", "gain_denominator")
-    return np.full(count, int(one), dtype=values.dtype)
+    one = name == "weight" or name.endswith("denominator")
+    return np.full((count, *values.shape[1:]), int(one), dtype=values.dtype)
 
 
 # ---- episodes of N steps -------------------------------------------------------------------------
@@ -380,8 +353,10 @@ def _values(numbers: object, space: StateSpace) -> list[Fraction]:
         return [exact(values.get(state, 0)) for state in range(space.size)]
 
 
-def _paid(table: OutcomeTable, first: int, more: Sequence[Fraction]) -> OutcomeTable:
-    """Return a table of rewards of outcomes; those from pair `first` on earn so much more."""
+def _paid(
+    table: OutcomeTable, first: int, more: Sequence[Fraction], names: tuple[str, ...]
+) -> tuple[tuple[str, ...], OutcomeTable]:
+    """Return a table whose outcomes from pair `first` on earn so much more; and its components."""
     gain, below = table.integer_gains()
     gain = (gain[table.pair] if len(gain) == table.pairs else gain).astype(object)
     below = below.astype(object)
@@ -394,25 +369,18 @@ def _paid(table: OutcomeTable, first: int, more: Sequence[Fraction]) -> OutcomeT
         for own, bottom, later in zip(gain[here], below[pair], more, strict=True)
     ]
     gain[here], below[last] = over_groups(earned, table.offsets[first : last.stop + 1] - begin)
-    return replace(table, gain=integers(gain.tolist()), gain_denominator=integers(below.tolist()))
-
-
-def _with_payment(
-    model: Parts, known: ComponentTable | None, before: OutcomeTable, after: OutcomeTable
-) -> dict[str, Any]:
-    """Return the components of a reward, and one more: what terminal values add to it."""
-    (old, under), (new, below) = before.expected_gain_exact(), after.expected_gain_exact()
+    paid = table.earning(integers(gain.tolist()), integers(below.tolist()))
+    if names == ("reward",):
+        return names, paid
+    (old, under), (new, below) = table.expected_gain_exact(), paid.expected_gain_exact()
     added = new.astype(object) * under - old.astype(object) * below
-    columns = [(old, under)]
-    if known is not None:
-        columns = [known.column(number) for number in range(known.amount.shape[1])]
+    amounts, bottoms = table.expected_components_exact()
+    columns = [(column, bottoms) for column in amounts.T]
     name = TERMINAL_VALUE
-    while name in model.component_names:
+    while name in names:
         name += "'"
-    return {
-        "component_table": of_columns([*columns, reduced(added, below.astype(object) * under)]),
-        "component_names": (*model.component_names, name),
-    }
+    columns.append(reduced(added, below.astype(object) * under))
+    return (*names, name), made_of(paid, columns)
 
 
 def _in_columns(model: Parts, over: Flags) -> StateSpace:

@@ -58,6 +58,8 @@ class OutcomeTable:
     gain, gain_denominator : (N,), or (L,) where the pair alone decides it; (L,)
     event : (N,) uint8, optional
         Bit b is set on outcomes where the model's event number b happens.
+    components, component_denominator : (L, C), (L,), optional
+        Expected reward of each pair by component; without them the reward is the only one.
     """
 
     offsets: Integers
@@ -67,6 +69,8 @@ class OutcomeTable:
     gain: Numbers
     gain_denominator: Numbers
     event: NDArray[np.uint8] | None = None
+    components: Any = None
+    component_denominator: Any = None
 
     @property
     def pairs(self) -> int:
@@ -129,12 +133,37 @@ class OutcomeTable:
             "gain": of_pair if by_pair else of_outcome,
             "gain_denominator": of_pair,
             "event": of_outcome,
+            "components": of_pair,
+            "component_denominator": of_pair,
         }
         known = {name: getattr(self, name) for name in parts}
         changed = {
             name: parts[name](name, array) for name, array in known.items() if array is not None
         }
         return replace(self, **changed)
+
+    def earning(self, gain: Numbers, below: Numbers) -> OutcomeTable:
+        """Return the table of another reward, which has no components."""
+        parts: dict[str, Any] = {"components": None, "component_denominator": None}
+        return replace(self, gain=gain, gain_denominator=below, **parts)
+
+    def earning_component(self, number: int) -> OutcomeTable:
+        """Return the table whose reward is a component alone."""
+        if self.components is None:
+            return self
+        gain = np.ascontiguousarray(self.components[:, number])
+        return self.earning(gain, self.component_denominator)
+
+    def negated(self) -> OutcomeTable:
+        """Return the table of the rewards times -1."""
+        parts: dict[str, Any] = {"gain": self.gain, "components": self.components}
+        for name, array in parts.items():
+            if array is None:
+                continue
+            if array.dtype == np.int64 and array.min(initial=0) == np.iinfo(np.int64).min:
+                array = array.astype(object)
+            parts[name] = -array
+        return replace(self, **parts)
 
     def probabilities(self) -> Floats:
         """Return the (N,) outcome probabilities, each rounded once."""
@@ -172,6 +201,24 @@ class OutcomeTable:
             gain, gain_below = dyadic(gain, offsets)
         total = row_sums(multiply(weight[earning], gain), offsets)
         return total, multiply(below, gain_below)
+
+    def expected_components(self) -> Floats:
+        """Return (L, C) the expected reward by component, each number rounded once."""
+        if self.components is None:
+            return self.expected_gain()[:, None]
+        shape = self.components.shape
+        return divide(self.components, np.broadcast_to(self.component_denominator[:, None], shape))
+
+    def expected_components_exact(self) -> tuple[Numbers, Numbers]:
+        """Return the expected reward by component as integers (L, C) over integers (L,)."""
+        if self.components is None:
+            gain, below = self.expected_gain_exact()
+            return gain[:, None], below
+        if self.components.dtype != np.float64:
+            return self.components, self.component_denominator
+        pairs, parts = self.components.shape
+        top, below = dyadic(self.components.reshape(-1), np.arange(pairs + 1) * parts)
+        return top.reshape(pairs, parts), below
 
     def integer_weights(self) -> tuple[Numbers, Numbers]:
         """Return (N,), (L,) integers: what each row means, over a denominator of its own."""

@@ -12,7 +12,6 @@ from typing import Any, TypeAlias, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import (
     DistributionError,
     ModelError,
@@ -60,7 +59,6 @@ class Parts:
     discount_exact: Fraction = Fraction(1)
     start: tuple[tuple[int, Fraction], ...] = ((0, Fraction(1)),)
     component_names: tuple[str, ...] = ("reward",)
-    component_table: ComponentTable | None = None
     events: tuple[str, ...] = ()
     name: str = ""
     parameters: tuple[Parameter, ...] = ()
@@ -119,7 +117,6 @@ KINDS: dict[str, Any] = {
     "discount_exact": Fraction,
     **dict.fromkeys(("actions", "component_names", "events", "parameters", "start"), tuple),
     "action_objects": tuple,
-    "component_table": ComponentTable | None,
     "observations": np.ndarray | None,
     "float_probabilities": bool,
     "float_rewards": bool,

@@ -118,10 +118,11 @@ class Budgeted:
         pairs = spans(old.pair_offsets[state], old.pair_offsets[state + 1])
         parts: dict[str, Any] = {
             "table": replace(
-                self.table.of_pairs(pairs),
+                self.table.of_pairs(pairs).earning(
+                    np.concatenate([earned.ravel() for _, earned in each]),
+                    np.repeat(integers([self.trade.denominator]), len(pairs)),
+                ),
                 next=np.concatenate([to.ravel() for to, _ in each]),
-                gain=np.concatenate([earned.ravel() for _, earned in each]),
-                gain_denominator=np.repeat(integers([self.trade.denominator]), len(pairs)),
             ),
             "pair_state": np.repeat(np.arange(len(state)), np.diff(old.pair_offsets)[state]),
             "pair_action": old.pair_action[pairs],

@@ -18,7 +18,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.io.load import Loaded, read_model
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, Posed, parametric
+from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.questions import unlimited
 from exact_mdp.mdp.report import Report, Shown
@@ -80,7 +80,7 @@ class Given:
         family: Parametric = parametric(self.endless.mdp)
         if self.endless.scenario is not None:
             family = ScenarioFamily(scenario=self.endless.scenario, base=self.endless.mdp)
-        return family if self.question is None else Posed(family=family, ask=self.question)
+        return family if self.question is None else family.posed(self.question)
 
     @cached_property
     def taken(self) -> Any:

@@ -21,7 +21,7 @@ import numpy as np
 from exact_mdp.mdp.care.scenario import ScenarioFamily
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Family, Parametric, Posed
+from exact_mdp.mdp.parametric import Family, Parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags
@@ -103,16 +103,8 @@ def digest(*policies: Floats) -> str:
 
 def held_at(family: Parametric, name: str, value: Fraction) -> Parametric:
     """Return the family with another value of a parameter that does not move."""
-    if isinstance(family, Posed):
-        return replace(family, family=held_at(family.family, name, value))
     if isinstance(family, ScenarioFamily):
-        scenario = family.scenario.with_(parameters={name: value})
-        return ScenarioFamily(scenario=scenario, warned=family.warned)
-    if isinstance(family, Family):
-        moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
-        return replace(family, parameters=tuple(moved))
-    raise ModelError(
-        f"the parameters of {family.name} cannot be held",
-        where=f"parameter {name}",
-        fix="give a scenario, a model or a Family, or one parameter alone",
-    )
+        return replace(family, scenario=family.scenario.with_(parameters={name: value}), base=None)
+    assert isinstance(family, Family)
+    moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
+    return replace(family, parameters=tuple(moved))

@@ -62,7 +62,6 @@ from exact_mdp.mdp.parametric import (
     moving,
     parameter_of,
     parametric,
-    unposed,
 )
 from exact_mdp.mdp.result import Brief
 from exact_mdp.mdp.table import Floats, float_of
@@ -361,7 +360,7 @@ def uncertainty(
     stated = {name: _checked(name, settings) for name, settings in (stated or {}).items()}
     default = _check_within(_float(default, "default", DEFAULT), SIZE, DEFAULT)
     parameters = {parameter.name: parameter for parameter in model.parameters}
-    rows = {label: tuple(row) for label, row in getattr(unposed(model), "rows", {}).items()}
+    rows = {label: tuple(row) for label, row in getattr(model, "rows", {}).items()}
     for name in stated:
         if name not in rows and not any(_begins(known, name) for known in parameters):
             parameter_of(model, name)

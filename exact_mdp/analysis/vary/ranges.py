@@ -17,7 +17,7 @@ from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of, unposed
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.table import beside, exact, shown
 from exact_mdp.solvers.solution import warn
@@ -94,7 +94,7 @@ def admitted(model: Parametric, parameter: Parameter, span: Range) -> Range:
     moved half way to today's value until it has: a discount of 9/10 ends at 19/20. A model without
     finite values today keeps its range, and its analysis refuses it.
     """
-    if isinstance(unposed(model), ScenarioFamily):  # all its models can be built, and end
+    if isinstance(model, ScenarioFamily):  # all its models can be built, and end
         return span
     low, high = room_of(model, parameter.name)
     low = span.low if low is None else max(low, span.low)

@@ -372,7 +372,7 @@ def worst_point(
     family = parametric(model)
     spans = spans_of(family, None, ranges, relative)
     names = [parameter.name for parameter in spans]
-    if isinstance(family, ScenarioFamily):
+    if isinstance(family, ScenarioFamily) and not family.asks:
         highest = {parameter.name: span.high for parameter, span in spans.items()}
         family.tell(highest, where=" at the upper ends of the ranges")
     solver = solver_of(family, names)

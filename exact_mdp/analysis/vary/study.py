@@ -240,7 +240,7 @@ class Draws:
 
     def _tell(self, row: Numbers, where: str) -> None:
         """Warn once of the chances of a scenario that are cut off at 1; workers keep silent."""
-        if isinstance(self.solver.model, ScenarioFamily):
+        if isinstance(self.solver.model, ScenarioFamily) and not self.solver.model.asks:
             values = dict(zip(self.solver.names, row.tolist(), strict=True))
             self.solver.model.tell(values, where=where)
 
@@ -583,7 +583,7 @@ DrawSolver: TypeAlias = ModelSolver | CareSolver
 
 def solver_of(model: Parametric, names: Sequence[str]) -> DrawSolver:
     """Return the fastest way to solve a model at many draws of some parameters."""
-    if isinstance(model, ScenarioFamily):
+    if isinstance(model, ScenarioFamily) and not model.asks:
         scenario = model.scenario
         if len(scenario.statuses) <= MOST_STATUSES and len(scenario.actions) <= MOST_ACTIONS:
             return CareSolver(model, names)

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.care.laws import Laws
 from exact_mdp.mdp.care.rules import COMPLETE, FAIL, FINAL, SKIPPED
 from exact_mdp.mdp.care.tables import SKIP
-from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import (
@@ -45,7 +44,7 @@ from exact_mdp.mdp.table import (
 ENTRIES = 2**20  # of a product held at once
 
 Rows = dict[str, NDArray[Any]]
-"""Rows of a block: lengths, next, weight, denominator, gain, event; components amount / below."""
+"""Rows of a block: lengths, next, weight, denominator, gain, event; components and below."""
 
 
 class Branches(NamedTuple):
@@ -164,7 +163,7 @@ class Block:
             )
         return _joined(parts) | {
             "denominator": below.reshape(-1),
-            "amount": amount.reshape(-1, amount.shape[2]),
+            "components": amount.reshape(-1, amount.shape[2]),
             "below": multiply(bottom.reshape(-1), integers([self.laws.scale])),
         }
 
@@ -258,7 +257,7 @@ def _model(laws: Laws, places: Integers) -> MDP:
     # The end, which stays and earns nothing.
     tail = {"lengths": 1, "next": end, "weight": 1, "denominator": 1, "below": 1}
     last = {key: np.array([tail.get(key, 0)]) for key in blocks[0]}
-    last["amount"] = np.zeros((1, len(rules.components)), dtype=np.int64)
+    last["components"] = np.zeros((1, len(rules.components)), dtype=np.int64)
     rows = _joined([*blocks, last])
     state, action = rules.pairs()
     table = OutcomeTable(
@@ -269,6 +268,8 @@ def _model(laws: Laws, places: Integers) -> MDP:
         gain=rows["gain"],
         gain_denominator=_same(laws.scale, len(rows["lengths"])),
         event=rows["event"].astype(np.uint8),
+        components=rows["components"],
+        component_denominator=rows["below"],
     )
     space = rules.space(len(places))
     return MDP(
@@ -279,7 +280,6 @@ def _model(laws: Laws, places: Integers) -> MDP:
         actions=rules.actions,
         discount_exact=scenario.discount,
         component_names=rules.components,
-        component_table=ComponentTable(amount=rows["amount"], denominator=rows["below"]),
         events=(SKIP,),
         name=scenario.name,
         parameters=scenario.parameters,
@@ -294,7 +294,6 @@ def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
     """
     rules, table, matrix = laws.rules, small.table, small.transition
     count, size = len(order), rules.size
-    known = small.component_table
     end = count * size
     starts = np.append(np.arange(order.max() + 1) * size, small.n_states - 1)
     rows = small.pair_offsets[starts]
@@ -337,17 +336,15 @@ def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
             denominator=lay(table.denominator, rows),
             gain=lay(table.gain, outcomes),
             gain_denominator=_same(laws.scale, len(indptr) - 1),
-            event=None if table.event is None else lay(table.event, outcomes),
+            event=lay(np.asarray(table.event), outcomes),
+            components=lay(table.components, rows),
+            component_denominator=lay(table.component_denominator, rows),
         ),
         "space": rules.space(count),
         "labels": rules.labels(rules.space(count)),
         "pair_state": lay(small.pair_state, rows, moved=True),
         "pair_action": lay(small.pair_action, rows),
         "pair_offsets": ends(np.diff(small.pair_offsets), starts),
-        "component_table": known
-        and ComponentTable(
-            amount=lay(known.amount, rows), denominator=lay(known.denominator, rows)
-        ),
         "reward": lay(small.reward, rows),
     }
     if indptr[-1] < 2**31 - 1:

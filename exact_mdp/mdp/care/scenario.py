@@ -25,7 +25,7 @@ from exact_mdp.mdp.care.tables import Tables
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, moved_from, parameter_of
-from exact_mdp.mdp.table import exact, shown
+from exact_mdp.mdp.table import shown
 
 
 class Scenario(Tables):
@@ -93,13 +93,13 @@ class Scenario(Tables):
         return ScenarioFamily(scenario=self)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScenarioFamily:
-    """See `mdp.parametric.Parametric`."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScenarioFamily(Parametric):
+    """A scenario as a family of models, one for each choice of its numbers."""
 
     scenario: Scenario
-    warned: list[str] = field(default_factory=list, compare=False, repr=False)
-    base: MDP | None = field(default=None, compare=False, repr=False)  # the compiled scenario
+    warned: list[str] = field(default_factory=list, repr=False)
+    base: MDP | None = field(default=None, repr=False)  # the compiled scenario
 
     @property
     def name(self) -> str:
@@ -114,23 +114,14 @@ class ScenarioFamily:
         )
         return (*self.scenario.parameters, rate)
 
-    def at(self, values: Mapping[str, object]) -> MDP:
-        """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
-        moved = moved_from(self, values)
-        if not moved:
-            return self._today
+    def made(self, moved: Mapping[str, Fraction]) -> MDP:
+        """See `Parametric.made`."""
+        if not moved and self.base is not None:
+            return self.base
         there = self.scenario.with_(parameters=moved)
         mdp = compile_scenario(there.laws)
-        one = "".join(f" where {name} is {shown(exact(v))}" for name, v in values.items())
-        self._tell(there, one if len(values) == 1 else " at other values of its parameters")
-        return mdp
-
-    @cached_property
-    def _today(self) -> MDP:
-        if self.base is not None:
-            return self.base
-        mdp = compile_scenario(self.scenario.laws)
-        self._tell(self.scenario, "")
+        one = "".join(f" where {name} is {shown(value)}" for name, value in moved.items())
+        self._tell(there, one if len(moved) < 2 else " at other values of its parameters")
         return mdp
 
     def tell(self, values: Mapping[str, object], *, where: str) -> None:
@@ -148,10 +139,10 @@ class ScenarioFamily:
         # Today's values where they are enough, so that the words are those of `compile`.
         if excess(self.scenario.laws) is not None:
             there, where = self.scenario, ""
-        warn_of_excess(there.laws, where=where, stacklevel=3)
+        warn_of_excess(there.laws, where=where, stacklevel=4)
 
     def __getstate__(self) -> dict[str, object]:
-        return {"scenario": self.scenario, "warned": [self.scenario.name]}
+        return {"scenario": self.scenario, "warned": [self.scenario.name], "asks": self.asks}
 
     def degree(self, name: str) -> int:
         """See `Parametric.degree`."""

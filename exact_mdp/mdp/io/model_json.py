@@ -37,7 +37,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.components import ComponentTable, of_columns
+from exact_mdp.mdp.components import made_of
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import LARGEST, read_text, write_atomically
 from exact_mdp.mdp.io.structured import (
@@ -116,7 +116,7 @@ def content(mdp: MDP) -> dict[str, Any]:
     states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
     columns = states, actions, rewards, _integers(below), following, weights
     named = mdp.space != StateSpace.plain(mdp.n_states)
-    several = mdp.component_names if mdp.component_table is not None else ()
+    several = mdp.component_names if table.components is not None else ()
     parts = {name: (each.tolist() for each in mdp.component(name)) for name in several}
     head = {
         "format": FORMAT,
@@ -189,6 +189,8 @@ def load(path: str | Path) -> MDP:
             gain_denominator=under,
         )
         parts, names = head["components"], head["action_names"]
+        if parts:
+            table = made_of(table, [_component(name, parts[name], count) for name in parts])
         flags = {name: _flags(name, each, states) for name, each in head["labels"].items()}
         return MDP(
             table,
@@ -199,7 +201,6 @@ def load(path: str | Path) -> MDP:
             discount_exact=head["discount"],
             start=tuple((int(number(key)), share) for key, share in head["start"].items()),
             component_names=tuple(parts) or ("reward",),
-            component_table=_components(parts, count) if parts else None,
             labels=flags,
             goal=None if head["goal"] is None else _flags("goal", head["goal"], states),
             **{key: head[key] for key in (*FLOATS, "name", "sense", "unreached")},
@@ -218,13 +219,12 @@ def _row(
     return state, action, *(rewards or [reward]), denominator, next, weight
 
 
-def _components(columns: dict[str, Sequence[Fraction]], pairs: int) -> ComponentTable:
-    for name, column in columns.items():
-        if len(column) != pairs:
-            with located(f"components, {name}"):
-                refuse(column, f"a list of {pairs} numbers")
-    each = [common(column) for column in columns.values()]
-    return of_columns([(integers(top), integers([below] * pairs)) for top, below in each])
+def _component(name: str, amounts: Sequence[Fraction], pairs: int) -> tuple[Numbers, Numbers]:
+    if len(amounts) != pairs:
+        with located(f"components, {name}"):
+            refuse(amounts, f"a list of {pairs} numbers")
+    top, below = common(amounts)
+    return integers(top), integers([below] * pairs)
 
 
 def _flags(name: str, numbers: Sequence[int], states: int) -> Numbers:

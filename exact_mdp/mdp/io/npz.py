@@ -45,7 +45,6 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.components import ComponentTable
 from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.io.arrays import read_arrays
@@ -135,7 +134,7 @@ ARRAYS: dict[str, tuple[str, ...]] = {
 }
 """Types that an array may have; uint8 among several means rows of bytes, one for each integer."""
 
-TABLE = tuple(ARRAYS)[3:10]
+TABLE = tuple(ARRAYS)[3:12]
 MAY_LACK = tuple(ARRAYS)[9:]
 WIDTH = 8
 
@@ -147,13 +146,11 @@ def save(model: MDP, path: str | Path) -> None:
 
 def packed(model: MDP) -> bytes:
     """Return the bytes of a model's archive."""
-    known, labels = model.component_table, [*model.labels.values()]
+    labels = [*model.labels.values()]
     parts = {
         "pair_state": model.pair_state,
         "pair_action": model.pair_action,
         **{name: getattr(model.table, name) for name in TABLE},
-        "components": None if known is None else known.amount,
-        "component_denominator": None if known is None else np.ascontiguousarray(known.denominator),
         "labels": np.array(labels, dtype=np.uint8) if labels else None,
         "goal": None if model.goal is None else model.goal.astype(np.uint8),
         "observations": model.observations,
@@ -208,8 +205,11 @@ def unpacked(source: str | Path | bytes) -> MDP:
             what = f"the columns make {space.size:.3g} states of {len(state)} state-action pairs"
             raise ModelError(what, where="columns", fix="save the model again")
         objects = _made(head["objects"], head["actions"])
+    table = {name: arrays[name] for name in TABLE if name in arrays}
+    if "components" in table:
+        table["components"] = _components(table["components"], len(head["component_names"]))
     return MDP(
-        OutcomeTable(**{name: _as_integers(arrays[name]) for name in TABLE if name in arrays}),
+        OutcomeTable(**{name: _as_integers(array) for name, array in table.items()}),
         state,
         arrays["pair_action"],
         space=space,
@@ -220,7 +220,6 @@ def unpacked(source: str | Path | bytes) -> MDP:
         labels=dict(zip(head["labels"], map(_flags, flags), strict=True)),
         goal=_flags(arrays["goal"]) if "goal" in arrays else None,
         unreached=head["unreached"],
-        component_table=_components(arrays, len(head["component_names"])),
         observations=arrays.get("observations"),
         **{name: head[name] for name in SAME},
     )
@@ -257,17 +256,14 @@ def _flags(given: Numbers) -> Numbers:
     return np.asarray(given == 1)
 
 
-def _components(arrays: dict[str, Numbers], parts: int) -> ComponentTable | None:
-    """Return the table of components; None where the reward is the only one."""
-    if "components" not in arrays or "component_denominator" not in arrays:
-        return None
-    amount = arrays["components"]
-    if amount.dtype == np.uint8:
-        if parts < 1 or amount.shape[1] % parts or amount.shape[1] < WIDTH * parts:
-            what = f"rows of {amount.shape[1]} bytes for {parts} components"
-            raise ModelError(what, where="components", fix="save the model again")
-        amount = _as_integers(amount.reshape(len(amount) * parts, -1)).reshape(-1, parts)
-    return ComponentTable(amount=amount, denominator=_as_integers(arrays["component_denominator"]))
+def _components(amount: Numbers, parts: int) -> Numbers:
+    """Return the amounts (L, C) of components, each row of bytes one row of them."""
+    if amount.dtype != np.uint8:
+        return amount
+    if parts < 1 or amount.shape[1] % parts or amount.shape[1] < WIDTH * parts:
+        what = f"rows of {amount.shape[1]} bytes for {parts} components"
+        raise ModelError(what, where="components", fix="save the model again")
+    return _as_integers(amount.reshape(len(amount) * parts, -1)).reshape(-1, parts)
 
 
 def _check_arrays(arrays: dict[str, Numbers]) -> None:

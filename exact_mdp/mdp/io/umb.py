@@ -53,7 +53,7 @@ from exact_mdp.mdp.io.explicit import (
 )
 from exact_mdp.mdp.io.files import LARGEST, read_bytes, write_atomically
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers
+from exact_mdp.mdp.table import Integers, Numbers, OutcomeTable
 
 PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzma.decompress}
 """Kinds of compression, which umbi does not read to the end."""
@@ -135,12 +135,10 @@ def _restored(umb: Any, content: Explicit, packed: str, reward: str | None) -> M
                 fix=f"drop the annotations of group {GROUP}, which no longer describe the model",
             )
     chosen = identifier(content, REWARD if reward is None else reward)
-    if chosen == REWARD or mdp.component_table is None:
+    if chosen == REWARD:
         return mdp
-    gain, below = mdp.component_table.column(int(chosen.removeprefix(COMPONENT)))
-    table = replace(mdp.table, gain=gain, gain_denominator=below)
-    names = (content.titles[chosen],)
-    return replace(mdp, table=table, component_table=None, component_names=names)
+    table = mdp.table.earning_component(int(chosen.removeprefix(COMPONENT)))
+    return replace(mdp, table=table, component_names=(content.titles[chosen],))
 
 
 # ---- reading -------------------------------------------------------------------------------------
@@ -355,12 +353,10 @@ def _umb_of(model: MDP) -> Any:
         choice_action_to_string=list(model.actions),
         annotations={"rewards": {}, "aps": {}, GROUP: {}},
     )
-    _annotate(umb, "rewards", REWARD, "choices", _expected(model))
-    known = model.component_table
-    if known is not None:
+    _annotate(umb, "rewards", REWARD, "choices", _earned(table))
+    if table.components is not None:
         for number, name in enumerate(model.component_names):
-            each = np.arange(model.n_pairs + 1)
-            values = _ratios(known.amount[:, number], known.denominator, each)
+            values = _earned(table.earning_component(number))
             _annotate(umb, "rewards", f"{COMPONENT}{number}", "choices", values, alias=name)
     _annotate(umb, "aps", TERMINAL, "states", model.terminal.tolist())
     for number, (name, states) in enumerate(model.labels.items()):
@@ -405,14 +401,13 @@ def _ratios(top: Numbers, bottom: Numbers, offsets: Numbers) -> list[Any]:
     return [Fraction(a, b) for a, b in zip(top.tolist(), below, strict=True)]
 
 
-def _expected(model: MDP) -> list[Any]:
+def _earned(table: OutcomeTable) -> list[Any]:
     """Return the expected rewards of the pairs, exact where they follow from exact numbers."""
-    table = model.table
-    each = np.arange(model.n_pairs + 1)
-    if len(table.gain) == model.n_pairs:
+    each = np.arange(table.pairs + 1)
+    if len(table.gain) == table.pairs:
         return _ratios(table.gain, table.gain_denominator, each)
     if np.float64 in (table.weight.dtype, table.gain.dtype):
-        return list(model.reward.tolist())
+        return list(table.expected_gain().tolist())
     return _ratios(*table.expected_gain_exact(), each)
 
 

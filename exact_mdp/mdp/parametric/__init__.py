@@ -5,13 +5,11 @@ from exact_mdp.mdp.parametric.family import (
     DISCOUNT,
     Family,
     Parametric,
-    Posed,
     moved_from,
     moving,
     parameter_of,
     parametric,
     room_of,
-    unposed,
 )
 
 __all__ = [
@@ -19,11 +17,9 @@ __all__ = [
     "Family",
     "Parameter",
     "Parametric",
-    "Posed",
     "moved_from",
     "moving",
     "parameter_of",
     "parametric",
     "room_of",
-    "unposed",
 ]

@@ -16,13 +16,14 @@ number (`reward.-1`), as long as there are few of them; `moving` names others, a
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import cached_property, reduce
 from itertools import chain
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -39,41 +40,65 @@ MOST_REWARDS = 20  # of a plain MDP, that are parameters without being named
 LISTED = 100  # names of parameters in a message
 
 
-@runtime_checkable
-class Parametric(Protocol):
-    """A family of models with the same states and pairs, one for each choice of parameters."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Parametric(ABC):
+    """A family of models with the same states and pairs, one for each choice of parameters.
 
-    @property
-    def name(self) -> str:
-        """What the model is called."""
+    Attributes
+    ----------
+    asks : tuple of functions
+        Questions about each model, such as `attrgetter("maximised")`, whose answers are the models.
+        The rows that a question replaces are constant, and others stay: no degree grows.
+    """
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Every parameter with its value and the range that it may take."""
+    asks: tuple[Callable[[MDP], MDP], ...] = ()
+
+    if TYPE_CHECKING:
+
+        @property
+        def name(self) -> str:
+            """What the model is called."""
+
+        @property
+        def parameters(self) -> tuple[Parameter, ...]:
+            """Every parameter with its value and the range that it may take."""
 
     def at(self, values: Mapping[str, object]) -> MDP:
-        """Return the model at other values of some parameters; the others keep theirs."""
+        """Return the model at other values of some parameters; the others keep theirs.
 
+        Raises ModelError for unknown names and values out of range.
+        """
+        moved = moved_from(self, values)
+        return reduce(lambda mdp, ask: ask(mdp), self.asks, self.made(moved) if moved else self.own)
+
+    @abstractmethod
+    def made(self, moved: Mapping[str, Fraction]) -> MDP:
+        """Return the model at values that differ from today's."""
+
+    @cached_property
+    def own(self) -> MDP:
+        """The model at today's values."""
+        return self.made({})
+
+    def posed(self, ask: Callable[[MDP], MDP]) -> Self:
+        """Return the family with one more question about each of its models."""
+        return replace(self, asks=(*self.asks, ask))
+
+    @abstractmethod
     def degree(self, name: str) -> int:
-        """Degree of rows and expected rewards in one parameter between its breakpoints."""
+        """Return the degree of rows and expected rewards in a parameter between breakpoints."""
 
+    @abstractmethod
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
-        """Values at which a row may pass from one polynomial to another."""
+        """Return the values at which a row may pass from one polynomial to another."""
 
     def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
-        """Models one step below and above in each whole-number setting; none below the least."""
-
-
-@runtime_checkable
-class Source(Protocol):
-    """What says of itself which parametric model it is, as a scenario does."""
-
-    def parametric(self) -> Parametric:
-        """Return the family of models."""
+        """Return families a step below and above in whole-number settings; none below the least."""
+        return {}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Family:
+class Family(Parametric):
     """A parametric model made of a function.
 
     Derivatives and thresholds rest on the degrees, which nothing proves of a function. They are
@@ -95,8 +120,6 @@ class Family:
     room : {name: (low, high)}
         Between which values there is a model while the other parameters keep theirs; the
         parameter's own range where left out.
-    settings : {name: (below, above)}
-        Families one step below and above in each whole-number setting, see `neighbours`.
 
     Examples
     --------
@@ -118,12 +141,11 @@ class Family:
     breaks: Mapping[str, Sequence[Fraction]] = field(default_factory=dict)
     rows: Mapping[str, Sequence[str]] = field(default_factory=dict)
     room: Mapping[str, tuple[Fraction, Fraction]] = field(default_factory=dict)
-    settings: Mapping[str, tuple[Parametric | None, Parametric]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_names((self.name,), "model")
         of_type(self.build, Callable, "build", "give a function from {name: value} to the model")
-        for what in ("degrees", "breaks", "rows", "room", "settings"):
+        for what in ("degrees", "breaks", "rows", "room"):
             of_type(getattr(self, what), Mapping, what, "give a dictionary by the names")
         check_names(self.rows, "row", where="rows")
         exactly = {
@@ -140,14 +162,9 @@ class Family:
                 with located(what):
                     parameter_of(self, name)
 
-    def at(self, values: Mapping[str, object]) -> MDP:
-        """See `Parametric.at`; raises ModelError for unknown names and values out of range."""
-        moved = moved_from(self, values)
-        return self.build(_today(self) | moved) if moved else self._built
-
-    @cached_property
-    def _built(self) -> MDP:
-        return self.build(_today(self))
+    def made(self, moved: Mapping[str, Fraction]) -> MDP:
+        """See `Parametric.made`."""
+        return self.build({**{p.name: p.value for p in self.parameters}, **moved})
 
     def degree(self, name: str) -> int:
         """See `Parametric.degree`."""
@@ -156,10 +173,6 @@ class Family:
     def breakpoints(self, name: str) -> tuple[Fraction, ...]:
         """See `Parametric.breakpoints`."""
         return tuple(self.breaks.get(parameter_of(self, name).name, ()))
-
-    def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
-        """See `Parametric.neighbours`."""
-        return self.settings
 
 
 def _parameters(given: Any) -> tuple[Parameter, ...]:
@@ -188,53 +201,7 @@ def _exact(numbers: object, where: str) -> tuple[Any, ...]:
         return tuple(None if number is None else exact(number) for number in listed)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Posed:
-    """A family of models with one question about each of them, such as `MDP.reaching`.
-
-    The rows that a question replaces are constant, and others stay: no degree grows.
-    """
-
-    family: Parametric
-    ask: Callable[[MDP], MDP]
-
-    @property
-    def name(self) -> str:
-        """What the model is called."""
-        return self.family.name
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """See `Parametric.parameters`."""
-        return self.family.parameters
-
-    def at(self, values: Mapping[str, object]) -> MDP:
-        """See `Parametric.at`."""
-        return self.ask(self.family.at(values))
-
-    def degree(self, name: str) -> int:
-        """See `Parametric.degree`."""
-        return self.family.degree(name)
-
-    def breakpoints(self, name: str) -> tuple[Fraction, ...]:
-        """See `Parametric.breakpoints`."""
-        return self.family.breakpoints(name)
-
-    def neighbours(self) -> Mapping[str, tuple[Parametric | None, Parametric]]:
-        """See `Parametric.neighbours`."""
-        posed = partial(Posed, ask=self.ask)
-        return {
-            name: (None if below is None else posed(family=below), posed(family=above))
-            for name, (below, above) in self.family.neighbours().items()
-        }
-
-
-def unposed(model: Parametric) -> Parametric:
-    """Return a family without the questions about its models."""
-    return unposed(model.family) if isinstance(model, Posed) else model
-
-
-def parametric(source: Source | MDP | Parametric) -> Parametric:
+def parametric(source: Any) -> Parametric:
     """Return what a scenario, or a plain model with its rewards and its discount, may vary.
 
     Parameters
@@ -251,13 +218,14 @@ def parametric(source: Source | MDP | Parametric) -> Parametric:
     >>> [p.name for p in parametric(MDP.from_arrays([[[1]]], ["5/2"], "1/2")).parameters]
     ['reward.2.5', 'discount']
     """
-    if isinstance(source, Source):
-        return source.parametric()
+    if isinstance(source, Parametric):
+        return source
     if not isinstance(source, MDP):
-        if not hasattr(source, "parameters") or not callable(getattr(source, "at", None)):
+        if not hasattr(source, "parametric"):
             fix = "give an MDP, a Scenario, or a Family of models"
             raise ModelError(f"{type(source).__name__} is not a model", where="model", fix=fix)
-        return source
+        family: Parametric = source.parametric()
+        return family
     rewards = _rewards(source.table)
     return moving(source, {}, rewards if len(rewards) <= MOST_REWARDS else {})
 
@@ -373,13 +341,10 @@ class Moved:
     earned: Mapping[Fraction, str]  # {reward: parameter name}
 
     @cached_property
-    def _kept(self) -> dict[str, Any]:
-        """The components of the reward, where a row that moves earns the same whatever follows."""
-        model, rows = self.model, map(self.model.table.row, self.named)
-        if any(len({gain for _, _, gain in row}) > 1 for row in rows):
-            return {}
-        parts = "component_names", "component_table"
-        return {part: getattr(model, part) for part in parts}
+    def _kept(self) -> bool:
+        """Whether components are kept: where a row that moves earns the same whatever follows."""
+        rows = map(self.model.table.row, self.named)
+        return all(len({gain for _, _, gain in row}) == 1 for row in rows)
 
     def __call__(self, values: Mapping[str, Fraction]) -> MDP:
         """Return the model at values of all parameters."""
@@ -402,7 +367,12 @@ class Moved:
             by_pair=False,
             own=True,
         )
-        return model.with_(table=table, discount=rate, events=(), **({} if moved else self._kept))
+        kept: dict[str, Any] = {}
+        if self._kept and not moved:
+            parts = "components", "component_denominator"
+            table = replace(table, **{part: getattr(model.table, part) for part in parts})
+            kept["component_names"] = model.component_names
+        return model.with_(table=table, discount=rate, events=(), **kept)
 
     def _row(
         self, pair: int, values: Mapping[str, Fraction]
@@ -473,7 +443,7 @@ def parameter_of(model: Parametric, name: str) -> Parameter:
     fix = suggest(name, names)
     if fix.startswith("choose"):  # no other place lists them
         fix = f"choose one of {', '.join(names[:LISTED])}{' …' * (len(names) > LISTED)}"
-    if isinstance(unposed(model), Family):
+    if isinstance(model, Family):
         fix += (
             '; name others yourself: moving(model, {"NAME": [((state, action), next state)]}, '
             '{"NAME": reward}), and give that as the model'
@@ -485,8 +455,7 @@ def room_of(model: Parametric, name: str) -> tuple[Fraction | None, Fraction | N
     """Return between which values a parameter may move while the others keep theirs."""
     parameter = parameter_of(model, name)
     own = (parameter.low, parameter.high)
-    within = unposed(model)
-    return within.room.get(name, own) if isinstance(within, Family) else own
+    return model.room.get(name, own) if isinstance(model, Family) else own
 
 
 def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fraction]:
@@ -495,12 +464,8 @@ def moved_from(model: Parametric, values: Mapping[str, object]) -> dict[str, Fra
     numbers = {name: exact(value, f"parameter {name}") for name, value in values.items()}
     for name, number in numbers.items():
         parameter_of(model, name).check(number)
-    today = _today(model)
+    today = {parameter.name: parameter.value for parameter in model.parameters}
     return {name: number for name, number in numbers.items() if number != today[name]}
-
-
-def _today(model: Parametric) -> dict[str, Fraction]:
-    return {parameter.name: parameter.value for parameter in model.parameters}
 
 
 def _entry(mdp: MDP, pair: int, state: int) -> Fraction:

@@ -29,7 +29,6 @@ from exact_mdp.mdp.parametric.family import (
     Parametric,
     parameter_of,
     room_of,
-    unposed,
 )
 from exact_mdp.mdp.table import Integers, Numbers, merged, shown
 
@@ -104,9 +103,8 @@ def row_change(
     """
     degree = max(model.degree(name), 1)
     place = parameter_of(model, name).value if origin is None else origin
-    family = unposed(model)
-    known = isinstance(family, ScenarioFamily) or (
-        isinstance(family, Family) and isinstance(family.build, Moved)
+    known = isinstance(model, ScenarioFamily) or (
+        isinstance(model, Family) and isinstance(model.build, Moved)
     )
     points, models = _sampled(model, name, piece, place, degree if known else degree + EXTRA)
     models.insert(0, model.at({name: place}) if base is None else base)

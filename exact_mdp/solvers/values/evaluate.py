@@ -23,7 +23,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import inf, isfinite, nan, sqrt
@@ -236,9 +236,8 @@ class Evaluation(Valued, Pictured):
         mdp = self.mdp
         if mdp.goal is not None:  # a run that misses it is infinite in all, not in its parts
             return UNKNOWN
-        gain, below = mdp.component(name)
-        table = replace(mdp.table, gain=gain, gain_denominator=below)
-        alone = mdp.with_(table=table, component_table=None, component_names=(name,))
+        table = mdp.table.earning(*mdp.component(name))
+        alone = mdp.with_(table=table, component_names=(name,))
         chain = PolicyChain(mdp=alone, chosen=self.chain.chosen, policy=self.chain.policy)
         with suppress(SolverError, ModelError):
             best: Solution = solve(chain.model)

@@ -21,7 +21,6 @@ from exact_mdp.analysis.vary.intervals import (
 )
 from exact_mdp.analysis.vary.psa import POOL
 from exact_mdp.analysis.vary.study import lost_by, solver_of
-from exact_mdp.mdp.parametric import Posed
 
 STEP = 0.02  # what the second action costs below the step
 
@@ -195,6 +194,6 @@ def test_a_policy_is_counted_in_every_draw_whose_optimum_it_was(model) -> None:
 def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
     rows = [["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]
     family = row_family(MDP.from_arrays([rows], [1, 0, 0], "1/2"))
-    for model in (family, Posed(family=family, ask=MDP.negated)):
+    for model in (family, family.posed(MDP.negated)):
         (part,) = uncertainty(model).parts
         assert (part.kind, len(part.names)) == ("dirichlet", 2)

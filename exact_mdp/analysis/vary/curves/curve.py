@@ -41,7 +41,7 @@ from exact_mdp.mdp.exact import rational
 from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric import DISCOUNT, Parametric, Posed, parameter_of, parametric
+from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import Pictured
@@ -359,7 +359,7 @@ def curve(
     family = parametric(model)
     mdp = family.at({})
     if mdp.sense == "min":
-        family = Posed(family=family, ask=attrgetter("maximised"))
+        family = family.posed(attrgetter("maximised"))
     span = range_of(family, name, ranges, "whole" if relative is None else relative)
     if name == DISCOUNT:
         if ranges is None and relative is None and span.high < 1:
