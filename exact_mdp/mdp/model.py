@@ -529,29 +529,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             parts |= named_components(parts, parts.get("table", self.table))
         return replace(self, **parts)
 
-    def negated(self) -> MDP:
-        """Return the model of the other sense, every reward times -1: the same policies are best.
-
-        Its values are those of this model times -1. What maximises takes it instead of a model of
-        costs.
-
-        Returns
-        -------
-        MDP
-
-        Examples
-        --------
-        >>> costs = MDP.from_arrays([[[0, 1], [0, 1]]], ["3/2", 0], sense="min")
-        >>> costs.negated().sense, costs.negated().reward.tolist()
-        ('max', [-1.5, 0.0])
-        """
-        return replace(
-            self,
-            table=self.table.negated(),
-            sense="max" if self.sense == "min" else "min",
-            unreached=-self.unreached,
-        )
-
     @property
     def floats(self) -> bool:
         """Whether probabilities or rewards were given as floats."""
@@ -570,11 +547,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
     @property
     def maximised(self) -> MDP:
         """The model itself, or its negation where rewards are costs."""
-        return self if self.sense == "max" else self._negated
-
-    @cached_property
-    def _negated(self) -> MDP:
-        return self.negated()
+        return self if self.sense == "max" else _negated(self)
 
     @classmethod
     @named_options
@@ -683,3 +656,9 @@ def once(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
         return cache[key]
 
     return known
+
+
+@once
+def _negated(mdp: MDP) -> MDP:
+    """Return the model of costs as one of rewards, each times -1: the same policies are best."""
+    return replace(mdp, table=mdp.table.negated(), sense="max", unreached=-mdp.unreached)

@@ -187,7 +187,7 @@ check(MODEL, np.array([[3.0, 1], [1, 2]]), kind="policy") ->
     [3.0, 1.0], not a distribution; state a; at least 0, with sum 1
 check(MODEL, np.array([[3.0, 1], [1, 2]]), kind="table") ->
     'table' is not a kind of array; kind; choose auto, q, policy
-check(MODEL, <"random"|{"a": "slow", "b": "fast"}|Policy.uniform(MODEL)>, kind="q") ->
+check(MODEL, <"random"|{"a": "slow", "b": "fast"}|Policy.of(MODEL, "random")>, kind="q") ->
     this is a policy, not a Q-table; policy; leave kind out
 check(MODEL, np.array([0, 1]), kind="q") ->
     a Q-table has shape (2, 2); policy; of action numbers leave out kind="q"
@@ -273,7 +273,7 @@ def test_refused(call: str, said: str) -> None:
 WRONG_TYPES = """
 MODEL.with_(<states|actions>="ab") -> *
 MODEL.with_(<states|actions|action_objects|table|pair_state|space|events|parameters>=3) -> *
-MODEL.with_(<observations|component_names|component_table|float_rewards>=3) -> *
+MODEL.with_(<observations|component_names|float_rewards>=3) -> *
 MODEL.with_(discount_exact=0.5) -> discount_exact
 MDP.from_arrays(3, [1]) -> P
 MDP.from_arrays([[[1]]], [1], layout=[]) -> layout
@@ -290,14 +290,13 @@ Policy.by(MODEL, <3|"state">, [0, 0]) -> columns
 Policy.of(MODEL, [0, 0], kind=[]) -> kind
 Policy.of(MODEL, [0, 0]).write(3) -> path
 Policy.<of(3, [0, 0])|by(3, ["state"], [0, 0])|from_choices(3, [0, 0])> -> model
-Policy.<always(3, "slow")|uniform(3)> -> model
 <Policy.of(MODEL, [0, 0]).weights|fingerprint>(3) -> model
 moving(3, {}) -> model
 moving(MODEL, 3) -> entries
 moving(MODEL, {"p": 3}) -> parameter p
 moving(MODEL, {}, 3) -> rewards
 Family(parameters={"p": 1}, build=3) -> build
-Family(**BUILT, <degrees|breaks|rows|room|settings>=3) -> *
+Family(**BUILT, <degrees|breaks|rows|room>=3) -> *
 Family(**BUILT).at(3) -> values
 """
 

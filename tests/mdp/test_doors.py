@@ -17,7 +17,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model_contents import laws, outcomes_of
+from model_contents import laws, negated, outcomes_of
 from strategies import Rows, models, outcome_rows
 
 from exact_mdp import (
@@ -576,7 +576,7 @@ def test_components_are_kept_exactly_and_what_is_left_is_the_rest(
         MDP.from_outcomes(outcomes, "1/2", components=turned),
         MDP.from_outcomes(outcomes, "1/2").with_(components=named),
         npz_of(arrays, folder),
-        arrays.negated().negated(),
+        negated(negated(arrays)),
     ]  # fmt: skip
     left = [Fraction(r) - sum(Fraction(row[s]) for row in parts) for s, r in enumerate(reward)]
     for mdp in doors:

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from model_contents import negated
 from strategies import Rows, models
 
 from exact_mdp import MDP, Scenario, fingerprint
@@ -36,7 +37,7 @@ def test_models_are_equal_whose_content_is() -> None:
         MDP.from_arrays(np.array(DYADIC), by_outcome, F(1, 2)),
         MDP.from_arrays(DYADIC, REWARD, 0.5, actions=["a", "b"], states=["x", "y", "z"]),
         floats.with_(labels={"end": [False, False, True]}),
-        floats.negated().negated(),
+        negated(negated(floats)),
     ):
         assert fingerprint(other) == fingerprint(floats)
         assert floats == other
@@ -54,7 +55,7 @@ def test_what_differs_in_one_number_or_in_its_question_is_another_model() -> Non
         for share in (F(1, 3), F(1, 3**60), 1 - F(1, 3**60), F(1, 2**1060), F(1, 2**1100))
         for reward in (0, 3**60, F(1, 3**60), F(2) ** 1000, F(1, 2**1074), F(1, 2**1075))
     ]
-    every += [WALK, WALK.with_(sense="min"), WALK.with_(goal=END), WALK.negated()]
+    every += [WALK, WALK.with_(sense="min"), WALK.with_(goal=END), negated(WALK)]
     every += [MDP.from_arrays([[[1]]], [reward], "1/2") for reward in ("1/10", 0.1)]
     care = Scenario.load("yuan2025")
     every += [care.with_(tasks=[n], max_trial=m).compile() for n in (1, 3) for m in (4, 5)]

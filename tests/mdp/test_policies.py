@@ -597,7 +597,7 @@ def test_a_file_by_state(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text(first + "".join(lines) + last)
     policy = Policy.of(LAKE, tmp_path / name, kind=kind)
     assert policy.read_as == ("q" if kind == "q" else "policy")
-    assert (policy.weights(LAKE) == Policy.always(LAKE, "DOWN").weights(LAKE)).all()
+    assert (policy.weights(LAKE) == Policy.of(LAKE, "always:DOWN").weights(LAKE)).all()
 
 
 def test_files_as_editors_leave_them(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from model_contents import negated
 from oracle import each_choice, hitting, hitting_within, rows_of, until, until_within
 from strategies import Rows, model_of, models
 
@@ -85,7 +86,7 @@ def test_components_keep_their_exact_values() -> None:
     both = mdp.until("home")
     assert certify(both).start_value == F(13, 14)
     assert evaluate(both, "random").components == pytest.approx({"a": 1 / 2, "b": 3 / 7})
-    assert certify(mdp.negated().until("home", "b")).start_value == F(-3, 7)
+    assert certify(negated(mdp).until("home", "b")).start_value == F(-3, 7)
 
 
 def test_a_discount_ends_the_wait() -> None:

@@ -11,6 +11,7 @@ import pytest
 import scipy.sparse as sp
 from cases import BY_NAME
 from made_models import garnet
+from model_contents import negated
 from strategies import model_of
 
 from exact_mdp import (
@@ -157,7 +158,7 @@ def test_what_was_reached_is_of_the_model_that_was_asked_for(kind: Any) -> None:
     """Costs are those of the user; values of merged states, where staying is free, are not said."""
     rows = [(0, 0, [("9/10", 0, -1), ("1/10", 1, 0)]), (0, 1, [("1/2", 0, -3), ("1/2", 1, -1)])]
     rows += [(1, 0, [("9/10", 1, -2), ("1/10", 2, 0)]), (2, 0, [(1, 2, 0)])]
-    costs = MDP.from_outcomes(rows).negated()
+    costs = negated(MDP.from_outcomes(rows))
     for ask in (solve, lambda model, solver: solver.solve(model)):
         with pytest.raises(SolverError) as caught:
             ask(costs, kind(max_iterations=1))

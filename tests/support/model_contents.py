@@ -13,6 +13,12 @@ import numpy as np
 from exact_mdp import MDP
 
 
+def negated(mdp: MDP) -> MDP:
+    """The model of the other sense, every reward times -1."""
+    other = "min" if mdp.sense == "max" else "max"
+    return mdp.with_(sense="min").maximised.with_(sense=other)
+
+
 def meant(row: Sequence[float | Fraction]) -> list[Fraction]:
     """The exact probabilities that a model has where it is given this row of positive numbers."""
     ends = [(k, 0, [(1, k, 0)]) for k in range(1, len(row))]

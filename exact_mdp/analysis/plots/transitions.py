@@ -12,7 +12,7 @@ from exact_mdp.analysis.plots.style import described, picture, shaded
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import extra
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -92,7 +92,7 @@ def plot_transitions(
 
 def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | None) -> Axes:
     """Draw the probability of every next state, by shade."""
-    chosen = Policy.uniform(model) if policy is None else policy_of(model, policy)
+    chosen = policy_of(model, "random" if policy is None else policy)
     weights, states = chosen.weights(model), range(model.n_states)
     doing = sp.csr_array((weights, (model.pair_state, np.arange(model.n_pairs))))
     if ax is None:

@@ -15,7 +15,7 @@ Source: Yuan et al. (2025), Equation 1, Table 4 and Section 3.2.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from math import lcm
 from typing import Any, NamedTuple
 
@@ -44,7 +44,7 @@ from exact_mdp.mdp.table import (
 ENTRIES = 2**20  # of a product held at once
 
 Rows = dict[str, NDArray[Any]]
-"""Rows of a block: lengths, next, weight, denominator, gain, event; components and below."""
+"""Rows of a block: their lengths, and columns of an outcome table by name."""
 
 
 class Branches(NamedTuple):
@@ -164,7 +164,7 @@ class Block:
         return _joined(parts) | {
             "denominator": below.reshape(-1),
             "components": amount.reshape(-1, amount.shape[2]),
-            "below": multiply(bottom.reshape(-1), integers([self.laws.scale])),
+            "component_denominator": multiply(bottom.reshape(-1), integers([self.laws.scale])),
         }
 
     def _components(
@@ -255,21 +255,16 @@ def _model(laws: Laws, places: Integers) -> MDP:
     for rows, start in zip(blocks, starts, strict=True):
         rows["next"] = rows["next"] + start
     # The end, which stays and earns nothing.
-    tail = {"lengths": 1, "next": end, "weight": 1, "denominator": 1, "below": 1}
+    ones = ("lengths", "weight", "denominator", "component_denominator")
+    tail = {"next": end, **dict.fromkeys(ones, 1)}
     last = {key: np.array([tail.get(key, 0)]) for key in blocks[0]}
     last["components"] = np.zeros((1, len(rules.components)), dtype=np.int64)
     rows = _joined([*blocks, last])
-    state, action = rules.pairs()
+    lengths, (state, action) = rows.pop("lengths"), rules.pairs()
     table = OutcomeTable(
-        offsets=np.concatenate([[0], np.cumsum(rows["lengths"])]),
-        next=rows["next"].astype(_states(end)),
-        weight=rows["weight"],
-        denominator=rows["denominator"],
-        gain=rows["gain"],
-        gain_denominator=_same(laws.scale, len(rows["lengths"])),
-        event=rows["event"].astype(np.uint8),
-        components=rows["components"],
-        component_denominator=rows["below"],
+        offsets=np.concatenate([[0], np.cumsum(lengths)]),
+        gain_denominator=_same(laws.scale, len(lengths)),
+        **rows | {"next": rows["next"].astype(_states(end)), "event": rows["event"].astype("u1")},
     )
     space = rules.space(len(places))
     return MDP(
@@ -327,18 +322,14 @@ def _repeated(laws: Laws, small: MDP, order: Integers) -> MDP:
     indptr = ends(np.diff(matrix.indptr), rows)
     merged = len(matrix.indices) < len(table.next)
     indices = lay(matrix.indices, entries, moved=True) if merged else following
+    laid = table.mapped(lambda _, each: lay(each, rows), lambda _, each: lay(each, outcomes))
     parts: dict[str, Any] = {field.name: getattr(small, field.name) for field in fields(MDP)}
     parts |= {
-        "table": OutcomeTable(
+        "table": replace(
+            laid,
             offsets=ends(np.diff(table.offsets), rows) if merged else indptr,
             next=following,
-            weight=lay(table.weight, outcomes),
-            denominator=lay(table.denominator, rows),
-            gain=lay(table.gain, outcomes),
             gain_denominator=_same(laws.scale, len(indptr) - 1),
-            event=lay(np.asarray(table.event), outcomes),
-            components=lay(table.components, rows),
-            component_denominator=lay(table.component_denominator, rows),
         ),
         "space": rules.space(count),
         "labels": rules.labels(rules.space(count)),

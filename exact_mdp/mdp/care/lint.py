@@ -9,8 +9,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from exact_mdp.mdp.care.laws import excess
-from exact_mdp.mdp.care.scenario import Scenario
+from exact_mdp.mdp.care.laws import Laws, excess
 from exact_mdp.mdp.care.tables import BONUSES
 from exact_mdp.mdp.care.toml import Reader
 from exact_mdp.mdp.errors import ModelError
@@ -30,7 +29,7 @@ def lint(text: str, name: str) -> list[dict[str, Any]]:
         at = re.search(r"at line (\d+)", error.what)
         line = int(at[1]) if at else None
         return [{"line": line, "what": error.what, "fix": error.fix, "severity": "error"}]
-    scenario, lines = reader.read(Scenario, default_name=name), _lines(text)
+    tables, lines = reader.read(default_name=name), _lines(text)
     problems: list[dict[str, Any]] = []
 
     def add(key: str, what: str, fix: str, severity: str = "error") -> None:
@@ -43,14 +42,14 @@ def lint(text: str, name: str) -> list[dict[str, Any]]:
         if not any(key.startswith(f"{table}.") for table in keys):  # the table's error says it
             add(key, fault.what, fault.fix)
         keys.append(key)
-    for parameter in scenario.parameters if scenario else ():
+    for parameter in tables.parameters if tables else ():
         table, _, weight = parameter.name.partition(".")
         sign = 1 if weight in BONUSES else -1
         if table == "reward" and sign * parameter.value < 0:
             words = "a reward is negative" if sign > 0 else "a cost is positive"
             what = f"{parameter.name} is {shown(parameter.value)}: {words}"
             add(parameter.name, what, f"did you mean {shown(-parameter.value)}?", "warning")
-    if scenario and (above := excess(scenario.laws)):
+    if tables and (above := excess(Laws.of(tables))):
         first = re.findall(r"(?:base|persistence|influence|skip)\.\S+", above)[0]
         add(first, above, "lower one of these numbers until they sum to 1", "warning")
     return sorted(problems, key=lambda problem: problem["line"] or len(text))

@@ -290,21 +290,9 @@ def counted(
 
 def _tally(pairs: Iterable[Sequence[Any]], size: int, prior: float) -> Counted:
     column, table = statuses_of(size), np.zeros((size, size), dtype=np.int64)
-
-    def status(value: Any) -> int:
-        if isinstance(value, str):
-            return column.parse(value)
-        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        if not whole or not 0 <= value < size:
-            raise ModelError(
-                f"{value!r} is not a status",
-                fix=f"give a number from 0 to {size - 1}, or a label such as {column.label(0)}",
-            )
-        return int(value)
-
     for place, true, seen in pairs:
         with located(place, instead=True):
-            table[status(true), status(seen)] += 1
+            table[column.number(true), column.number(seen)] += 1
     return Counted(counts=table, prior=prior)
 
 

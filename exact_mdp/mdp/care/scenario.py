@@ -13,7 +13,7 @@ for some set J of other statuses (Yuan et al., 2025, Section 2.1).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -64,7 +64,8 @@ class Scenario(Tables):
         >>> Scenario.load("tea").name
         'tea'
         """
-        return toml.load(name, cls)
+        tables = toml.load(name)
+        return cls(**{part.name: getattr(tables, part.name) for part in fields(tables)})
 
     @cached_property
     def laws(self) -> Laws:

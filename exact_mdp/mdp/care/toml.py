@@ -32,7 +32,6 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.table import exact
 from exact_mdp.mdp.validate import as_discount
 
-T = TypeVar("T", bound=Tables)
 V = TypeVar("V")
 TABLES: Mapping[str, str] = {
     "base": "STATUS = probability that it appears without assistance.",
@@ -67,30 +66,27 @@ def shipped() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name[-5:] == ".toml")
 
 
-def load(name: str | Path, kind: type[T]) -> T:
-    """Return a shipped scenario, or that of a file, as `kind`; see `Scenario.load`."""
-    text = str(name)
-    if not text.lower().endswith(".toml"):
-        if text not in shipped():
-            raise ModelError(
-                f"unknown scenario {text!r}",
-                where="scenarios",
-                fix=f"{suggest(text, shipped())} (or give the path of a .toml file)",
-            )
-        source = files("exact_mdp.mdp") / "scenarios" / f"{text}.toml"
-        return parse(source.read_text(encoding="utf-8"), kind, where=text)
-    return parse(read_text(name, most=SMALL), kind, where=text)
-
-
-def parse(text: str, kind: type[T], *, where: str = "scenario") -> T:
-    """Return the scenario that a TOML text states, as `kind`; `where` names it in errors."""
+def load(name: str | Path) -> Tables:
+    """Return what a shipped scenario, or that of a file, states; see `Scenario.load`."""
+    where = str(name)
+    if where.lower().endswith(".toml"):
+        text = read_text(name, most=SMALL)
+    elif where in shipped():
+        source = files("exact_mdp.mdp") / "scenarios" / f"{where}.toml"
+        text = source.read_text(encoding="utf-8")
+    else:
+        raise ModelError(
+            f"unknown scenario {where!r}",
+            where="scenarios",
+            fix=f"{suggest(where, shipped())} (or give the path of a .toml file)",
+        )
     reader = Reader(toml_of(text, where))
-    scenario = reader.read(kind, default_name=Path(where).stem)
+    tables = reader.read(default_name=Path(where).stem)
     for _, error in reader.problems:
         place = f"{where}, {error.where}" if error.where else where
         raise ModelError(error.what, where=place, fix=error.fix) from error
-    assert scenario is not None
-    return scenario
+    assert tables is not None
+    return tables
 
 
 class Reader:
@@ -109,8 +105,8 @@ class Reader:
             self.problems.append((key, placed))
             return otherwise
 
-    def read(self, kind: type[T], *, default_name: str) -> T | None:
-        """Return the scenario; where there are problems, one without what they are about, or None.
+    def read(self, *, default_name: str) -> Tables | None:
+        """Return the tables; where there are problems, some without what they are about, or None.
 
         What cannot be read is taken as 0, or as the least that it may be.
         """
@@ -144,7 +140,7 @@ class Reader:
         weights = self._weights(statuses)
         others, flat = self._flatten(statuses)
         make = partial(
-            kind,
+            Tables,
             **settings,
             statuses=statuses,
             actions=actions,

@@ -17,7 +17,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, shown_text
+from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.io.files import LARGEST, opened
 from exact_mdp.mdp.table import Numbers
 
@@ -120,14 +120,11 @@ def _array(data: bytes, where: str) -> Numbers:
 @contextmanager
 def _named(where: str) -> Iterator[None]:
     """Put the file in front of an error's place, and name what damaged archives raise."""
-    try:
-        yield
-    except ModelError as error:
-        inside = error.where not in ("", shown_text(where))
-        place = f"{where}, {error.where}" if inside else where
-        raise ModelError(error.what, where=place, fix=error.fix) from error
-    except OSError:
-        raise
-    except Exception as error:  # zipfile and zlib raise many kinds on damaged archives
-        what = "the file is damaged, or not an archive"
-        raise ModelError(what, where=where, fix="save it again") from error
+    with located(where):
+        try:
+            yield
+        except (ModelError, OSError):
+            raise
+        except Exception as error:  # zipfile and zlib raise many kinds on damaged archives
+            what = "the file is damaged, or not an archive"
+            raise ModelError(what, fix="save it again") from error

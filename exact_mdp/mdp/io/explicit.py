@@ -76,22 +76,21 @@ def model_of(
         warn("a file of another program states no discount, and 1 is used; give the discount")
     titles, offsets, parts = given.titles, given.state_to_choices, dict[str, Any]()
     earned = {key: _earned(given, values, titles[key]) for key, values in given.rewards.items()}
-    several = reward is None and len(earned) > 1
-    if several:
+    counting, ends = [*earned.values()], np.flatnonzero(np.diff(offsets) == 0).tolist()
+    if reward is None and len(earned) > 1:
         others = {titles[key]: amounts for key, amounts in earned.items() if key != REWARD}
-        if REWARD not in earned:
+        if REWARD in earned:
+            counting = [earned[REWARD]]
+        else:
             names = ", ".join(others)
             warn(f"the rewards {names} are added up; name the one that counts (--reward, reward=)")
-        parts["component_names"] = tuple(others)
         parts["components"] = {
-            name: expected(given.probability, each, given.choice_to_branches)
+            name: [*expected(given.probability, each, given.choice_to_branches), *[0] * len(ends)]
             for name, each in others.items()
         }
-    if reward is not None or (earned and not several):
+    elif earned or reward is not None:
         chosen = next(iter(earned)) if reward is None else identifier(given, reward)
         parts["component_names"], counting = (titles[chosen],), [earned[chosen]]
-    else:
-        counting = [earned[REWARD]] if REWARD in earned else [*earned.values()]
     amounts = reduce(_plus, counting, [Fraction(0)] * len(given.target))
     labels, states = dict(given.labels), len(offsets) - 1
     initial = np.flatnonzero(given.initial)
@@ -104,15 +103,12 @@ def model_of(
         first = f"the first of {len(initial)} initial states, {label}"
         warn(f"the start is {first}; --start, or start=, names another")
     outcomes = list(zip(given.probability, given.target, amounts, strict=True))
-    ends = np.flatnonzero(np.diff(offsets) == 0).tolist()
     state = np.repeat(np.arange(states), np.diff(offsets))
     actions, action_names = _actions(given, state)
     rows = [
         (state[choice], action, outcomes[slice(*given.choice_to_branches[choice : choice + 2])])
         for choice, action in enumerate(actions.tolist())
     ]
-    for name, each in parts.get("components", {}).items():
-        parts["components"][name] = [*each, *[0] * len(ends)]
     return MDP.from_outcomes(
         [*rows, *((end, 0, [(1, end, 0)]) for end in ends)],
         1 if discount is None else discount,

@@ -39,12 +39,10 @@ FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
 )
 
-FOLDER, PIPE, SOCKET, DEVICE = "a folder", "a pipe", "a socket", "a device"
+FOLDER, PIPE = "a folder", "a pipe"
 INSTEAD = {
     FOLDER: "name a file in it",
     PIPE: "write to a file and name that; a process substitution such as <(…) is a pipe too",
-    SOCKET: "name a regular file",
-    DEVICE: "name a regular file",
 }
 
 
@@ -70,7 +68,8 @@ def opened(path: str | Path, *, most: int = LARGE) -> Iterator[BinaryIO]:
     if kind := kind_of(about.st_mode):
         os.close(handle)
         what = f"cannot read the file: {kind}, not a regular file"
-        raise ModelError(what, where=str(path), fix=INSTEAD[kind])
+        fix = INSTEAD.get(kind, "name a regular file")
+        raise ModelError(what, where=str(path), fix=fix)
     with os.fdopen(handle, "rb") as file:
         if about.st_size > most:
             raise _too_large(path, about.st_size, most)
@@ -88,7 +87,7 @@ def kind_of(mode: int) -> str:
         return FOLDER
     if stat.S_ISFIFO(mode):
         return PIPE
-    return SOCKET if stat.S_ISSOCK(mode) else DEVICE
+    return "a socket" if stat.S_ISSOCK(mode) else "a device"
 
 
 def read_bytes(path: str | Path, *, most: int = LARGE) -> bytes:

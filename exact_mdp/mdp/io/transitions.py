@@ -171,10 +171,8 @@ class Record:
         self.values: list[Any] = []  # the rewards as numbers
         self.rows = 0
         self.ignored: tuple[str, ...] = ()  # columns called like `truncated` that are not read
-        self.starts: Counter[int] = Counter()  # episodes by state
-        self.stops: Counter[tuple[int, bool]] = (
-            Counter()
-        )  # by next state, and whether cut off there
+        self.starts = Counter[int]()  # episodes by state
+        self.stops = Counter[tuple[int, bool]]()  # by next state, and whether cut off there
         self._counts: list[tuple[Integers, Integers]] = []
         self._places: Any = ()  # of the rows of this chunk, in messages
         self._last = (-1, -1, False)  # episode, next state and cut of the last row

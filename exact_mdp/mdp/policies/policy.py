@@ -399,9 +399,13 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             return cls._learned(model, given, kind)
         if isinstance(given, str | Path):
             if given == "random":
-                return cls.uniform(model)
+                offered = model.by_action(np.ones(model.n_pairs), 0.0)
+                rule = offered / offered.sum(axis=1, keepdims=True)
+                shares = offered.astype(np.int64)
+                return cls(space=model.space, actions=model.actions, rule=rule, shares=shares)
             if isinstance(given, str) and given.startswith("always:"):
-                return cls.always(model, given.removeprefix("always:"))
+                number = np.array([model.action(given.removeprefix("always:"))])
+                return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
             with located(str(given)):
                 if Path(given).suffix.lower() in (".npy", ".npz"):
                     return cls(**of_array(model, read_array(given, called="q"), kind))
@@ -433,52 +437,6 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         policy = cls(space=own.space, actions=own.actions, rule=np.asarray(given.policy))
         policy.weights(model)  # it goes by the names of its own model
         return policy
-
-    @classmethod
-    def uniform(cls, model: MDP) -> Policy:
-        """Return the policy that draws one of each state's actions uniformly.
-
-        Parameters
-        ----------
-        model : MDP
-
-        Returns
-        -------
-        Policy
-
-        Examples
-        --------
-        >>> Policy.uniform(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]))
-        Policy(mixed (2, 2), over state)
-        """
-        of_type(model, MDP, "model", MODEL)
-        table = np.zeros((model.n_states, model.n_actions))
-        counts = np.diff(model.pair_offsets)[model.pair_state]
-        table[model.pair_state, model.pair_action] = 1 / counts
-        shares = (table > 0).astype(np.int64)
-        return cls(space=model.space, actions=model.actions, rule=table, shares=shares)
-
-    @classmethod
-    def always(cls, model: MDP, action: str) -> Policy:
-        """Return the policy that takes one action wherever there is a choice.
-
-        Parameters
-        ----------
-        model : MDP
-        action : str
-            Its name.
-
-        Returns
-        -------
-        Policy
-
-        Examples
-        --------
-        >>> Policy.always(MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0]), "1").tolist()
-        [1]
-        """
-        number = np.array([of_type(model, MDP, "model", MODEL).action(action)])
-        return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
 
     @classmethod
     def from_choices(cls, model: MDP, choices: ArrayLike) -> Policy:

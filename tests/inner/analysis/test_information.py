@@ -7,6 +7,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from model_contents import negated
 from scipy.stats import binom
 
 from exact_mdp import MDP, ModelError, Scenario, certify, psa, solve
@@ -194,6 +195,6 @@ def test_a_policy_is_counted_in_every_draw_whose_optimum_it_was(model) -> None:
 def test_rows_are_drawn_together_whatever_is_asked_of_their_model() -> None:
     rows = [["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]
     family = row_family(MDP.from_arrays([rows], [1, 0, 0], "1/2"))
-    for model in (family, family.posed(MDP.negated)):
+    for model in (family, family.posed(negated)):
         (part,) = uncertainty(model).parts
         assert (part.kind, len(part.names)) == ("dirichlet", 2)

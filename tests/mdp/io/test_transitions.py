@@ -13,6 +13,7 @@ import pytest
 from cli_runner import run
 from hypothesis import given
 from hypothesis import strategies as st
+from model_contents import negated
 from pyarrow import parquet
 
 from exact_mdp import MDP, ModelError, certify, fingerprint, load, save
@@ -319,7 +320,7 @@ def test_questions_have_no_observations() -> None:
     for asked in (mdp.reaching("goal"), mdp.until("goal")):
         assert asked.observations is None
         assert asked.episodes is None
-    assert mdp.negated().observations is not None
+    assert negated(mdp).observations is not None
 
 
 def test_a_line_with_too_few_fields_is_no_end(tmp_path: Path) -> None:
