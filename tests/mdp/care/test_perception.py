@@ -154,7 +154,7 @@ def test_every_command_about_a_policy_takes_it(tmp_path: Path) -> None:
         ("a.jsonl", "{\n", "broken JSON"),
         ("a.jsonl", "3\n", "not an object"),
         ("a.jsonl", '{"statuses": ["joy"]}\n', "the statuses"),
-        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "16 is not a status"),
+        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "no status 16"),
         ("a.jsonl", '{"status": true, "perceived": 0}\n', "True is not a status"),
     ],
 )
