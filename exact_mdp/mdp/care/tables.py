@@ -28,7 +28,7 @@ from exact_mdp.mdp.errors import ModelError, check_names, check_text, known
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import as_html
 from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
-from exact_mdp.mdp.validate import as_discount
+from exact_mdp.mdp.validate import as_discount, counted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -238,13 +238,9 @@ def as_tasks(value: object) -> tuple[int, ...]:
     if isinstance(value, str):
         with suppress(ValueError, RecursionError):
             value = json.loads(value)
-    if (
-        not isinstance(value, str)
-        and isinstance(value, Sequence)
-        and value
-        and all(_positive(number) for number in value)
-    ):
-        return tuple(int(number) for number in value)
+    listed = [] if isinstance(value, str) or not isinstance(value, Sequence) else value
+    if listed and all(type(number) is int and number > 0 for number in listed):
+        return tuple(listed)
     raise ModelError(
         "tasks is not a list of positive whole numbers, or is empty",
         where="tasks",
@@ -256,24 +252,14 @@ def as_max_trial(value: object) -> int:
     """Return max_trial from a positive integer or its text."""
     if isinstance(value, str) and value.isascii() and value.isdigit():
         value = int(value[:MOST_DIGITS])  # cut, it is too large as well
-    if not (isinstance(value, int) and _positive(value)):
-        text = str(value) if isinstance(value, Fraction) else repr(value)
-        raise ModelError(
-            f"max_trial is {text}, not a positive whole number",
-            where="max_trial",
-            fix="give the number of trials allowed in a subtask, at least 1",
-        )
-    if value > MOST_STATES:
+    trials = counted(value, "max_trial")
+    if trials > MOST_STATES:
         raise ModelError(
             f"max_trial is over {MOST_STATES:,}, more than the states of any model",
             where="max_trial",
             fix="allow fewer trials in a subtask",
         )
-    return value
-
-
-def _positive(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0
+    return trials
 
 
 SETTINGS = {

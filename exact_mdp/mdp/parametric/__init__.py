@@ -1,25 +1,11 @@
 """Models with named parameters: families of models, and how rows move with one parameter."""
 
-from exact_mdp.mdp.parameter import Parameter
-from exact_mdp.mdp.parametric.family import (
-    DISCOUNT,
-    Family,
-    Parametric,
-    moved_from,
-    moving,
-    parameter_of,
-    parametric,
-    room_of,
-)
-
-__all__ = [
-    "DISCOUNT",
-    "Family",
-    "Parameter",
-    "Parametric",
-    "moved_from",
-    "moving",
-    "parameter_of",
-    "parametric",
-    "room_of",
-]
+from exact_mdp.mdp.parameter import Parameter as Parameter
+from exact_mdp.mdp.parametric.family import DISCOUNT as DISCOUNT
+from exact_mdp.mdp.parametric.family import Family as Family
+from exact_mdp.mdp.parametric.family import Parametric as Parametric
+from exact_mdp.mdp.parametric.family import moved_from as moved_from
+from exact_mdp.mdp.parametric.family import moving as moving
+from exact_mdp.mdp.parametric.family import parameter_of as parameter_of
+from exact_mdp.mdp.parametric.family import parametric as parametric
+from exact_mdp.mdp.parametric.family import room_of as room_of

@@ -38,7 +38,7 @@ FAULTS = [  # what a line becomes, what is said of it, and the remedy
     ("onset = 0.05", "onset = -0.05", "outside [0, 1]", "in that range"),
     ("actions = [", "actions = [1, ", "actions is not a list of different names", "write"),
     ("tasks = [2]", "tasks = [0]", "tasks is not a list", "[3, 1]"),
-    ("max_trial = 3", "max_trial = 0", "max_trial is 0", "at least 1"),
+    ("max_trial = 3", "max_trial = 0", "max_trial is 0", "1 or more"),
     ("discount = 1", "discount = 95", "outside [0, 1]", "from 0 to 1"),
     ("timestep = 0", "timestap = 0", "unknown number 'reward.timestap'", "reward.timestep?"),
     ("[readings]", "[readings]\nskip_onsets = 'base'", "unknown reading", "skip_onset?"),
