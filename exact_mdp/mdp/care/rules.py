@@ -7,28 +7,17 @@ independent, each with a chance that is a sum of parameters, cut off at 1:
     p_i(s, a) = min(1, Σ of the parameters in terms[step[s, a, i]])       under action a,
     z_i(s)    = min(1, Σ of the parameters in terms[skip[s, i]])          when a subtask is skipped.
 
-Under an action a they follow the law K_a(s, ·), on a skip Z(s, ·). A subtask ends in one of two
-events, `complete` and `skip`:
+Under an action a they follow the law K_a(s, ·), on a skip Z(s, ·):
 
-    event      when                             charges, in weights              leads to
-    complete   s' = 0 under K_a                 timestep, subtask-complete,      k + 1, flag f
-                                                assist.a, trial *, bonus
-    fail       s' ≠ 0 under K_a                 timestep, trial                  k, t + 1, s'
-    skip       after the M-th fail, s'' by Z    subtask-skip, timestep *, bonus  k + 1, flag 1, s''
+    complete   s' = 0 under K_a                 leads to k + 1, flag f
+    fail       s' ≠ 0 under K_a                 leads to k, t + 1, s'
+    skip       after the M-th fail, s'' by Z    leads to k + 1, flag 1, s''
 
-    trial *      where `trial_cost` is every-trial
-    timestep *   where `skip_timestep` is own: the skip is then a step of its own, t = M, in which
-                 *skip* is the only action; else it belongs to the step of the M-th fail
-    bonus        task-complete, where k is the last subtask of its task and `task_bonus` is
-                   always                   after both events
-                   last-subtask-completed   after `complete`
-                   no-subtask-skipped       after `complete` with f = 0
-    statuses     each step charges the weights of the statuses present in its next vector, or in
-                 its present one (`status_cost`); the vector 0 costs nothing
-    flag         a new task starts with f = 0; behind the last subtask of all is the end
-
-`CHARGES`, `BONUS` and `STATUS_COST` are this table as data, `Rules` is what it says of a scenario,
-in positions of its parameters; `mdp.care.laws` puts in their numbers.
+Where `skip_timestep` is own, a skip is a step of its own, t = M, in which *skip* is the only
+action; else it belongs to the step of the M-th fail. A new task starts with f = 0; behind the last
+subtask of all is the end. `CHARGES`, `BONUS` and `STATUS_COST` say what is charged, beside assist.a
+for a subtask completed; the vector 0 costs nothing. `Rules` is what they say of a scenario, in
+positions of its parameters; `mdp.care.laws` puts in their numbers.
 Source: Yuan et al. (2025), Equation 1, Table 4 and Sections 2.1 and 3.2.
 """
 
@@ -36,7 +25,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,16 +50,14 @@ CHARGES: tuple[tuple[int, str, tuple[str, str] | None], ...] = (
 )
 
 # After which events, with which flag, the end of a task is rewarded.
-BONUS: Mapping[str, tuple[tuple[int, int], ...]] = MappingProxyType(
-    {
-        "always": ((COMPLETE, 0), (COMPLETE, 1), (SKIPPED, 1)),
-        "last-subtask-completed": ((COMPLETE, 0), (COMPLETE, 1)),
-        "no-subtask-skipped": ((COMPLETE, 0),),
-    }
-)
+BONUS: dict[str, tuple[tuple[int, int], ...]] = {
+    "always": ((COMPLETE, 0), (COMPLETE, 1), (SKIPPED, 1)),
+    "last-subtask-completed": ((COMPLETE, 0), (COMPLETE, 1)),
+    "no-subtask-skipped": ((COMPLETE, 0),),
+}
 
 # Whether a step charges the statuses of its present vector, and those of its next one.
-STATUS_COST: Mapping[str, tuple[int, int]] = MappingProxyType({"next": (0, 1), "current": (1, 0)})
+STATUS_COST = {"next": (0, 1), "current": (1, 0)}
 
 
 class Rules:

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -49,6 +49,7 @@ READINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Every reading with its options, the default first."""
 
 SKIP = "skip"
+MAPPINGS = ("readings", "others", "weights")
 MOST_STATUSES = 10
 MOST_STATES = 200_000_000  # 27 bytes for each while solving without a matrix: 5.4 GB
 SHARED_WEIGHTS = ("trial", "subtask-complete", "subtask-skip", "timestep", "task-complete")
@@ -91,7 +92,7 @@ class Tables:
     source: str = ""
 
     def __post_init__(self) -> None:
-        for mapping in ("readings", "others", "weights"):
+        for mapping in MAPPINGS:
             object.__setattr__(self, mapping, MappingProxyType(dict(getattr(self, mapping))))
         check_scenario(self)
 
@@ -131,15 +132,10 @@ class Tables:
     def _repr_html_(self) -> str:
         return as_html(repr(self), self.frame(), rows=len(self.parameters))
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Any, ...]:
         parts = {each.name: getattr(self, each.name) for each in fields(self)}
-        views = MappingProxyType  # which cannot be pickled
-        return {k: dict(part) if isinstance(part, views) else part for k, part in parts.items()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for key, value in state.items():
-            frozen = MappingProxyType(value) if isinstance(value, dict) else value
-            object.__setattr__(self, key, frozen)
+        views = {name: dict(parts[name]) for name in MAPPINGS}  # views cannot be pickled
+        return partial(type(self), **parts | views), ()
 
     @property
     def trials(self) -> int:

@@ -65,8 +65,6 @@ class RowChange:
     """How transition rows, expected rewards and the discount move with one parameter."""
 
     name: str
-    origin: Fraction  # the value θ0 of the parameter at which y is 0
-    piece: Piece
     transition: Change  # keys are pair · S + next state
     reward: Change  # keys are pairs
     rate: fmpq_poly  # what is added to the discount
@@ -122,8 +120,6 @@ def row_change(
         raise _no_polynomial("the discount is not a polynomial", name, degree)
     return RowChange(
         name=name,
-        origin=place,
-        piece=piece,
         transition=changes[0],
         reward=changes[1],
         rate=rate - rate[0],
