@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
-from functools import wraps
+from functools import partial, wraps
 from inspect import signature
 from typing import Any, TypeVar, cast
 
@@ -73,7 +73,7 @@ class ModelError(ValueError):
         super().__init__("\n".join(lines))
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild, (type(self), self.what, self.where, self.fix)
+        return partial(type(self), where=self.where, fix=self.fix), (self.what,)
 
 
 class DistributionError(ModelError):
@@ -90,10 +90,6 @@ class ShapeError(ModelError):
 
 class ScenarioWarning(UserWarning):
     """The tables of a scenario, as they are read, state a probability above 1."""
-
-
-def _rebuild(kind: type[ModelError], what: str, where: str, fix: str) -> ModelError:
-    return kind(what, where=where, fix=fix)
 
 
 def no_such(what: str, number: object, size: int, *, where: str = "") -> ModelError:

@@ -13,6 +13,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
+from functools import partial
 from math import inf
 from typing import Any, NoReturn
 
@@ -28,22 +29,15 @@ WORDS = {dict: "an object", list: "a list", str: "a text", bool: "true or false"
 
 def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> dict[str, Any]:
     r"""Return the content of a TOML text; `where` is the file, `number` reads decimal numbers."""
-
-    def read(text: str) -> dict[str, Any]:
-        with located(where, instead=True):
-            return tomllib.loads(text, parse_float=number)
-
-    content: dict[str, Any] = _parsed(read, text, "TOML", where)
+    content: dict[str, Any] = _parsed(
+        partial(tomllib.loads, parse_float=number), text, "TOML", where
+    )
     return content
 
 
 def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
     """Return the content of a JSON text, each key once; `hooks` are those of `json.loads`."""
-
-    def read(text: str | bytes) -> Any:
-        with located(where, instead=True):
-            return json.loads(text, object_pairs_hook=_each_once, **hooks)
-
+    read = partial(json.loads, object_pairs_hook=_each_once, **hooks)
     return _parsed(read, text, "JSON", where)
 
 
@@ -58,7 +52,8 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str) -> Any:
     """Return what a text says; what is too deep or too long is refused without a recursion."""
     try:
-        content = read(text)
+        with located(where, instead=True):
+            content = read(text)
     except ModelError:
         raise
     except RecursionError as error:
