@@ -114,6 +114,16 @@ def of_type(value: Any, kind: Any, where: str, fix: str) -> Any:
     return value
 
 
+def once_each(items: Iterable[tuple[T, Any]], label: Callable[[T], str] = str) -> dict[T, Any]:
+    """Return what is said of each thing; raises ModelError where it is said twice of one."""
+    listed = list(items)
+    entries = dict(listed)
+    if len(entries) < len(listed):
+        twice = Counter(key for key, _ in listed).most_common(1)[0][0]
+        raise ModelError(f"{label(twice)} appears twice", fix="keep one of them")
+    return entries
+
+
 def words_of(names: Iterable[object] | None, where: str) -> tuple[str, ...]:
     """Return names as texts; raises ModelError for a text alone, and for what is no list."""
     return () if names is None else tuple(map(str, listed(names, where)))

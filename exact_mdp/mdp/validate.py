@@ -22,6 +22,7 @@ from exact_mdp.mdp.errors import (
     no_option,
     no_such,
     of_type,
+    once_each,
     suggest,
 )
 from exact_mdp.mdp.forms.names import ByNumber
@@ -259,7 +260,7 @@ def as_start(start: object, space: StateSpace) -> ByNumber:
                     "each of the pairs may be a state, or a state and its probability",
                     fix="give {state: probability}",
                 )
-            weights = _once(space.numbers([s for s, _ in start]), [p for _, p in start])
+            weights = _by_number([s for s, _ in start], [p for _, p in start], space)
         else:
             given = by_state(start, space)
             weights = _of_short_floats({space.number(start): 1} if given is None else given)
@@ -284,9 +285,9 @@ def by_state(numbers: Any, space: StateSpace) -> dict[int, Any] | None:
     """Return numbers by state from {state: number} or from a vector; None for anything else."""
     refuse_masked(numbers)
     if is_table(numbers) and numbers.ndim == 1:
-        return _once(space.numbers(_labels(numbers.index, space)), numbers.tolist())
+        return _by_number(_labels(numbers.index, space), numbers.tolist(), space)
     if isinstance(numbers, Mapping):
-        return _once(space.numbers(numbers), numbers.values())
+        return _by_number(numbers, numbers.values(), space)
     if (isinstance(numbers, np.ndarray) and numbers.ndim == 1) or (
         isinstance(numbers, list | tuple) and not _is_state(numbers, space)
     ):
@@ -317,10 +318,8 @@ def _labels(index: Any, space: StateSpace) -> list[Any]:
     return list(index.reorder_levels(list(parts)))
 
 
-def _once(states: Sequence[int], numbers: Iterable[object]) -> dict[int, Any]:
-    if len(set(states)) < len(states):
-        raise ModelError("a state appears twice", fix="keep one of them")
-    return dict(zip(states, numbers, strict=True))
+def _by_number(states: object, numbers: Iterable[object], space: StateSpace) -> dict[int, Any]:
+    return once_each(zip(space.numbers(states), numbers, strict=True), space.label)
 
 
 def _are_pairs(given: object) -> TypeGuard[Sequence[Sequence[Any]]]:

@@ -506,7 +506,7 @@ def test_a_start_goes_by_names_or_by_the_models_order() -> None:
     assert timed.with_(start=timed.start).start == timed.start
     for model, start, what in (
         (mdp, [(1, THIRD), (2, 1 - THIRD)], "in the model's order, which differ"),
-        (words, [("a", "1/3"), ("a", "2/3")], "a state appears twice"),
+        (words, [("a", "1/3"), ("a", "2/3")], "state a appears twice"),
         (tuples, [(0, 1)], "may be a state, or a state and its probability"),
     ):
         with pytest.raises(ModelError, match=what):

@@ -69,8 +69,7 @@ def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
     """
     matrix = checked(confusion, size=status_size(model), where="confusion matrix")
     weights, regular = Policy.of(model, policy).weights(model), model.space.regular
-    by_action = np.zeros((model.n_states, model.n_actions))
-    by_action[model.pair_state, model.pair_action] = weights
+    by_action = model.by_action(weights, 0.0)
     placed = by_place(model, weights)
     mixed = np.zeros_like(placed)
     for seen, share in enumerate(matrix.T):  # in this order on every processor, unlike a product
@@ -81,9 +80,8 @@ def perceived(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> Policy:
 
 def by_place(model: MDP, amounts: Floats) -> Floats:
     """Return (P, Z, A) by place, status and action what `amounts` (L,) are by pair, else 0."""
-    by_state = np.zeros((model.n_states, model.n_actions))
-    by_state[model.pair_state, model.pair_action] = amounts
-    return by_state[: model.space.regular].reshape(-1, status_size(model), model.n_actions)
+    by_action = model.by_action(amounts, 0.0)
+    return by_action[: model.space.regular].reshape(-1, status_size(model), model.n_actions)
 
 
 def independent(sensitivity: Sequence[float], specificity: Sequence[float]) -> Floats:

@@ -17,7 +17,7 @@ from functools import partial
 from math import inf
 from typing import Any, NoReturn
 
-from exact_mdp.mdp.errors import ModelError, located, short
+from exact_mdp.mdp.errors import ModelError, located, once_each, short
 from exact_mdp.mdp.table import MOST_DIGITS, exact
 
 DEEPEST = 100  # tables and lists within each other; the deepest file that is read has five
@@ -37,16 +37,8 @@ def toml_of(text: str, where: str, *, number: Callable[[str], Any] = exact) -> d
 
 def json_of(text: str | bytes, where: str, **hooks: Any) -> Any:
     """Return the content of a JSON text, each key once; `hooks` are those of `json.loads`."""
-    read = partial(json.loads, object_pairs_hook=_each_once, **hooks)
+    read = partial(json.loads, object_pairs_hook=once_each, **hooks)
     return _parsed(read, text, "JSON", where)
-
-
-def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    entries = dict(pairs)
-    if len(entries) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ModelError(f"{max(keys, key=keys.count)} appears twice", fix="keep one of them")
-    return entries
 
 
 def _parsed(read: Callable[[Any], Any], text: str | bytes, kind: str, where: str) -> Any:

@@ -185,11 +185,7 @@ def _parameters(given: Any) -> tuple[Parameter, ...]:
             where="parameters",
             fix='give {name: value}, or a tuple of Parameter(name="p", value="1/2", low=0, high=1)',
         )
-    for name, count in Counter(parameter.name for parameter in given).items():
-        if count > 1:
-            raise ModelError(
-                f"two parameters are called {name}", where="parameters", fix="rename one"
-            )
+    check_names([parameter.name for parameter in given], "parameter", where="parameters")
     return tuple(given)
 
 

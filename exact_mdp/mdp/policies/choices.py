@@ -11,7 +11,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from os.path import isfile
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, suggest
+from exact_mdp.mdp.errors import ModelError, ShapeError, located, of_type, once_each, suggest
 from exact_mdp.mdp.forms.names import is_number, whole_of
 from exact_mdp.mdp.forms.numbers import refuse_masked
 from exact_mdp.mdp.io.files import STANDARD_INPUT, read_text, write_atomically
@@ -48,7 +48,7 @@ def of_mapping(model: MDP, entries: Mapping[Any, Any], kind: str = "auto") -> Pa
         timed = any(PRINTED_TIME.match(str(key)) for key in entries)
         space = model.space if timed else model.space.untimed or model.space
         keys = space.numbers(entries)
-    choices = _once(zip(keys, entries.values(), strict=True), space.label)
+    choices = once_each(zip(keys, entries.values(), strict=True), space.label)
     if default is not None:
         choices = {key: choices[key] if key in choices else default() for key in range(space.size)}
     return of_choices(model, space, choices, kind)
@@ -101,18 +101,8 @@ def of_choices(model: MDP, space: StateSpace, choices: Mapping[int, Any], kind: 
             mixed = isinstance(choice, Mapping)
             numbers = names.numbers(choice if mixed else [choice])
             each = zip(numbers, map(_probability, choice.values() if mixed else [1]), strict=True)
-            chances[key] = _once(each, names.label)
+            chances[key] = once_each(each, names.label)
     return _of_chances(model, space, chances)
-
-
-def _once(items: Iterable[tuple[Any, Any]], label: Callable[[Any], str] = str) -> dict[Any, Any]:
-    """Return what is said of each thing, once."""
-    entries: dict[Any, Any] = {}
-    for key, value in items:
-        if key in entries:
-            raise ModelError(f"{label(key)} appears twice", fix="keep one of them")
-        entries[key] = value
-    return entries
 
 
 def _probability(value: object) -> Fraction:
