@@ -101,11 +101,6 @@ MADE: dict[str, Callable[[], object]] = {
 }
 
 
-@cache
-def made(name: str) -> object:
-    return MADE[name]()
-
-
 def kinds() -> dict[str, type[Result]]:
     """Return every class of results that can be made, by name."""
     for package in (analysis, solvers, paper_repro):
@@ -136,7 +131,7 @@ def test_every_kind_of_result_is_made_here_and_has_its_picture() -> None:
 
 @pytest.mark.parametrize("name", MADE)
 def test_a_result_shows_itself(name: str) -> None:
-    result = made(name)
+    result = MADE[name]()
     assert type(result).__name__ == name
     assert isinstance(result, Result)
     for text in (repr(result), str(result)):
