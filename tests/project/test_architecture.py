@@ -17,8 +17,8 @@ ROOMS = ["mdp", "solvers", "analysis", "paper_repro"]  # each imports itself and
 NUMBA = ["mdp/forms/compiling.py", "mdp/forms/rows.py", "solvers/kernels/*.py"]
 HEAVY = {
     *("IPython", "certifi", "click", "cvxpy", "flint", "gymnasium", "httpx", "jinja2", "joblib"),
-    *("jupyter", "matplotlib", "networkx", "numba", "pandas", "pyarrow", "rich", "stormpy", "tqdm"),
-    "umbi",
+    *("jupyter", "matplotlib", "networkx", "numba", "numpy", "pandas", "pyarrow", "rich", "scipy"),
+    *("stormpy", "tqdm", "umbi"),
 }
 Import = tuple[str, str, bool]  # the file, the module, whether inside a function or for types alone
 
@@ -116,7 +116,10 @@ def loaded(code: str) -> set[str]:
     ("code", "allowed"),
     [
         *((f"import exact_mdp{room}", set()) for room in ["", *(f".{room}" for room in ROOMS)]),
-        ("from exact_mdp import MDP, Scenario, solve, evaluate, certify", {"flint", "tqdm"}),
+        (
+            "from exact_mdp import MDP, solve, evaluate, certify",
+            {"flint", "numpy", "scipy", "tqdm"},
+        ),
         ("import exact_mdp.analysis.cli", {"click"}),
         ("import exact_mdp.analysis.pytest_plugin", set()),
         ("from exact_mdp.analysis.cli import main; main(['solve', '--help'])", {"click"}),
