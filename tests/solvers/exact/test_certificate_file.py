@@ -76,15 +76,6 @@ def test_the_file_is_what_is_documented(tmp_path: Path) -> None:
     assert [data[key] for key in ("g", "w", "infinite", "order")] == [None] * 4
 
 
-def test_each_kind_is_read_as_such(tmp_path: Path) -> None:
-    path = tmp_path / "proof.json"
-    certified("cycle").save(path)
-    with pytest.raises(ModelError, match="kind is 'total', not 'bounds'"):
-        BoundedCertificate.load(path)
-    with pytest.raises(ModelError, match="cannot read"):
-        Certificate.load(tmp_path / "other.json")
-
-
 LEVEL = {"top": ["0x0"] * 4, "below": ["0x1"], "group": [0] * 4}
 BAD: dict[str, list[Any]] = {
     "format": ["other", None, 1],

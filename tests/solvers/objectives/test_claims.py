@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from exact_mdp import MDP, ModelError, certify, check, rationalize, solve, tradeoff
-from exact_mdp.check_certificate import main
 
 STAY_OR_GO = [(0, 0, [(1, 1, -5)]), (0, 1, [(1, 2, -1)]), (1, 0, [(1, 1, 0)])]
 HOME = {"home": [False, True, False]}
@@ -58,40 +57,12 @@ def test_limits_on_one_name_keep_their_own_closest_bounds() -> None:
     assert solution.frame()["closest"].tolist() == [F(6), F(7)]
 
 
-def test_a_component_may_be_called_return() -> None:
-    mdp = MDP.from_outcomes([(0, 0, [(1, 1, 5)]), (1, 0, [(1, 1, 0)])],
-                            components={"return": [2, 0], "rest": [3, 0]})  # fmt: skip
-    assert solve(mdp, subject_to={"return": "<= 2"}).start_value == 5
-
-
 def test_a_proof_is_loaded_with_its_own_model_only(tmp_path: Path) -> None:
     front = tradeoff(TWO, ["gain", "effort"])
     front.save(path := tmp_path / "front.json")
     assert type(front).load(path, TWO).vertices == front.vertices
     with pytest.raises(ModelError, match="another model"):
         type(front).load(path, TWO.with_(discount="1/2"))
-
-
-def test_the_checker_says_which_file_and_what_is_wrong(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    TWO.save(model := tmp_path / "model.json")
-    certify(TWO).save(proof := tmp_path / "proof.json")
-    certify(TWO.within(2)).save(other := tmp_path / "other.json")
-    text = proof.read_text("utf-8")
-    for change, status, said in (
-        (None, 1, "another model"),
-        (lambda t: t[:-9], 2, "broken.json: Unterminated"),
-        (lambda t: t.replace('"rank"', '"ranks"'), 2, "keys missing, or too many: rank, ranks"),
-        (lambda t: t.replace('"total"', '"front"'), 2, "see exact-mdp verify"),
-    ):
-        path = other if change is None else tmp_path / "broken.json"
-        if change is not None:
-            path.write_text(change(text), "utf-8")
-        assert main([str(model), str(path)]) == status
-        written = capsys.readouterr()
-        assert said in written.out + written.err
-    assert main([str(model), str(proof)]) == 0
 
 
 # ---- amounts in floats ---------------------------------------------------------------------------
@@ -107,9 +78,9 @@ def with_floats(first: str = "a") -> MDP:
     return MDP.from_pairs([0, 0, 1], [0, 1, 0], rows, REWARD, components=parts)
 
 
-@pytest.mark.parametrize("first", ["a", "reward"])
+@pytest.mark.parametrize("first", ["a", "reward", "return"])
 def test_the_optimum_under_limits_is_one_of_the_reward(first: str) -> None:
-    """Also where a component is called as the reward is."""
+    """Also where a component is called as the reward is, or as the objective."""
     mdp = with_floats(first)
     assert mdp.component_names == (first, "b", "c")
     assert sum(map(F, (0.1, 0.2, 0.3))) != F(REWARD[0])
