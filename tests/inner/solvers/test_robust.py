@@ -32,9 +32,7 @@ from exact_mdp import (
     solve_robust,
 )
 from exact_mdp.analysis.vary.robust import SETS, ambiguity_of
-from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import RobustSolution
-from exact_mdp.solvers.robust.sets import L1Ball
 
 F = Fraction
 SMALL = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=3)
@@ -102,18 +100,16 @@ def row_model(weights: list[int], gains: list[float]) -> MDP:
 
 
 @fewer
-@given(rows(), st.sampled_from(["relative", "absolute", "ball"]),
+@given(rows(), st.sampled_from(["interval", "absolute", "l1"]),
        st.sampled_from([0.0, 0.1, 0.2, 0.9, 1.0, 3.0]))  # fmt: skip
 def test_intervals_and_balls_against_a_linear_program(row: Any, kind: str, radius: float) -> None:
     """Over q and |q - p|."""
     mdp, p, gains, nature = row
     n, size = len(p), np.abs(gains).max() or 1.0  # the program's tolerances are absolute
     eye, none = np.eye(n), np.zeros((1, n))
-    bounds, most, ambiguity = [(0.0, 1.0)] * n, float(radius), L1Ball(radius=radius)
-    if kind != "ball":
-        ambiguity = getattr(Intervals, kind)(mdp, radius)
-        bounds = list(zip(ambiguity.lower[:n], ambiguity.upper[:n], strict=True))
-        most = 2.0
+    bounds, most, ambiguity = [(0.0, 1.0)] * n, float(radius), ambiguity_of(mdp, kind, radius)
+    if kind != "l1":
+        bounds, most = list(zip(ambiguity.lower[:n], ambiguity.upper[:n], strict=True)), 2.0
     sign = 1 if nature == "worst" else -1
     done = linprog(
         np.concatenate([sign * gains / size, np.zeros(n)]),
@@ -137,9 +133,7 @@ def backward(p: np.ndarray, q: np.ndarray) -> float:
 
 
 @pytest.mark.filterwarnings("ignore::exact_mdp.PrecisionWarning")
-@pytest.mark.parametrize(
-    ("kind", "divergence"), [(Likelihood, forward), (RelativeEntropy, backward)]
-)
+@pytest.mark.parametrize(("kind", "divergence"), [("kl", forward), ("entropy", backward)])
 @fewer
 @given(
     row=rows(),
@@ -147,14 +141,14 @@ def backward(p: np.ndarray, q: np.ndarray) -> float:
     seed=st.integers(0, 99),
 )
 def test_divergence_sets_hold_what_they_return_and_no_member_beats_the_bound(
-    kind: Any, divergence: Callable[..., float], row: Any, radius: float, seed: int
+    kind: str, divergence: Callable[..., float], row: Any, radius: float, seed: int
 ) -> None:
     mdp, p, gains, nature = row
-    solution, n = solve_robust(mdp, kind(radius=radius), nature=nature), len(p)
+    solution, n = solve_robust(mdp, ambiguity_of(mdp, kind, radius), nature=nature), len(p)
     low, high = solution.start.interval
     q = solution.transition.toarray()[0, 1 : n + 1]
     q = q / q.sum()
-    if not (q == 0).any() or kind is RelativeEntropy:
+    if not (q == 0).any() or kind == "entropy":
         assert divergence(p, q) <= radius + 1e-13
     # A proven gap: the tolerance, and the edge of the divergence, which is left out by 1e-13.
     edge = min(1e-13 * (1 + radius) / sqrt(radius), sqrt(2 * radius)) if radius else 0.0
@@ -175,10 +169,10 @@ def test_divergence_sets_hold_what_they_return_and_no_member_beats_the_bound(
 def test_two_outcomes_have_closed_forms() -> None:
     mdp = row_model([1, 1], [0.0, 1.0])
     for radius in (1e-6, 1e-3, 0.1, 0.5, 2.0):
-        start = solve_robust(mdp, Likelihood(radius=radius)).start
+        start = solve_robust(mdp, ambiguity_of(mdp, "kl", radius)).start
         right = (1 - sqrt(1 - exp(-2 * radius))) / 2  # 4 q (1 - q) = e^-2β
         assert abs(start.value - right) <= start.error < 1e-9
-    entropy = solve_robust(mdp, RelativeEntropy(radius=1.0))  # above log 2
+    entropy = solve_robust(mdp, ambiguity_of(mdp, "entropy", 1.0))  # above log 2
     assert entropy.transition.toarray()[0].tolist() == [0, 1, 0]
     assert abs(entropy.start_value) <= entropy.start.error < 1e-12
 
@@ -186,19 +180,19 @@ def test_two_outcomes_have_closed_forms() -> None:
 def test_a_radius_for_each_pair() -> None:
     rows = [["1/2", "1/2"], [0, 1]], [["1/4", "3/4"], [0, 1]]
     mdp = MDP.from_arrays(rows, [[1, 1], [0, 0]], layout="ass")
-    ball = L1Ball(radius=[0.0, 0.5, 0, 0])
+    ball = ambiguity_of(mdp, "l1", [0.0, 0.5, 0, 0])
     values = [solve_robust(mdp, ball, policy=policy).start_value for policy in ([0, 0], [1, 0])]
     assert values == pytest.approx([2, 1])
 
 
-@pytest.mark.parametrize("kind", [L1Ball, Likelihood, RelativeEntropy])
+@pytest.mark.parametrize("kind", ["l1", "kl", "entropy"])
 @pytest.mark.parametrize(
     "radius", [-0.1, nan, inf, "much", True, [0.1], [0.1, -1.0], [0.1, nan], [0.1, True], 10**400]
 )
-def test_what_is_no_set_of_laws_is_refused(kind: Any, radius: Any) -> None:
+def test_what_is_no_set_of_laws_is_refused(kind: str, radius: Any) -> None:
     mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
     with pytest.raises(ModelError) as caught:
-        solve_robust(mdp, kind(radius=radius))
+        solve_robust(mdp, ambiguity_of(mdp, kind, radius))
     assert (caught.value.where, bool(caught.value.fix)) == ("radius", True)
 
 
@@ -240,15 +234,10 @@ def test_the_care_model_in_rationals(objective: str, nature: Any, share: Fractio
         assert solution.error_bound < 1e-9
 
 
-def sets(mdp: MDP, share: Fraction) -> list[Any]:
-    kinds = (L1Ball, Likelihood, RelativeEntropy)
-    return [Intervals.relative(mdp, share), *(kind(radius=float(share)) for kind in kinds)]
-
-
-def solved(mdp: MDP, kind: Any, **choices: Any) -> RobustSolution | None:
+def solved(mdp: MDP, kind: str, share: Fraction, **choices: Any) -> RobustSolution | None:
     """The solution; None where a set lets an episode go on for ever, or floats do not suffice."""
     try:
-        return solve_robust(mdp, kind, **choices)
+        return solve_robust(mdp, ambiguity_of(mdp, kind, share), **choices)
     except (ModelError, SolverError):
         return None
 
@@ -259,15 +248,16 @@ def solved(mdp: MDP, kind: Any, **choices: Any) -> RobustSolution | None:
 def test_order_of_values(rows: Rows, share: Fraction) -> None:
     mdp = rows.model()
     nominal = solve(mdp)
-    for kind in sets(mdp, share):
-        worst, best = solved(mdp, kind), solved(mdp, kind, nature="best")
+    for kind in SETS:
+        worst, best = solved(mdp, kind, share), solved(mdp, kind, share, nature="best")
         if worst is None or best is None:
-            assert not isinstance(kind, Intervals) or rows.discount > 0.9
+            assert kind not in ("interval", "absolute") or rows.discount > 0.9
             continue
         room = worst.state_error + best.state_error + nominal.state_error
         assert (worst.value <= nominal.value + room).all()
         assert (nominal.value <= best.value + room).all()
-        fixed, own = solved(mdp, kind, policy=nominal), solved(mdp, kind, policy=worst.policy)
+        fixed = solved(mdp, kind, share, policy=nominal)
+        own = solved(mdp, kind, share, policy=worst.policy)
         assert fixed is not None
         assert own is not None
         assert (fixed.value <= worst.value + fixed.state_error + worst.state_error).all()
@@ -282,28 +272,29 @@ def test_discount_near_1_ends_with_honest_bounds() -> None:
     for action, state in np.ndindex(3, 60):
         matrix[action, state, rng.choice(60, 5, replace=False)] = rng.dirichlet(np.ones(5))
     mdp = MDP.from_arrays(list(matrix), rng.normal(size=(60, 3)), "9999/10000")
-    for kind in sets(mdp, F(1, 10)):
-        solution = solve_robust(mdp, kind)
+    for kind in SETS:
+        solution = solve_robust(mdp, ambiguity_of(mdp, kind, F(1, 10)))
         assert np.abs(earned(solution) - solution.value).max() <= 3 * solution.error_bound + 1e-6
         assert solution.iterations < 30
 
 
 def test_a_way_out_that_nature_can_close() -> None:
     mdp = MDP.from_arrays([[["9/10", "1/10"], [0, 1]]], [-1, 0])
-    assert solve_robust(mdp, L1Ball(radius=0.1)).start.value == pytest.approx(-20)
-    for model, kind in (mdp, L1Ball(radius=0.3)), interval_model(total_reward(F(1))):
+    near, far = (ambiguity_of(mdp, "l1", radius) for radius in (0.1, 0.3))
+    assert solve_robust(mdp, near).start.value == pytest.approx(-20)
+    for model, kind in (mdp, far), interval_model(total_reward(F(1))):
         with pytest.raises(ModelError, match=r"(?s)every episode to end.*state \d"):
             solve_robust(model, kind)
-    late = solve_robust(mdp.with_(discount="9/10"), L1Ball(radius=0.3))
+    late = solve_robust(mdp.with_(discount="9/10"), far)
     assert late.start.value == pytest.approx(-10)
 
 
 def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
     mdp = MDP.from_arrays([[["1/3", "2/3"], ["1/7", "6/7"]]], [1, 0], "9/10")
     with pytest.raises(SolverError, match="iteration limit"):
-        solve_robust(mdp, L1Ball(radius=0.1), max_iterations=1, tol=1e-9)
+        solve_robust(mdp, ambiguity_of(mdp, "l1", 0.1), max_iterations=1, tol=1e-9)
     with pytest.warns(PrecisionWarning):
-        solve_robust(mdp, L1Ball(radius=0.1), tol=1e-17)
+        solve_robust(mdp, ambiguity_of(mdp, "l1", 0.1), tol=1e-17)
 
 
 # ---- the analysis --------------------------------------------------------------------------------
