@@ -74,24 +74,6 @@ def test_only_pairs_that_lose_much_are_left_out_of_the_float_model() -> None:
     assert solution.error_bound < 1e-6
 
 
-def test_costs_that_fall_elsewhere_leave_the_start_its_value() -> None:
-    rows = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)]), (2, 0, [(1, 2, -1)]), (2, 1, [(1, 1, 0)])]
-    flags = {"home": [False, True, False]}
-    mdp = MDP.from_outcomes(rows, labels=flags, sense="min").until("home")
-    optimum = certify(mdp)
-    assert (optimum.start_value, optimum.value.tolist()) == (1, [1, 0, -inf])
-    assert optimum.violations() == []
-    assert solve(mdp).value.tolist() == [1, 0, -inf]
-    for infinite in ([0, 0, 0], [1, 0, 1], [0, 0, -1]):
-        assert replace(optimum, infinite=np.array(infinite)).violations()
-    shut = MDP.from_outcomes([*rows[:3], (2, 1, [(1, 2, 0)])], labels=flags, sense="min")
-    assert replace(optimum, model=certify(shut.until("home")).model).violations(shut.until("home"))
-    assert certify(shut.until("home")).value.tolist() == [1, 0, inf]
-    for asked in (certify, solve):
-        with pytest.raises(ModelError, match="fall without end before the goal"):
-            asked(mdp.with_(start=2))
-
-
 def test_a_bandit_with_dead_ends() -> None:
     # Ghallab, Nau and Traverso, Automated Planning and Acting, figure 6.1, as in markkho/msdm,
     # tests/domains, DeadEndBandit: pull the odd one of three letters; bbb and ccc end it, aaa not.

@@ -42,13 +42,6 @@ def test_the_papers_schedules() -> None:
 # ---- what learning must do -----------------------------------------------------------------------
 
 
-def test_zero_is_a_seed_of_its_own(care: MDP) -> None:
-    learner = QLearning(epochs=3)
-    first = learner.train(care, 0).q
-    assert np.array_equal(first, learner.train(care, 0).q)
-    assert not np.array_equal(first, learner.train(care, 1).q)
-
-
 def test_training_returns_are_those_of_the_exploring_policy(care: MDP) -> None:
     """With a rate of 0 the greedy policy stays, and the returns have its exact ε-greedy mean."""
     epsilon = 0.25
