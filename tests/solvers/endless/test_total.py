@@ -8,7 +8,7 @@ from math import inf
 import numpy as np
 import pytest
 from answers import holds
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import gridworld
 from oracle import reaching
@@ -17,22 +17,25 @@ from strategies import Pairs, Row, any_models, model_of
 from exact_mdp import MDP, ModelError, PrecisionWarning, certify, solve
 
 
+@settings(max_examples=200)
 @given(
     model=any_models(5), missed=st.sampled_from([inf, -inf]), sense=st.sampled_from(["max", "min"])
 )
 def test_a_goal_that_is_missed(model: Pairs, missed: float, sense: str) -> None:
     size, pairs = model
-    pairs = ((0, 0, F(0), {0: F(1)}), *(row for row in pairs if row[0]))
-    mdp = model_of(size, pairs, F(1))
+    sign = 1 if sense == "max" else -1
+    pairs = ((0, 0, F(0), {0: F(1)}), *((s, a, sign * r, law) for s, a, r, law in pairs if s))
+    mdp = model_of(size, pairs, F(1), start=size - 1)
     goal = np.arange(size) == 0
     mdp = replace(mdp, goal=goal, unreached=missed, sense=sense)
-    sign = 1 if sense == "max" else -1
     value = reaching(pairs, missed, sign)
     try:
         optimum = certify(mdp)
     except ModelError as error:
         assert "fall without end before the goal" in str(error)  # noqa: PT017
-        assert rising(pairs, value, sign)[0] > sign * value[0]
+        assert rising(pairs, value, sign)[-1] > sign * value[-1]
+        with pytest.raises(ModelError, match="fall without end before the goal"):
+            solve(mdp)
         return
     assert optimum.violations() == []
     if missed == -sign * inf:  # no policy has a bound that is not attained, and all come close
