@@ -253,6 +253,22 @@ def test_a_root_on_one_side_of_a_breakpoint_is_none_on_the_other() -> None:
     assert [(each.low, each.high) for each in within] == [((p, p), (p, p)) for p in (F(-1), F(1))]
 
 
+@pytest.mark.parametrize("span", [(-1, 1), (0, 1), (-1, 0)])
+@pytest.mark.parametrize("gain", [lambda p: F(p < 0), lambda p: F(p <= 0)])
+def test_a_jump_is_refused_unless_its_value_belongs_to_all_of_a_range(
+    gain: Callable[[F], F], span: tuple[int, int]
+) -> None:
+    def build(p: F) -> MDP:
+        return MDP.from_outcomes([(0, 0, [(1, 1, gain(p))]), (1, 0, [(1, 1, 0)])])
+
+    family = lone(build, breaks={"p": [0]})
+    if all(gain(F(end)) == gain(F(0)) for end in span):
+        assert curve(family, "p", span).at(0) == gain(F(0))
+    else:
+        with pytest.raises(ModelError, match=r"rows are not polynomials(.|\n)*state 0"):
+            curve(family, "p", span)
+
+
 def test_what_is_false_between_breakpoints_is_found() -> None:
     """Each claim is changed alone; samples at ends and in the middle would see few of these."""
     value_curve = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])

@@ -240,11 +240,14 @@ def pieces_of(
     family: Parametric, name: str, span: Range, sign: int, mix: Mix | None
 ) -> tuple[list[CurvePiece], list[Sweep]]:
     """Return the pieces over a range, and their sections; sign is -1 for costs, `mix` is held."""
-    inside = (cut for cut in family.breakpoints(name) if span.low < cut < span.high)
+    cuts = {*family.breakpoints(name)}
+    inside = (cut for cut in cuts if span.low < cut < span.high)
     at = lru_cache(lambda value: family.at({name: value}))
     pieces, sweeps, policy = list[CurvePiece](), list[Sweep](), None
     for low, high in pairwise(sorted({span.low, *inside, span.high})):
         section, base, change = _middle(family, at, name, low, high)
+        for cut in {low, high} & cuts if change.checked is not None else ():  # refuse a jump there
+            row_change(family, name, section, origin=cut, base=at(cut))
         if _endless(at, base, section, change):
             raise unending(f"for some {name} from {shown(low)} to {shown(high)}")
         sweep = Sweep(base, section, change, sign, mix)
