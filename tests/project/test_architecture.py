@@ -117,7 +117,7 @@ def loaded(code: str) -> set[str]:
     [
         *((f"import exact_mdp{room}", set()) for room in ["", *(f".{room}" for room in ROOMS)]),
         (
-            "from exact_mdp import MDP, solve, evaluate, certify",
+            "from exact_mdp import MDP, Scenario, solve, evaluate, certify",
             {"flint", "numpy", "scipy", "tqdm"},
         ),
         ("import exact_mdp.analysis.cli", {"click"}),

@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable
 from fractions import Fraction as F
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -71,10 +72,13 @@ def test_the_rule_of_auto() -> None:
     assert (q.read_as, q.passed) == ("q", True)
     asked = "read as a Q-table: its greedy policy, discount 1, start state first"
     assert q.message().splitlines()[0] == asked
-    for form in (whole([[1, 0], [0, 1]], [7, np.nan]), [0, 1, 0]):
+    ones = np.array([[1, 0], [0, 1], [0, 0]])
+    for form in (ones, whole(ones[:2], [7, np.nan]), [0, 1, 0]):
         certain = check(WALK, form)
         assert (certain.read_as, certain.passed, certain.q_error) == ("policy", True, None)
     assert check(WALK, "random").read_as == "policy"
+    run = SimpleNamespace(q=whole(BOTH), policy=lambda mdp: "random")  # what a learner has
+    assert (check(WALK, run).read_as, check(WALK, run).regret.learned.value) == ("q", 3)
     assert check(WALK, whole([[3.0, -np.inf], [-np.inf, 2]])).passed
     within = MDP.from_outcomes([(0, 0, [(1, 0, 1)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)]),
                                 (1, 1, [(1, 1, 3)])]).within(2)  # fmt: skip

@@ -72,7 +72,9 @@ def test_a_page_holds_verdict_table_picture_and_how_to_rerun(nasty: Path) -> Non
     wrong = [a["title"] for a in cells if a["class"] == "wrong"]
     assert len(wrong) == len(content["disagreements"]) == len(NASTY) - 1
     assert sum(each["share"] for each in content["disagreements"]) == pytest.approx(1)
-    assert re.search(r"state +yours +optimal +value lost +visits +share", checked().out)
+    text = checked().out
+    assert re.search(r"state +yours +optimal +value lost +visits +share", text)
+    assert "yours: what the policy does" in text
     for each in content["disagreements"]:
         said = f"{each['state']}: yours {each['learned']}, optimal {each['optimal']}; "
         assert [title for title in wrong if str(title).startswith(said)]
