@@ -1,13 +1,11 @@
 """Published models with known answers, in exact rationals; they import nothing of the project."""
 
-from . import checkers, gambling, gridworlds, handwashing, howard, msdm, puterman, toolbox
+from . import checkers, gambling, gridworlds, handwashing, puterman, small
 from .case import Case
 
 CASES: tuple[Case, ...] = (
     *puterman.CASES,
-    *howard.CASES,
-    *toolbox.CASES,
-    *msdm.CASES,
+    *small.CASES,
     *gridworlds.CASES,
     *gambling.CASES,
     *checkers.CASES,

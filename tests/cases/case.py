@@ -1,6 +1,6 @@
 """What a test case is: a published model in exact rationals, with the answer it must give."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 
@@ -28,7 +28,6 @@ class Case:
 
     name: str
     source: str
-    n_states: int
     pairs: tuple[Pair, ...]
     discount: Fraction
     values: Mapping[int, Number]
@@ -40,7 +39,10 @@ class Case:
     uniform_values: Mapping[int, Number] = field(default_factory=dict)
     start: int = 0
     proper: bool = True
-    note: str = ""
+
+    @property
+    def n_states(self) -> int:
+        return 1 + max(state for state, *_ in self.pairs)
 
     def __str__(self) -> str:
         return self.name
@@ -53,6 +55,20 @@ def row(*outcomes: tuple[int, Fraction | int]) -> dict[int, Fraction]:
         if probability:
             total[state] = total.get(state, Fraction(0)) + probability
     return total
+
+
+def rows(text: str) -> tuple[Pair, ...]:
+    """Pairs from "state action reward: next probability, …; …"; what is certain stands alone."""
+    pairs: list[Pair] = []
+    for line in text.split(";"):
+        head, _, tail = line.partition(":")
+        state, action, reward = head.split()
+        outcomes = [outcome.split() for outcome in tail.split(",")]
+        law = row(
+            *((int(after), Fraction(chance[0] if chance else 1)) for after, *chance in outcomes)
+        )
+        pairs.append((int(state), int(action), Fraction(reward), law))
+    return tuple(pairs)
 
 
 def end(state: int, n_actions: int = 1) -> list[Pair]:
@@ -75,31 +91,19 @@ def actions(policy: Iterable[int]) -> dict[int, int]:
     return dict(enumerate(policy))
 
 
-def from_matrices(
-    transitions: Sequence[Sequence[Sequence[Fraction]]], rewards: Sequence[Sequence[int]]
-) -> tuple[Pair, ...]:
-    """Pairs from transitions[action][state][next state] and rewards[state][action]."""
-    return tuple(
-        (s, a, Fraction(rewards[s][a]), row(*enumerate(matrix[s])))
-        for s in range(len(rewards))
-        for a, matrix in enumerate(transitions)
-    )
+def best(*sets: Iterable[int]) -> dict[int, frozenset[int]]:
+    """The sets of optimal actions of the first states."""
+    return {state: frozenset(each) for state, each in enumerate(sets)}
 
 
-def over_horizon(n_states: int, pairs: Iterable[Pair], horizon: int) -> tuple[Pair, ...]:
-    """The model over a finite horizon: state s before step t is t * n_states + s, then one end."""
-    last = horizon * n_states
+def over_horizon(pairs: Iterable[Pair], horizon: int) -> tuple[Pair, ...]:
+    """The model over a finite horizon: S states before each step, in the order of time, an end."""
     pairs = tuple(pairs)
-    return (
-        *(
-            (
-                t * n_states + s,
-                a,
-                r,
-                row(*((min(last, (t + 1) * n_states + u), p) for u, p in next_states.items())),
-            )
-            for t in range(horizon)
-            for s, a, r, next_states in pairs
-        ),
-        *end(last),
-    )
+    n_states = 1 + max(state for state, *_ in pairs)
+    last = horizon * n_states
+    listed: list[Pair] = []
+    for t in range(horizon):
+        for s, a, r, law in pairs:
+            later = ((min(last, (t + 1) * n_states + u), p) for u, p in law.items())
+            listed.append((t * n_states + s, a, r, row(*later)))
+    return (*listed, *end(last))

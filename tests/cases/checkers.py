@@ -7,49 +7,14 @@ a set is the expectation of a reward of 1 on the way in.
 from collections.abc import Callable
 from fractions import Fraction
 
-from .case import Case, Pair, end, over_horizon, row
+from .case import Case, Pair, end, row
 
 F = Fraction
 HALF = F(1, 2)
 STORM = "moves-rwth/storm "
 STORM_TESTS = STORM + "src/test/storm/modelchecker/prctl/mdp/"
 STORM_MODELS = STORM + "resources/examples/testfiles/mdp/"
-DISCOUNTING = STORM_TESTS + "DiscountingMdpPrctlModelCheckerTest.cpp, "
 QCOMP = "ahartmanns/qcomp benchmarks/"
-
-
-def small_discount(discount: Fraction, value: Fraction) -> Case:
-    """A reward of 4 once, or of 1 in every step until the end, which comes one time in five."""
-    best = {F(1): {1}, F(9, 10): {0}, F(15, 16): {0, 1}}[discount]
-    return Case(
-        name=f"small-discount-{discount}",
-        source=f"{STORM_MODELS}small_discount.nm; {DISCOUNTING}SmallDiscount",
-        n_states=4,
-        pairs=(
-            (0, 0, F(0), {1: F(1)}),
-            (0, 1, F(0), {2: F(1)}),
-            (1, 0, F(4), {3: F(1)}),
-            (2, 0, F(1), {2: F(4, 5), 3: F(1, 5)}),
-            *end(3),
-        ),
-        discount=discount,
-        values={0: value},
-        optimal={0: frozenset(best)},
-    )
-
-
-def one_state(horizon: int, value: Fraction) -> Case:
-    """Earn 1 or 100 in every step, for ever or (horizon > 0) for a number of steps."""
-    pairs = ((0, 0, F(1), {0: F(1)}), (0, 1, F(100), {0: F(1)}))
-    return Case(
-        name=f"one-state-{horizon or 'for-ever'}",
-        source=f"{STORM_MODELS}one_state.nm; {DISCOUNTING}OneStateDiscounting",
-        n_states=horizon + 1,
-        pairs=over_horizon(1, pairs, horizon) if horizon else pairs,
-        discount=F(9, 10),
-        values={0: value},
-        optimal={s: frozenset({1}) for s in range(max(1, horizon))},
-    )
 
 
 # The die of Knuth and Yao: seven states in which a coin is flipped, then the faces (7 to 12).
@@ -57,7 +22,8 @@ DIE = {0: (1, 2), 1: (3, 4), 2: (5, 6), 3: (1, 7), 4: (8, 9), 5: (10, 11), 6: (2
 
 
 def two_dice(name: str, reward: Callable[[bool, int], int], value: Fraction) -> Case:
-    """Two dice made of coin flips; the choice is which of them to flip for. It never matters.
+    """Two dice made of coin flips; the choice is which of them to flip for. It never matters:
+    the least and the greatest value are published, and equal.
 
     `reward` is given whether the dice are done after the flip, and their sum if they are.
     """
@@ -79,12 +45,10 @@ def two_dice(name: str, reward: Callable[[bool, int], int], value: Fraction) -> 
     return Case(
         name=f"two-dice-{name}",
         source=STORM_MODELS + "two_dice.tra; " + STORM_TESTS + "MdpPrctlModelCheckerTest.cpp, Dice",
-        n_states=169,
         pairs=tuple(pairs),
         discount=F(1),
         values={0: value},
         optimal={state: frozenset(every) for state, every in available.items()},
-        note="the least and the greatest value are published, and equal",
     )
 
 
@@ -135,7 +99,6 @@ def consensus(
         source="moves-rwth/stormpy resources/examples/testfiles/mdp/coin2-2.nm; "
         + QCOMP
         + "mdp/consensus/index.json",
-        n_states=len(number),
         pairs=tuple(pairs),
         discount=F(1),
         values={0: value},
@@ -172,7 +135,6 @@ def reset_chain(n: int, p: Fraction, steps: bool) -> Case:
         source="Haddad and Monmege, Theoretical Computer Science 735 (2018) 111-131; "
         + QCOMP
         + "dtmc/haddad-monmege, haddad-monmege.pm and index.json",
-        n_states=2 * n + 1,
         pairs=tuple(pairs),
         discount=F(1),
         values=values,
@@ -181,12 +143,6 @@ def reset_chain(n: int, p: Fraction, steps: bool) -> Case:
 
 
 CASES = (
-    small_discount(F(1), F(5)),
-    small_discount(F(9, 10), F(18, 5)),
-    small_discount(F(15, 16), F(15, 4)),
-    one_state(0, F(1000)),
-    one_state(5, F(40951, 100)),
-    one_state(10, F(6513215599, 10_000_000)),
     two_dice("flips", lambda done, total: 1, F(22, 3)),
     two_dice("sum-2", lambda done, total: int(done and total == 2), F(1, 36)),
     two_dice("sum-4", lambda done, total: int(done and total == 4), F(3, 36)),

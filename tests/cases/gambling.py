@@ -2,7 +2,7 @@
 
 from fractions import Fraction
 
-from .case import Case, Pair, actions, end
+from .case import Case, Pair, actions, best, end
 
 F = Fraction
 BOLD = "Dubins and Savage, How to Gamble If You Must (McGraw-Hill 1965)"
@@ -39,7 +39,6 @@ def gambler(goal: int, p: Fraction) -> Case:
         name=f"gambler-{goal}-{p}",
         source="Sutton and Barto, Reinforcement Learning (MIT Press 2018), example 4.3; "
         + (BOLD if p < q else RUIN),
-        n_states=goal + 1,
         pairs=tuple(pairs),
         discount=F(1),
         values={0: F(0), **values, goal: F(0)},
@@ -88,7 +87,6 @@ def secretary(n: int, skipped: int, ties: bool = False) -> Case:
         name=f"secretary-{n}",
         source="Gilbert and Mosteller, Journal of the American Statistical Association 61 (1966), "
         "section 2; Ferguson, Statistical Science 4 (1989) 282-289",
-        n_states=n + 1,
         pairs=tuple(pairs),
         discount=F(1),
         values={0: chance},
@@ -118,18 +116,12 @@ def pig() -> Case:
         source="Neller and Presser, Optimal Play of the Dice Game Pig, UMAP Journal 25 (2004) "
         "25-47; the distribution of the score: Neller, Nifty Assignments 2010, Hold-at-20 "
         "Outcomes",
-        n_states=most + 1,
         pairs=tuple(pairs),
         discount=F(1),
         values={0: sum(score * share for score, share in scores.items())},
         tolerance=1e-4,
-        optimal={
-            **{s: frozenset({1}) for s in range(20)},
-            20: frozenset({0, 1}),
-            **{s: frozenset({0}) for s in range(21, most)},
-        },
-        wrong_policy=actions([*[1] * 24, *[0] * 7]),
-        note="the wrong policy rolls on to 24",
+        optimal=best(*[[1]] * 20, [0, 1], *[[0]] * 9),
+        wrong_policy=actions([*[1] * 24, *[0] * 7]),  # which rolls on to 24
     )
 
 

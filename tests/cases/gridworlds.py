@@ -50,7 +50,6 @@ def teleports() -> Case:
     return Case(
         name="barto-teleports",
         source=BARTO + "examples 3.5 and 3.8, figures 3.2 and 3.5, exercise 3.24",
-        n_states=25,
         pairs=tuple(pairs),
         discount=F(9, 10),
         values={
@@ -85,7 +84,6 @@ def corners() -> Case:
     return Case(
         name="barto-corners",
         source=BARTO + "example 4.1 and figure 4.1",
-        n_states=16,
         pairs=tuple(pairs),
         discount=F(1),
         values={s: F(-min(y + x, 6 - y - x)) for (y, x), s in cells.items()},
@@ -140,7 +138,6 @@ def slippery(
     return Case(
         name=name,
         source=source,
-        n_states=last + 1,
         pairs=(*pairs, *end(last)),
         discount=maze.discount,
         values=table(values),
@@ -169,7 +166,6 @@ def frozen_lake() -> Case:
         name="frozen-lake",
         source=LAKE + "test_policy_iteration_frozen_lake_gridworld; Farama-Foundation/Gymnasium "
         "gymnasium/envs/toy_text/frozen_lake.py",
-        n_states=16,
         pairs=tuple(pairs),
         discount=F(99, 100),
         values=table("""
@@ -196,7 +192,6 @@ def slippery_walk() -> Case:
     return Case(
         name="slippery-walk",
         source=LAKE + "test_policy_iteration and test_policy_evaluation_left_policy",
-        n_states=7,
         pairs=tuple(pairs),
         discount=F(1),
         values={**{s: (1 - F(1, 3**s)) / (1 - F(1, 3**6)) for s in range(6)}, 6: F(0)},

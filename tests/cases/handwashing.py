@@ -3,7 +3,7 @@
 A state is a plan step, the behaviour just seen, and whether the user responds to prompts and is
 aware of the task (both never change); its number counts them in this order, the last fastest.
 The behaviour is drawn first, from weights that are made to add up to 1; the plan step follows
-from it.
+from it. The source has the tables; the four values were computed from them, rows normalised.
 """
 
 from fractions import Fraction
@@ -63,7 +63,6 @@ CASES = (
         name="handwashing",
         source="pjdrm/Symbolic-Perseus---Student-Modeling-AAMAS-15- "
         "problems/handwashing/cppo3.txt; Boger et al., IJCAI 2005, 1293-1299",
-        n_states=180,
         pairs=_pairs(),
         discount=F(9, 10),
         values={
@@ -73,6 +72,5 @@ CASES = (
             state("a", "nothing", 1, 1): 14.48,
         },
         tolerance=0.005,
-        note="the file has the tables; the four values were computed from them, rows normalised",
     ),
 )

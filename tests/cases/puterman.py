@@ -2,7 +2,7 @@
 
 from fractions import Fraction
 
-from .case import Case, Pair, actions, from_matrices, indexed, over_horizon, row
+from .case import Case, Pair, actions, best, indexed, over_horizon, row, rows
 
 F = Fraction
 BOOK = "Puterman, Markov Decision Processes (Wiley 2005)"
@@ -14,27 +14,18 @@ def two_state(beta: Fraction, label: str = "") -> Case:
 
     In state 0, action 0 earns 5 and stays with probability 1/2, action 1 earns 10 and leaves;
     state 1 costs 1 for ever. Leaving is better below beta = 10/11, staying above, and at 10/11
-    both are worth 0.
+    both are worth 0. The source gives the closed form above; below it is 10 + beta v(1).
     """
     stay = (5 - F(11, 2) * beta) / ((1 - beta / 2) * (1 - beta))
     leave = 10 - beta / (1 - beta)
-    optimal = {
-        0: frozenset(a for a, v in enumerate((stay, leave)) if v == max(stay, leave)),
-        1: frozenset({0}),
-    }
+    chosen = [action for action, v in enumerate((stay, leave)) if v == max(stay, leave)]
     return Case(
         name=f"puterman-two-state-{label or beta}",
         source=f"{BOOK}, section 3.1 and example 6.2.1; {TESTS}, TestDiscreteDP.setup_method",
-        n_states=2,
-        pairs=(
-            (0, 0, F(5), {0: F(1, 2), 1: F(1, 2)}),
-            (0, 1, F(10), {1: F(1)}),
-            (1, 0, F(-1), {1: F(1)}),
-        ),
+        pairs=rows("0 0 5: 0 1/2, 1 1/2; 0 1 10: 1; 1 0 -1: 1"),
         discount=beta,
         values={0: max(stay, leave), 1: -1 / (1 - beta)},
-        optimal=optimal,
-        note="the source gives the closed form above 10/11; below it is 10 + beta v(1)",
+        optimal=best(chosen, [0]),
     )
 
 
@@ -57,8 +48,7 @@ def inventory() -> Case:
     return Case(
         name="puterman-inventory-horizon-3",
         source=f"{BOOK}, sections 3.2 and 4.6.1; {TESTS}, TestFiniteHorizon",
-        n_states=13,
-        pairs=over_horizon(4, pairs, 3),
+        pairs=over_horizon(pairs, 3),
         discount=F(1),
         values=indexed(F(v, 16) for v in (67, 129, 194, 227, 32, 100, 160, 168, 0, 80, 96, 80, 0)),
         policy=actions((3, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0)),
@@ -66,15 +56,16 @@ def inventory() -> Case:
 
 
 def discount_zero() -> Case:
-    third = [[F(1, 3)] * 3] * 3
+    third = "0 1/3, 1 1/3, 2 1/3"
     return Case(
         name="quantecon-discount-0",
         source=f"{TESTS}, test_ddp_beta_0",
-        n_states=3,
-        pairs=from_matrices([third, third], [[0, 1], [1, 0], [0, 1]]),
+        pairs=rows(
+            ";".join(f"{s} {a} {int(a != s % 2)}: {third}" for s in range(3) for a in (0, 1))
+        ),
         discount=F(0),
         values=indexed([F(1)] * 3),
-        optimal={0: frozenset({1}), 1: frozenset({0}), 2: frozenset({1})},
+        optimal=best([1], [0], [1]),
     )
 
 
@@ -84,17 +75,10 @@ def multichain(beta: Fraction) -> Case:
         name=f"puterman-multichain-{beta}",
         source=f"{BOOK}, example 9.1.1; markkho/msdm msdm/tests/domains/__init__.py, "
         "Puterman_Example_9_1_1",
-        n_states=3,
-        pairs=(
-            (0, 0, F(3), {0: F(1)}),
-            (0, 1, F(1), {1: F(1)}),
-            (1, 0, F(0), {1: F(1)}),
-            (1, 1, F(1), {2: F(1)}),
-            (2, 0, F(2), {2: F(1)}),
-        ),
+        pairs=rows("0 0 3: 0; 0 1 1: 1; 1 0 0: 1; 1 1 1: 2; 2 0 2: 2"),
         discount=beta,
         values={0: 3 / (1 - beta), 1: 1 + 2 * beta / (1 - beta), 2: 2 / (1 - beta)},
-        optimal={0: frozenset({0}), 1: frozenset({1}), 2: frozenset({0})},
+        optimal=best([0], [1], [0]),
     )
 
 

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_scenarios import PACKAGE, SHIPPED, own_text, scenario_of
 
-from exact_mdp import ModelError
+from exact_mdp import ModelError, Scenario
 
 (TEMPLATE,) = (path.read_text("utf-8") for path in PACKAGE.glob("mdp/**/template.toml"))
 OWN = own_text(3, 3)
@@ -31,17 +31,53 @@ def lint(text: str) -> list[dict[str, Any]]:
     return problems
 
 
-FAULTS = [  # what a line becomes, what is said of it, and the remedy
-    ("forgetfulness = 0.9", "forgetfulness = 90", "outside [0, 1]", "in that range"),
+FAULTS = [  # what a line of the template becomes, what is said of it, and the remedy
     ("frustration = 0.8", "frustraton = 0.8", "unknown number", "persistence.frustration?"),
     ("persistence = 0.2", "persistence = '20 %'", "not a finite", "write"),
     ("onset = 0.05", "onset = -0.05", "outside [0, 1]", "in that range"),
-    ("actions = [", "actions = [1, ", "actions is not a list of different names", "write"),
+    ("frustration = 0.1", "frustration = true", "not a number", "write"),
+    ("frustration = 0.1", "frustration = [1]", "not a number", "write"),
+    ("frustration = 0.1", "anger = 0.1", "base.anger", "base.frustration"),
+    ("frustration = 0.1", "", "the number base.frustration is missing", "state it"),
+    (
+        'actions = ["wait"',
+        'actions = [1, "wait"',
+        "actions is not a list of different names",
+        "write",
+    ),
+    ('"soothe"]', '"wait"]', "actions is not a list of different names", "write"),
+    ('"soothe"]', '"skip"]', "an action is called 'skip'", "another name"),
+    ('"frustration"]', '"frus.tration"]', "statuses is not a list of different", "without dots"),
     ("tasks = [2]", "tasks = [0]", "tasks is not a list", "[3, 1]"),
+    ("tasks = [2]", "tasks = []", "tasks is not a list", "[3, 1]"),
+    ("tasks = [2]", "tasks = [2, 'x']", "tasks is not a list", "[3, 1]"),
     ("max_trial = 3", "max_trial = 0", "max_trial is 0", "1 or more"),
+    ("max_trial = 3", "max_trial = true", "max_trial is True", "1 or more"),
+    ("max_trial = 3", "", "max_trial is 'missing'", "1 or more"),
     ("discount = 1", "discount = 95", "outside [0, 1]", "from 0 to 1"),
     ("timestep = 0", "timestap = 0", "unknown number 'reward.timestap'", "reward.timestep?"),
     ("[readings]", "[readings]\nskip_onsets = 'base'", "unknown reading", "skip_onset?"),
+    ("[readings]", "[readings]\nskip_onset = 'never'", "unknown option", "base"),
+    ("[readings]", "readings = 3", "not a table", "[readings]"),
+    ("[base]", "[bases]", "unknown key 'bases'", "base?"),
+    ("title =", "colour = 1\ntitle =", "unknown key 'colour'", ""),
+    ("title =", "name = 3\ntitle =", "name is not a string", "quotes"),
+    (
+        "[skip.forgetfulness]",
+        "[skip.forgetfulness]\nother = 'anger'",
+        "other status",
+        "frustration",
+    ),
+    (
+        "persistence = 0.5",
+        "other = 'frustration'\nalone = 0.1",
+        "with-other is missing",
+        "state it",
+    ),
+    ("assistance.prompt.f", "assistance.pormpt.f", "unknown action 'pormpt'", "prompt?"),
+    ("assistance.prompt.f", "assistance.prompt.h", "unknown status 'horgetfulness'", "forget"),
+    ("[status_weight]", "[status_weight]\nfrustration = 'trial'", "same name", "of its own"),
+    ("[status_weight]", "[status_weight]\nanger = 'x'", "unknown status 'anger'", ""),
 ]
 
 
@@ -60,17 +96,26 @@ def test_nothing_is_said_of_shipped_scenarios(name: str) -> None:
 
 
 @pytest.mark.parametrize(("old", "new", "what", "fix"), FAULTS)
-def test_each_fault(old: str, new: str, what: str, fix: str) -> None:
+def test_each_fault_is_refused_and_found(
+    old: str, new: str, what: str, fix: str, tmp_path: Path
+) -> None:
+    """The linter names the line that is new; what is missing, or of several, is its table's."""
     assert old in TEMPLATE
-    before, after = TEMPLATE.split(old, 1)
-    (problem,) = [each for each in lint(before + new + after) if what in each["what"]]
-    fault = before.count("\n") + 1 + new.count("\n")
-    assert (problem["line"], problem["severity"]) == (fault, "error")
+    text, path = TEMPLATE.replace(old, new, 1), tmp_path / "own.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        Scenario.load(path)
+    assert str(path) in caught.value.where
+    (problem,) = [each for each in lint(text) if what in each["what"]]
     assert fix in problem["fix"]
+    assert problem["severity"] == "error"
+    lines = text.split("\n")
+    added = [line for line in lines if line not in TEMPLATE.split("\n")]
+    several = what == "same name" or "missing" in what
+    assert several or lines[problem["line"] - 1] in added
 
 
 MORE = [  # names, numbers that are missing, tables
-    ("[assistance.prompt.forgetfulness]", "[assistance.pormpt.forgetfulness]"),
     ("[reward]\n", "[assistance.sooth.forgetfulness]\npersistence = 0.2\n[reward]\n"),
     ("[reward]\n", "[skip.calm]\npersistence = 0.5\n[reward]\n"),
     ("[skip.forgetfulness]\npersistence = 0.5\n", ""),
@@ -79,7 +124,7 @@ MORE = [  # names, numbers that are missing, tables
     ("source =", "sorce ="),
     ("[base]\n", "[basis]\nforgetfulness = 0.1\n[base]\n"),
 ]
-RELATED = {("onset = -0.05", MORE[0][1])}  # the second one makes the first one's name unknown
+HIDING = ("assistance.p", "readings = 3", "other =", "[skip.forgetfulness]\n")  # names of others
 
 
 def said(text: str) -> set[str]:
@@ -87,17 +132,17 @@ def said(text: str) -> set[str]:
 
 
 def test_no_fault_hides_another_one() -> None:
-    """Except that names cannot be judged where the list of them is wrong."""
-    faults = [*(each[:2] for each in FAULTS if "actions" not in each[0]), *MORE]
+    """Except that names cannot be judged where the list of them, or the table, is wrong."""
+    faults = [*((old, new) for old, new, *_ in FAULTS if '"' not in f"{old}{new}"), *MORE]
     alone = {fault: said(TEMPLATE.replace(*fault, 1)) for fault in faults}
     assert all(alone.values())
     pairs = 0
     for fault, other in permutations(faults, 2):
         text = TEMPLATE.replace(*fault, 1)
-        if other[0] in text and (fault[1], other[1]) not in RELATED:
+        if other[0] in text and not other[1].startswith(HIDING):
             assert alone[fault] <= said(text.replace(*other, 1)), (fault, other)
             pairs += 1
-    assert pairs > 0.9 * len(faults) * (len(faults) - 1)
+    assert pairs > 0.8 * len(faults) * (len(faults) - 1)
 
 
 def test_lines_are_those_of_the_keys_however_they_are_written() -> None:
@@ -117,19 +162,24 @@ def test_lines_are_those_of_the_keys_however_they_are_written() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line"),
+    ("old", "new", "what", "lines"),
     [
-        ("base]", "base", 1),
-        ("max_trial = 3", "max_trial = 3\nmax_trial = 4", 2),
-        ("forgetfulness = 0.3", "forgetfulness = 30%", 1),
+        ("base]", "base", "broken TOML", 1),
+        ("max_trial = 3", "max_trial = 3\nmax_trial = 4", "broken TOML", 2),
+        ("forgetfulness = 0.3", "forgetfulness = 30%", "broken TOML", 1),
+        ("forgetfulness = 0.3", "forgetfulness = nan", "'nan' is not a finite", None),
+        ("forgetfulness = 0.3", "forgetfulness = 1e99999", "'1e99999' has an exponent", None),
     ],
 )
-def test_a_text_that_is_not_toml_has_one_problem(old: str, new: str, line: int) -> None:
+def test_a_text_that_is_not_toml_has_one_problem(
+    old: str, new: str, what: str, lines: int | None
+) -> None:
     before, after = TEMPLATE.split(old, 1)
     (problem,) = lint(before + new + after)
-    assert problem["line"] == before.count("\n") + line
-    assert problem["what"].startswith("broken TOML")
+    assert problem["line"] == (lines and before.count("\n") + lines)
+    assert problem["what"].startswith(what)
     assert problem["severity"] == "error"
+    assert refused(before + new + after)
 
 
 def test_suspicions_are_warnings() -> None:
