@@ -206,6 +206,11 @@ def walk(actions: list[Any], best: list[Any], states: list[Any]) -> MDP:
     return MDP.from_function(states[0], lambda s: actions if s in after else [], outcomes)
 
 
+TUPLES = walk([(0, 1), (1, 0)], [(1, 0), (0, 1)], [0, 1, 2])
+COSTS = MDP.from_arrays([[[1, 0], [0, 1]]] * 2, [[1, 2], [1, 2]], "1/2", sense="min", layout="ass")
+ONES = [[1, 0], [1, 0]]
+
+
 def test_what_fits_two_readings_that_differ_is_refused_and_both_are_named() -> None:
     both = "may be state 3, by its name, or state 0, number 3 in the model's order"
     for start in (3, {3: 1}, np.int64(3), 3.0, {"1": "1/2", 3: "1/2"}):
@@ -215,65 +220,29 @@ def test_what_fits_two_readings_that_differ_is_refused_and_both_are_named() -> N
     for start in ("3", "state 3", {"3": 1}, [1, 0, 0, 0], None):
         assert PERMUTED.with_(start=start).start == ((0, 1),)
     assert PERMUTED.with_(start=1).start == ((1, 1),)  # both readings are the same
-    rising = {0: "0", 1: "1", 2: "1", 3: "1"}
-    for form in (rising, dict.fromkeys(range(4), "1")):
-        with pytest.raises(ModelError, match="by its name, or"):
-            Policy.of(PERMUTED, form)
-    named = {"3": "1", "1": "1", "2": "1", "0": "0"}
-    for form in (named, named.__getitem__):  # a function is given names
-        assert Policy.of(PERMUTED, form).tolist() == [1, 1, 1, 0]
-    numbered = walk([1, 2, 3], [2, 1], ["x", "y", "z"])
-    for wrong in ({"x": 2, "y": 0}, {"x": 1, "y": 0}):
-        with pytest.raises(ModelError, match="0 is not an action"):
-            check(numbered, wrong)
-    for either in ([2, 1, 1], np.array([2, 1, 1])):
-        with pytest.raises(ModelError, match="by its name, or"):
-            check(numbered, either)
-    assert check(numbered, Policy.from_choices(numbered, [1, 0, 0])).passed
 
 
-@pytest.mark.parametrize("ending", [".csv", ".json"])
-def test_files_of_names_that_are_numbers_of_others(tmp_path: Path, ending: str) -> None:
-    path = tmp_path / f"p{ending}"
-    Policy.of(PERMUTED, [1, 1, 0, 0]).write(path)
-    assert "state 3" in path.read_text()
-    assert Policy.of(PERMUTED, path).tolist() == [1, 1, 0, 0]
-    path.write_text(path.read_text().replace("state ", ""))
-    with pytest.raises(ModelError, match="by its name, or"):
-        Policy.of(PERMUTED, path)
-
-
-def test_what_equals_an_object_is_that_and_what_may_be_a_row_is_refused() -> None:
+def test_what_equals_an_object_is_that() -> None:
+    """Truth values and their numbers; tuples and rows of numbers."""
     truth = walk([True, False], [True, False], [0, 1, 2])
     assert truth.actions == ("False", "True")
     for policy in ({0: 1, 1: 0}, lambda s: int(s == 0), [True, False, False], [1, 0, 0],
                    np.array([True, False, False]), {0: np.True_, 1: "False"}):  # fmt: skip
         assert check(truth, policy).passed
     assert not check(truth, {0: 0, 1: 1}).passed
-    mdp = walk([(0, 1), (1, 0)], [(1, 0), (0, 1)], [0, 1, 2])
     right = {0: (1.0, 0.0), 1: (0.0, 1.0)}
     for policy in (right, right | {1: (0, 1)}, [(1, 0), (0, 1), (0, 1)]):
-        assert check(mdp, policy).passed
+        assert check(TUPLES, policy).passed
     for make in (list, np.array):
-        for model in (mdp, mdp.with_(sense="min")):
-            with pytest.raises(ModelError, match="or a row of numbers for all actions, which diff"):
-                Policy.of(model, {0: make((1, 0)), 1: make((0, 1))})
         rows = {0: make((0, 1)), 1: make((1, 0))}
-        assert check(mdp, Policy.of(mdp, rows, kind="policy")).passed
-        half = Policy.of(mdp, {0: make((0.5, 0.5)), 1: make((1, 0))}, kind="policy")
-        assert half.weights(mdp).tolist() == [0.5, 0.5, 1, 0, 1]
+        assert check(TUPLES, Policy.of(TUPLES, rows, kind="policy")).passed
+        half = Policy.of(TUPLES, {0: make((0.5, 0.5)), 1: make((1, 0))}, kind="policy")
+        assert half.weights(TUPLES).tolist() == [0.5, 0.5, 1, 0, 1]
     three = walk([(0, 1), (1, 0), (1, 1)], [(1, 0), (0, 1)], [0, 1, 2])
     assert check(three, lambda s: np.array([1, 0]) if s == 0 else np.array([0, 1])).passed
-
-
-def test_ones_of_costs_are_ambiguous() -> None:
-    P, rows = [[[1, 0], [0, 1]]] * 2, [[1, 0], [1, 0]]
-    costs = MDP.from_arrays(P, [[1, 2], [1, 2]], "1/2", sense="min", layout="ass")
-    for form in (rows, dict(enumerate(rows)), rows.__getitem__):
-        with pytest.raises(ModelError, match="differ"):
-            check(costs, form)
-        assert check(costs, form, kind="policy").passed
-        assert not check(costs, form, kind="q").passed
+    for form in (ONES, dict(enumerate(ONES)), ONES.__getitem__):
+        assert check(COSTS, form, kind="policy").passed
+        assert not check(COSTS, form, kind="q").passed
 
 
 def test_a_solution_of_another_model_goes_by_names() -> None:
@@ -403,16 +372,12 @@ REFUSED: list[tuple[MDP, Any, str, str]] = [  # model, form, kind, words
     (CARE, np.full(65, -1), "policy", "there is no action"),
     (CARE, np.zeros(63, dtype=int), "policy", "63"),
     (CARE, np.zeros(65), "policy", "action numbers are whole numbers"),
-    (CARE, np.zeros((65, 4)), "policy", "not a distribution"),
     (CARE, np.full((65, 4), 0.3), "policy", "not a distribution"),
     (CARE, np.zeros((65, 3)), "policy", "shape"),
     (CARE, None, "policy", "does not hold real numbers"),
     (CARE, 3, "policy", "a policy of shape"),
-    (CARE, object(), "policy", "does not hold real numbers"),
     (CARE, "always:non", "policy", "unknown action 'non'"),
-    (CARE, "always:", "policy", "unknown action ''"),
     (CARE, "optimall", "policy", "unknown kind of policy"),
-    (CARE, {}, "policy", "rows are missing"),
     (CARE, {"0000": "none"}, "policy", "15 of 16 rows are missing: status 0001"),
     *((CARE, np.zeros(shape), "q", r"\(65, 4\)")
       for shape in [(4, 16), (16, 5), (17, 4), (16,), (16, 4, 1), (0, 4), ()]),
@@ -449,13 +414,16 @@ REFUSED: list[tuple[MDP, Any, str, str]] = [  # model, form, kind, words
     (LAKE, pd.DataFrame(np.eye(4)[[0] * 16]), "auto", "a DataFrame of pandas"),
     (LAKE, pd.Series([0] * 16), "auto", "a Series of pandas"),
     (LAKE, lambda s: 0, "q", "not a Q-table"),
-    (LAKE, ["UP"] * 16, "q", "not a Q-table"),
     (LAKE, {0: 1}, "q", "rows are missing"),
     (ONE, {0: {0: 0, 1: 1, "0": 1, "1": 0}}, "auto", "appears twice"),
-    (ONE, {0: {1: "1/2", "1": "1/2"}}, "auto", "appears twice"),
     (NUMBERED, np.array([2, 1, 2, 1]), "auto", "2 is the name of an action, but the numbers of"),
-    (NUMBERED, [2, 1, 2, 1], "auto", "2 is the name of an action, but the numbers of"),
     (LISTED, {0: 0, 1: 1}, "auto", "may be action False, by its name, or action True"),
+    (walk([1, 2, 3], [2, 1], ["x", "y", "z"]), {"x": 2, "y": 0}, "auto", "0 is not an action"),
+    *((PERMUTED, form, "auto", "by its name, or")
+      for form in ({0: "0", 1: "1", 2: "1", 3: "1"}, dict.fromkeys(range(4), "1"))),
+    *((model, {0: make((1, 0)), 1: make((0, 1))}, "auto", "or a row of numbers for all actions")
+      for make in (list, np.array) for model in (TUPLES, TUPLES.with_(sense="min"))),
+    *((COSTS, form, "auto", "differ") for form in (ONES, dict(enumerate(ONES)), ONES.__getitem__)),
 ]  # fmt: skip
 
 
@@ -509,35 +477,25 @@ BAD_FILES: list[tuple[str, str, str]] = [  # name, text, words
     ("p.csv", "", "the header is missing"),
     ("p.json", "", "broken JSON"),
     ("p.json", "[1]", "not a JSON object"),
-    ("p.json", "3", "not a JSON object"),
-    ("p.json", JSON[:-5], "broken JSON"),
     ("p.json", '{"a":' * 100_000, "nested more than 100 deep"),
     ("p.json", JSON[:-1] + ', "0000": "none"}', "0000 appears twice"),
     ("p.json", changed(JSON, "0110", "0120"), "unknown status '0120'"),
-    ("p.json", changed(JSON, "0110", "110"), "unknown status '110'"),
     ("p.json", changed(JSON, "none", "nome"), "unknown action 'nome'"),
     ("p.json", '{"0000": "none"}', "15 of 16 rows are missing: status 0001"),
     ("p.json", changed(JSON, '"none"', "7"), "there is no action 7"),
     ("p.json", changed(JSON, '"none"', "null"), "None is not an action"),
-    ("p.json", changed(JSON, '"none"', "[1]"), "(1,) is not an action"),
     ("p.json", changed(JSON, '"none"', '{"none": 0.5}'), "not a distribution"),
     ("p.json", changed(JSON, '"none"', '{"none": 1.5, "directive": -0.5}'), "not a distribution"),
     ("p.json", changed(JSON, '"none"', '{"none": 1e9999}'), ""),
     ("p.json", changed(JSON, '"none"', '{"none": NaN}'), ""),
     ("p.json", changed(JSON, '"none"', '{"none": null}'), "not a number"),
-    ("p.json", changed(JSON, '"none"', "{}"), "not a distribution"),
     ("p.csv", changed(CSV, "status", "stats"), "unknown column 'stats'"),
     ("p.csv", changed(CSV, ",action", ""), "the header is status"),
-    ("p.csv", "action\nnone\n", "the header is action"),
-    ("p.csv", changed(CSV, "action", "status,action"), "the header is"),
-    ("p.csv", CSV.partition("\n")[2], "unknown column '0000'"),
     ("p.csv", changed(CSV, "none", "none,1"), "3 values under 2 headings"),
     ("p.csv", CSV + "0000,none\n", "status 0000 appears twice"),
-    ("p.csv", CSV + "0000,directive\n", "status 0000 appears twice"),
     ("p.csv", changed(CSV, "1001,none\n", ""), "1 of 16 rows are missing"),
     ("p.csv", changed(CSV, "none", "nothing"), "unknown action 'nothing'"),
     ("p.csv", changed(CSV, "0101", "0201"), "unknown status '0201'"),
-    ("p.csv", changed(CSV, "0101", "5"), "unknown status '5'"),
     ("p.csv", changed(CSV, "none", '"none'), "broken CSV"),
     ("p.csv", changed(CSV, "none", "no\0ne"), ""),
     ("p.csv", "trial,status,action\n" + "".join(f"2,{s},none\n" for s in STATUSES),
@@ -546,8 +504,6 @@ BAD_FILES: list[tuple[str, str, str]] = [  # name, text, words
     ("p.csv", shares("often"), "not a finite rational"),
     ("p.txt", CSV, "cannot read .txt"),
     ("q.csv", "5.2e-01,-1\n0,2\n", 'np.save("q_table.npy"'),
-    ("q.csv", "5.2e-01 -1\n0 2\n", 'np.save("q_table.npy"'),
-    ("optimall", CSV, "unknown kind of policy"),
     *((name, text, "NumPy") for name, text in (("p.npy", CSV), ("p.npz", CSV), ("p.npy", ""))),
 ]  # fmt: skip
 
