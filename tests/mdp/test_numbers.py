@@ -28,21 +28,12 @@ def kinds(value: F) -> list[Any]:
         cut = len(digits) - places
         forms.append(f"{sign}{digits[:cut]}.{digits[cut:]}" if places else f"{sign}{digits}")
     if value.denominator == 1:
-        forms += [int(value), np.int64(int(value))]
-        if abs(value) < 100:
-            forms.append(np.int8(int(value)))
-    return forms + floats(value)
-
-
-def floats(value: F) -> list[Any]:
-    """Return the floats, of every width, that are the number exactly."""
-    wide = float(value)
-    if F(wide) != value:
-        return []
-    forms: list[Any] = [wide, np.float64(wide), np.longdouble(wide)]
+        forms += [int(value), *(kind(int(value)) for kind in (np.int8, np.int64)
+                                if abs(value) < np.iinfo(kind).max)]  # fmt: skip
     with np.errstate(over="ignore"):
-        short: list[Any] = [np.float32(wide), np.float16(wide)]
-    return forms + [number for number in short if float(number) == wide]
+        wide = np.longdouble(value.numerator) / np.longdouble(value.denominator)
+        floats = [kind(wide) for kind in (float, np.float64, np.longdouble, np.float32, np.float16)]
+    return forms + [x for x in floats if np.isfinite(x) and F(*x.as_integer_ratio()) == value]
 
 
 def again(mdp: MDP) -> MDP:
@@ -82,48 +73,36 @@ def test_a_number_may_be_given_in_any_kind_that_holds_it(
     assert fingerprint(again(other.mdp)) == fingerprint(other.mdp)
 
 
-def test_one_float_among_fractions_leaves_them_exact() -> None:
-    """Rewards [1/7, 0.25]: both count as they are, in every constructor."""
-    swap = [[0, 1], [1, 0]]
-    exact = certify(MDP.from_arrays([swap], [F(1, 7), F(1, 4)], F(9, 10)))
-    wanted = list(exact.value)
-    assert wanted[0] == (F(1, 7) + F(9, 10) * F(1, 4)) / (1 - F(81, 100))
-    mixed = [F(1, 7), 0.25]
-    moved = [[0, F(1, 7)], [0.25, 0]]
+WIDE = 1 - F(1, 2**64)  # more than a double holds
+KINDS = st.sampled_from([
+    (value, form) for value in (*REWARDS, F(2**63), F(0.1), WIDE) for form in kinds(value)
+])  # fmt: skip
+
+
+@settings(max_examples=60)
+@given(st.lists(KINDS, min_size=1, max_size=4), st.booleans())
+def test_each_number_is_what_it_is_beside_any_other_in_every_container(
+    drawn: list[Any], sparse: bool
+) -> None:
+    """A float in a list of words is not read as one; an integer beside a float keeps its end."""
+    exact, given_ = (list(each) for each in zip(*drawn, strict=True))
+    size, objects = len(given_), np.empty(len(given_), dtype=object)
+    objects[:] = given_
+    eye = sp.eye_array(size, format="csr") if sparse else np.eye(size)
+    states = range(size)
+    moved = [[x if s == t else 0 for t in states] for s, x in enumerate(given_)]
     for mdp in (
-        MDP.from_arrays([swap], mixed, F(9, 10)),
-        MDP.from_arrays([swap], [[F(1, 7)], [0.25]], "0.9"),
-        MDP.from_arrays([swap], [moved], F(9, 10)),
-        MDP.from_arrays([swap], ["1/7", np.float32(0.25)], F(9, 10)),
-        MDP.from_arrays([sp.csr_array(swap)], np.array(mixed, dtype=object), F(9, 10)),
-        MDP.from_pairs([0, 1], [0, 0], swap, mixed, F(9, 10)),
-        MDP.from_pairs([1, 0], [0, 0], [[1.0, 0], [0, 1]], mixed[::-1], F(9, 10)),
-        MDP.from_outcomes([(0, 0, [(1.0, 1, F(1, 7))]), (1, 0, [(1, 0, 0.25)])], F(9, 10)),
-    ):
-        assert list(certify(mdp).value) == wanted
-
-
-def test_a_float_in_a_list_of_words_is_not_read_as_a_word() -> None:
-    """0.1 beside "1/2" is the float 0.1, not 1/10; a large integer beside a float keeps its end."""
-    mdp = MDP.from_arrays([EYE], [["1/2"], [0.1]], 0)
-    assert list(certify(mdp).value) == [F(1, 2), F(0.1)]
-    mdp = MDP.from_arrays([EYE], [2**60 + 1, 0.5], 0)
-    assert list(certify(mdp).value) == [2**60 + 1, F(1, 2)]
-    mdp = MDP.from_arrays([EYE], [2**63, -1], 0)
-    assert list(certify(mdp).value) == [2**63, -1]
-    parts = [np.array([2**60 + 1, 1]), np.array([0.5, 0.25])]  # columns of S and A
-    assert certify(MDP.from_arrays([EYE, EYE], parts, 0, layout="ass")).value[0] == 2**60 + 1
-
-
-def test_numbers_wider_than_doubles_keep_their_value() -> None:
-    """A long double is taken as it is, alone and in arrays; a float32 is what it is, too."""
-    wide = np.longdouble(1) + np.finfo(np.longdouble).eps
-    value = F(*wide.as_integer_ratio())
-    for reward in ([wide, 0], np.array([wide, 0]), [wide, F(1, 3)]):
-        assert certify(MDP.from_arrays([EYE], reward, 0)).value[0] == value
-    model = MDP.from_arrays([EYE], np.array([0.1, 0], dtype=np.float32), 0)
-    assert certify(model).value[0] == F(float(np.float32(0.1)))
-    assert MDP.from_arrays([EYE], [1, 0], wide / 2).discount_exact == value / 2
+        *(MDP.from_arrays([eye], reward, 0) for reward in (given_, objects, [[x] for x in given_])),
+        *([] if sparse or size == 2 else [MDP.from_arrays([eye], [moved], 0)]),
+        MDP.from_pairs(states, [0] * size, eye, given_, 0),
+        MDP.from_pairs(states[::-1], [0] * size, np.eye(size)[::-1], given_[::-1], 0),
+        MDP.from_outcomes([(s, 0, [(1.0, s, x)]) for s, x in enumerate(given_)], 0),
+        *([MDP.from_arrays([eye], np.array(given_), 0)]
+          if size == 1 and isinstance(given_[0], np.generic) else []),
+    ):  # fmt: skip
+        assert list(certify(mdp).value) == exact
+    if 0 <= exact[0] <= 1:
+        assert MDP.from_arrays([[[1]]], [0], given_[0]).discount_exact == exact[0]
 
 
 @given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=6))
