@@ -4,8 +4,6 @@ Source: prismmodelchecker/prism-tests, functionality/verify/mdps/rewards (rewpol
 total-reward-2, total-reward-3) and bugfixes/mdp-rewards-gs-loops, each with its .props file.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf

@@ -14,8 +14,6 @@ Every key is compared, and how a value is compared depends on what it claims:
 Long lists are pinned by their length and their first entries.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

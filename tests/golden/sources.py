@@ -1,7 +1,5 @@
 """The models, policies and records of the golden answers: exact numbers, made by public names."""
 
-from __future__ import annotations
-
 import csv
 import json
 import tomllib

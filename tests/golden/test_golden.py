@@ -3,8 +3,6 @@
 `cd tests && python -m golden.write` writes all answers anew; how they are compared: runner.py.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

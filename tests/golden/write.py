@@ -4,8 +4,6 @@ With IDs, only those. `--reproduction FOLDER` takes over the numbers of a quick 
 of the benchmark set are written where the variable QVBS names its folder.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

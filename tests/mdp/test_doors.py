@@ -1,7 +1,5 @@
 """Every door gives the same model: arrays of all layouts, pairs, outcomes, functions, files."""
 
-from __future__ import annotations
-
 import pickle
 from collections import defaultdict, namedtuple
 from collections.abc import Callable

@@ -140,7 +140,7 @@ def families(draw) -> tuple[Family, int]:
 
 
 @given(families())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_checked_derivatives_are_the_slopes_of_exact_values(drawn) -> None:
     """Values in fractions on either side, three steps each, close in on the derivative."""
     family, _ = drawn
@@ -159,7 +159,7 @@ def test_checked_derivatives_are_the_slopes_of_exact_values(drawn) -> None:
 
 
 @given(families())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_checked_thresholds_are_where_optimal_actions_change(drawn) -> None:
     """Optimal pairs in fractions at both sides of each threshold, and between them."""
     family, _ = drawn

@@ -85,7 +85,7 @@ def test_the_hash_is_that_of_the_lines_that_are_documented() -> None:
     assert fingerprint(walk) == sha256("\n".join(lines).encode()).hexdigest()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(models(), st.sampled_from([1, 2, 30, 2**40, 10**25]), st.randoms(use_true_random=False))
 def test_how_a_model_is_stored_does_not_matter_and_every_number_does(
     rows: Rows, factor: int, draw: Any

@@ -1,7 +1,5 @@
 """No name steers a terminal, turns the text around it, or makes a report that XML cannot hold."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from fractions import Fraction

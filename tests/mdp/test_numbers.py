@@ -1,7 +1,5 @@
 """Exactness belongs to each number: any mixture of kinds; what rows of floats mean."""
 
-from __future__ import annotations
-
 from fractions import Fraction as F
 from typing import Any
 

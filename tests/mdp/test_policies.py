@@ -1,7 +1,5 @@
 """Policies by status, by cell, by array, by file; exact shares; and what is no policy."""
 
-from __future__ import annotations
-
 import copy
 import json
 import os
@@ -70,7 +68,7 @@ def follows(mdp: MDP, policy: Policy, chosen: list[int]) -> None:
 # ---- one policy, many forms ----------------------------------------------------------------------
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(by_status)
 def test_every_form_of_a_status_policy_is_the_same(tmp_path_factory: Any, chosen: Any) -> None:
     folder, one_hot = tmp_path_factory.mktemp("policy"), np.eye(4)[chosen]
@@ -120,7 +118,7 @@ def test_every_form_of_a_policy_over_cells_is_the_same(numbers: list[int]) -> No
     assert len(rows) == count
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.sampled_from([CARE, FLAGGED, PLAIN]), st.integers(0, 2**32))
 def test_a_mixed_policy_over_all_columns_survives_its_file(
     tmp_path_factory: Any, mdp: MDP, seed: int

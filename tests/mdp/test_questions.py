@@ -1,7 +1,5 @@
 """Questions about labels, against the linear equations of every policy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -34,7 +32,7 @@ def asked(draw: st.DrawFn) -> MDP:
     return mdp.with_(labels={"target": target, "allowed": allowed})
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(asked(), st.booleans())
 def test_the_probability_is_that_of_the_best_policy(mdp: MDP, avoiding: bool) -> None:
     target = mdp.labels["target"].tolist()
@@ -53,7 +51,7 @@ def test_the_probability_is_that_of_the_best_policy(mdp: MDP, avoiding: bool) ->
     assert evaluate(model, fixed).mean == pytest.approx(float(mine), abs=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(asked())
 def test_the_reward_until_then_is_that_of_the_best_policy(mdp: MDP) -> None:
     """Infinite where the target is not reached almost surely: under some policy, or under all."""
@@ -101,7 +99,7 @@ def test_a_discount_ends_the_wait() -> None:
     assert certify(timed.with_(goal=None)).start_value == F(7, 4)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(asked(), st.booleans(), st.integers(1, 4))
 def test_within_n_steps_means_the_same_before_and_after_a_question(
     mdp: MDP, avoiding: bool, steps: int

@@ -1,7 +1,5 @@
 """What is no model, at every door: the call, what is said, where, and how to put it right."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from fractions import Fraction
 from inspect import signature

@@ -5,8 +5,6 @@ as rewards or costs, built or loaded. The policy itself is drawn by what states 
 its weights are worked out here without the code that reads policies, its regret by the oracle.
 """
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -276,7 +274,7 @@ def every_form(data: st.DataObject, folder: Path) -> None:
 
 
 def examples(most: int) -> Any:
-    return settings(max_examples=most, deadline=None, suppress_health_check=list(HealthCheck))
+    return settings(max_examples=most, suppress_health_check=list(HealthCheck))
 
 
 @examples(60)

@@ -1,7 +1,5 @@
 """State numbers, their columns and labels: each the inverse of the other."""
 
-from __future__ import annotations
-
 from math import prod
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The guide's workflow and pre-commit hook, run as far as a shell can: every script they start."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

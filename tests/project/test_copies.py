@@ -1,7 +1,5 @@
 """What was asked of a model before changes no copy of it: pickled or deep, it answers alike."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import re

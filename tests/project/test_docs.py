@@ -1,7 +1,5 @@
 """README and the pages: code runs, links lead somewhere, what is made from the code is new."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import json

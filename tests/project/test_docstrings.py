@@ -1,7 +1,5 @@
 """Every public function says what it takes, what it gives back, and shows it once."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What stands around the code says what is so: workflows, versions, hooks, requirements, locks."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,7 +1,5 @@
 """The core works where every optional package is missing, and each missing one names its extra."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The notebooks: short lessons with their outputs, which are what they show when run now."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,7 +1,5 @@
 """Large scenarios: sizes, memory, and agreement with a recursion over one subtask."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """What is inside saved models, and archives of one's own making."""
 
-from __future__ import annotations
-
 import io
 import tarfile
 import zipfile

@@ -1,7 +1,5 @@
 """A headless Chromium, driven by its DevTools protocol over a pipe: no other package is needed."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -5,8 +5,6 @@ bits forgetfulness, confusion, anger, disengagement. The flag is 1 while no subt
 task was skipped; it stays 1 except under ``task_bonus = "no-subtask-skipped"``.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """An endpoint on loopback that speaks chat completions, and misbehaves as a test tells it to."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import ssl

@@ -4,8 +4,6 @@ Random words are xoshiro256++ on Python integers. Probabilities come from the al
 laid-out model, which a test of their own compares with the model's exact rows.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Models that are made: random ones of any size, grids, rings, and the published forest."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from fractions import Fraction as F
 from typing import Any

@@ -1,7 +1,5 @@
 """What a model says: its laws and cycles, and when two say the same in every exact number."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from fractions import Fraction

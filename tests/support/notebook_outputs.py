@@ -6,8 +6,6 @@ runs each notebook in an empty folder and writes its outputs into it: the same b
 are others. A cell whose text may change from run to run has the tag `volatile`.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator

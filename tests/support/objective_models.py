@@ -1,7 +1,5 @@
 """Small random models with reward components, and what every deterministic policy makes of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction

@@ -5,8 +5,6 @@ that its states take, in their order. All equations are solved by one eliminatio
 `rows_of` reads the rows of a model off its table of outcomes.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction as F

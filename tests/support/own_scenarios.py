@@ -1,7 +1,5 @@
 """Scenarios of made-up numbers, and their laws once more, worked out from the rules alone."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable
 from fractions import Fraction

@@ -4,8 +4,6 @@ The equations of the first and the second moment of the return are solved by `or
 nothing with the code that they check, which uses neither of the two.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace

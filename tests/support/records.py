@@ -1,7 +1,5 @@
 """A process of three states and an end, records of it, and a policy to be judged by them."""
 
-from __future__ import annotations
-
 from fractions import Fraction as F
 
 import numpy as np

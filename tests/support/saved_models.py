@@ -1,7 +1,5 @@
 """Models of every kind, to be saved and read again: some that are fixed, others drawn."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import gymnasium

@@ -1,7 +1,5 @@
 """Care models in batches and in blocks, against exact fractions and the explicit model."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from fractions import Fraction as F
 from itertools import product

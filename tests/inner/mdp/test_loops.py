@@ -1,7 +1,5 @@
 """Graphs and rows: the same compiled or not, as by definition; work on threads."""
 
-from __future__ import annotations
-
 from fractions import Fraction as F
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """The linter against the reader: the same faults, all at once, with the line and the remedy."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 import warnings
@@ -209,7 +207,7 @@ ODD = [*"[]=.'{}#\n\r0-\0\ufeff\u202e", "[[", "nan", "1e999999999", "1/0", "skip
 EDITS = st.sampled_from(["", *'01-.=[]"#x% ', "\n", "s0", "a1", *ODD])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(data=st.data(), text=st.sampled_from([TEMPLATE, OWN, *SHIPPED.values()]))
 def test_an_error_is_found_exactly_where_the_reader_refuses(data: st.DataObject, text: str) -> None:
     for _ in range(data.draw(st.integers(1, 4))):

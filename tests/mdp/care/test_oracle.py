@@ -1,7 +1,5 @@
 """The reference model against numbers worked out by hand."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from typing import Any
 

@@ -3,8 +3,6 @@
 The matrix of perception may be counted from labelled examples: files, priors, intervals, draws.
 """
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from math import sqrt

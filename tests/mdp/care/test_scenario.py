@@ -1,7 +1,5 @@
 """The compiled care model against the one of `care_oracle.py`, outcome by outcome, exactly."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import product
 from random import Random
@@ -70,7 +68,7 @@ chances = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_any_parameters_under_any_readings(data: st.DataObject) -> None:
     values = {

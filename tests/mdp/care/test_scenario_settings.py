@@ -1,7 +1,5 @@
 """Scenarios of one's own, and what is said of settings and files that make none."""
 
-from __future__ import annotations
-
 import pickle
 from fractions import Fraction
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every kind of file that is opened is a regular one, no larger than it says; logs in blocks."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """A model that is written is read back whole: every field, every number, through every format."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import fields
 from fractions import Fraction
@@ -82,7 +80,7 @@ def test_there_and_back_on_the_command_line(tmp_path: Path) -> None:
     assert (failed.status, failed.out) == (2, "")
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(mdp=models(), ending=st.sampled_from(FORMATS))
 def test_any_model_comes_back(
     tmp_path_factory: pytest.TempPathFactory, mdp: MDP, ending: str

@@ -5,8 +5,6 @@ staying sound. The arrays of archives are spoiled and packed anew, since a check
 change of theirs.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable
@@ -44,7 +42,6 @@ TOY = MDP.from_outcomes(
 
 fuzz = settings(
     max_examples=120,
-    deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 

@@ -1,7 +1,5 @@
 """Models from Gymnasium, against value iteration on the environment's own table."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -267,7 +265,7 @@ class Ward:
         }
 
     @property
-    def unwrapped(self) -> Ward:
+    def unwrapped(self) -> Any:
         return self
 
 

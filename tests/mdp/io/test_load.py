@@ -1,7 +1,5 @@
 """Models by name or file: every form finds its reader, every mistake is named."""
 
-from __future__ import annotations
-
 import json
 import sys
 from fractions import Fraction

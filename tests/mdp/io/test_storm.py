@@ -4,8 +4,6 @@ Storm is no dependency and its wheel is large, so that these tests run where it 
 `make bench`, or `pytest -m storm`.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 from pathlib import Path
 from typing import Any

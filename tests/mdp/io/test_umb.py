@@ -3,8 +3,6 @@
 That nothing is lost is tested for all formats together, in `test_formats`.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from fractions import Fraction
