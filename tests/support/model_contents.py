@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from fractions import Fraction
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
@@ -38,34 +39,31 @@ def is_acyclic(mdp: MDP) -> bool:
     return True
 
 
-def assert_same(left: MDP, right: MDP) -> None:
-    """Fail unless both models hold the same arrays, of the same types, and the same names."""
-    for name in ("offsets", "next", "weight", "denominator", "gain", "gain_denominator", "event"):
-        ours, theirs = getattr(left.table, name), getattr(right.table, name)
-        assert (ours is None) == (theirs is None), name
-        if ours is not None:
-            same_array(ours, theirs, name)
-    for name in ("pair_state", "pair_action", "reward", "components", "pair_offsets"):
-        same_array(getattr(left, name), getattr(right, name), name)
-    assert (left.observations is None) == (right.observations is None)
-    if left.counts is not None and right.counts is not None:
-        same_array(left.observations, right.observations, "observations")
-        same_array(left.counts.toarray(), right.counts.toarray(), "counts")
-    for name in ("data", "indices", "indptr"):
-        same_array(getattr(left.transition, name), getattr(right.transition, name), name)
-    for name in (
-        "space", "actions", "discount_exact", "start", "component_names", "events", "name",
-        "parameters", "time_limit", "episodes",
-    ):  # fmt: skip
-        assert getattr(left, name) == getattr(right, name), name
-
-
-def same_array(ours: Any, theirs: Any, name: str) -> None:
-    assert ours.dtype == theirs.dtype, name
-    assert ours.shape == theirs.shape, name
-    assert np.array_equal(ours, theirs), name
-    if ours.dtype == object:
-        assert {type(value) for value in theirs} == {int}, name
+def assert_same(left: MDP, right: MDP, *, stored: bool = True) -> None:
+    """Fail unless models agree in every field; where both are `stored`, in types of arrays, too."""
+    both = {
+        field.name: [getattr(mdp, field.name) for mdp in (left, right)] for field in fields(MDP)
+    }
+    tables, matrices = both.pop("table"), both.pop("transition")
+    both["labels"] = [
+        {name: on.tolist() for name, on in labels.items()} for labels in both["labels"]
+    ]
+    for name in [field.name for field in fields(tables[0])] if stored else ["event"]:
+        both[name] = [getattr(table, name) for table in tables]
+    if stored:
+        names = ("data", "indices", "indptr")
+        both |= {name: [getattr(matrix, name) for matrix in matrices] for name in names}
+    else:
+        both["rows"] = [list(map(mdp.table.row, range(mdp.n_pairs))) for mdp in (left, right)]
+        both["floats"] = [[x.dtype.kind == "f" for x in (t.weight, t.gain)] for t in tables]
+    for name, (ours, theirs) in both.items():
+        if not isinstance(ours, np.ndarray):
+            assert ours == theirs, name
+            continue
+        assert np.array_equal(ours, theirs), name
+        if stored:
+            assert ours.dtype == theirs.dtype, name
+            assert ours.dtype != object or {type(value) for value in theirs} == {int}, name
 
 
 def outcomes_of(mdp: MDP, order: Iterable[int] | None = None) -> list[Any]:
