@@ -60,7 +60,7 @@ def row(*outcomes: tuple[int, Fraction | int]) -> dict[int, Fraction]:
 def rows(text: str) -> tuple[Pair, ...]:
     """Pairs from "state action reward: next probability, …; …"; what is certain stands alone."""
     pairs: list[Pair] = []
-    for line in text.split(";"):
+    for line in text.strip().replace(";", "\n").splitlines():
         head, _, tail = line.partition(":")
         state, action, reward = head.split()
         outcomes = [outcome.split() for outcome in tail.split(",")]
