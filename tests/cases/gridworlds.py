@@ -4,9 +4,11 @@ The cells are numbered as they are read, row by row from the top left, walls lef
 episodes end, the end comes last. A step off the grid or into a wall leaves the walker in place.
 """
 
+import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
+from typing import Any
 
 from .case import Case, Pair, actions, end, indexed, row, table
 
@@ -96,55 +98,35 @@ def corners() -> Case:
     )
 
 
-@dataclass(frozen=True)
-class Slippery:
-    """A grid of Russell and Norvig: what is earned on leaving a cell, and the cells that end."""
-
-    grid: list[str]
-    earned: Mapping[Cell, Fraction]
-    ends: frozenset[Cell]
-    living: Fraction
-    discount: Fraction
-
-
-def small_grid(living: Fraction, discount: Fraction) -> Slippery:
-    ends = {(0, 3): F(1), (1, 3): F(-1)}
-    return Slippery(["....", ".#..", "...."], ends, frozenset(ends), living, discount)
-
-
-def large_grid() -> Slippery:
-    ends = {(0, 0): F(-1), (2, 2): F(1), (2, 3): F(3), (4, 5): F(-1)}
-    earned = {**ends, (0, 5): F(1, 2), (4, 0): F(1, 2), (1, 3): F(-1, 2)}
-    grid = ["......", ".##...", ".#..#.", "...##.", "......"]
-    return Slippery(grid, earned, frozenset(ends), F(-1, 10), F(9, 10))
-
-
-def slippery(
-    name: str, source: str, maze: Slippery, values: str, tolerance: float, arrows: list[str]
-) -> Case:
-    """A step goes where it should 8 times in 10, else to either side."""
-    cells = _cells(maze.grid)
+def slippery(name: str, spec: Mapping[str, Any]) -> Case:
+    """A case of gridworlds.toml: a step goes where it should 8 times in 10, else to either side."""
+    cells, discount = _cells(spec["grid"]), F(spec.get("discount", "9/10"))
+    earned = {
+        cells[int(cell[0]), int(cell[2])]: F(reward)
+        for cell, reward in (spec["ends"] | spec.get("earned", {})).items()
+    }
+    ends = [cells[int(cell[0]), int(cell[2])] for cell in spec["ends"]]
     last = len(cells)
     pairs: list[Pair] = []
     for cell, s in cells.items():
-        earned = maze.earned.get(cell, maze.living)
-        if cell in maze.ends:
-            pairs.append((s, 0, earned, {last: F(1)}))
+        reward = earned.get(s, F(spec["living"]))
+        if s in ends:
+            pairs.append((s, 0, reward, {last: F(1)}))
             continue
         for a in range(4):
             outcomes = [(a, F(8, 10)), *((b, F(1, 10)) for b in SIDEWAYS[a])]
             there = row(*((cells[_go(cells, cell, b)], p) for b, p in outcomes))
-            pairs.append((s, a, earned, there))
+            pairs.append((s, a, reward, there))
     return Case(
         name=name,
-        source=source,
+        source=spec.get("source", AIMA),
         pairs=(*pairs, *end(last)),
-        discount=maze.discount,
-        values=table(values),
-        tolerance=tolerance,
-        policy={s: min(best) for s, best in _sets(arrows).items()},
-        start=cells[len(maze.grid) - 1, 0],
-        proper=maze.discount < 1,
+        discount=discount,
+        values=table(spec["values"]),
+        tolerance=spec.get("tolerance", AIMA_ERROR),
+        policy={s: min(best) for s, best in _sets(spec["arrows"]).items()},
+        start=cells[len(spec["grid"]) - 1, 0],
+        proper=discount < 1,
     )
 
 
@@ -203,62 +185,11 @@ def slippery_walk() -> Case:
     )
 
 
+SPECS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 CASES = (
     teleports(),
     corners(),
-    slippery(
-        "aima-undiscounted",
-        "Russell and Norvig, Artificial Intelligence (3rd edition 2010), figures 17.2 and 17.3; "
-        "markkho/msdm msdm/tests/domains/__init__.py, RussellNorvigGrid_Fig17_3",
-        small_grid(F(-4, 100), F(1)),
-        """0.812 0.868 0.918  1
-           0.762       0.660 -1
-           0.705 0.655 0.611 0.388""",
-        0.0005,
-        [">>>.", "^#^.", "^<<<"],
-    ),
-    slippery(
-        "aima-0.04",
-        AIMA,
-        small_grid(F(-4, 100), F(9, 10)),
-        """0.509285 0.649581 0.795361  1
-           0.398102          0.486437 -1
-           0.295435 0.253487 0.344613 0.129589""",
-        AIMA_ERROR,
-        [">>>.", "^#^.", "^>^<"],
-    ),
-    slippery(
-        "aima-0.1",
-        AIMA,
-        small_grid(F(-1, 10), F(9, 10)),
-        """0.305962 0.507390 0.716755  1
-           0.146420          0.358309 -1
-           0.006334 0.010093 0.150722 -0.089739""",
-        AIMA_ERROR,
-        [">>>.", "^#^.", "^>^<"],
-    ),
-    slippery(
-        "aima-2",
-        AIMA,
-        small_grid(F(-2), F(9, 10)),
-        """-6.106429 -3.965355 -1.738338  1
-           -7.800001           -3.354337 -1
-           -8.587224 -7.101255 -5.309947 -3.514158""",
-        AIMA_ERROR,
-        [">>>.", "^#>.", ">>>^"],
-    ),
-    slippery(
-        "aima-large",
-        AIMA,
-        large_grid(),
-        """-1       2.078752 2.507774 2.996383 3.640881 4.350772
-           2.575434                   2.292173 3.129759 3.640881
-           3.073481          1        3                 3.073660
-           3.640701 3.129579 2.592610                   2.575613
-           4.350592 3.640701 3.025922 2.533675 2.101458 -1""",
-        AIMA_ERROR,
-        [".>>>>>", "v##>>^", "v#..#^", "v<v##^", "<<<<<."],
-    ),
+    *(slippery(name, spec) for name, spec in SPECS.items()),
     frozen_lake(),
     slippery_walk(),
 )
