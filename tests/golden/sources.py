@@ -1,14 +1,10 @@
-"""The models, policies and records of the golden answers: exact numbers, made by public names."""
+"""The models of the golden answers: exact numbers, made by public names from models.toml."""
 
-import csv
-import json
 import tomllib
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from exact_mdp import MDP
 
@@ -29,12 +25,13 @@ def model(name: str, spec: Mapping[str, Any]) -> MDP:
     actions = list(dict.fromkeys(action for _, action, *_ in rows))
     amounts = [parts(rewards) for _, _, rewards, _ in rows]
     names = list(dict.fromkeys(name for row in amounts for name in row))
-    mdp = MDP.from_outcomes(
-        [
-            (states.index(s), actions.index(a), [(p, states.index(t), sum(row.values()))
-             for t, p in parts(outcomes).items()])
-            for (s, a, _, outcomes), row in zip(rows, amounts, strict=True)
-        ],
+    outcomes = [
+        (states.index(s), actions.index(a), [(p, states.index(t), sum(row.values()))
+         for t, p in parts(after).items()])
+        for (s, a, _, after), row in zip(rows, amounts, strict=True)
+    ]  # fmt: skip
+    return MDP.from_outcomes(
+        outcomes,
         spec["discount"],
         actions=actions,
         states=states,
@@ -42,53 +39,11 @@ def model(name: str, spec: Mapping[str, Any]) -> MDP:
         sense=spec["sense"],
         labels={key: [s in named for s in states] for key, named in spec["labels"].items()},
         start={states.index(s): p for s, p in spec["start"].items()},
-    )  # fmt: skip
-    order = sorted(
-        range(len(rows)), key=lambda n: (states.index(rows[n][0]), actions.index(rows[n][1]))
+        components={name: [row.get(name, 0) for row in amounts] for name in names},
     )
-    return mdp.with_(components={name: [amounts[n].get(name, 0) for n in order] for name in names})
-
-
-def records() -> list[tuple[object, ...]]:
-    """Return 80 episodes of a treatment, which an arithmetic pattern fills in."""
-    rows: list[tuple[object, ...]] = []
-    for episode in range(80):
-        state = ("ill", "weak")[episode % 2]
-        for step in range(6):
-            mark = (7 * episode + 11 * step + episode * step) % 20
-            action = "ab"[(episode + step) % 3 == 0]
-            cured = mark < (9 if action == "b" else 5)
-            then = "" if cured else ("ill", "weak")[mark % 2]
-            rows.append((episode, state, action, ("-1/2", "-5/4")[action == "b"], then))
-            if cured:
-                break
-            state = then
-    return rows
 
 
 def write(folder: Path = FOLDER) -> None:
-    """Write every file."""
-    folder.mkdir(exist_ok=True)
+    """Write every model; policies and records stand in the folder as they are."""
     for name, spec in MODELS.items():
         model(name, spec).save(folder / f"{name}.npz")
-    whole = (folder / "repair.npz").read_bytes()
-    (folder / "damaged.npz").write_bytes(whole[: len(whole) // 2])
-    with (folder / "records.csv").open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(("episode", "state", "action", "reward", "next_state"))
-        table.writerows(records())
-    words = [f"{n:04b}" for n in range(16)]
-    care = ("none", "supportive", "non-directive", "directive")
-    fixed = {word: care[(3 * n + 1) % 4] for n, word in enumerate(words)}
-    (folder / "fixed.json").write_text(json.dumps(fixed, indent=1) + "\n", "utf-8")
-    lines = [f"{word},{care[n % 4]},0.25\n{word},{care[(n + 1) % 4]},0.75\n"
-             for n, word in enumerate(words)]  # fmt: skip
-    (folder / "mixed.csv").write_text("status,action,probability\n" + "".join(lines), "utf-8")
-    np.save(folder / "table.npy", np.array([[(5 * s + 3 * a) % 7 for a in range(4)]
-                                            for s in range(16)], dtype=float))  # fmt: skip
-    seen = "".join(f"{name} = {value}\n" for name, value in
-                   zip(("forgetfulness", "confusion", "anger", "disengagement"),
-                       ("0.9", "0.8", "0.95", "0.85"), strict=True))  # fmt: skip
-    (folder / "perception.toml").write_text(
-        f"[sensitivity]\n{seen}\n[specificity]\n{seen}", "utf-8"
-    )
