@@ -23,17 +23,9 @@ from exact_mdp import (
     Scenario,
     certify,
     check,
-    compare,
     curve,
-    evaluate,
     gradient,
     moving,
-    one_way,
-    return_distribution,
-    simulate,
-    solve,
-    thresholds,
-    tradeoff,
 )
 
 COPIES: dict[str, Callable[[Any], Any]] = {
@@ -86,21 +78,21 @@ MODELS = {"line": line, "floats": floats, "scenario": scenario, "within": lambda
 QUESTIONS: dict[str, Callable[[MDP], Any]] = {
     "names": lambda mdp: (mdp.action(mdp.actions[-1]), mdp.space.number(mdp.space.label(1))),
     "policy": lambda mdp: Policy.of(mdp, by_name(mdp)),
-    "compare": lambda mdp: compare(mdp, {"first": by_name(mdp), "best": "optimal"}),
-    "average": lambda mdp: solve(mdp, criterion="average"),
-    "simulate": lambda mdp: simulate(mdp, by_name(mdp), 20, 1),
-    "plot": lambda mdp: plt.close(solve(mdp).plot().figure),
+    "compare": lambda mdp: exact_mdp.compare(mdp, {"first": by_name(mdp), "best": "optimal"}),
+    "average": lambda mdp: exact_mdp.solve(mdp, criterion="average"),
+    "simulate": lambda mdp: exact_mdp.simulate(mdp, by_name(mdp), 20, 1),
+    "plot": lambda mdp: plt.close(exact_mdp.solve(mdp).plot().figure),
     "negated": lambda mdp: mdp.maximised,
     **{name: getattr(exact_mdp, name) for name in ("solve", "certify", "gradient", "tornado")},
     **{name: lambda mdp, name=name: getattr(exact_mdp, name)(mdp, by_name(mdp))
        for name in ("check", "evaluate", "rationalize")},
-    **{each.__name__: lambda mdp, each=each: each(mdp, "discount")
-       for each in (one_way, thresholds, curve)},
+    **{name: lambda mdp, name=name: getattr(exact_mdp, name)(mdp, "discount")
+       for name in ("one_way", "thresholds", "curve")},
 }  # fmt: skip
 # What not every model answers.
 SOME: dict[str, tuple[list[str], Callable[[MDP], Any]]] = {
-    "returns": (["line", "scenario"], lambda mdp: return_distribution(mdp, "optimal")),
-    "tradeoff": (["line", "floats"], lambda mdp: tradeoff(mdp, mdp.component_names[:2])),
+    "returns": (["line", "scenario"], lambda mdp: exact_mdp.return_distribution(mdp, "optimal")),
+    "tradeoff": (["line", "floats"], lambda mdp: exact_mdp.tradeoff(mdp, mdp.component_names[:2])),
     "reaching": (["line", "floats", "within"], lambda mdp: mdp.reaching("goal")),
     "until": (["line", "floats", "within"], lambda mdp: mdp.until("goal")),
     "family": (["line", "floats"], lambda mdp: moving(mdp, {"chance": [(0, 0)]})),
@@ -162,7 +154,7 @@ def test_a_pool_of_processes_takes_a_model_that_was_asked() -> None:
     mdp = line()
     audit, proof = check(mdp, by_name(mdp)), certify(mdp)
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        mean = pool.submit(evaluate, mdp, by_name(mdp)).result().mean
+        mean = pool.submit(exact_mdp.evaluate, mdp, by_name(mdp)).result().mean
         assert shown(pool.submit(check, mdp, by_name(mdp)).result()) == shown(audit)
         assert pool.submit(certify, mdp).result().start_value == proof.start_value
-    assert mean == evaluate(mdp, by_name(mdp)).mean
+    assert mean == exact_mdp.evaluate(mdp, by_name(mdp)).mean
