@@ -109,7 +109,36 @@ def python(*words: str) -> str:
 def loaded(code: str) -> set[str]:
     """The packages that a new process has loaded after the code."""
     code += "\nimport sys; print(*{name.partition('.')[0] for name in sys.modules})"
-    return set(python("-W", "error", "-c", code).split())
+    return set(python("-W", "error", "-c", code).splitlines()[-1].split())
+
+
+SMALL = """
+import numpy as np
+from exact_mdp import MDP, PolicyIteration, Scenario, ValueIteration
+from exact_mdp import certify, check, evaluate, solve
+floats = MDP.from_arrays(np.random.default_rng(0).dirichlet([1] * 5, (2, 5)), [[1, 2]] * 5, 0.9)
+for mdp in (Scenario.load("yuan2025").compile(), floats):
+    certify(mdp), check(mdp, "optimal"), evaluate(mdp, "random")
+    for method in (ValueIteration(), PolicyIteration(), None):
+        solve(mdp, method)
+"""
+LARGE = """
+import numpy as np
+from exact_mdp import MDP, solve
+rows = np.random.default_rng(0).dirichlet([1] * 110, (2, 110))
+solve(MDP.from_arrays(rows, [[1, 2]] * 110, 0.9))
+"""
+COMMANDS = """
+from exact_mdp.analysis.cli import main
+for words in ("solve yuan2025 --certify", "evaluate yuan2025 optimal", "check yuan2025 optimal",
+              "returns yuan2025 optimal", "info yuan2025"):
+    assert main(words.split()) == 0, words
+"""
+
+
+@pytest.mark.parametrize(("code", "large"), [(SMALL, False), (COMMANDS, False), (LARGE, True)])
+def test_the_compiler_is_loaded_for_large_models_alone(code: str, large: bool) -> None:
+    assert ("numba" in loaded(code)) == large
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,15 @@
-"""README and the pages: code runs, links lead somewhere, what is made from the code is new."""
+"""README, pages and docstrings: code runs, links lead somewhere, what is made from code is new."""
 
 import ast
 import importlib.util
+import inspect
 import json
 import re
 import shlex
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -188,3 +191,36 @@ def test_a_block_of_the_gallery_draws_one_figure_for_each_picture() -> None:
         assert len(figures) == shown.count("![")
         assert all(any(ax.has_data() or ax.texts for ax in each.axes) for each in figures)
     plt.close("all")
+
+
+# ---- docstrings ----------------------------------------------------------------------------------
+
+ROOMS = ("", ".mdp", ".solvers", ".analysis")
+
+
+def public() -> Iterator[tuple[str, Any]]:
+    """Every exported function, and every class method of an exported class."""
+    for module in (import_module(f"exact_mdp{room}") for room in ROOMS):
+        for name in getattr(module, "__all__", ()):
+            thing = getattr(module, name)
+            if inspect.isfunction(thing):
+                yield name, thing
+            elif inspect.isclass(thing):
+                for key, method in inspect.getmembers(thing, inspect.ismethod):
+                    if not key.startswith("_") and "exact_mdp" in method.__func__.__module__:
+                        yield f"{name}.{key}", method.__func__
+
+
+PUBLIC = dict(public())
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_function_is_documented(name: str) -> None:
+    """It names its parameters, says what it returns, and has an example that the doctests run."""
+    text, signature = inspect.getdoc(PUBLIC[name]) or "", inspect.signature(PUBLIC[name])
+    named = [key for key in signature.parameters if key != "cls"]
+    assert not named or "Parameters\n---" in text
+    for key in named:
+        assert re.search(rf"^[^:]*\b{key}\b[^:]*( :|$)", text, re.M), key
+    assert signature.return_annotation in ("None", "Iterator[None]") or "Returns\n---" in text
+    assert ">>>" in text
