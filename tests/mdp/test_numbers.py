@@ -115,17 +115,23 @@ def test_any_float_reward_and_any_wide_number_is_exact(values: list[float]) -> N
     assert (wide.reward[0], wide.transition.data[0]) == (float(tiny * 10**30), float(tiny))
 
 
-def test_outcomes_that_come_twice_are_added_exactly() -> None:
+@pytest.mark.parametrize(
+    ("twice", "once", "total"),
+    [((0.1, 0.2), 0.7, F(3, 10)), (((1 - 1 / 3) / 2, 1 / 3), (1 - 1 / 3) / 2, F(2, 3))],
+)
+def test_outcomes_that_come_twice_are_read_before_they_are_added_exactly(
+    twice: tuple[float, float], once: float, total: F
+) -> None:
     """0.1 + 0.2 to one state is 3/10, among outcomes and in a sparse matrix; not of rewards."""
-    rows = [(0, 0, [(0.1, 1, 0), (0.2, 1, 0), (0.7, 0, 0)]), (1, 0, [(1, 1, 0)])]
-    entries = ([0.1, 0.2, 0.7, 1.0], ([0, 0, 0, 1], [1, 1, 0, 1]))
+    rows = [(0, 0, [*((p, 1, 0) for p in twice), (once, 0, 0)]), (1, 0, [(1, 1, 0)])]
+    entries = ([*twice, once, 1.0], ([0, 0, 0, 1], [1, 1, 0, 1]))
     sparse = sp.coo_array(entries, shape=(2, 2))
     for mdp in (
         MDP.from_outcomes(rows),
         MDP.from_pairs([0, 1], [0, 0], sparse, [0, 0]),
         MDP.from_arrays([sparse], [0, 0]),
     ):
-        assert sum(p for p, t, _ in mdp.table.row(0) if t == 1) == F(3, 10)
+        assert sum(p for p, t, _ in mdp.table.row(0) if t == 1) == total
         assert mdp.floats
     rewards = sp.coo_array(([0.1, 0.2], ([0, 0], [0, 0])), shape=(2, 1))
     assert certify(MDP.from_arrays([EYE], rewards, 0)).value[0] == F(0.1) + F(0.2)
@@ -237,20 +243,6 @@ def test_beside_exact_numbers_the_floats_alone_give_way() -> None:
     for row in (["1/3", "666666667/1000000000"], [1, 1e-12], [F(0.1), F(0.9)]):
         with pytest.raises(DistributionError):
             row_of(row)
-
-
-def test_numbers_are_read_before_they_are_added() -> None:
-    """A row in which a place comes twice means what it meant before."""
-    third, rest = 1 / 3, (1 - 1 / 3) / 2
-    mdp = MDP.from_outcomes(
-        [(0, 0, [(rest, 0, 1), (third, 0, 1), (rest, 1, 1)]), (1, 0, [(1, 1, 0)])]
-    )
-    assert mdp.table.row(0) == [(F(2, 3), 0, F(1)), (F(1, 3), 1, F(1))]
-    place = ([rest, third, rest, 1.0], ([0, 0, 0, 1], [0, 0, 1, 1]))
-    twice = MDP.from_pairs([0, 1], [0, 0], sp.coo_array(place, (2, 2)), [1, 0])
-    assert fingerprint(twice) == fingerprint(mdp)
-    assert mdp.floats
-    assert twice.floats
 
 
 @pytest.mark.parametrize("seed", range(4))

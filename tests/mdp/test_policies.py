@@ -515,13 +515,6 @@ def test_files_that_are_no_policy(tmp_path: Path, name: str, text: str, words: s
     assert caught.value.fix
 
 
-def test_a_number_in_a_file_by_status_counts_as_elsewhere(tmp_path: Path) -> None:
-    (tmp_path / "p.json").write_text(changed(JSON, '"none"', "0"), encoding="utf-8")
-    (tmp_path / "names.json").write_text(JSON, encoding="utf-8")
-    numbers, names = (Policy.of(CARE, tmp_path / name) for name in ("p.json", "names.json"))
-    assert numbers.tolist() == names.tolist()
-
-
 def test_arrays_and_names_that_are_no_policy(tmp_path: Path) -> None:
     odd = [np.zeros((16, 4), kind) for kind in ("c16", "S2", "M8[s]", "V8")]
     for array in (*odd, np.array([["a"]]), np.array([{}], dtype=object), np.zeros((16, 0))):

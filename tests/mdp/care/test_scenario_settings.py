@@ -1,43 +1,36 @@
 """Scenarios of one's own, and what is said of settings and files that make none."""
 
 import pickle
+from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 from random import Random
 
 import pytest
-from own_scenarios import SHIPPED, check_own, own_text, scenario_of
+from own_scenarios import check_own, own_text, scenario_of
 
 from exact_mdp import ModelError, Scenario
 
 BASE = Scenario.load("yuan2025")
 
 
-def test_three_statuses_and_three_actions() -> None:
-    scenario = scenario_of(own_text(3, 3))
-    assert (scenario.statuses, scenario.actions) == (("s0", "s1", "s2"), ("a0", "a1", "a2"))
-    check_own(scenario, range(2 * 2 * 8 * 3))
+OWN = [  # a scenario, its names, the number of its states, and the pairs to compare
+    (scenario_of(own_text(3, 3)), ("s0", "s1", "s2"), 2 * 2 * 8 + 1, range(2 * 2 * 8 * 3)),
+    (scenario_of(own_text(6, 5)), tuple(f"s{i}" for i in range(6)), 2 * 2 * 64 + 1,
+     Random(0).sample(range(2 * 2 * 64 * 5), 12)),
+    (Scenario.load("tea").with_(tasks=[2]), ("forgetfulness", "distraction", "anxiety"),
+     2 * 4 * 8 + 1,
+     range(0, 2 * 3 * 8 * 3, 5)),
+]  # fmt: skip
 
 
-def test_six_statuses() -> None:
-    scenario = scenario_of(own_text(6, 5))
+@pytest.mark.parametrize(("scenario", "statuses", "states", "pairs"), OWN)
+def test_scenarios_of_other_statuses_and_actions(
+    scenario: Scenario, statuses: tuple[str, ...], states: int, pairs: Iterable[int]
+) -> None:
     mdp = scenario.compile()
-    assert mdp.n_states == 2 * 2 * 64 + 1
-    check_own(scenario, Random(0).sample(range(mdp.n_pairs - 1), 12))
-
-
-def test_the_tea_scenario() -> None:
-    tea = Scenario.load("tea")
-    assert tea["assistance.demonstrate.anxiety.persistence"] == Fraction(2, 3)
-    check_own(tea.with_(tasks=[2]), range(0, 2 * 3 * 8 * 3, 5))
-    assert tea.compile().space.size == 5 * 4 * 8 + 1
-
-
-def test_every_shipped_scenario_compiles() -> None:
-    for name in SHIPPED:
-        mdp = Scenario.load(name).compile()
-        assert mdp.name == name
-        assert mdp.terminal.sum() == 1
+    assert (scenario.statuses, mdp.n_states, mdp.terminal.sum()) == (statuses, states, 1)
+    check_own(scenario, pairs)
 
 
 # ---- settings and errors --------------------------------------------------------------------

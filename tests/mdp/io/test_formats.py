@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import umbi
 from archives import foreign_umb, read_by_umbi, written
-from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import assert_same
@@ -33,21 +32,6 @@ def test_every_field_comes_back(tmp_path: Path, name: str, ending: str) -> None:
     first = path.read_bytes()
     save(MODELS[name], path)
     assert path.read_bytes() == first
-
-
-def test_there_and_back_on_the_command_line(tmp_path: Path) -> None:
-    """`convert` to .umb and back to .npz changes nothing; a discount of 0.95 stays 0.95."""
-    first, second, third = (str(tmp_path / name) for name in ("a.npz", "b.umb", "c.npz"))
-    small = ["--set", "tasks=[1]", "--set", "max_trial=1", "--discount", "0.95"]
-    for words in (["yuan2025", first, *small], [first, second], [second, third]):
-        assert run("convert", *words).status == 0
-    assert load(second).discount_exact == Fraction(19, 20)
-    assert_same(load(first), load(third), stored=False)
-    infos = [run("info", path, "--json").result for path in (first, second, third)]
-    for key in ("model_hash", "labels"):
-        assert infos[0][key] == infos[1][key] == infos[2][key]
-    failed = run("convert", first, tmp_path / "m.drn")
-    assert (failed.status, failed.out) == (2, "")
 
 
 @settings(max_examples=40)

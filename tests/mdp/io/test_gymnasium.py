@@ -69,41 +69,10 @@ def test_known_values() -> None:
     assert solve_by_sweeps(cliff, 100)[36] == pytest.approx(-(1 - 0.99**13) / 0.01)
     assert cliff.start == ((36, Fraction(1)),)
     assert np.flatnonzero(cliff.terminal).tolist() == [47]
+    assert cliff.table.row(cliff.pair_offsets[47]) == [(1, 47, 0)]  # whatever the table lists there
     undiscounted = MDP.from_gymnasium("CliffWalking-v1")
     assert undiscounted.discount_exact == 1
     assert solve_by_sweeps(undiscounted, 100)[36] == -13
-
-
-def test_ends_without_reward_replace_what_the_table_lists_there() -> None:
-    lake = MDP.from_gymnasium("FrozenLake-v1")
-    assert np.flatnonzero(lake.terminal).tolist() == [5, 7, 11, 12, 15]
-    assert lake.forced.tolist() == lake.terminal.tolist()
-    # the table goes on from the goal of CliffWalking: up for -1, left over the cliff for -100
-    cliff = MDP.from_gymnasium("CliffWalking-v1")
-    assert cliff.table.row(cliff.pair_offsets[47]) == [(1, 47, 0)]
-
-
-def test_taxi_has_an_end_of_its_own() -> None:
-    """Its four drop-off states are entered alive as well, so they must stay what they are."""
-    env = gymnasium.make(TAXI)
-    mdp = MDP.from_gymnasium(env, 0.9)
-    assert (mdp.n_states, mdp.n_actions, mdp.space.label(500)) == (501, 6, "end")
-    assert np.flatnonzero(mdp.terminal).tolist() == [500]
-    dropped = env.unwrapped.encode(0, 0, 4, 0)
-    assert mdp.table.row(mdp.pair(dropped, 5)) == [(1, 500, 20)]
-    assert len(mdp.start) == 300
-
-
-def test_wrapped_environments_and_ids_are_the_same() -> None:
-    bare = gymnasium.make("FrozenLake-v1", is_slippery=False).unwrapped
-    wrapped = gymnasium.wrappers.TimeLimit(bare, 7)
-    models = [MDP.from_gymnasium(env, 0.9) for env in (bare, wrapped)]
-    assert models[0].transition.toarray().tolist() == models[1].transition.toarray().tolist()
-    slippery = MDP.from_gymnasium("FrozenLake-v1", 0.9)
-    assert slippery.n_transitions > models[0].n_transitions
-    assert load("gymnasium:FrozenLake-v1", discount="0.9").reward.tolist() == (
-        slippery.reward.tolist()
-    )
 
 
 # ---- tables of one's own -----------------------------------------------------------------------
@@ -240,7 +209,9 @@ def test_labels_say_where_episodes_are_over() -> None:
     best = certify(lake).start_value
     assert certify(lake.reaching("goal")).start_value == best
     assert certify(lake.reaching("end")).start_value == 1
-    assert np.flatnonzero(MDP.from_gymnasium(TAXI).labels["end"]).tolist() == [500]
+    taxi = MDP.from_gymnasium(TAXI)  # its drop-off states are entered alive as well
+    assert np.flatnonzero(taxi.labels["end"]).tolist() == [500]
+    assert np.flatnonzero(taxi.terminal).tolist() == [500]
     assert MDP.from_gymnasium("FrozenLake-v1", labels={}).labels == {}
     endless = MDP.from_gymnasium({0: {0: [(1, 0, 0, False)]}})
     assert endless.labels == {}

@@ -85,9 +85,9 @@ def test_a_file_of_another_kind(tmp_path: Path) -> None:
     (tmp_path / "model.txt").write_text("{}", encoding="utf-8")
     with pytest.raises(ModelError, match="unknown kind of model file"):
         load(tmp_path / "model.txt")
-    with pytest.raises(ModelError, match=r"name it \.npz, \.umb or \.json"):
-        save(load("yuan2025", sets=SMALL), tmp_path / "model.txt")
-    with pytest.raises(ModelError, match="a file without ending"):
+    with pytest.raises(
+        ModelError, match=r"a file without ending(.|\n)*name it \.npz, \.umb or \.json"
+    ):
         save(load("yuan2025", sets=SMALL), tmp_path / "model")
 
 
@@ -127,10 +127,8 @@ def test_without_storm_the_error_names_the_extra(
     ("change", "place"),
     [
         ({"unreached": []}, "unreached"),
-        ({"unreached": "never"}, "unreached"),
         ({"goal": 1}, "goal"),
         ({"state": 10**400}, "state"),
-        ({"action": 10**400}, "action"),
         ({"next": [10**400]}, "next"),
     ],
     ids=str,

@@ -167,15 +167,6 @@ def test_headers_that_are_no_model(tmp_path: Path, key: str, value: Any, message
     is_refused(tmp_path / "bad.npz", message)
 
 
-def test_a_truncated_file_at_any_length(tmp_path: Path) -> None:
-    save(MODELS["floats"], tmp_path / "good.npz")
-    content = (tmp_path / "good.npz").read_bytes()
-    path = tmp_path / "cut.npz"
-    for length in [*range(0, len(content), 61), len(content) - 1]:
-        path.write_bytes(content[:length])
-        is_refused(path, "damaged")
-
-
 def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:
     """A single changed byte is refused, or is in a place that carries no meaning."""
     mdp, path = MODELS["floats"], tmp_path / "model.npz"
@@ -199,9 +190,7 @@ def test_flipped_bits_are_found_by_the_checksum(tmp_path: Path) -> None:
 def test_files_that_are_no_model_or_cannot_be_written(tmp_path: Path) -> None:
     np.savez(tmp_path / "q.npz", np.zeros((16, 4)))
     is_refused(tmp_path / "q.npz", "a Q-table is a policy")
-    np.save(tmp_path / "q.npy", np.zeros((16, 4)))
-    is_refused(tmp_path / "q.npy", "unknown kind of model file")
-    (tmp_path / "q.npy").rename(tmp_path / "r.npz")
+    (tmp_path / "r.npz").write_bytes((tmp_path / "q.npz").read_bytes()[:99])
     is_refused(tmp_path / "r.npz", "damaged, or not an archive")
     with pytest.raises(ModelError, match="cannot write the file"):
         save(MODELS["floats"], tmp_path / "nowhere" / "model.npz")

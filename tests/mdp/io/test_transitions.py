@@ -283,6 +283,10 @@ def test_changed_tables_have_no_observations() -> None:
     assert mdp.episodes == mdp.with_(discount="1/3").episodes == 1
     assert mdp.with_(start=1).episodes is None
     assert MDP.from_transitions(table([GOOD]), start="a").episodes is None
+    goal = mdp.with_(labels={"goal": [False, True]})
+    for asked in (goal.with_(discount=1).until("goal"), goal.reaching("goal")):
+        assert asked.observations is asked.episodes is None
+    assert mdp.negated().observations is not None
     with pytest.raises(ModelError, match="no shares of 3 episodes"):
         mdp.with_(start={0: "1/2", 1: "1/2"}, episodes=3)
     with pytest.raises(ModelError, match="0 episodes"):
@@ -291,13 +295,3 @@ def test_changed_tables_have_no_observations() -> None:
         mdp.with_(observations=np.array([2, 0]))
     with pytest.raises(ModelError, match="for 2 pairs"):
         mdp.with_(observations=np.array([1]))
-
-
-def test_questions_have_no_observations() -> None:
-    mdp = MDP.from_transitions(table([GOOD, (2, "b", "x", 1, "a")])).with_(
-        labels={"goal": np.array([False, True])}
-    )
-    for asked in (mdp.reaching("goal"), mdp.until("goal")):
-        assert asked.observations is None
-        assert asked.episodes is None
-    assert mdp.negated().observations is not None
