@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model_contents import negated
-from oracle import each_choice, hitting, hitting_within, rows_of, until, until_within
+from oracle import best_within, each_choice, hitting, rows_of, until
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, ModelError, Policy, Scenario, certify, evaluate, solve
@@ -108,8 +107,10 @@ def test_within_n_steps_means_the_same_before_and_after_a_question(
     target, start = mdp.labels["target"].tolist(), mdp.start[0][0]
     allowed = mdp.labels["allowed"].tolist() if avoiding else [True] * mdp.n_states
     through = "allowed" if avoiding else None
-    best = hitting_within(mdp, target, allowed, steps)[start]
-    cost = until_within(mdp, target, steps)[start]
+    ends = {s: F(on) for s, on in enumerate(target) if on}
+    stops = {s: F(0) for s, on in enumerate(allowed) if not on} | ends
+    best = best_within(mdp, steps, stops, F(0), 0)[start]
+    cost = best_within(mdp, steps, dict.fromkeys(ends, F(0)), np.inf, 1)[start]
     for model, answer in (
         (mdp.reaching("target", through).within(steps), best),
         (mdp.within(steps).reaching("target", through), best),

@@ -222,30 +222,17 @@ def _leading_to(
         ends = more
 
 
-def hitting_within(mdp: Any, target: Sequence[bool], allowed: Sequence[bool], steps: int) -> Vector:
-    """The best probability of reaching the target within N steps, through allowed states."""
-    best, values = max if mdp.sense == "max" else min, [F(bool(t)) for t in target]
+def best_within(mdp: Any, steps: int, over: Mapping[int, F], missed: F | float, pay: int) -> Values:
+    """The best total of `pay` times the rewards within N steps, and of what it is worth to be over
+    in some states, or to have missed all of them."""
+    best, rows = max if mdp.sense == "max" else min, rows_by_state(mdp)
+    values: Values = [over.get(s, missed) for s in range(mdp.n_states)]
     for _ in range(steps):
-        after, rows = values, rows_by_state(mdp)
-        values = [
-            F(1) if target[s] else best(mean(law, after) for law in laws) if allowed[s] else F(0)
-            for s, laws in enumerate([[law for *_, law in each] for each in rows])
+        totals = [
+            [pay * r + sum(p * values[t] for t, p in law.items()) for _, _, r, law in each]
+            for each in rows
         ]
-    return values
-
-
-def until_within(mdp: Any, target: Sequence[bool], steps: int) -> Values:
-    """The best reward until the target; at discount 1 infinite unless N steps are surely enough."""
-    best, rate = max if mdp.sense == "max" else min, mdp.discount_exact
-    values: Values = [F(0) if t else inf if rate == 1 else F(0) for t in target]
-    for _ in range(steps):
-        after = values
-        values = [
-            F(0)
-            if target[s]
-            else best(r + sum(rate * p * after[t] for t, p in law.items()) for _, _, r, law in each)
-            for s, each in enumerate(rows_by_state(mdp))
-        ]
+        values = [over[s] if s in over else best(each) for s, each in enumerate(totals)]
     return values
 
 
