@@ -30,7 +30,6 @@ UNAWARE = (F(1, 2), F(1, 10), F(1, 10), F(1, 10), F(1, 10))
 
 
 def state(step: str, behaviour: str, responsive: int, aware: int) -> int:
-    """The number of a state."""
     return 20 * "abcdeghjk".index(step) + 4 * BEHAVIOURS.index(behaviour) + 2 * responsive + aware
 
 

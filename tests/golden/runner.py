@@ -123,7 +123,6 @@ def optimal_actions(policy: dict[str, str], line: str, tmp: Path) -> dict[str, s
 
 
 def differences(wanted: dict[str, Any], given: dict[str, Any]) -> list[str]:
-    """Return where an answer differs from the pinned one."""
     body = wanted["answer"]
     seeded = isinstance(body, dict) and body.get("claim") == "estimated"
     largest = max(map(abs, floats(wanted)), default=0.0)

@@ -126,7 +126,6 @@ def test_a_faulty_row_does_not_say_the_layout(row: list[float], what: str) -> No
 
 
 def test_what_follows_the_layout() -> None:
-    """Rewards of transitions, missing rows of lists, and whether a policy is optimal."""
     P, R = np.full((2, 2, 2), 0.5), np.arange(8.0).reshape(2, 2, 2)
     with pytest.raises(ModelError, match="as many actions as states"):
         MDP.from_arrays(P, R)
@@ -656,7 +655,6 @@ def test_what_a_model_tells_can_be_given_back(drawn: Rows) -> None:
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
 def test_counts_are_given_back_by_the_observations(order: list[int]) -> None:
-    """Rows of probabilities and how often each was observed, in any order of the pairs."""
     steps = [("low", "wait", 0, "low"), *[("low", "wait", 1, "high")] * 3, ("low", "go", 5, "high")]
     names = ["episode", "state", "action", "reward", "next_state"]
     frame = pd.DataFrame([(k, *step) for k, step in enumerate(steps)], columns=names)

@@ -37,7 +37,6 @@ def unit(name: str, value: F) -> Parameter:
 
 
 def earning(gain: F) -> MDP:
-    """Earn a gain once."""
     return MDP.from_outcomes([(0, 0, [(1, 1, gain)]), (1, 0, [(1, 1, 0)])])
 
 
@@ -161,7 +160,6 @@ def test_checked_derivatives_are_the_slopes_of_exact_values(drawn) -> None:
 @given(families())
 @settings(max_examples=15)
 def test_checked_thresholds_are_where_optimal_actions_change(drawn) -> None:
-    """Optimal pairs in fractions at both sides of each threshold, and between them."""
     family, _ = drawn
     switches = thresholds(family, "p", (F(1, 100), F(99, 100)))
     assert switches.claim == Claim.CHECKED
@@ -267,7 +265,6 @@ def test_degrees_of_scenarios_hold_at_further_points(readings: dict[str, str]) -
 
 
 def test_a_moved_model_keeps_its_limit_and_has_the_room_that_its_rows_leave() -> None:
-    """The limit of an environment was lost where a probability moved, and kept elsewhere."""
     mdp = MDP.from_arrays([[["1/2", "1/4", "1/4"], [0, 1, 0], [0, 0, 1]]], [1, 0, 0], time_limit=9)
     family = moving(mdp, {"stay": [(0, 0)], "leave": [(0, 1)]})
     assert family.room == {"stay": (0, F(3, 4)), "leave": (0, F(1, 2))}
@@ -337,7 +334,6 @@ NUMBERS = [0.25, "1/4", F(1, 4), Decimal("0.25"), np.float32(0.25), np.float64(0
 
 @pytest.mark.parametrize("number", NUMBERS, ids=repr)
 def test_numbers_of_parameters_become_exact_at_the_door(number: Any) -> None:
-    """A float stayed one, so that rows were no polynomials; "1/4" ended in a TypeError."""
     p = Parameter(name="p", value=number, low=0, high=Decimal(1))
     assert (p.value, p.low, p.high) == (F(1, 4), 0, 1)
     assert {type(part) for part in (p.value, p.low, p.high)} == {F}
@@ -386,7 +382,6 @@ WORDS = MDP.from_arrays(
 
 
 def test_entries_are_named_as_states_and_actions_are_everywhere() -> None:
-    """It was "probability 0", or an IndexError."""
     wanted = moving(WORDS, {"recovery": [(0, 1)]}).at({"recovery": "2/5"}).table.row(0)
     for entry in ((("sick", "wait"), "well"), (("state sick", 0), 1), (np.int64(0), "well")):
         outcomes = moving(WORDS, {"recovery": [entry]}).at({"recovery": "2/5"}).table.row(0)

@@ -28,7 +28,6 @@ def written(numbers: Any) -> Any:
 
 
 def test_models_are_equal_whose_content_is() -> None:
-    """Floats and rationals, sparse and dense, rewards of moves, names."""
     floats = MDP.from_arrays(DYADIC, REWARD, 0.5)
     by_outcome = np.broadcast_to(np.array(REWARD).T[:, :, None], (2, 3, 3))
     for other in (

@@ -36,7 +36,6 @@ TEA = Scenario.load("tea")
 
 
 def safe(text: str) -> bool:
-    """Whether no bad character but the line ends of a message is left in it."""
     return not any(character in text for character in BAD if character != "\n")
 
 
@@ -70,7 +69,6 @@ MAKERS: dict[str, Callable[[str], object]] = {
 
 @pytest.mark.parametrize("kind", MAKERS)
 def test_constructors_refuse_them_by_their_number(kind: str) -> None:
-    """Every constructor names the character as U+XXXX, and takes what people write."""
     for character in BAD:
         with pytest.raises(ModelError, match=f"U\\+{ord(character):04X}") as caught:
             MAKERS[kind](f"go{character}x")
@@ -117,7 +115,6 @@ def test_files_made_elsewhere_are_no_way_around_the_rule(tmp_path: Path) -> None
 
 
 def test_paths_that_hold_them(tmp_path: Path) -> None:
-    """The path of a file reaches no terminal raw, in errors nor in results nor in warnings."""
     path = tmp_path / "a\x1b[31m\u202e\nwhere: b.npz"
     done = run("info", path)
     assert (done.status, done.out) == (2, "")

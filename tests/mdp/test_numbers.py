@@ -35,7 +35,6 @@ def kinds(value: F) -> list[Any]:
 
 
 def again(mdp: MDP) -> MDP:
-    """Return the model built anew from what it tells."""
     return MDP.from_outcomes(
         outcomes_of(mdp), mdp.discount_exact, start=dict(mdp.start), actions=mdp.actions
     )
@@ -52,8 +51,6 @@ EYE = [[1, 0], [0, 1]]
 def test_a_number_may_be_given_in_any_kind_that_holds_it(
     rows: list[Any], discount: F, data: st.DataObject
 ) -> None:
-    """The values are those of the oracle, whatever mixture of kinds the numbers are given in."""
-
     def any_kind(value: F) -> Any:
         return data.draw(st.sampled_from(kinds(value)))
 
@@ -153,7 +150,6 @@ def test_it_stays_known_whether_numbers_were_floats(tmp_path: Any) -> None:
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])
 @pytest.mark.parametrize("times", [1, 2])
 def test_integers_over_denominators_are_fractions(order: list[int], times: int) -> None:
-    """Pairs in any order; places that come twice are added."""
     counts = np.array([[1, 2, 0], [0, 5, 5], [7, 0, 0], [2**50, 2**50, 2**51]])
     below = counts.sum(axis=1)
     chances = [[F(int(x), int(n)) for x in line] for line, n in zip(counts, below, strict=True)]
@@ -172,7 +168,6 @@ def test_integers_over_denominators_are_fractions(order: list[int], times: int) 
 
 
 def row_of(chances: list[object], **named: object) -> list[F]:
-    """Return the exact probabilities of a row, as a model has them."""
     size = len(chances)
     rest = [[0] * k + [1] + [0] * (size - k - 1) for k in range(1, size)]
     mdp = MDP.from_arrays([[chances, *rest]], [1] * size, "9/10")

@@ -50,13 +50,11 @@ by_status = st.lists(st.integers(0, 3), min_size=16, max_size=16)
 
 
 def once(*rewards: object) -> MDP:
-    """One choice is made, and then all ends."""
     choices = [(0, action, [(1, 1, reward)]) for action, reward in enumerate(rewards)]
     return MDP.from_outcomes([*choices, (1, 0, [(1, 1, 0)])])
 
 
 def follows(mdp: MDP, policy: Policy, chosen: list[int]) -> None:
-    """Assert that the policy takes chosen[status] wherever there is a choice."""
     status = mdp.space.values("status")
     first = mdp.pair_action[mdp.pair_offsets[:-1]].tolist()
     wanted = [a if one else chosen[s] for a, one, s in zip(first, mdp.forced, status, strict=True)]
@@ -221,7 +219,6 @@ def test_what_fits_two_readings_that_differ_is_refused_and_both_are_named() -> N
 
 
 def test_what_equals_an_object_is_that() -> None:
-    """Truth values and their numbers; tuples and rows of numbers."""
     truth = walk([True, False], [True, False], [0, 1, 2])
     assert truth.actions == ("False", "True")
     for policy in ({0: 1, 1: 0}, lambda s: int(s == 0), [True, False, False], [1, 0, 0],
@@ -332,7 +329,6 @@ def test_decimal_words_are_the_decimals_that_they_say() -> None:
 @pytest.mark.parametrize("suffix", [".csv", ".json"])
 @pytest.mark.parametrize("share", ["9/10", "1/3", "1/2", "123456789/1000000007"])
 def test_files_keep_exact_shares(tmp_path: Path, suffix: str, share: str) -> None:
-    """What is written as "p/q" or as a decimal is read back as the same number."""
     model, path, again = once(5, 0), tmp_path / f"policy{suffix}", tmp_path / f"again{suffix}"
     Policy.of(model, {"0": {"0": share, "1": str(1 - Fraction(share))}, "1": "0"}).write(path)
     policy = Policy.of(model, path)
@@ -351,7 +347,6 @@ def test_files_keep_exact_shares(tmp_path: Path, suffix: str, share: str) -> Non
 
 
 def partial(mdp: MDP, *states: int) -> Policy:
-    """A policy that says nothing of some states."""
     table = np.eye(mdp.n_actions)[[0] * mdp.n_states]
     table[list(states)] = np.nan
     return Policy.by(mdp, ["state"], table)

@@ -314,7 +314,6 @@ TAKES_MODEL = (
 
 @pytest.mark.parametrize("name", TAKES_MODEL.split())
 def test_an_option_that_there_is_not_is_refused(name: str) -> None:
-    """Python's own TypeError said neither that the model has the discount nor how to change it."""
     function = getattr(exact_mdp, name)
     care = Scenario.load("yuan2025")
     given = (care, "random") if "policy" in signature(function).parameters else (care,)

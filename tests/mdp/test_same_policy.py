@@ -110,11 +110,9 @@ class Case:
 
     @property
     def unmistaken(self) -> bool:
-        """Whether no name is the text of two things."""
         return all(len(set(map(str, each))) == len(each) for each in (self.states, self.actions))
 
     def regret(self) -> Fraction:
-        """What the policy loses from the start, by the oracle."""
         sign, n = (-1 if self.sense == "min" else 1), len(self.states)
         rows = []
         for s in range(n):

@@ -100,14 +100,12 @@ def test_what_is_forbidden_is_found() -> None:
 
 
 def python(*words: str) -> str:
-    """What a new process prints."""
     done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def loaded(code: str) -> set[str]:
-    """The packages that a new process has loaded after the code."""
     code += "\nimport sys; print(*{name.partition('.')[0] for name in sys.modules})"
     return set(python("-W", "error", "-c", code).splitlines()[-1].split())
 

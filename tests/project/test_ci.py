@@ -82,7 +82,6 @@ def act(project: Path, program: Path = PROGRAM, **given: str) -> tuple[int, str,
 
 
 def filled(text: str, inputs: dict[str, Any], temp: Path) -> str:
-    """Return an expression's value."""
     text = text.replace("${{ runner.temp }}", str(temp))
     if "${{" not in text:
         return text

@@ -50,7 +50,6 @@ def text(name: str) -> str:
 
 
 def blocks(name: str) -> list[tuple[str, str]]:
-    """Return the language and the text of each block of code."""
     return re.findall(r"^```(\w*)\n(.*?)^```$", text(name), re.M | re.S)
 
 

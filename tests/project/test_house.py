@@ -22,7 +22,6 @@ TEXTS = [ROOT / f"{name}.md" for name in ("ARCHITECTURE", "CHANGELOG", "CONTRIBU
 
 @pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.stem)
 def test_what_a_page_names_is_there(page: Path) -> None:
-    """Each file in code, each target of make."""
     text = page.read_text("utf-8")
     files = re.findall(r"`([\w/.]+\.(?:py|toml|lock))`", text)
     folders = ("docs", "tests", "exact_mdp")

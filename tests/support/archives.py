@@ -115,7 +115,6 @@ def foreign_umb(
 
 
 def annotate(content: Any, group: str, name: str, given: Mapping[str, Sequence[Any]]) -> None:
-    """Give states, choices or branches their values."""
     kind, _ = umbi.datatypes.promote_scalars(
         [value for values in given.values() for value in values]
     )
@@ -128,7 +127,6 @@ def annotate(content: Any, group: str, name: str, given: Mapping[str, Sequence[A
 
 
 def written(content: Any, folder: Path) -> Path:
-    """Write a UMB model by umbi itself, as theirs.umb in a folder."""
     path = folder / "theirs.umb"
     umbi.umb.write(content, path)
     return path

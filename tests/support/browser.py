@@ -58,7 +58,6 @@ class Browser:
         os.close(self.back)
 
     def send(self, method: str, **params: Any) -> dict[str, Any]:
-        """Send a command and return its answer."""
         self.number += 1
         message = {"id": self.number, "method": method, "params": params}
         message |= {} if self.session is None else {"sessionId": self.session}
@@ -97,7 +96,6 @@ class Browser:
             pass
 
     def js(self, expression: str) -> Any:
-        """Return the value of an expression in the page."""
         reply = self.send("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in reply, reply
         return reply["result"].get("value")
@@ -116,6 +114,5 @@ class Browser:
             self.send("Input.dispatchKeyEvent", type="keyUp", **said)
 
     def picture(self, path: Path, *, whole: bool = True) -> None:
-        """Write what is seen as a PNG."""
         data = self.send("Page.captureScreenshot", captureBeyondViewport=whole)["data"]
         path.write_bytes(base64.b64decode(data))

@@ -52,7 +52,6 @@ TABLE_4 = dict(zip(COMPONENTS, (-1, -1, -5, -1, -1, 50, -10, -1, 20, 0, -1, -3, 
 
 
 def default_parameters() -> dict[str, Fraction]:
-    """All parameters by name, as Tables 3 and 4 and the text give them."""
     values: dict[str, Fraction] = {}
     for row, (base, entries) in TABLE_3.items():
         values[f"base.{row}"] = Fraction(base, 100)
@@ -224,7 +223,6 @@ class Oracle:
     # ------------------------------------------------------------ optimum and policies
 
     def reachable(self) -> set[State]:
-        """All states reachable from the start under any actions."""
         reached: set[State] = {self.start}
         todo = list(reached)
         while todo:
@@ -241,7 +239,6 @@ class Oracle:
         return self._best(state)[0]
 
     def optimal_actions(self, state: State) -> frozenset[str]:
-        """Every action that attains the optimal value; empty at the end."""
         return self._best(state)[1]
 
     def _best(self, state: State) -> tuple[Fraction, frozenset[str]]:
@@ -275,7 +272,6 @@ class Oracle:
         spreads: dict[State, dict[Fraction, Fraction]] = {END: {zero: Fraction(1)}}
 
         def at(state: State) -> dict[str, Fraction]:
-            """Expectations over the rest of the episode, from a state on."""
             if state in memo:
                 return memo[state]
             here = {**dict.fromkeys(figures, zero), "steps": Fraction(1)}

@@ -4,6 +4,5 @@ from matplotlib.axes import Axes
 
 
 def texts(ax: Axes) -> dict[tuple[int, int], str]:
-    """Return what is written in each cell, by row and column."""
     each = ((text.get_position(), text.get_text()) for text in ax.texts)
     return {(int(y), int(x)): text for (x, y), text in each}

@@ -22,8 +22,6 @@ PROGRAM = Path(sys.executable).with_name("exact-mdp")
 
 @dataclass(frozen=True, kw_only=True)
 class Done:
-    """How a command ended."""
-
     status: int
     out: str
     err: str
@@ -66,7 +64,6 @@ def run(line: str = "", *words: object) -> Done:
 
 
 def launch(line: str, *words: object, **environment: str) -> Done:
-    """Run the installed program."""
     done = subprocess.run(
         [PROGRAM, *shlex.split(line), *map(str, words)],
         capture_output=True,

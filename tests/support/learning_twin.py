@@ -79,7 +79,6 @@ class Twin:
     # ---- values and choices ------------------------------------------------------------------
 
     def value(self, entry: int) -> float:
-        """What the learner acts by."""
         if self.double:
             return self.one(0, entry) + self.one(1, entry)
         return self.one(0, entry)

@@ -102,7 +102,6 @@ def garnet_rows(states: int, *, rng: int, actions: int = 4, branches: int = 5) -
 
 
 def dense(states: int, *, rng: int, actions: int = 4) -> MDP:
-    """Every state can follow every other."""
     ahead = np.tile(np.arange(states), (states * actions, 1))
     return MDP.from_outcomes(_rows(np.random.default_rng(rng), ahead, actions), "19/20")
 
@@ -119,7 +118,6 @@ def _rows(draw: np.random.Generator, ahead: np.ndarray[Any, Any], actions: int) 
 
 
 def forest(discount: str) -> MDP:
-    """Return the forest of three ages."""
     wait, cut = [["1/10", "9/10", 0], ["1/10", 0, "9/10"], ["1/10", 0, "9/10"]], [[1, 0, 0]] * 3
     return MDP.from_arrays([wait, cut], [[0, 0], [0, 1], [4, 2]], discount)
 

@@ -64,7 +64,6 @@ def executed(path: Path) -> Any:
 
 
 def text_of(notebook: Any) -> str:
-    """Return the text of a notebook's file."""
     text: str = nbformat.writes(notebook)
     return text + "\n"
 

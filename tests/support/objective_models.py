@@ -107,7 +107,6 @@ Vector = tuple[Fraction, ...]
 
 
 def counted(mdp: MDP, pair: int) -> Vector:
-    """Return the expected reward of a pair, then its amounts."""
     amounts = (
         (mdp.component(name)[0][pair], mdp.component(name)[1][pair]) for name in ("c0", "c1")
     )

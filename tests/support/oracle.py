@@ -53,7 +53,6 @@ def fixed_point(right: Sequence[F], moves: Sequence[Mapping[int, F]]) -> Vector:
 
 
 def _less(state: int, row: Mapping[int, F]) -> dict[int, F]:
-    """A row of I - P."""
     return {t: -p for t, p in row.items()} | {state: 1 - row.get(state, F(0))}
 
 
@@ -77,12 +76,10 @@ def rows_of(mdp: Any, pairs: Iterable[int] | None = None) -> list[Row]:
 
 
 def each_choice(mdp: Any) -> Iterator[tuple[int, ...]]:
-    """Every deterministic policy of a model, as one pair for each state."""
     return product(*(mdp.pairs_of(state) for state in range(mdp.n_states)))
 
 
 def policies(rows: Iterable[Row]) -> Iterator[tuple[Row, ...]]:
-    """Every deterministic policy, as the rows that it takes."""
     by_state: dict[int, list[Row]] = {}
     for row in rows:
         by_state.setdefault(row[0], []).append(row)

@@ -18,7 +18,6 @@ SHIPPED = {path.stem: path.read_text("utf-8") for path in PACKAGE.glob("*/scenar
 
 
 def scenario_of(text: str) -> Scenario:
-    """Read a scenario as from a file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "scenario.toml"
         path.write_text(text, encoding="utf-8")

@@ -259,7 +259,6 @@ def directive(state: State) -> dict[str, F]:
 
 
 def state_of(mdp: MDP, number: int) -> State:
-    """The oracle's name of a state."""
     if number == mdp.n_states - 1:
         return END
     value = {name: int(mdp.space.values(name, np.array([number]))[0]) for name in mdp.space.names}
@@ -269,7 +268,6 @@ def state_of(mdp: MDP, number: int) -> State:
 
 
 def policy_of(mdp: MDP, policy: OraclePolicy) -> Policy:
-    """The oracle's policy as one over all states."""
     table = np.zeros((mdp.n_states, mdp.n_actions))
     for number in range(mdp.n_states):
         if mdp.forced[number]:

@@ -22,7 +22,6 @@ TODAY = np.empty((1, 0))
 
 
 def staged(scenario: Scenario, shares: np.ndarray) -> np.ndarray:
-    """Policies by status (N, V, A), as policies by state."""
     stages = optimal(scenario, (), TODAY).actions.shape[1:-1]
     return np.broadcast_to(shares[:, None, None, None], (len(shares), *stages, *shares.shape[1:]))
 

@@ -21,7 +21,6 @@ OWN = own_text(3, 3)
 
 
 def lint(text: str) -> list[dict[str, Any]]:
-    """Return the problems that the command finds in a file of this text."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "x.toml"
         path.write_text(text, "utf-8")

@@ -46,7 +46,6 @@ def policy(status: str) -> str:
 
 
 def confusion(true: str, seen: str) -> Fraction:
-    """The probability of what is seen, status by status."""
     chance = Fraction(1)
     for present, shown, hit, clear in zip(true, seen, RATES, CLEAR, strict=True):
         if present == "1":
@@ -68,7 +67,6 @@ PLAN = {label: policy(label) for label in LABELS}
 
 @pytest.fixture(autouse=True)
 def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder to work in, with the policy as a file."""
     monkeypatch.chdir(tmp_path)
     Path("plan.json").write_text(json.dumps(PLAN))
 

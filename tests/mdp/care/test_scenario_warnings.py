@@ -30,7 +30,6 @@ def small(**readings: str) -> Scenario:
 
 
 def messages(work) -> list[str]:
-    """Return the warnings of some work, every one of them."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         work()

@@ -102,7 +102,6 @@ def test_pipes_devices_folders_and_nothing_at_all(tmp_path: Path, name: str) -> 
 
 
 def test_what_can_be_neither_read_nor_written(tmp_path: Path) -> None:
-    """Renaming a finished file into place would put it where a device or a pipe was."""
     os.mkfifo(tmp_path / "p.json")
     policy = Policy.of(MODEL, [0])
     with pytest.raises(ModelError, match="there is a pipe of this name"):
@@ -184,7 +183,6 @@ def refused(path: Path, content: bytes, words: str) -> None:
 
 
 def contents(name: str, folder: Path) -> tuple[dict[str, bytes], str]:
-    """The members of an archive of that kind, and one that holds an array."""
     if name == "policy.npz":
         return {"q.npy": array_header("(1, 1)") + bytes(8)}, "q.npy"
     save(MODEL, folder / "good.npz")

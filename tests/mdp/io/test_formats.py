@@ -21,7 +21,6 @@ FORMATS = ("npz", "umb")
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("ending", FORMATS)
 def test_every_field_comes_back(tmp_path: Path, name: str, ending: str) -> None:
-    """No format drops anything of a model, the discount of a .umb file least of all."""
     path = tmp_path / f"m.{ending}"
     save(MODELS[name], path)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
@@ -39,14 +38,12 @@ def test_every_field_comes_back(tmp_path: Path, name: str, ending: str) -> None:
 def test_any_model_comes_back(
     tmp_path_factory: pytest.TempPathFactory, mdp: MDP, ending: str
 ) -> None:
-    """Exact numbers, floats, mixtures, denormal numbers and -0 beside 0 all survive."""
     path = tmp_path_factory.mktemp("formats") / f"m.{ending}"
     save(mdp, path)
     assert_same(mdp, load(path), stored=False)
 
 
 def test_a_discount_that_nobody_gave_is_said(tmp_path: Path) -> None:
-    """A file of another program has no discount: 1 is taken, and said; a given one is silent."""
     content = foreign_umb([[[(0, 1.0)]]], {"reward": {"choices": [1.0]}})
     path = written(content, tmp_path)
     with pytest.warns(UserWarning, match="no discount, and 1 is used"):
@@ -76,7 +73,6 @@ def test_a_file_that_another_program_changed(tmp_path: Path) -> None:
 
 
 def test_another_reward_of_our_own_file(tmp_path: Path) -> None:
-    """A component is read as a model of its own, with the discount and the names of the whole."""
     mdp = MODELS["care"].with_(discount="9/10")
     save(mdp, tmp_path / "m.umb")
     again = load(f"{tmp_path}/m.umb#anger")

@@ -48,7 +48,6 @@ fuzz = settings(
 
 @st.composite
 def spoiled(draw: st.DrawFn, content: bytes) -> bytes:
-    """The content after one to four cuts, copies, insertions and changes of bytes."""
     data = bytearray(content)
     for _ in range(draw(st.integers(1, 4))):
         first = draw(st.integers(0, len(data)))

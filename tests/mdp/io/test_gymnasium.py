@@ -201,7 +201,6 @@ def test_toys_have_the_names_of_their_environment(name: str) -> None:
 
 
 def test_labels_say_where_episodes_are_over() -> None:
-    """FrozenLake without a limit is worth the probability of reaching its goal."""
     lake = MDP.from_gymnasium("FrozenLake-v1")
     assert {name: np.flatnonzero(flags).tolist() for name, flags in lake.labels.items()} == {
         "end": [5, 7, 11, 12, 15], "hole": [5, 7, 11, 12], "goal": [15],
@@ -334,7 +333,6 @@ gymnasium.register("Boom-v0", entry_point="my_boom:Boom")
 def test_an_environment_that_cannot_be_made(
     module: str, text: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its error is that of the input, and the command says so."""
     (tmp_path / f"{module}.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     done = run("info", f"gymnasium:{module}:Boom-v0")

@@ -64,7 +64,6 @@ def answer(stormpy: Any, model: Any, query: str) -> Any:
 def test_storm_finds_the_exact_optimum(
     stormpy: Any, tmp_path: Path, readings: dict[str, str]
 ) -> None:
-    """The same rational number from Storm's policy iteration and from the reference model."""
     mdp = Scenario.load("yuan2025").with_(readings=readings).compile()
     save(mdp, tmp_path / "care.umb")
     model = stormpy.build_model_from_umb(str(tmp_path / "care.umb"))

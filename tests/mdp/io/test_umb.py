@@ -100,7 +100,6 @@ def chain(*, initial: Sequence[int] = (0,), **rewards: list[Any]) -> Any:
 
 
 def act(content: Any, chosen: list[int], names: list[str]) -> None:
-    """Name the actions of choices."""
     content.index.transition_system.num_choice_actions = len(names)
     content.choice_to_choice_action, content.choice_action_to_string = chosen, names
 
@@ -244,7 +243,6 @@ def test_numbers_that_make_no_model(
 
 
 def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
-    """Each list has the length that the index gives it."""
     members = members_of_care(tmp_path)
     names = ("branch-to-target.bin", "actions/choices/values.bin", "state-to-choices.bin")
     for name in (*names, "annotations/rewards/reward/choices/values.bin"):
@@ -293,7 +291,6 @@ def test_what_umbi_cannot_read_is_refused_in_its_words(tmp_path: Path) -> None:
 
 
 def test_labels_names_and_variables_of_others(tmp_path: Path) -> None:
-    """Labels go by their names; variables of whole numbers and truth values name the states."""
     content = foreign_umb([[[(1, Fraction(1))]], [[(2, Fraction(1))]], [[(2, Fraction(1))]]])
     annotate(content, "aps", "goal", {"states": [False, False, True]})
     content.index.annotations["aps"]["goal"].alias = "The goal"
