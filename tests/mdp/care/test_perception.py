@@ -40,11 +40,6 @@ def care() -> MDP:
     return Scenario.load("yuan2025").with_(tasks=[2], max_trial=3).compile()
 
 
-def policy(status: str) -> str:
-    """An action for each status that differs between neighbours."""
-    return ACTIONS[(3 * int(status, 2) + 2) % 4]
-
-
 def confusion(true: str, seen: str) -> Fraction:
     chance = Fraction(1)
     for present, shown, hit, clear in zip(true, seen, RATES, CLEAR, strict=True):
@@ -62,7 +57,8 @@ def as_csv(path: Path, rows: list[list[object]]) -> Path:
     return path
 
 
-PLAN = {label: policy(label) for label in LABELS}
+PLAN = {label: ACTIONS[(3 * status + 2) % 4] for status, label in enumerate(LABELS)}
+EXACT: list[list[object]] = [[confusion(true, seen) for seen in LABELS] for true in LABELS]
 
 
 @pytest.fixture(autouse=True)
@@ -75,44 +71,34 @@ def evaluated(seen: Path) -> dict[str, Any]:
     return run("evaluate", *MODEL, "plan.json", "--perception", seen, "--json").result
 
 
-def with_prior(seen: Path) -> dict[str, Any]:
-    words = ("--policy", "plan.json", "--prior", "1/16", "--draws", 30, "--seed", 5, "--json")
-    return run("perception", *MODEL, "--perception", seen, *words).result
-
-
-@pytest.fixture
-def exact_rows() -> list[list[object]]:
-    return [[confusion(true, seen) for seen in LABELS] for true in LABELS]
-
-
-def test_the_value_is_that_of_the_reference_model(tmp_path: Path, exact_rows) -> None:
+def test_the_value_is_that_of_the_reference_model(tmp_path: Path) -> None:
     def acting(state: tuple) -> dict[str, Fraction]:
         true = "".join(map(str, state[3]))
         mixed: dict[str, Fraction] = {}
         for seen in LABELS:
-            mixed[policy(seen)] = mixed.get(policy(seen), Fraction(0)) + confusion(true, seen)
+            mixed[PLAN[seen]] = mixed.get(PLAN[seen], Fraction(0)) + confusion(true, seen)
         return mixed
 
     wanted = Oracle(tasks=[2], max_trial=3).evaluate(acting, distribution=False)
-    facts = evaluated(as_csv(tmp_path / "seen.csv", exact_rows))
+    facts = evaluated(as_csv(tmp_path / "seen.csv", EXACT))
     assert facts["mean"] == pytest.approx(float(wanted["mean"]), rel=1e-12)
     assert facts["sd"] == pytest.approx(sqrt(wanted["variance"]), rel=1e-10)
     assert facts["steps"] == pytest.approx(float(wanted["steps"]), rel=1e-12)
     assert facts["skip_probability"] == pytest.approx(float(wanted["skip_probability"]), rel=1e-12)
 
 
-def test_rates_and_matrix_say_the_same(care: MDP, tmp_path: Path, exact_rows) -> None:
+def test_rates_and_matrix_say_the_same(care: MDP, tmp_path: Path) -> None:
     lines = ["[sensitivity]", *(f'{n} = "{r}"' for n, r in zip(NAMES, RATES, strict=True))]
     lines += ["[specificity]", *(f'{n} = "{r}"' for n, r in zip(NAMES, CLEAR, strict=True))]
     (tmp_path / "seen.toml").write_text("\n".join(lines))
     by_rate = evaluated(tmp_path / "seen.toml")["mean"]
-    assert by_rate == pytest.approx(evaluated(as_csv(tmp_path / "seen.csv", exact_rows))["mean"])
+    assert by_rate == pytest.approx(evaluated(as_csv(tmp_path / "seen.csv", EXACT))["mean"])
     matrix = independent([0.9, 0.8, 0.95, 0.75], [0.875, 0.99, 1, 0.5])
     assert by_rate == pytest.approx(evaluate(care, perceived(care, PLAN, matrix)).mean)
 
 
 def test_seeing_the_truth_changes_nothing(care: MDP) -> None:
-    for form in ("random", "always:directive", {label: policy(label) for label in LABELS}):
+    for form in ("random", "always:directive", PLAN):
         plain = Policy.of(care, form).weights(care)
         assert np.array_equal(perceived(care, form, np.eye(16)).weights(care), plain)
 
@@ -134,7 +120,6 @@ def test_every_command_about_a_policy_takes_it(tmp_path: Path) -> None:
     ("name", "text", "what"),
     [
         ("a.csv", "", "header"),
-        ("a.csv", "status,0000\n0000,1\n", "header"),
         ("a.csv", ",".join(["status", *LABELS]) + "\n", "0000 is missing"),
         ("a.csv", ",".join(["status", *LABELS]) + "\n0000,1\n", "2 values under 17 headings"),
         ("a.csv", ",".join(["status", *LABELS]) + "\n2222" + ",0" * 16 + "\n", "unknown"),
@@ -148,10 +133,10 @@ def test_every_command_about_a_policy_takes_it(tmp_path: Path) -> None:
         ("a.csv", "true,perceived\n0000,0002\n", "unknown status"),
         ("a.csv", "true,perceived\n0000,0000\n", "no example was labelled 0001"),
         ("a.jsonl", "{\n", "broken JSON"),
+        ("a.jsonl", '{"status": 0, "perceived": 1}\n{"status"\n{"status": 0', "broken JSON"),
         ("a.jsonl", "3\n", "not an object"),
         ("a.jsonl", '{"statuses": ["joy"]}\n', "the statuses"),
-        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "no status 16"),
-        ("a.jsonl", '{"status": true, "perceived": 0}\n', "True is not a status"),
+        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "16 is not a status"),
     ],
 )
 def test_broken_files_are_refused(tmp_path: Path, name: str, text: str, what: str) -> None:
@@ -202,31 +187,21 @@ def test_every_form_gives_the_same_counts_and_draws(care: MDP, tmp_path: Path) -
     lines = [json.dumps(entry) for entry in [header, *talk, {"kind": "end", "return": "3"}]]
     (tmp_path / "a.jsonl").write_text("\n".join(lines) + '\n{"status": "00')  # a broken last line
     labels = [{"status": int(s, 2), "perceived": int(z, 2)} for s, z in pairs]
-    (tmp_path / "b.jsonl").write_text("".join(json.dumps(entry) + "\n" for entry in labels))
+    (tmp_path / "b.jsonl").write_text("\n".join(map(json.dumps, labels)))  # and no newline
     mean = evaluate(care, perceived(care, PLAN, Counted(counts=table).mean)).mean
     posterior = Counted(counts=table, prior=1 / 16)
     matrices = posterior.samples(np.random.default_rng(5), 30)
     drawn = [evaluate(care, perceived(care, PLAN, matrix)).mean for matrix in matrices]
     for name in ("a.csv", "a.jsonl", "b.jsonl"):
         assert evaluated(tmp_path / name)["mean"] == pytest.approx(mean, rel=1e-12)
-        counts = with_prior(tmp_path / name)["counted"]
+        line = "perception --policy plan.json --prior 1/16 --draws 30 --seed 5 --json"
+        done = run(line, *MODEL, "--perception", tmp_path / name)
+        counts = done.result["counted"]
         assert counts["mean"] == pytest.approx(np.mean(drawn), rel=1e-12)
         assert counts["interval"] == pytest.approx(np.quantile(drawn, [0.025, 0.975]), rel=1e-9)
     assert np.array_equal(counted(pairs, size=16).counts, table)
     assert np.array_equal(counted(table, size=16).counts, table)
     assert not counted(table, size=16).counts.flags.writeable
-
-
-def test_a_last_line_without_its_newline(tmp_path: Path) -> None:
-    line, path = '{"status": "0000", "perceived": "0001"}', tmp_path / "a.jsonl"
-    messages = []
-    for end in ("", "\n", '\n{"status": "0000", "perceived": "00'):
-        path.write_text(f"{line}\n{line}{end}")
-        messages.append(with_prior(path)["counted"])
-    path.write_text(line)
-    assert messages[0] == messages[1] == messages[2] != with_prior(path)["counted"]
-    path.write_text(f'{line}\n{{"status"\n{line}')
-    assert "broken JSON" in run("perception", *MODEL, "--perception", path).err
 
 
 def test_commands_name_the_file_that_labels_too_little(tmp_path: Path) -> None:
@@ -265,17 +240,10 @@ def test_draws_are_of_the_posterior() -> None:
 def test_rates_are_of_single_statuses() -> None:
     counts = counted([("10", "11"), ("10", "00"), ("01", "01"), ("00", "10")], size=4)
     rates = counts.rates(["anger", "confusion"])
-    stated = {
-        (name, what): (rate.right, rate.total)
-        for name, both in rates.items()
-        for what, rate in both.items()
-    }
-    assert stated == {
-        ("anger", "sensitivity"): (1, 2),
-        ("anger", "specificity"): (1, 2),
-        ("confusion", "sensitivity"): (1, 1),
-        ("confusion", "specificity"): (2, 3),
-    }
+    stated = {name: [(each.right, each.total) for each in both.values()]
+              for name, both in rates.items()}  # fmt: skip
+    assert {*rates["anger"]} == {"sensitivity", "specificity"}
+    assert stated == {"anger": [(1, 2), (1, 2)], "confusion": [(1, 1), (2, 3)]}
     empty = counted([("00", "00")], size=4).rates(["a", "b"])["a"]["sensitivity"]
     assert (empty.value, empty.low, empty.high) == (None, 0.0, 1.0)
     ten = counted([(1, 1)] * 10 + [(0, 0)], size=2).rates(["a"])["a"]["sensitivity"]
