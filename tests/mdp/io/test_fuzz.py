@@ -100,9 +100,7 @@ numbers = st.one_of(
 )
 
 
-# ---- scenarios ----------------------------------------------------------------------------------
-
-TOML = SHIPPED["yuan2025"].encode()
+TOML = SHIPPED["yuan2025"]
 AWKWARD_TOML = [
     *("0", "1", "-1", "1.5", "1e400", "1e-400", "nan", "inf", "-inf", "true", '""', '"1/0"'),
     *('"1/3"', '"0x1"', '"1e9999"', "9" * 5000, "[]", "[1]", "[[1]]", "{}", "{a = 1}", "'x'"),
@@ -119,19 +117,6 @@ def load_scenario(path: Path) -> None:
 
 
 @fuzz
-@given(data=st.data())
-def test_scenario_values(tmp_path: Path, data: st.DataObject) -> None:
-    lines = TOML.decode().splitlines()
-    places = [number for number, line in enumerate(lines) if re.match(r"\S+ *= *", line)]
-    for place in data.draw(st.lists(st.sampled_from(places), min_size=1, max_size=3)):
-        key = lines[place].partition("=")[0]
-        lines[place] = f"{key}= {data.draw(st.sampled_from(AWKWARD_TOML))}"
-    path = tmp_path / "s.toml"
-    path.write_text("\n".join(lines), encoding="utf-8")
-    survives(lambda: load_scenario(path))
-
-
-@fuzz
 @given(st.text(max_size=40), st.sampled_from(SMALL.names), st.sampled_from(["", "=", ".", "=1/3"]))
 def test_settings(text: str, name: str, middle: str) -> None:
     survives(lambda: SMALL.set(text))
@@ -139,8 +124,6 @@ def test_settings(text: str, name: str, middle: str) -> None:
     survives(lambda: SMALL.set(f"tasks={text}").compile())
     survives(lambda: SMALL.set(f"max_trial={text}"))
 
-
-# ---- policies ---------------------------------------------------------------------------------
 
 JSON = json.dumps(dict.fromkeys(STATUSES, "none") | {"0110": {"none": 0.5, "directive": "1/2"}})
 CSV = "status,action,probability\n" + "".join(f"{status},none,1\n" for status in STATUSES)
@@ -150,18 +133,6 @@ def read_policy(path: Path, mdp: MDP = CARE) -> None:
     policy = Policy.of(mdp, path)
     weights = policy.weights(mdp)
     assert np.add.reduceat(weights, mdp.pair_offsets[:-1]) == pytest.approx(1)
-
-
-@fuzz
-@given(data=st.data())
-def test_policy_values_in_csv(tmp_path: Path, data: st.DataObject) -> None:
-    table = [line.split(",") for line in CSV.splitlines()]
-    for _ in range(data.draw(st.integers(1, 3))):
-        row = data.draw(st.sampled_from(table))
-        row[data.draw(st.integers(0, len(row) - 1))] = data.draw(st.sampled_from(AWKWARD))
-    path = tmp_path / "p.csv"
-    path.write_bytes("\n".join(",".join(row) for row in table).encode())
-    survives(lambda: read_policy(path))
 
 
 # ---- bytes of every kind of file ----------------------------------------------------------------
@@ -187,7 +158,7 @@ def log_of(path: Path) -> None:
 
 
 FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
-    "scenario.toml": (lambda path: path.write_bytes(TOML), load_scenario),
+    "scenario.toml": (lambda path: path.write_text(TOML), load_scenario),
     "policy.json": (lambda path: path.write_text(JSON), read_policy),
     "policy.csv": (lambda path: path.write_text(CSV), read_policy),
     "q.npy": (lambda path: np.save(path, np.eye(16, 4)), read_policy),
@@ -197,6 +168,22 @@ FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
     "bounds.json": (lambda path: certify(CYCLE, bounded=True).save(path), read_certificate),
     **{f"log.{ending}": (log_of, MDP.from_transitions) for ending in ("csv", "parquet")},
 }
+VALUES = {".toml": r"(?m)(?<== ).*$", ".csv": r"[^,\n]+"}
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if Path(name).suffix in VALUES])
+@fuzz
+@given(data=st.data())
+def test_values_of_text(folder: Path, name: str, data: st.DataObject) -> None:
+    write, read = FILES[name]
+    write(path := folder / name)
+    text, other = path.read_text("utf-8"), AWKWARD_TOML if name.endswith("toml") else AWKWARD
+    places = list(re.finditer(VALUES[path.suffix], text))
+    for place in sorted(data.draw(st.sets(st.integers(0, len(places) - 1), max_size=3)))[::-1]:
+        first, last = places[place].span()
+        text = text[:first] + data.draw(st.sampled_from(other)) + text[last:]
+    path.write_text(text, encoding="utf-8")
+    survives(lambda: read(path))
 
 
 PACKED = {".umb": (untarred, tarred), ".npz": (unzipped, zipped)}
