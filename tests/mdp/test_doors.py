@@ -15,7 +15,8 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model_contents import laws, negated, outcomes_of
+from model_contents import laws, outcomes_of
+from refusals import refused
 from strategies import Rows, models, outcome_rows
 
 from exact_mdp import (
@@ -99,8 +100,7 @@ def test_elsewhere_the_shape_says_the_layout(form: str) -> None:
     wanted = MDP.from_arrays(P, R, layout="ass")
     assert same(MDP.from_arrays(FORMS[form](P), FORMS[form](R)), wanted)
     assert same(MDP.from_arrays(FORMS[form](P), FORMS[form](R), layout="ass"), wanted)
-    with pytest.raises(ModelError):
-        MDP.from_arrays(FORMS[form](P), FORMS[form](R), layout="sas")
+    refused(lambda: MDP.from_arrays(FORMS[form](P), FORMS[form](R), layout="sas"))
     with pytest.raises(ShapeError, match="rewards have shape"):
         MDP.from_arrays(FORMS[form](P), R.transpose(1, 0, 2), layout="ass")
 
@@ -126,14 +126,12 @@ def test_a_faulty_row_does_not_say_the_layout(row: list[float], what: str) -> No
 
 def test_what_follows_the_layout() -> None:
     P, R = np.full((2, 2, 2), 0.5), np.arange(8.0).reshape(2, 2, 2)
-    with pytest.raises(ModelError, match="as many actions as states"):
-        MDP.from_arrays(P, R)
+    refused(lambda: MDP.from_arrays(P, R), "as many actions as states")
     assert MDP.from_arrays(P, R, layout="ass").reward.tolist() == [0.5, 4.5, 2.5, 6.5]
     assert MDP.from_arrays(P, R, layout="sas").reward.tolist() == [0.5, 2.5, 4.5, 6.5]
     assert MDP.from_arrays(P, R + R.transpose(1, 0, 2)).reward.tolist() == [1, 7, 7, 13]
     rows = [[[1, 0], None], [[0, 1], [1, 0]]]
-    with pytest.raises(ModelError, match="as many actions as states"):
-        MDP.from_arrays(rows, [5, 7])
+    refused(lambda: MDP.from_arrays(rows, [5, 7]), "as many actions as states")
     assert MDP.from_arrays(rows, [5, 7], layout="sas").R.tolist() == [[5, -INF], [7, 7]]
     assert MDP.from_arrays(rows, [5, 7], layout="ass").R.tolist() == [[5, 5], [-INF, 7]]
 
@@ -442,13 +440,11 @@ def test_a_loaded_model_knows_states_by_their_text(tmp_path: Path, ending: str) 
     assert loaded.space.number((0, True)) == loaded.space.number("(0, True)") == 1
     assert Policy.of(loaded, {(0, 0): "$go$"}).rule[0] == 1
     assert MDP.load(path, start=(0, True)).start == ((1, 1),)
-    with pytest.raises(ModelError, match="is not a state"):
-        loaded.space.number((7, 7))
+    refused(lambda: loaded.space.number((7, 7)), "is not a state")
     tens = MDP.from_arrays([np.eye(2)], [0, 0], states=["10", "20"])
     ones = MDP.from_arrays([np.eye(2)], [0, 0], states=["1", "2"])
     assert (tens.space.number(20), ones.space.number(2), ones.space.number("1")) == (1, 1, 0)
-    with pytest.raises(ModelError, match="state 1, by its name, or state 2, number 1 in"):
-        ones.space.number(1)
+    refused(lambda: ones.space.number(1), "state 1, by its name, or state 2, number 1 in")
 
 
 # ---- the start, components, and what a model tells -----------------------------------------------

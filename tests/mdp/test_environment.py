@@ -9,8 +9,9 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from refusals import refused
 
-from exact_mdp import MDP, MDPEnv, ModelError, Scenario, evaluate
+from exact_mdp import MDP, MDPEnv, Scenario, evaluate
 
 YUAN = "exact_mdp/Yuan2025-v0"  # registered with MDPEnv
 
@@ -27,8 +28,7 @@ def care_env(**settings: Any) -> Any:
 def test_gymnasium_accepts_the_scenario(readings: dict[str, str], columns: tuple[str, ...]) -> None:
     check_env(care_env(readings=readings, columns=columns, render_mode="ansi"))
     check_env(MDPEnv(Scenario.load("tea").compile()), skip_render_check=True)
-    with pytest.raises(ModelError, match="render mode"):
-        MDPEnv(Scenario.load("tea").compile(), render_mode="human")
+    refused(lambda: MDPEnv(Scenario.load("tea").compile(), render_mode="human"), "render mode")
 
 
 def test_it_is_registered_by_its_entry_point_and_made_by_its_name() -> None:
@@ -75,10 +75,8 @@ def test_an_action_that_is_not_offered_is_refused() -> None:
     env = MDPEnv(MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]))
     _, info = env.reset()
     assert info["action_mask"].tolist() == [1, 0, 1]
-    with pytest.raises(ModelError, match="not available"):
-        env.step(np.int64(1))
-    with pytest.raises(ModelError, match="not available"):
-        env.step(np.int64(3))
+    refused(lambda: env.step(np.int64(1)), "not available")
+    refused(lambda: env.step(np.int64(3)), "not available")
     assert env.step(np.int64(0))[:4] == (1, 0.0, False, False)
     assert env.step(np.int64(1))[:4] == (2, 7.0, True, False)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from archives import read_by_umbi
 from cli_runner import run
+from refusals import refused
 
 from exact_mdp import (
     MDP,
@@ -73,8 +74,7 @@ def test_constructors_refuse_them_by_their_number(kind: str) -> None:
         with pytest.raises(ModelError, match=f"U\\+{ord(character):04X}") as caught:
             MAKERS[kind](f"go{character}x")
         assert safe(str(caught.value))
-    with pytest.raises(ModelError, match="1,001 characters"):
-        MAKERS[kind]("n" * 1001)
+    refused(lambda: MAKERS[kind]("n" * 1001), "1,001 characters")
     for name in (*GOOD, "n" * 1000):
         MAKERS[kind](name)
 
@@ -104,8 +104,7 @@ def test_files_made_elsewhere_are_no_way_around_the_rule(tmp_path: Path) -> None
     content.index.annotations["exact-mdp"]["start"].description = None  # as another program would
     content.choice_action_to_string = ["\x1b[2J", "1"]
     umbi.umb.write(content, tmp_path / "m.umb")
-    with pytest.raises(ModelError, match=r"U\+001B"):
-        load(tmp_path / "m.umb", discount=1)
+    refused(lambda: load(tmp_path / "m.umb", discount=1), "U+001B")
     (tmp_path / "p.csv").write_text("state,action\n0,\x1b[31m\u202e\n", encoding="utf-8")
     (tmp_path / "p.json").write_text(json.dumps({"0": "\x1b[31m", "\u202e": "0"}), encoding="utf-8")
     for name in ("p.csv", "p.json"):  # a word that is no action is shown escaped

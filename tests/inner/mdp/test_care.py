@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from own_scenarios import check_own, own_text, scenario_of
+from refusals import refused
 
 from exact_mdp import MDP, READINGS, ModelError, Scenario, evaluate, solve, study
 from exact_mdp.mdp.care import compile as blocks
@@ -96,15 +97,14 @@ def test_shipped_scenarios_and_one_with_more_weights_than_chances() -> None:
         ({"base.anger": [1.5]}, "base.anger"),
         ({"base.anger": [-1e-9]}, "base.anger"),
         ({"discount": [1.01]}, "discount"),
-        ({"reward.trial": [np.inf]}, "reward.trial|finite"),
-        ({"reward.trial": [np.nan]}, "reward.trial|finite"),
+        ({"reward.trial": [np.inf]}, "reward.trial is inf"),
+        ({"reward.trial": [np.nan]}, "reward.trial is nan"),
         ({"base.anger": []}, "point"),
         ({"reward.trial": [1e308], "reward.assist.directive": [-1e308]}, "overflow"),
     ],
 )
 def test_draws_that_cannot_be_are_refused(points: Any, message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        study(YUAN, points)
+    refused(lambda: study(YUAN, points), message)
     assert np.isfinite(study(YUAN, {"reward.trial": [1e200]}).optimal).all()
 
 

@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 from archives import array_header, unzipped, zipped
 from cli_runner import run
+from refusals import refused
 
 from exact_mdp import (
     MDP,
@@ -38,7 +39,7 @@ def perceived(path: Path) -> None:
     done = run("evaluate", "yuan2025", "random", "--perception", path)
     assert (done.status, done.out) == (2, "")
     what, _, rest = done.err.removeprefix("error: ").partition("\n  where: ")
-    raise ModelError(what, where=rest.partition("\n")[0], fix="")
+    raise ModelError(what, where=rest.partition("\n")[0], fix=rest)
 
 
 READERS: dict[str, Callable[[Path], object]] = {
@@ -78,42 +79,35 @@ def test_pipes_devices_folders_and_nothing_at_all(tmp_path: Path, name: str) -> 
     """A FIFO does not block, /dev/zero is not read; each is named, and nothing stays open."""
     path, before = tmp_path / name, len(os.listdir("/proc/self/fd"))
 
-    def refused() -> ModelError:
-        with pytest.raises(ModelError, match="cannot read the file") as caught:
-            READERS[name](path)
-        return caught.value
+    def reading_is_refused(*said: str) -> None:
+        assert "cannot read the file" in refused(lambda: READERS[name](path), *said).what
 
-    refused()
+    reading_is_refused()
     os.mkfifo(path)
-    assert refused().where.startswith(str(path))
-    assert "a pipe, not a regular file" in refused().what
+    reading_is_refused("a pipe, not a regular file", str(path))
     path.unlink()
     path.symlink_to("/dev/zero")
-    assert "a device" in refused().what
+    reading_is_refused("a device")
     path.unlink()
     path.mkdir()
-    assert "a folder" in refused().what
+    reading_is_refused("a folder")
     path.rmdir()
     with socket.socket(socket.AF_UNIX) as listening:
         os.chdir(tmp_path)  # whose name may be too long for a socket
         listening.bind(name)
-        refused()
+        reading_is_refused()
     assert len(os.listdir("/proc/self/fd")) == before
 
 
 def test_what_can_be_neither_read_nor_written(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "p.json")
     policy = Policy.of(MODEL, [0])
-    with pytest.raises(ModelError, match="there is a pipe of this name"):
-        policy.write(tmp_path / "p.json")
-    with pytest.raises(ModelError, match="cannot write the file"):
-        policy.write(tmp_path / "a\0b.json")
+    refused(lambda: policy.write(tmp_path / "p.json"), "there is a pipe of this name")
+    refused(lambda: policy.write(tmp_path / "a\0b.json"), "cannot write the file")
     assert [entry.name for entry in tmp_path.iterdir()] == ["p.json"]
     with pytest.raises(ModelError, match=r"null (byte|character)"):
         Scenario.load("a\0b.toml")
-    with pytest.raises(ModelError) as caught:
-        Policy.of(MODEL, tmp_path / "p.json")
-    assert "<(…)" in caught.value.fix
+    refused(lambda: Policy.of(MODEL, tmp_path / "p.json"), "", "", "<(…)")
     with open(tmp_path / "big.toml", "wb") as file:
         file.truncate(2**29)
     with pytest.raises(ModelError, match="536,870,912 bytes"):  # known before a byte is read
@@ -173,13 +167,9 @@ ARCHIVES: list[tuple[Callable[[dict[str, bytes], str], bytes], str]] = [
 ]
 
 
-def refused(path: Path, content: bytes, words: str) -> None:
+def content_is_refused(path: Path, content: bytes, words: str) -> None:
     path.write_bytes(content)
-    with pytest.raises(ModelError) as caught:
-        READERS[path.name](path)
-    assert words in caught.value.what
-    assert str(path) in caught.value.where
-    assert "pickle" not in str(caught.value)
+    assert "pickle" not in str(refused(lambda: READERS[path.name](path), words, str(path)))
 
 
 def contents(name: str, folder: Path) -> tuple[dict[str, bytes], str]:
@@ -197,7 +187,7 @@ def test_arrays_that_are_not_what_they_claim(
     """A shape takes no memory before the file's size has been compared; no pickle is opened."""
     members, place = contents(name, tmp_path)
     alone = name == "policy.npy"
-    refused(tmp_path / name, array if alone else zipped(members | {place: array}), words)
+    content_is_refused(tmp_path / name, array if alone else zipped(members | {place: array}), words)
 
 
 @pytest.mark.parametrize("name", ["policy.npz", "model.npz"])
@@ -207,7 +197,7 @@ def test_archives_that_are_not_what_they_claim(
 ) -> None:
     content = make(*contents(name, tmp_path))
     assert len(content) < 1_000_000
-    refused(tmp_path / name, content, words)
+    content_is_refused(tmp_path / name, content, words)
 
 
 NAMES = ["episode", "state", "action", "reward", "next_state"]

@@ -11,6 +11,7 @@ import pytest
 from cli_runner import run
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 
 from exact_mdp import MDP, ModelError, Policy, ShapeError, certify, evaluate, load, solve
 
@@ -255,8 +256,7 @@ def test_matrices_of_dynamics_are_a_model() -> None:
     admissible = MDP.from_gymnasium(Ward("raise_exception"))
     assert solve(admissible).value[1] == 0.25
     assert admissible.n_pairs == mdp.n_pairs - 1
-    with pytest.raises(ModelError, match="'terminate'"):
-        MDP.from_gymnasium(Ward("terminate"))
+    refused(lambda: MDP.from_gymnasium(Ward("terminate")), "'terminate'")
     env.dynamics["r_mat"] = np.zeros((5, 2))
     with pytest.raises(ShapeError, match=r"r_mat \(5, 2\)"):
         MDP.from_gymnasium(env)
@@ -308,10 +308,7 @@ def test_an_environment_of_ones_own_module(tmp_path: Path, monkeypatch: pytest.M
     ],
 )
 def test_tables_that_are_no_model(table: Any, start: Any, message: str) -> None:
-    with pytest.raises(ModelError) as caught:
-        MDP.from_gymnasium(Env(table, start))
-    assert message in caught.value.what
-    assert caught.value.fix
+    refused(lambda: MDP.from_gymnasium(Env(table, start)), message)
 
 
 BOOM = """import gymnasium
@@ -353,21 +350,17 @@ def test_an_environment_that_cannot_be_made(
     ],
 )
 def test_names_that_are_no_model(name: str, what: str, fix: str) -> None:
-    with pytest.raises(ModelError) as caught:
-        load(f"gymnasium:{name}")
-    assert what in caught.value.what
-    assert fix in caught.value.fix
-    assert "Blackjack" not in caught.value.fix
+    error = refused(lambda: load(f"gymnasium:{name}"), what, "", fix)
+    assert "Blackjack" not in error.fix
     if "does not expose" in what:
-        assert "MDP.from_function(start, actions, outcomes)" in caught.value.fix
+        assert "MDP.from_function(start, actions, outcomes)" in error.fix
 
 
 def test_a_wrapper_that_changes_rewards_is_refused() -> None:
     env = gymnasium.make("FrozenLake-v1")
     assert MDP.from_gymnasium(gymnasium.wrappers.TimeLimit(env, 7)).time_limit == 7
     ten = gymnasium.wrappers.TimeLimit(gymnasium.wrappers.TransformReward(env, lambda r: 10 * r), 7)
-    with pytest.raises(ModelError, match="TransformReward changes the environment"):
-        MDP.from_gymnasium(ten)
+    refused(lambda: MDP.from_gymnasium(ten), "TransformReward changes the environment")
     assert MDP.from_gymnasium(ten.unwrapped).n_states == 16
 
 
@@ -389,8 +382,7 @@ def test_a_wrapper_may_number_actions_as_the_matrices_do(same_numbers: bool) -> 
     if same_numbers:
         assert MDP.from_gymnasium(Flat(Doses())).n_actions == 2
         return
-    with pytest.raises(ModelError, match="Flat changes the environment"):
-        MDP.from_gymnasium(Flat(Doses()))
+    refused(lambda: MDP.from_gymnasium(Flat(Doses())), "Flat changes the environment")
 
 
 def test_a_space_that_does_not_count_from_0_is_refused() -> None:
@@ -401,5 +393,4 @@ def test_a_space_that_does_not_count_from_0_is_refused() -> None:
         def __init__(self) -> None:
             self.P = {0: {0: [(1.0, 0, 1, True)], 1: [(1.0, 0, 2, True)]}}
 
-    with pytest.raises(ModelError, match="action_space counts from 1, and P from 0"):
-        MDP.from_gymnasium(Counting())
+    refused(lambda: MDP.from_gymnasium(Counting()), "action_space counts from 1, and P from 0")
