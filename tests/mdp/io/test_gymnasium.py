@@ -38,19 +38,12 @@ def values_of(table: Table, discount: float, sweeps: int) -> tuple[Any, Any]:
     return value, action_values
 
 
-def solve_by_sweeps(mdp: MDP, sweeps: int) -> Any:
-    value = np.zeros(mdp.n_states)
-    for _ in range(sweeps):
-        value = np.maximum.reduceat(mdp.backup(value), mdp.pair_offsets[:-1])
-    return value
-
-
 @pytest.mark.parametrize("name", [*IDS, "a map of one's own"])
 def test_values_and_policies_are_those_of_the_environments_table(name: str) -> None:
     env = gymnasium.make(name) if name in IDS else gymnasium.make("FrozenLake-v1", desc=OWN_MAP)
     mdp, table = MDP.from_gymnasium(env, 0.9), env.unwrapped.P
     wanted, action_values = values_of(table, 0.9, 400)
-    values, ends = solve_by_sweeps(mdp, 400)[: len(table)], mdp.terminal[: len(table)]
+    values, ends = certify(mdp).value_float[: len(table)], mdp.terminal[: len(table)]
     assert values[~ends] == pytest.approx(wanted[~ends], abs=1e-12)
     assert (values[ends] == 0).all()
     start = env.unwrapped.initial_state_distrib
@@ -63,17 +56,15 @@ def test_values_and_policies_are_those_of_the_environments_table(name: str) -> N
 
 def test_known_values() -> None:
     """FrozenLake's 0.542 at discount 0.99; CliffWalking's 13 steps along the edge of the cliff."""
-    lake = MDP.from_gymnasium("FrozenLake-v1", 0.99)
-    assert solve_by_sweeps(lake, 3000)[0] == pytest.approx(0.5420259)
+    lake = MDP.from_gymnasium("FrozenLake-v1", "99/100")
+    assert float(certify(lake).start_value) == pytest.approx(0.5420259)
     assert (lake.n_states, lake.n_actions) == (16, 4)
     cliff = MDP.from_gymnasium("CliffWalking-v1", "99/100")
-    assert solve_by_sweeps(cliff, 100)[36] == pytest.approx(-(1 - 0.99**13) / 0.01)
+    assert certify(cliff).start_value == -100 * (1 - Fraction(99, 100) ** 13)
     assert cliff.start == ((36, Fraction(1)),)
     assert np.flatnonzero(cliff.terminal).tolist() == [47]
     assert cliff.table.row(cliff.pair_offsets[47]) == [(1, 47, 0)]  # whatever the table lists there
-    undiscounted = MDP.from_gymnasium("CliffWalking-v1")
-    assert undiscounted.discount_exact == 1
-    assert solve_by_sweeps(undiscounted, 100)[36] == -13
+    assert certify(MDP.from_gymnasium("CliffWalking-v1")).start_value == -13
 
 
 # ---- tables of one's own -----------------------------------------------------------------------
@@ -112,7 +103,7 @@ def test_any_table_keeps_its_values(given: tuple[Table, list[float]]) -> None:
     """Of every state in which an episode may be alive, or that is no end."""
     table, start = given
     mdp = MDP.from_gymnasium(Env(table, start), 0.5)
-    wanted, values = values_of(table, 0.5, 60)[0], solve_by_sweeps(mdp, 60)
+    wanted, values = values_of(table, 0.5, 60)[0], certify(mdp).value_float
     alive: set[int] = set()
     todo = [state for state, weight in enumerate(start) if weight > 0]
     while todo:
