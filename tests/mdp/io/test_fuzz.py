@@ -40,6 +40,9 @@ TOY = MDP.from_outcomes(
     "9/10", name="toy", states=["here", "there"], actions=["stay", "go"],
 )  # fmt: skip
 
+# What is read in spite of an edit may be a file of another program, of which a warning says more.
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+
 fuzz = settings(
     max_examples=120,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
