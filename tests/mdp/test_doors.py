@@ -15,7 +15,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model_contents import laws, outcomes_of
+from model_contents import laws, negated, outcomes_of
 from refusals import refused
 from strategies import Rows, models, outcome_rows
 

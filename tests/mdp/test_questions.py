@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from model_contents import negated
 from oracle import best_within, each_choice, hitting, rows_of, until
 from refusals import refused
 from strategies import Rows, model_of, models

@@ -137,7 +137,8 @@ def test_every_command_about_a_policy_takes_it(tmp_path: Path) -> None:
         ("a.jsonl", '{"status": 0, "perceived": 1}\n{"status"\n{"status": 0', "broken JSON"),
         ("a.jsonl", "3\n", "not an object"),
         ("a.jsonl", '{"statuses": ["joy"]}\n', "the statuses"),
-        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "16 is not a status"),
+        ("a.jsonl", '{"status": 16, "perceived": 0}\n', "no status 16"),
+        ("a.jsonl", '{"status": true, "perceived": 0}\n', "True is not a status"),
     ],
 )
 def test_broken_files_are_refused(tmp_path: Path, name: str, text: str, what: str) -> None:
