@@ -63,7 +63,7 @@ def assert_same(left: MDP, right: MDP, *, stored: bool = True) -> None:
         assert np.array_equal(ours, theirs), name
         if stored:
             assert ours.dtype == theirs.dtype, name
-            assert ours.dtype != object or {type(value) for value in theirs} == {int}, name
+            assert ours.dtype != object or {type(value) for value in theirs.flat} == {int}, name
 
 
 def outcomes_of(mdp: MDP, order: Iterable[int] | None = None) -> list[Any]:
