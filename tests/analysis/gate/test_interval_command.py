@@ -46,12 +46,6 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
     low, high = result["regret_interval"]
     assert low <= result["regret"] <= high <= 0.9
     assert result["assumptions"]
-    if kind == "posterior":
-        within = result["interval"]["probability_within"]
-        assert within["value"] == 1
-        assert 0.9 < within["interval"][0] < 1
-    if kind == "off-policy":
-        assert result["interval"]["effective_sample_size"] == pytest.approx(400)
     page, report = tmp_path / "page.html", tmp_path / "report.xml"
     limit = result["regret"] + 0.001  # the estimate keeps it, the interval does not
     done = run(*words, f"--max-regret={limit}", "--markdown", f"--html={page}", f"--junit={report}")
