@@ -12,7 +12,7 @@ import numpy as np
 
 from exact_mdp.analysis.cli.given import Given, advice
 from exact_mdp.analysis.cli.words import check_outputs, pairs_of
-from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken
+from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken, observations_of
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.errors import ModelError
@@ -216,8 +216,7 @@ def data(
 
 def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: int) -> Report:
     """Return what was counted, and what the records do not tell."""
-    seen, ends, never = mdp.observations, entered(mdp), never_taken(mdp)
-    assert seen is not None
+    seen, ends, never = observations_of(mdp), entered(mdp), never_taken(mdp)
     few = np.flatnonzero((seen > 0) & (seen < rare))
     rows = [
         {

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
-import numpy as np
-import scipy.sparse as sp
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.graph import moves
@@ -14,7 +12,7 @@ from exact_mdp.mdp.errors import extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.solvers.solver import mdp_of
-from exact_mdp.solvers.values.policy_chain import policy_of
+from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 MOST = 40  # states
 FEW = 8  # states up to which all actions are drawn beside the policy's
@@ -92,15 +90,12 @@ def plot_transitions(
 
 def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | None) -> Axes:
     """Draw the probability of every next state, by shade."""
-    chosen = policy_of(model, "random" if policy is None else policy)
-    weights, states = chosen.weights(model), range(model.n_states)
-    doing = sp.csr_array((weights, (model.pair_state, np.arange(model.n_pairs))))
     if ax is None:
         side = 2.5 + 0.22 * model.n_states
         ax = plt.subplots(figsize=(1.15 * side, side), layout="constrained")[1]
-    names = [model.space.label(state).removeprefix("state ") for state in states]
-    chances = (doing @ model.transition).toarray()
-    mesh = shaded(ax, chances, names, names, {}, most=None, fontsize=7)
+    names = [name.removeprefix("state ") for name in model.space.labels(range(model.n_states))]
+    chances = PolicyChain.of(model, "random" if policy is None else policy).transition
+    mesh = shaded(ax, chances.toarray(), names, names, {}, most=None, fontsize=7)
     ax.tick_params(axis="x", rotation=90)
     ax.set_aspect("equal")
     ax.figure.colorbar(mesh, ax=ax, label="probability", shrink=0.8)

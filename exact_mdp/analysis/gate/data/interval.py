@@ -159,8 +159,7 @@ def of_sense(mdp: MDP, ends: Ends) -> Ends:
 
 def over(mdp: MDP) -> Flags:
     """Return (S,) ends, worth 0 whatever the rows: nobody left them, and nobody was cut off."""
-    assert mdp.observations is not None
-    left = np.logical_or.reduceat(mdp.observations > 0, mdp.pair_offsets[:-1])
+    left = np.logical_or.reduceat(observations_of(mdp) > 0, mdp.pair_offsets[:-1])
     return mdp.terminal & ~left & ~cut_off(mdp)
 
 
@@ -184,8 +183,5 @@ def cut_off(mdp: MDP) -> Flags:
 
 def never_taken(mdp: MDP) -> Integers:
     """Return (N, 2) the states that were left, and the actions that nobody took there."""
-    assert mdp.observations is not None
-    seen = mdp.observations > 0
-    taken = np.zeros((mdp.n_states, mdp.n_actions), dtype=bool)
-    taken[mdp.pair_state[seen], mdp.pair_action[seen]] = True
+    taken = mdp.by_action(observations_of(mdp) > 0)
     return np.argwhere(taken.any(axis=1, keepdims=True) & ~taken)

@@ -189,9 +189,8 @@ def _trajectories(
     episode, keys = map(np.concatenate, zip(*parts, strict=True))
     states = _known(record.numbers["state"], mdp.space.number, "state", record)
     actions = _known(record.numbers["action"], mdp.action, "action", record)
-    pair_of = np.full((mdp.n_states, mdp.n_actions), -1)
-    pair_of[mdp.pair_state, mdp.pair_action] = np.arange(mdp.n_pairs)
-    pair = pair_of[states[keys[:, 0]], actions[keys[:, 1]]]
+    pairs = mdp.by_action(np.arange(mdp.n_pairs), -1).astype(np.int64)
+    pair = pairs[states[keys[:, 0]], actions[keys[:, 1]]]
     if (pair < 0).any():
         row = keys[int(np.flatnonzero(pair < 0)[0])]
         state, action = mdp.space.label(int(states[row[0]])), mdp.actions[actions[row[1]]]
