@@ -206,7 +206,8 @@ def data(
     seen; cut_off: number of truncated episodes; cut_off_states: states where episodes were
     truncated and that no record leaves.
     """
-    check_outputs((out, (".npz",)))
+    if Path(out).suffix.lower() != ".npz":
+        raise ModelError(f"{out!r} is not named .npz", where="--out", fix="name it MODEL.npz")
     names = pairs_of(columns, "--column", "NAME=COLUMN")
     record = transitions.counted(file, names, progress=True)
     mdp = MDP(**record.parts(discount, unseen))
