@@ -73,7 +73,7 @@ class Indices:
 
     @property
     def constant(self) -> bool:
-        """Whether the output is the same, up to rounding, at every draw."""
+        """Whether the output is the same, up to rounding, at all points of A and B."""
         return bool(np.isnan(self.first).all())
 
 
@@ -263,7 +263,7 @@ def _indices(output: Floats, noise: float, resamples: Integers) -> Indices:
     """Return the indices of an output (n, P + 2), whose columns are A, AB_1 … AB_P, and B."""
     both = output[:, [0, -1]]
     mean, count = float(both.mean()), output.shape[1] - 2
-    if np.ptp(output) <= noise:
+    if np.ptp(both) <= noise:
         nan = np.full(count, np.nan)
         return Indices(mean=mean, sd=0.0, first=nan, first_half=nan, total=nan, total_half=nan)
     first, total = _shares(output)

@@ -99,3 +99,16 @@ def test_an_index_that_is_not_there_is_not_a_number() -> None:
     assert shares.regret.sd == 0
     assert set(shares.frame()["claim"]) == {"estimated"}
     assert shares.frame()["parameter"][0] == "p"
+
+
+def test_what_varies_in_no_independent_point_has_no_index() -> None:
+    """A rare gain that only a point with one coordinate exchanged has: nothing is known of it."""
+
+    def build(at: Any) -> MDP:
+        rare = at["p"] > F(9, 10) and at["q"] > F(9, 10)
+        return MDP.from_outcomes([(0, 0, [(1, 1, int(rare))]), (1, 0, [(1, 1, 0)])])
+
+    family = Family(parameters={"p": F(1, 3), "q": F(1, 3)}, build=build)
+    shares = sobol(family, ranges={"p": (0, 1), "q": (0, 1)}, n=4, rng=22).optimal
+    assert (shares.constant, shares.sd) == (True, 0)
+    assert np.isnan(shares.total).all()
