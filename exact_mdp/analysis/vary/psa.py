@@ -9,8 +9,8 @@ Medical Decision Making 37, 2017). What knowing all parameters before choosing w
 
 The best of all policies is hard to find (Steimle, Kaufman and Denton, IISE Transactions 53, 2021):
 the upper end of EVPI takes the best policy found, the lower end min_a E[V* - Q*(start, a)] lets all
-but the first action be chosen in full knowledge. Where reward weights alone are uncertain, the best
-policy is the optimum at their means, and the ends are one.
+but the first action be chosen in full knowledge. Where reward weights alone are uncertain, and
+today's are their means, today's optimum is the best policy, and the ends are one.
 """
 
 from __future__ import annotations
@@ -97,6 +97,7 @@ class PSA(Pictured):
     labels: tuple[str, ...]  # (X,) statuses at subtask 0, trial 0, else the states with a choice
     actions: tuple[str, ...]  # (A,)
     compiled: bool  # whether the batched loops of the care model did the work
+    linear: bool  # whether weights of rewards alone are drawn, of which today's are the means
 
     def __len__(self) -> int:
         return len(self.table.optimal)
@@ -146,7 +147,7 @@ class PSA(Pictured):
 
     def evpi(self) -> Information:
         """Return what knowing every drawn parameter would be worth, over all policies."""
-        if self.compiled and all(name.startswith("reward.") for name in self.names):
+        if self.linear:
             today = [candidate.name for candidate in self.candidates].index(TODAY)
             loss = mean_loss(self.regret(today))
             return Information(low=loss, high=loss, best=TODAY)
@@ -478,6 +479,12 @@ def psa(
         labels=solver.labels,
         actions=solver.actions,
         compiled=solver.compiled,
+        linear=solver.compiled
+        and all(
+            name.startswith("reward.") and mean == float(parameter_of(family, name).value)
+            for part in chosen.parts
+            for name, mean in zip(part.names, part.mean, strict=True)
+        ),
     )
 
 

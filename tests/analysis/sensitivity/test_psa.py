@@ -116,6 +116,12 @@ def test_where_weights_alone_are_uncertain_evpi_is_one_number() -> None:
         evpi = psa(SMALL, 400, rng=0, uncertain=little, policy=policy).evpi()
         assert evpi.low.value == evpi.high.value == 0.0
         assert evpi.high.interval == (0.0, 0.0)
+    # Around another mean, today's optimum is not the best policy: one other is best in every draw.
+    name = "reward.assist.directive"
+    far = uncertainty(parametric(YUAN), {name: {"mean": -60, "sd": 1}}, names=[name])
+    analysis = psa(YUAN, 100, rng=0, uncertain=far)
+    assert analysis.regret().min() > 1
+    assert analysis.evpi().low.value == analysis.evpi().high.value == 0.0
 
 
 def test_workers_and_sample_sizes_change_no_byte(tmp_path: Path) -> None:
