@@ -342,7 +342,7 @@ class _Part:
         start, error = self.batch.at_start(value, off)
         tied = np.where(gap <= doubt, np.arange(mdp.n_pairs), mdp.n_pairs)
         policy = mdp.pair_action[np.minimum.reduceat(tied, mdp.pair_offsets[:-1], axis=1)]
-        return self.sign * start, error, gap, doubt, policy
+        return 0.0 + self.sign * start, error, gap, doubt, policy  # no -0.0
 
     def _optimum(self, d: int) -> tuple[float, float, Floats, Floats, Integers]:
         mdp = self.models[d]
@@ -357,7 +357,7 @@ class _Part:
         """Return the value at the start and its error (D,) of a policy (L,)."""
         if self.batch is not None:
             mean, error = self.batch.of_policy(weights)
-            return self.sign * mean, error
+            return 0.0 + self.sign * mean, error
         every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
         return np.array([x.value for x in every]), np.array([x.error for x in every])
 
