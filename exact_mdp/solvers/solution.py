@@ -262,26 +262,6 @@ class Estimated:
         return f"{self.value:.6g} ± {self.standard_error:.1g} s.e.{cut} ({self.claim})"
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProgramRun:
-    """What solving a linear program took, and the bounds that its two sides give."""
-
-    by: str  # the optimiser
-    variables: int  # of the primal program: open states
-    constraints: int  # their pairs
-    steps: int
-    lower: float  # the optimal start value is not below the dual's value,
-    upper: float  # and not above the primal's, rounding errors included
-
-    @property
-    def gap(self) -> float:
-        """Duality gap, rounding errors included: what is left open of the optimal start value."""
-        return self.upper - self.lower
-
-    def __neg__(self) -> ProgramRun:
-        return replace(self, lower=0.0 - self.upper, upper=0.0 - self.lower)
-
-
 class Valued:
     """A result with the `value` of each state of an `mdp`, off by at most its `error`, all (S,)."""
 
@@ -379,8 +359,6 @@ class Solution(Found, Pictured):
         What taking the pair and then acting optimally loses against V(s); from a linear program.
     occupancy : (L,), optional
         Expected discounted number of uses of each pair from the start; from a linear program.
-    program : ProgramRun, optional
-        What a linear program took, and the bounds that its two sides give.
 
     Examples
     --------
@@ -398,7 +376,6 @@ class Solution(Found, Pictured):
     solver: str
     gaps: Floats | None = None
     occupancy: Floats | None = None
-    program: ProgramRun | None = None
 
     @property
     def q(self) -> Floats:
@@ -418,8 +395,7 @@ class Solution(Found, Pictured):
 
     def negated(self, mdp: MDP) -> Solution:
         """Return the solution of `mdp`, of which this solution's model is the negation."""
-        program = None if self.program is None else -self.program
-        return replace(self, mdp=mdp, value=0.0 - self.value, program=program)
+        return replace(self, mdp=mdp, value=0.0 - self.value)
 
     def __repr__(self) -> str:
         return (

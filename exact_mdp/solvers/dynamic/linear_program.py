@@ -30,7 +30,7 @@ from exact_mdp.solvers.bounds.gains import gains
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, transposed
 from exact_mdp.solvers.dynamic.iterate import Solver
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
-from exact_mdp.solvers.solution import ProgramRun, Solution, SolverError, Status
+from exact_mdp.solvers.solution import Solution, SolverError, Status
 
 OPTIMISERS = ("CLARABEL", "HIGHS")
 AGREEMENT = 1e-5  # of objectives; optimisers stop at parts of 1e-8 of their own scale
@@ -61,7 +61,7 @@ class LinearProgram(Solver):
         known(self.solver, OPTIMISERS, "solver", "LinearProgram")
 
     def best(self, model: MDP) -> Solution:
-        """Return the optimum up to rounding, with `gaps`, `occupancy` and `program`."""
+        """Return the optimum up to rounding, with `gaps` and `occupancy`."""
         started, live = perf_counter(), ~model.terminal
         margin_weights(model)  # raises an error where no bound is possible
         start, objective, steps = self._optimised(model, live)
@@ -78,9 +78,6 @@ class LinearProgram(Solver):
         visits = transposed(system).approximate(model.start_distribution)
         occupancy = np.zeros(model.n_pairs)
         occupancy[solution.pairs] = np.where(live, visits, 0.0)
-        # By weak duality the optimal start value lies between Σ r y of any policy's visits y, which
-        # is what that policy is worth, and α V of any V that satisfies the primal.
-        lower, upper = solution.start.interval
         return replace(
             solution,
             method=self.name,
@@ -89,14 +86,6 @@ class LinearProgram(Solver):
             seconds=perf_counter() - started,
             gaps=0.0 - gains(model, solution.value).value,
             occupancy=occupancy,
-            program=ProgramRun(
-                by=self.solver,
-                variables=int(live.sum()),
-                constraints=int(live[model.pair_state].sum()),
-                steps=steps,
-                lower=lower,
-                upper=upper,
-            ),
         )
 
     def _optimised(self, mdp: MDP, live: np.ndarray) -> tuple[Floats, float, int]:

@@ -45,18 +45,6 @@ def fraction(top: int, bottom: int) -> Fraction:
     return Fraction(cast(Rational, lowest))
 
 
-def quotient(top: int, bottom: int) -> float:
-    """Return a float off by at most u (1 + 2⁻⁹⁰) times its size; not a number where there is none.
-
-    Long numbers are divided by their leading digits.
-    """
-    spare = max(0, min(top.bit_length(), bottom.bit_length()) - 100)
-    try:
-        return (top >> spare) / (bottom >> spare)
-    except (OverflowError, ZeroDivisionError):
-        return np.nan
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Level:
     """Numbers of the states, x(s) = top[s] / below[group[s]].
