@@ -18,7 +18,6 @@ margin proves that episodes end under every policy and every choice of nature.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from time import perf_counter
 from typing import Literal
 
@@ -30,12 +29,12 @@ from exact_mdp.mdp.graph import closure
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
-from exact_mdp.solvers.robust.sets import Ambiguity, Block, Inner, blocks_of, entries, inner
+from exact_mdp.solvers.robust.sets import Ambiguity, Inner, blocks_of, entries, inner
 from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_precision
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
@@ -115,10 +114,9 @@ def solve_robust(
     check_tolerance("robust", tol)
     check_counts("robust", max_iterations=max_iterations)
     game = Game(
-        mdp=model,
-        ambiguity=ambiguity,
+        model,
+        ambiguity,
         against=(nature == "worst") == (model.sense == "max"),
-        most=model.sense == "max",
         weights=None if policy is None else PolicyChain.of(model, policy).weights,
     )
     status, value, error, asked, iterations = _iterate(game, tol, max_iterations)
@@ -127,7 +125,9 @@ def solve_robust(
         pairs = model.pair_offsets[:-1].copy()
         pairs[game.live] = game.pairs[share == 1]
     chain, earned = game.chain(asked.laws, share)
-    solution = RobustSolution(
+    if status is Status.PRECISION:
+        warn_of_precision(float(error.max()))
+    return RobustSolution(
         mdp=model,
         nature=nature,
         value=value,
@@ -139,48 +139,24 @@ def solve_robust(
         iterations=iterations,
         seconds=perf_counter() - started,
     )
-    if status is Status.PRECISION:
-        warn_of_precision(solution.error_bound)
-    return solution
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Game:
-    """Who chooses what: a model, nature's sets, nature's side, and the agent's."""
+    """A model and nature's sets; T states that are not terminal, with U pairs that may be taken."""
 
-    mdp: MDP
-    ambiguity: Ambiguity
-    against: bool  # whether nature makes the values of rows as low as it can
-    most: bool = True  # whether the agent takes the best pair, not the least
-    weights: Floats | None = None  # (L,) of each pair, where the agent's policy is fixed
-
-    @cached_property
-    def pairs(self) -> Integers:
-        """(U,) the pairs that count: of states that are not terminal, and taken by the policy."""
-        taken = ~self.mdp.terminal[self.mdp.pair_state]
-        if self.weights is not None:
-            taken &= self.weights > 0
-        return np.flatnonzero(taken)
-
-    @cached_property
-    def live(self) -> Integers:
-        """(T,) the states that are not terminal."""
-        return np.flatnonzero(~self.mdp.terminal)
-
-    @cached_property
-    def first(self) -> Integers:
-        """(T,) the first position in `pairs` of each of these states."""
-        return np.searchsorted(self.mdp.pair_state[self.pairs], self.live)
-
-    @cached_property
-    def row_state(self) -> Integers:
-        """(U,) position in `live` of the state of each pair."""
-        return np.searchsorted(self.live, self.mdp.pair_state[self.pairs])
-
-    @cached_property
-    def blocks(self) -> list[Block]:
-        """The rows of `pairs`."""
-        return blocks_of(self.mdp, self.pairs)
+    def __init__(
+        self, mdp: MDP, ambiguity: Ambiguity, *, against: bool, weights: Floats | None
+    ) -> None:
+        """Nature is `against` high values of rows, or for them; `weights` (L,) fix a policy."""
+        self.mdp, self.ambiguity, self.against, self.weights = mdp, ambiguity, against, weights
+        self.most = mdp.sense == "max"  # whether the agent takes the best pair, not the least
+        self.live = np.flatnonzero(~mdp.terminal)
+        taken = ~mdp.terminal[mdp.pair_state]
+        self.pairs = np.flatnonzero(taken if weights is None else taken & (weights > 0))
+        state = mdp.pair_state[self.pairs]
+        self.first = np.searchsorted(state, self.live)  # (T,) of each state's pairs
+        self.row_state = np.searchsorted(self.live, state)  # (U,)
+        self.blocks = blocks_of(mdp, self.pairs)
 
     def ask(self, value: Floats, *, delay: bool = False) -> Inner:
         """Return what nature makes of each of `pairs`, at values (S,).
@@ -272,62 +248,42 @@ def _longest(game: Game) -> Floats:
     raise SolverError(Status.NO_BOUND, "the end is too many steps away under the worst laws")
 
 
-def robust_error(game: Game, value: Floats, margin: Floats) -> tuple[float, Inner]:
-    """Return c and what nature makes of values (S,): they are off by at most c times the weights.
-
-    So are the values of the policy that takes the best pairs of these.
-    """
-    asked, here = game.ask(value), value[game.live]
-    # What rounds here: the mean over pairs, and the difference from the value.
-    size = np.abs(here) + np.maximum.reduceat(np.abs(asked.value), game.first)
-    doubt = 4 * UNIT * size
-    if game.weights is not None:
-        doubt *= 1 + float(np.diff(np.append(game.first, len(asked.value))).max())
-    share = game.choice(asked.value)
-    own = here - game.mean(share, asked.low) if game.most else game.mean(share, asked.high) - here
-    ends = [game.agent(asked.high) - here, here - game.agent(asked.low), own]
-    error = max(0.0, *(float(((end + doubt) / margin).max()) for end in ends)) * SLACK
-    if not np.isfinite(error):
-        raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
-    return error, asked
-
-
 def _iterate(
     game: Game, tol: float | None, max_iterations: int
 ) -> tuple[Status, Floats, Floats, Inner, int]:
-    """Return values and their errors (S,), from what nature makes of them, and the iterations."""
-    live, value, rate = game.live, np.zeros(game.mdp.n_states), game.mdp.discount
-    order = levels(game.mdp)  # whatever nature does
+    """Return values and their errors (S,), what nature makes of them, and the iterations."""
+    live, value, order = game.live, np.zeros(game.mdp.n_states), levels(game.mdp)
     if not len(live):
         return Status.CONVERGED, value, value.copy(), game.ask(value), 0
     weight, margin = margins(game)
-    shifted = rate < 1 and order is None  # all values may lack the same
     most, best, trust, step = float(weight.max()), np.inf, np.inf, value
+    terms = 1 if game.weights is None else np.diff(np.append(game.first, len(game.pairs))).max() + 1
     for iteration in range(1, max_iterations + 1):
-        asked = game.ask(value)
-        better = game.agent(asked.value)
-        ratio = (better - value[live]) / margin
-        low, high = float(ratio.min()), float(ratio.max())
-        size, middle = max(high, -low), (high + low) / 2 if shifted else 0.0
-        half = max(high - middle, middle - low) * most
-        if not size < trust:  # the equations led away: a step of value iteration does not
+        asked, here = game.ask(value), value[live]
+        share = game.choice(asked.value)
+        # What rounds here: the mean over pairs, and the difference from the value.
+        size = np.abs(here) + np.maximum.reduceat(np.abs(asked.value), game.first)
+        doubt = 4 * UNIT * terms * size
+        # Bounds of what a step adds, to the optimum and to the policy that takes these pairs.
+        low = np.minimum(game.agent(asked.low), game.mean(share, asked.low)) - here - doubt
+        high = np.maximum(game.agent(asked.high), game.mean(share, asked.high)) - here + doubt
+        error = max(0.0, float((high / margin).max()), -float((low / margin).min())) * SLACK
+        if not error < trust:  # the equations led away: a step of value iteration does not
             if trust == np.inf:
                 raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
             value, trust = step, np.inf
             continue
+        better = game.mean(share, asked.value)
         limit = tol or RELATIVE_TOLERANCE * max(1.0, float(np.abs(better).max()))
-        noise = float((asked.high - asked.low).max() / margin.min()) * most
-        stalled = best <= half <= 4 * noise
-        best = min(best, half)
-        if stalled or half <= limit:
-            moved = value + middle * weight
-            error, answer = robust_error(game, moved, margin)
-            if stalled or error * most <= limit:
-                status = Status.CONVERGED if error * most <= limit else Status.PRECISION
-                return status, moved, np.asarray(error * weight * SLACK), answer, iteration
+        noise = float((asked.high - asked.low).max() + doubt.max()) / float(margin.min())
+        if error * most <= limit or best <= error <= 4 * noise:
+            status = Status.CONVERGED if error * most <= limit else Status.PRECISION
+            return status, value, np.asarray(error * weight * SLACK), asked, iteration
+        best = min(best, error)
         step = value.copy()
         step[live] = better
-        chain, earned = game.chain(asked.laws, game.choice(asked.value))
-        value, trust = LinearSystem(chain, rate, order=order).approximate(earned), size
-    detail = f"{robust_error(game, value, margin)[0] * most:.2g} is the error bound after "
-    raise SolverError(Status.ITERATION_LIMIT, detail + f"{max_iterations} iterations")
+        chain, earned = game.chain(asked.laws, share)
+        system = LinearSystem(chain, game.mdp.discount, order=order)
+        value, trust = system.approximate(earned), error
+    detail = f"{best * most:.2g} is the error bound after {max_iterations} iterations"
+    raise SolverError(Status.ITERATION_LIMIT, detail)
