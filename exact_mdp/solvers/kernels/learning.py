@@ -126,25 +126,10 @@ def outcome(rng: Numbers, offsets: Numbers, cut: Floats, pair: int) -> int:
 
 
 @inlined
-def largest(q: Floats, entry: Numbers, low: int, high: int) -> float:
-    """Return the largest value among the positions low … high-1."""
-    best = q[at(entry[at(low)])]
-    if high - low == 4:  # two by two is faster, and four actions are what the care model has
-        b, c, d = q[at(entry[at(low + 1)])], q[at(entry[at(low + 2)])], q[at(entry[at(low + 3)])]
-        best = b if b > best else best
-        later = d if d > c else c
-        return float(later if later > best else best)
-    for i in range(low + 1, high):
-        value = q[at(entry[at(i)])]
-        best = value if value > best else best
-    return float(best)
-
-
-@inlined
-def greedy(rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, ties: int) -> int:
-    """Return the position among low … high-1 with the largest value."""
+def largest(q: Floats, entry: Numbers, low: int, high: int) -> tuple[float, int]:
+    """Return the largest value among the positions low … high-1, and the first that has it."""
     best, where = q[at(entry[at(low)])], low
-    if high - low == 4:
+    if high - low == 4:  # two by two is faster, and four actions are what the care model has
         b, c, d = q[at(entry[at(low + 1)])], q[at(entry[at(low + 2)])], q[at(entry[at(low + 3)])]
         where = low + 1 if b > best else low
         best = b if b > best else best
@@ -156,6 +141,13 @@ def greedy(rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, ties: i
             value = q[at(entry[at(i)])]
             where = i if value > best else where
             best = value if value > best else best
+    return best, where
+
+
+@inlined
+def greedy(rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, ties: int) -> int:
+    """Return the position among low … high-1 with the largest value."""
+    best, where = largest(q, entry, low, high)
     if ties == FIRST:
         return where
     equal, last = 0, where
@@ -187,18 +179,16 @@ def act(
 
 @inlined
 def greedy_policy(
-    q: Floats, offsets: Numbers, entry: Numbers, ties: int, n_actions: int, policy: Numbers
+    rng: Numbers, q: Floats, tables: Tables, ties: int, n_actions: int, policy: Numbers
 ) -> None:
     """Write the greedy action of every row of a flat Q-table into `policy` (K,).
 
     Ties go to the first action, or to the last where the actor takes that one.
     """
+    entry, offsets = tables.row_entry, tables.row_offsets
     for row in range(len(policy)):
-        best, where = q[entry[offsets[row]]], offsets[row]
-        for i in range(offsets[row] + 1, offsets[row + 1]):
-            value = q[entry[i]]
-            if value > best or (value == best and ties == LAST):
-                best, where = value, i
+        low, high = offsets[row], offsets[row + 1]
+        where = greedy(rng, q, entry, low, high, LAST if ties == LAST else FIRST)
         policy[row] = entry[where] - row * n_actions
 
 
@@ -250,7 +240,7 @@ def learn(
                 if bootstrap_end or not terminal[at(state)]:
                     lo, hi = low[at(state)], high[at(state)]
                     if method == Q_LEARNING:
-                        ahead = largest(acting, entry, lo, hi)
+                        ahead = largest(acting, entry, lo, hi)[0]
                     elif method == SARSA:
                         planned = act(rng, acting, entry, lo, hi, chance, ties)
                         ahead = acting[entry[planned]]
@@ -258,7 +248,7 @@ def learn(
                         mean = 0.0
                         for i in range(lo, hi):
                             mean += acting[entry[i]] / (hi - lo)
-                        ahead = (1.0 - chance) * largest(acting, entry, lo, hi) + chance * mean
+                        ahead = (1.0 - chance) * largest(acting, entry, lo, hi)[0] + chance * mean
                     else:
                         chosen = greedy(rng, q[table], entry, lo, hi, ties)
                         ahead = q[1 - table, entry[chosen]]
@@ -274,12 +264,11 @@ def learn(
                     acting[changed] += size * (target - acting[at(changed)])
             steps += step
             left -= 1
-            rows, compared = tables.row_offsets, tables.row_entry
             if episode + 1 == snapshot:
-                greedy_policy(acting, rows, compared, ties, n_actions, snapshots[epoch])
+                greedy_policy(rng, acting, tables, ties, n_actions, snapshots[epoch])
             if left < len(last):
                 place = last[len(last) - 1 - left]
-                greedy_policy(acting, rows, compared, ties, n_actions, place)
+                greedy_policy(rng, acting, tables, ties, n_actions, place)
         returns[epoch] = total / episodes
     return steps, cut_short
 
