@@ -60,9 +60,6 @@ def many(
     `threads` they are threads of this process, for work that needs no interpreter lock. Finished
     pieces are kept in the `folder`, under a record and a stem that are its `files`; `what` they are
     called is said by the bar and by messages.
-
-    >>> [piece["x"].item() for piece in many(dict, [{"x": 1}, {"x": 2}], key={})]
-    [1, 2]
     """
     n_jobs = None if n_jobs is None else counted(n_jobs, "n_jobs")
     record, stem = files
@@ -139,10 +136,7 @@ def _as_done(
 
 
 def _track_quietly() -> None:
-    """Start the process that gives back the semaphores of a program that a signal ended.
-
-    It outlives the program, and would warn of each semaphore after the program's last word.
-    """
+    """Start the process that frees semaphores, which would warn of them after the program's end."""
     from joblib.externals.loky.backend import resource_tracker as tracker
 
     before = os.environ.get("PYTHONWARNINGS")
@@ -246,11 +240,7 @@ class How(TypedDict, total=False):
 
 
 def seeded(seed: int, n: int, block: int) -> tuple[list[tuple[SeedSequence, int]], int]:
-    """Return blocks, each a stream and how many draws to take from it, and the size of a last one.
-
-    >>> [count for _, count in seeded(0, 5, 2)[0]]
-    [2, 2, 1]
-    """
+    """Return blocks, a stream and a number of draws for each, and the size of a last one."""
     rest = n % block
     sizes = [block] * (n // block) + [rest] * (rest > 0)
     return list(zip(SeedSequence(seed).spawn(len(sizes)), sizes, strict=True)), rest

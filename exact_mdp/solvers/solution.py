@@ -132,24 +132,17 @@ class Certified:
         return float(np.nextafter(rounded, -np.inf)), float(np.nextafter(rounded, np.inf))
 
     def __str__(self) -> str:
-        value, long = self.value, False
-        if isinstance(value, Fraction):  # Python writes no integer of over 4,300 digits
-            long = max(value.numerator.bit_length(), value.denominator.bit_length()) > 80
-        text = "" if long else str(value)
-        said = text if 0 < len(text) <= 24 else f"≈ {_decimal(value):.12g}"
-        return f"{said} ({self.claim})"
+        top, below = (1, 1) if isinstance(self.value, float) else self.value.as_integer_ratio()
+        # Python writes no integer of over 4,300 digits; decimals are not bound to floats' range.
+        if max(top.bit_length(), below.bit_length()) <= 80 and len(text := str(self.value)) <= 24:
+            return f"{text} ({self.claim})"
+        return f"≈ {Decimal(top) / Decimal(below):.12g} ({self.claim})"
 
     def __float__(self) -> float:
         return in_float(self.value)
 
     def __neg__(self) -> Certified:
         return Certified(value=-self.value)
-
-
-def _decimal(value: Fraction | float) -> Decimal:
-    if isinstance(value, float):
-        return Decimal(value)
-    return Decimal(value.numerator) / Decimal(value.denominator)  # beyond floats' range, too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,11 +192,7 @@ def difference(one: Number, other: Number) -> Number:
 
 
 def regret(best: Number, own: Number, sense: str = "max") -> Number:
-    """Return the optimum less what a policy is worth; of costs, the other way. Never below 0.
-
-    >>> print(regret(Bounded(value=1.0, error=0.25), Bounded(value=1.125, error=0.25)))
-    0 ± 0.4 (bounded)
-    """
+    """Return the optimum less what a policy is worth; of costs, the other way. Never below 0."""
     lost = difference(best, own) if sense == "max" else difference(own, best)
     if isinstance(lost, Certified):
         return lost
@@ -213,11 +202,7 @@ def regret(best: Number, own: Number, sense: str = "max") -> Number:
 
 
 def regrets(best: Floats, own: Floats, error: Floats, sign: float = 1) -> Floats:
-    """Return optima less what policies are worth; 0 where errors up to `error` leave that open.
-
-    >>> regrets(np.array([1.0, 1.0]), np.array([0.5, 1.5]), np.array([0.1, 0.6])).tolist()
-    [0.5, 0.0]
-    """
+    """Return optima less what policies are worth; 0 where errors up to `error` leave that open."""
     lost = sign * (best - own)
     return np.where(np.abs(lost) > error, lost, 0.0)
 

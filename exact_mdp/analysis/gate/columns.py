@@ -30,9 +30,8 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import Flags, counted
 from exact_mdp.solvers.bounds.bounds import levels, margin_weights
-from exact_mdp.solvers.bounds.gains import SLACK, gamma
+from exact_mdp.solvers.bounds.gains import SLACK, first_of, gamma
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
-from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.solution import Bounded
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.layers import Layers

@@ -34,13 +34,14 @@ from exact_mdp.mdp.report import Shown, Table, cell
 from exact_mdp.mdp.table import Floats, Numbers, common, integers
 from exact_mdp.solvers.bounds.bounds import Bounds
 from exact_mdp.solvers.bounds.gains import SLACK
-from exact_mdp.solvers.endless.chain import AverageEvaluation, ExactChain, expansion, long_run
+from exact_mdp.solvers.endless.chain import ExactChain, expansion, long_run
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.levels import Level, surplus
 from exact_mdp.solvers.objectives.limits import ConstrainedSolution, Limit, solve_under
 from exact_mdp.solvers.solution import Bounded, Certified, SolverError, regret
 from exact_mdp.solvers.solver import solve
-from exact_mdp.solvers.values.policy_chain import PolicyChain, average, flow_of
+from exact_mdp.solvers.values.average import AverageEvaluation, average
+from exact_mdp.solvers.values.policy_chain import PolicyChain, flow_of
 
 
 @dataclass(frozen=True)
@@ -158,9 +159,8 @@ class Average(Total):
             except SolverError:
                 return np.full(chain.mdp.n_states, np.nan), ()
         exact = ExactChain(chain.rows())
-        classes, met = exact.classes, exact.visits(chain.mdp.start)
-        share = met[classes.base][classes.own] * exact.law
-        visits = np.where(classes.recurrent, share, met).astype(np.float64)
+        share, met = exact.shares(chain.mdp.start)
+        visits = np.where(exact.classes.recurrent, share, met).astype(np.float64)
         gap = np.add.reduceat(chain.weights * lost.gap, chain.mdp.pair_offsets[:-1])
         return visits, listed(chain, lost, np.stack([gap, visits, visits * gap]), gap > 0)
 

@@ -34,12 +34,11 @@ from exact_mdp.mdp.table import LARGEST, Floats, Integers, shown
 from exact_mdp.mdp.table import exact as exact_number
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.bounds.bounds import Bounds, lower, margin_weights, verify
-from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains
+from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, first_of, gains
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.exact.certificate import Certificate
 from exact_mdp.solvers.exact.certify import certify
-from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.exact.levels import surplus
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, SolverError, at_start, regret
 from exact_mdp.solvers.solver import mdp_of, solve

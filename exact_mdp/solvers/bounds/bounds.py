@@ -191,13 +191,9 @@ def _expected_steps(mdp: MDP) -> Floats:
         steps = live * LinearSystem(chain).approximate(live)
         gain = gains(mdp, steps, reward=live[mdp.pair_state])
         # A pair that adds less than half a step leaves a margin of over a half.
-        best = np.maximum.reduceat(gain.value, mdp.pair_offsets[:-1])
-        if not best.max() > 0.5:
+        if not gain.value.max() > 0.5:
             return steps
-        better = gain.value == best[mdp.pair_state]
-        numbers = np.where(better, np.arange(mdp.n_pairs), mdp.n_pairs)
-        highest = np.minimum.reduceat(numbers, mdp.pair_offsets[:-1])
-        before, pairs = pairs, np.where(best > gain.noise[highest], highest, pairs)
+        before, pairs = pairs, greedy(mdp, gain, keep=pairs)
         if (pairs == before).all():
             break
     raise SolverError(Status.NO_BOUND, "the end is too many steps away")

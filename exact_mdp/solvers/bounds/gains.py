@@ -19,6 +19,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.model import MDP, once
@@ -170,16 +171,24 @@ def largest_error(mdp: MDP, low: float, high: float) -> float:
     return float(error * SLACK)
 
 
-def greedy(mdp: MDP, gain: Gain, keep: Integers | None = None) -> Integers:
+def greedy(mdp: MDP, *levels: Gain, keep: Integers | None = None) -> Integers:
     """Return (S,) the first pair of each state that no other beats by more than rounding.
 
-    One of `keep` (S,) stays where none beats it.
+    Ties of one level are settled by the next. One of `keep` (S,) stays where none beats it.
     """
-    first, numbers = mdp.pair_offsets[:-1], np.arange(mdp.n_pairs)
-    best = np.maximum.reduceat(gain.value - gain.noise, first)
-    good = gain.value + gain.noise >= best[mdp.pair_state]
-    chosen = np.minimum.reduceat(np.where(good, numbers, mdp.n_pairs), first)
-    return chosen if keep is None else np.where(good[keep], keep, chosen)
+    left = np.ones(mdp.n_pairs, dtype=bool)
+    for gain in levels:
+        least = np.where(left, gain.value - gain.noise, -np.inf)
+        best = np.maximum.reduceat(least, mdp.pair_offsets[:-1])[mdp.pair_state]
+        left &= gain.value + gain.noise >= best
+    chosen = first_of(mdp, left)
+    return chosen if keep is None else np.where(left[keep], keep, chosen)
+
+
+def first_of(mdp: MDP, some: NDArray[np.bool_]) -> Integers:
+    """Return (S,) the first of some pairs (L,) in each state."""
+    numbers = np.where(some, np.arange(mdp.n_pairs), mdp.n_pairs)
+    return np.asarray(np.minimum.reduceat(numbers, mdp.pair_offsets[:-1]))
 
 
 def _differences(mdp: MDP, value: Floats, first: int, last: int, columns: Floats) -> None:

@@ -57,15 +57,7 @@ class FixedPoint:
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem(ByFields):
-    """The equation x = c + γ P x for one P and many c.
-
-    Examples
-    --------
-    >>> walk = sp.csr_array([[0.5, 0.25], [0.0, 0.0]])
-    >>> solved = LinearSystem(walk).solve(np.array([1.0, 1.0]))
-    >>> solved.value.tolist(), bool(solved.error.max() < 1e-14)
-    ([2.5, 1.0], True)
-    """
+    """The equation x = c + γ P x for one P and many c."""
 
     transition: sp.csr_array  # (S, S), nonnegative
     discount: float = 1.0  # γ, itself rounded at most once
@@ -76,10 +68,7 @@ class LinearSystem(ByFields):
 
     @np.errstate(over="ignore", invalid="ignore")
     def solve(self, constant: Floats, constant_error: Floats | float = 0.0) -> FixedPoint:
-        """Return x (S,) and its error (S,), for a constant that may be off by `constant_error`.
-
-        Raises SolverError where no error can be verified: the chain does not leak, or too slowly.
-        """
+        """Return x (S,) and its error (S,); raises SolverError where no error can be verified."""
         value, residual = self._refined(constant)
         rounding = self._rounding(np.abs(constant), np.abs(value))
         excess = (np.abs(residual) * (1 + 4 * UNIT) + rounding + constant_error) * SLACK
@@ -154,10 +143,7 @@ class LinearSystem(ByFields):
     # ---- solving -----------------------------------------------------------------------------
 
     def roughly(self, constant: Floats, *, closely: bool = False) -> Floats:
-        """Return x (S,) with a residual of about a hundredth of the constant (S,), or smaller.
-
-        Where it is asked for `closely`, with what elimination would leave.
-        """
+        """Return x (S,) with a residual of about a hundredth of the constant (S,), or `closely`."""
         if self._direct:
             return self._direct(constant)
         return self.approximate(constant) if closely else self._iterated(constant, 1e-2)
@@ -369,12 +355,17 @@ def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
     return sp.csr_array((matrix.data[entries], matrix.indices[entries], offsets), matrix.shape)
 
 
+def between(matrix: sp.csr_array, states: NDArray[np.bool_]) -> sp.csr_array:
+    """Return a matrix with the entries between some states alone."""
+    inner = rows_of(matrix, states)
+    inner.data[~states[inner.indices]] = 0.0
+    inner.eliminate_zeros()  # else the band would be as wide as a state can be from an end
+    return inner
+
+
 def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
     """Return the (S, S) transitions between states that are not terminal, and rewards (S,)."""
     chain, reward, live = mdp.transition[pairs], mdp.reward[pairs], ~mdp.terminal
-    if mdp.terminal.any():
-        over = np.repeat(mdp.terminal, np.diff(chain.indptr)) | mdp.terminal[chain.indices]
-        chain.data[over] = 0.0
-        chain.eliminate_zeros()  # else the band would be as wide as a state can be from an end
-        reward = np.where(live, reward, 0.0)
-    return chain, reward
+    if live.all():
+        return chain, reward
+    return between(chain, live), np.where(live, reward, 0.0)

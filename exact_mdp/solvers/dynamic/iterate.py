@@ -371,10 +371,7 @@ def iterate(
 def conclude(
     mdp: MDP, solver: Solver, bounds: Bounds, *, status: Status, iterations: int, started: float
 ) -> Solution:
-    """Return the solution; warns where its tolerance is beyond double precision.
-
-    `started` is the `perf_counter()` at which the solver began.
-    """
+    """Return the solution; warns where its tolerance is beyond double precision."""
     solution = Solution(
         mdp=mdp,
         value=np.array(bounds.value),

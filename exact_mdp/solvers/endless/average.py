@@ -28,7 +28,7 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.gains import SLACK, gains, greedy
+from exact_mdp.solvers.bounds.gains import SLACK, first_of, gains, greedy
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import AGREEMENT, LinearProgram, optimised
@@ -37,7 +37,7 @@ from exact_mdp.solvers.dynamic.methods import (
     PolicyIteration,
     ValueIteration,
 )
-from exact_mdp.solvers.endless.chain import FloatChain, evaluated, expansion
+from exact_mdp.solvers.endless.chain import FloatChain, expansion
 from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import derived
 from exact_mdp.solvers.solution import (
@@ -108,23 +108,23 @@ def solve_average(mdp: MDP, solver: Solver, tol: float | None = None) -> Average
         )
     step = mdp.undiscounted
     reached = METHODS[solver.name](step, solver)
-    own = evaluated(step, _taking(step, reached.pairs))
-    above = _upper(step, reached.bias) - own.value
-    error = np.maximum(own.error, above * SLACK)
+    gain, bias = FloatChain(step, _taking(step, reached.pairs)).evaluated()
+    above = _upper(step, reached.bias) - gain.value
+    error = np.maximum(gain.error, above * SLACK)
     met = tol is None or float(error.max()) <= tol
     solution = AverageSolution(
         mdp=mdp,
-        value=own.value,
+        value=gain.value,
         pairs=reached.pairs,
         state_error=error,
-        regret_bound=max(0.0, float((above + own.error).max()) * SLACK),
+        regret_bound=max(0.0, float((above + gain.error).max()) * SLACK),
         status=reached.status if met else Status.PRECISION,
         method=solver.name,
         solver=repr(solver),
         iterations=reached.iterations,
         seconds=perf_counter() - started,
-        bias=own.bias,
-        bias_error=own.bias_error,
+        bias=bias.value,
+        bias_error=bias.error,
     )
     if not met:
         warn_of_precision(solution.error_bound)
@@ -185,7 +185,17 @@ def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Impr
             if not risen:
                 return Improved(pairs, bias, iteration)
         before = gain.value, bias
-        pairs = _greatest(step, gain, bias, second, pairs)
+        # Gains that are equal come out of different equations: their whole error counts, not only
+        # that of their differences.
+        means = gains(step, gain.value, reward=np.zeros(step.n_pairs))
+        unsure = step.transition @ gain.error + gain.error[step.pair_state]
+        pairs = greedy(
+            step,
+            replace(means, noise=means.noise + unsure),
+            gains(step, bias, reward=step.reward - gain.value[step.pair_state]),
+            gains(step, second, reward=-bias[step.pair_state]),
+            keep=pairs,
+        )
         if pairs.tobytes() in seen:
             return Improved(pairs, bias, iteration)
     raise SolverError(Status.ITERATION_LIMIT, f"{most} policies were evaluated")
@@ -209,30 +219,6 @@ def _patient(step: MDP) -> Integers:
             return ModifiedPolicyIteration().solve(step.with_(discount=1 - NEARNESS)).pairs
         except SolverError:  # any policy does to begin with
             return step.pair_offsets[:-1]
-
-
-def _greatest(
-    step: MDP, gain: FixedPoint, bias: Floats, second: Floats, keep: Integers
-) -> Integers:
-    """Return (S,) pairs that no other beats by more than rounding, those of `keep` first.
-
-    Gains that are equal come out of different equations: their whole error counts, not only that
-    of their differences.
-    """
-    first, state = step.pair_offsets[:-1], step.pair_state
-    unsure = step.transition @ gain.error + gain.error[state]
-    left = np.ones(step.n_pairs, dtype=bool)
-    for earned, value, doubt in (
-        (np.zeros(step.n_pairs), gain.value, unsure),
-        (step.reward - gain.value[state], bias, 0.0),
-        (-bias[state], second, 0.0),
-    ):
-        level = gains(step, value, reward=earned)
-        noise = level.noise + doubt
-        least = np.where(left, level.value - noise, -np.inf)
-        left &= level.value + noise >= np.maximum.reduceat(least, first)[state]
-    chosen = np.minimum.reduceat(np.where(left, np.arange(step.n_pairs), step.n_pairs), first)
-    return np.where(left[keep], keep, chosen)
 
 
 def _by_values(step: MDP, solver: Any) -> Improved:
@@ -280,9 +266,7 @@ def _by_program(step: MDP, solver: Any) -> Improved:
     used, passed = (np.maximum(np.asarray(each.dual_value), 0.0) for each in (earns, keeps))
     recurrent = np.maximum.reduceat(used, first) > AGREEMENT / step.n_states
     weight = np.where(recurrent[state], used, passed)
-    best = weight == np.maximum.reduceat(weight, first)[state]
-    numbers = np.where(best, np.arange(step.n_pairs), step.n_pairs)
-    solution = improved(step, np.minimum.reduceat(numbers, first))
+    solution = improved(step, first_of(step, weight == np.maximum.reduceat(weight, first)[state]))
     return solution._replace(iterations=steps + solution.iterations)
 
 

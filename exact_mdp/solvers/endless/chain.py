@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,20 +27,13 @@ from numpy.typing import NDArray
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.graph import strong_components
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, ReadAs
-from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, rows_of, transposed
 from exact_mdp.solvers.exact.linear import Matrix, equations, solved, visited
-from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, Valued
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from exact_mdp.solvers.solution import SolverError, Status
 
 Mask = NDArray[np.bool_]
-LISTED = 1000  # states in a report
 STEPS = 64  # after which an often visited state shows
 
 
@@ -126,11 +118,12 @@ class FloatChain:
     """A chain in floats, of a policy given as probabilities of pairs (L,)."""
 
     def __init__(self, mdp: MDP, weights: Floats, roundings: int = 1) -> None:
+        self.mdp, self.weights, self._roundings = mdp, weights, roundings
         table, pairs = mdp.table, np.flatnonzero(weights)
         shape, source = (mdp.n_states, mdp.n_states), mdp.pair_state[pairs]
         offsets = np.append(0, np.cumsum(np.bincount(source, minlength=mdp.n_states)))
         taken = sp.csr_array((weights[pairs], pairs, offsets), (mdp.n_states, mdp.n_pairs))
-        self.transition, self._roundings = sp.csr_array(taken @ mdp.transition), roundings
+        self.transition = sp.csr_array(taken @ mdp.transition)
         # However rarely: the matrix has lost what is below the range of floats.
         lengths = np.diff(table.offsets)[pairs]
         following = table.next[spans(table.offsets[pairs], table.offsets[pairs + 1])]
@@ -193,6 +186,58 @@ class FloatChain:
         np.maximum.at(high, own, (point.value + wide)[inside])
         return low, high
 
+    def evaluated(self) -> tuple[FixedPoint, FixedPoint]:
+        """Return gain and bias (S,), in a model at discount 1 whose rows sum to 1.
+
+        Raises SolverError where double precision cannot bound them.
+        """
+        mdp, weights, classes = self.mdp, self.weights, self.classes
+        first = mdp.pair_offsets[:-1]
+
+        def of_policy(added: Gain) -> FixedPoint:
+            """Return (S,) what a step of the policy adds, from what each pair does."""
+            terms = int(np.diff(mdp.pair_offsets).max()) + self._roundings + 2
+            error = added.error + gamma(terms) * np.abs(added.value)
+            value, off = (np.add.reduceat(weights * each, first) for each in (added.value, error))
+            return FixedPoint(value=value, error=off * SLACK)
+
+        _, bias, second = expansion(self, np.add.reduceat(weights * mdp.reward, first))
+        step = of_policy(gains(mdp, bias))
+        gain = self.bounded_gain(step)
+        rest = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
+        still, inside, own = np.zeros(len(bias)), classes.recurrent, classes.own
+        met = np.where(classes.at_base, 0.0, rest * SLACK)
+        away = self.until_base.solve(still, met).error
+        low, high = self.between(of_policy(gains(mdp, second, reward=-bias[mdp.pair_state])))
+        most = np.zeros(len(classes.base))
+        np.maximum.at(most, own[inside], away[inside])
+        off = (np.maximum(np.abs(low), np.abs(high)) + most)[own] + away
+        if not inside.all():
+            off = self.until_class.solve(still, np.where(inside, off, rest) * SLACK).error
+        return gain, FixedPoint(value=bias, error=off * SLACK)
+
+    def shares(self) -> tuple[FixedPoint, FixedPoint]:
+        """Return (S,) the share of time in each state, from the start, and arrivals at bases.
+
+        The latter are expected visits in states that are no base.
+        """
+        at_base, inside, own = self.classes.at_base, self.classes.recurrent, self.classes.own
+        begin, error = self.mdp.start_distribution, gamma(len(self.classes.base) + self._roundings)
+        arrivals = self.visits.solve(begin, UNIT * begin)
+        met = self.visits.solve(self.onward, error * self.onward)
+        times = np.where(at_base, 1.0, np.maximum(met.value, 0.0)) * inside
+        doubt = np.where(at_base, 0.0, met.error) * inside
+        period, off = (np.bincount(own, each).astype(np.float64) for each in (times, doubt))
+        off = off + gamma(len(own)) * period
+        if not (period > off).all():
+            raise SolverError(Status.NO_BOUND)
+        base = self.classes.base[own]
+        mass, loose = np.maximum(arrivals.value, 0.0)[base], arrivals.error[base]
+        share = mass * times / period[own]
+        error = (loose * (times + doubt) + mass * doubt + share * off[own]) / (period - off)[own]
+        error = (error + 8 * UNIT * share) * SLACK
+        return FixedPoint(value=share, error=error), arrivals
+
 
 class ExactChain:
     """A chain in Fractions, from equations with one pair for each state and rows that sum to 1."""
@@ -225,6 +270,11 @@ class ExactChain:
         (visits,) = visited(self._rows, ~self.classes.at_base, start)
         return visits.fractions()
 
+    def shares(self, start: Sequence[tuple[int, Fraction]]) -> tuple[Numbers, Numbers]:
+        """Return (S,) the share of time in each state, from a start, and `visits`."""
+        visits = self.visits(start)
+        return visits[self.classes.base[self.classes.own]] * self.law, visits
+
     @cached_property
     def _until_base(self) -> Matrix:
         return equations(self._rows, ~self.classes.at_base)
@@ -232,164 +282,3 @@ class ExactChain:
     def total(self, constant: Numbers) -> Numbers:
         """Return y (S,): y = constant at bases, and constant + P y elsewhere."""
         return solved(self._until_base, self._rows, constant.tolist()).fractions()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class AverageEvaluation(Valued, Result):
-    """What a policy earns per step in the long run, and what a start is worth beyond it.
-
-    >>> from exact_mdp.solvers import evaluate
-    >>> mdp = MDP.from_arrays([[["1/2", "1/2"], ["4/5", "1/5"]]], [[5], [-1]])
-    >>> evaluation = evaluate(mdp, [0, 0], criterion="average")
-    >>> evaluation.start.interval, evaluation.share.value.round(4).tolist()
-    ((2.69230..., 2.69230...), [0.6154, 0.3846])
-    """
-
-    mdp: MDP  # at discount 1
-    weights: Floats  # (L,) of pairs given their states, rounded `roundings` times at most
-    roundings: int
-    policy: Policy | None  # None where it was given as probabilities of pairs
-    classes: Classes
-    value: Floats  # (S,) the gain
-    error: Floats
-    bias: Floats  # (S,)
-    bias_error: Floats
-    exact: tuple[FixedPoint, FixedPoint] | None = None  # share and arrivals, if from rationals
-
-    claim: ClassVar[Claim] = Claim.BOUNDED
-
-    def __post_init__(self) -> None:
-        for array in (self.value, self.error, self.bias, self.bias_error):
-            array.setflags(write=False)
-
-    @property
-    def read_as(self) -> ReadAs:
-        """What an array was taken for: "q" or "policy"."""
-        return "policy" if self.policy is None else self.policy.read_as
-
-    @property
-    def mean(self) -> float:
-        """The gain from the start."""
-        return self.start.value
-
-    @property
-    def share(self) -> FixedPoint:
-        """(S,) the share of time that is spent in each state in the long run, from the start."""
-        return self._visited[0]
-
-    @cached_property
-    def _visited(self) -> tuple[FixedPoint, FixedPoint]:
-        """Shares, and expected visits from the start until a base, that arrival included."""
-        if self.exact is not None:
-            return self.exact
-        chain = FloatChain(self.mdp, self.weights, self.roundings)
-        at_base, inside, own = chain.classes.at_base, chain.classes.recurrent, chain.classes.own
-        begin, error = self.mdp.start_distribution, gamma(len(chain.classes.base) + self.roundings)
-        arrivals = chain.visits.solve(begin, UNIT * begin)
-        met = chain.visits.solve(chain.onward, error * chain.onward)
-        times = np.where(at_base, 1.0, np.maximum(met.value, 0.0)) * inside
-        doubt = np.where(at_base, 0.0, met.error) * inside
-        period, off = (np.bincount(own, each).astype(np.float64) for each in (times, doubt))
-        off = off + gamma(len(own)) * period
-        if not (period > off).all():
-            raise SolverError(Status.NO_BOUND)
-        base = chain.classes.base[own]
-        mass, loose = np.maximum(arrivals.value, 0.0)[base], arrivals.error[base]
-        share = mass * times / period[own]
-        error = (loose * (times + doubt) + mass * doubt + share * off[own]) / (period - off)[own]
-        error = (error + 8 * UNIT * share) * SLACK
-        return FixedPoint(value=share, error=error), arrivals
-
-    @property
-    def visits(self) -> Floats:
-        """(S,) the share of time; in transient states the expected visits from the start."""
-        recurrent = self.classes.recurrent
-        return np.where(recurrent, self.share.value, np.maximum(self._visited[1].value, 0.0))
-
-    @cached_property
-    def components(self) -> dict[str, Bounded]:
-        """What each reward component adds to the gain from the start."""
-        share, mdp = self.share, self.mdp
-        used, doubt = (x[mdp.pair_state] * self.weights for x in (share.value, share.error))
-        rounding = float(gamma(mdp.n_pairs + self.roundings + 6))
-        size = np.abs(mdp.components)
-        error = (doubt @ size + rounding * (used @ size)) * SLACK
-        each = zip(mdp.component_names, used @ mdp.components, error, strict=True)
-        return {name: Bounded(value=float(x), error=float(off)) for name, x, off in each}
-
-    def report(self) -> Report:
-        """Return gain and components, and gain, bias and share of time of each state."""
-        frame, parts = self.frame(), self.components
-        few = self.mdp.n_states <= LISTED
-        facts = {
-            "claim": Shown(self.claim),
-            "mean": Shown(self.mean, self.start),
-            "error_bound": Shown(self.start.error),
-            "recurrent_classes": len(self.classes.base),
-            "components": Shown({name: each.value for name, each in parts.items()}, parts),
-            "by_state": Shown(frame.set_index("state").to_dict("index") if few else None),
-        }
-        columns = {name: name for name in ("state", "gain", "bias", "share")}
-        table = Table(title="gain, bias and share of time", rows=frame, columns=columns)
-        return Report(title="average reward", facts=facts, tables={"states": table})
-
-    def frame(self) -> DataFrame:
-        """Return gain, bias and share of time of each state, with their error bounds."""
-        import pandas
-
-        columns = {
-            "state": self.mdp.space.labels(range(len(self.value))),
-            "gain": self.value,
-            "gain error": self.error,
-            "bias": self.bias,
-            "bias error": self.bias_error,
-            "share": self.share.value,
-            "share error": self.share.error,
-        }
-        return pandas.DataFrame(columns)
-
-    def __repr__(self) -> str:
-        return f"AverageEvaluation(gain at the start {self.start})"
-
-
-def evaluated(
-    mdp: MDP, weights: Floats, roundings: int = 1, policy: Policy | None = None
-) -> AverageEvaluation:
-    """Return gain and bias of a policy, in a model at discount 1 whose rows sum to 1.
-
-    Raises SolverError where double precision cannot bound them.
-    """
-    chain = FloatChain(mdp, weights, roundings)
-    classes, first = chain.classes, mdp.pair_offsets[:-1]
-
-    def of_policy(added: Gain) -> FixedPoint:
-        """Return (S,) what a step of the policy adds, from what each pair does."""
-        terms = int(np.diff(mdp.pair_offsets).max()) + roundings + 2
-        error = added.error + gamma(terms) * np.abs(added.value)
-        value, off = (np.add.reduceat(weights * each, first) for each in (added.value, error))
-        return FixedPoint(value=value, error=off * SLACK)
-
-    _, bias, second = expansion(chain, np.add.reduceat(weights * mdp.reward, first))
-    step = of_policy(gains(mdp, bias))
-    gain = chain.bounded_gain(step)
-    rest = np.abs(step.value - gain.value) * (1 + UNIT) + step.error + gain.error
-    still, inside, own = np.zeros(len(bias)), classes.recurrent, classes.own
-    met = np.where(classes.at_base, 0.0, rest * SLACK)
-    away = chain.until_base.solve(still, met).error
-    low, high = chain.between(of_policy(gains(mdp, second, reward=-bias[mdp.pair_state])))
-    most = np.zeros(len(classes.base))
-    np.maximum.at(most, own[inside], away[inside])
-    off = (np.maximum(np.abs(low), np.abs(high)) + most)[own] + away
-    if not inside.all():
-        off = chain.until_class.solve(still, np.where(inside, off, rest) * SLACK).error
-    return AverageEvaluation(
-        mdp=mdp,
-        weights=weights,
-        roundings=roundings,
-        policy=policy,
-        classes=classes,
-        value=gain.value,
-        error=gain.error,
-        bias=bias,
-        bias_error=off * SLACK,
-    )

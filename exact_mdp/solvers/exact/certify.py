@@ -22,9 +22,9 @@ from exact_mdp.mdp.graph import endless, termination, where_endless
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.bounds import margin_weights
-from exact_mdp.solvers.bounds.gains import UNIT, gains
+from exact_mdp.solvers.bounds.gains import UNIT, first_of, gains
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate, exact_rows
-from exact_mdp.solvers.exact.find import best, certificate, expansion, first_of, reaching
+from exact_mdp.solvers.exact.find import best, certificate, expansion, reaching
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import PrecisionWarning, Solution, SolverError, Status
 from exact_mdp.solvers.solver import is_average, mdp_of, solve

@@ -258,10 +258,7 @@ def weights(totals: Totals, proof: Any) -> Iterator[str]:
 
 
 def allowed(lines: Sequence[tuple[Fraction, Fraction]]) -> tuple[Fraction, Fraction | float]:
-    """Return the least and the greatest x ≥ 0 with slope x + rest ≤ 0 on all lines.
-
-    The least is above the greatest where there are none.
-    """
+    """Return the least and the greatest x ≥ 0 with slope x + rest ≤ 0 on all lines, or 1 and 0."""
     low: Fraction = Fraction()
     high: Fraction | float = inf
     for slope, rest in lines:

@@ -29,6 +29,7 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, row_sums, spans
+from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.endless.average import improved
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import expansion as laurent
@@ -92,12 +93,6 @@ def one_optimum(mdp: MDP, optimal: Flags) -> bool:
     stays &= np.asarray(rows.constant == 0, dtype=bool)
     other &= ~np.logical_and.reduceat(stays, mdp.pair_offsets[:-1])  # not at an end
     return not (other.any() and (other & reachable(mdp, pairs=optimal)).any())
-
-
-def first_of(mdp: MDP, some: Flags) -> Integers:
-    """Return (S,) the first of some pairs (L,) in each state."""
-    numbers = np.where(some, np.arange(mdp.n_pairs), mdp.n_pairs)
-    return np.asarray(np.minimum.reduceat(numbers, mdp.pair_offsets[:-1]))
 
 
 # ---- levels --------------------------------------------------------------------------------------

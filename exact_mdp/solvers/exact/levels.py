@@ -9,7 +9,7 @@ With d(x) = Σ P(l, s') x(s') - x(s) for each pair l of state s, the levels of a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import lcm
@@ -22,8 +22,6 @@ import numpy as np
 
 from exact_mdp.mdp.exact import BellmanRows
 from exact_mdp.mdp.table import Floats, Integers, Numbers, common, divide
-
-BITS = 128  # of values with which most pairs are compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,24 +160,20 @@ def surplus(rows: BellmanRows, *levels: Level, pairs: Integers | None = None) ->
 
 def gains(rows: BellmanRows, step: Step, pairs: Integers | None = None) -> Column:
     """Return what pairs gain against one level x: what they earn + γ P x - x."""
-    x, earned = step
+    each = [*_gains(rows, step, np.arange(len(rows.constant)) if pairs is None else pairs)]
+    return [top for top, _, _ in each], [unit * below for _, unit, below in each]
+
+
+def _gains(rows: BellmanRows, step: Step, pairs: Integers) -> Iterator[tuple[int, int, int]]:
+    """Yield what some pairs gain: top, and two factors of the denominator."""
+    x, (tops, belows) = step
     offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
     scale, state, group = rows.scale.tolist(), rows.pair_state.tolist(), x.group.tolist()
-    tops, belows = list[int](), list[int]()
-    last, known = -1, dict[Any, tuple[int, int]]()  # of pairs of a state that are the same
-    for pair in range(len(state)) if pairs is None else pairs.tolist():
+    for pair in pairs.tolist():
         own, here = state[pair], slice(offsets[pair], offsets[pair + 1])
-        if own != last:
-            last, known = own, {}
-        top, below = earned[0][pair], earned[1][pair]
-        key = (top, *following[here], *weight[here])
-        if key not in known:
-            values, unit = x.over_one([*following[here], own], group)
-            flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
-            known[key] = top * unit + flow * below, scale[own] * unit * below
-        tops.append(known[key][0])
-        belows.append(known[key][1])
-    return tops, belows
+        values, unit = x.over_one([*following[here], own], group)
+        flow = sum(map(mul, weight[here], values)) - scale[own] * values[-1]
+        yield tops[pair] * unit + flow * belows[pair], unit, scale[own] * belows[pair]
 
 
 def signs(rows: BellmanRows, value: Level, own: Integers | None = None) -> Integers:
@@ -188,33 +182,10 @@ def signs(rows: BellmanRows, value: Level, own: Integers | None = None) -> Integ
 
 
 def signs_of(rows: BellmanRows, step: Step, own: Integers | None = None) -> Integers:
-    """Return (L,) the sign of what each pair gains against one level.
-
-    It is that of the pairs `own`, if they are given: these gain nothing. Numbers of some `BITS`
-    bits, which are too small by less than 2, tell most signs; all digits the others.
-    """
-    value, earned = step
-    parts = [
-        (top, value.below[g], g) for top, g in zip(value.top, value.group.tolist(), strict=True)
-    ]
-    longest = max(top.bit_length() - below.bit_length() for top, below, _ in parts)
-    # Of a denominator so many bits are left that cutting off the others moves no number by 1.
-    most = 2 * BITS + max(0, -longest)
-    spare = [max(0, below.bit_length() - most) for below in value.below]
-    listed = [(top >> spare[g], below >> spare[g]) for top, below, g in parts]
-    up, down = max(0, BITS - longest), max(0, longest - BITS)
-    near = [(top << up) // (below << down) for top, below in listed]
-    offsets, following, weight = (p.tolist() for p in (rows.offsets, rows.next, rows.weight))
-    scale, listed_signs, first = rows.scale.tolist(), list[int](), 0
-    pairs = zip(rows.pair_state.tolist(), *earned, offsets[1:], strict=True)
-    for state, top, below, last in pairs:
-        flow = sum(map(mul, weight[first:last], map(near.__getitem__, following[first:last])))
-        gain = (top << up) // (below << down) + flow - scale[state] * near[state]
-        listed_signs.append((gain > 0) - (gain < 0) if abs(gain) > 4 * scale[state] + 1 else 2)
-        first = last
-    sign = np.array(listed_signs, dtype=np.int64)
-    if own is not None:
-        sign[own] = 0
-    open_ = np.flatnonzero(sign == 2)
-    sign[open_] = [(top > 0) - (top < 0) for top in gains(rows, step, open_)[0]]
+    """Return (L,) the sign of what each pair gains; 0 of the pairs `own`, which gain nothing."""
+    asked = np.ones(len(rows.constant), dtype=bool)
+    asked[[] if own is None else own] = False
+    sign = np.zeros(len(asked), dtype=np.int64)
+    each = _gains(rows, step, np.flatnonzero(asked))
+    sign[asked] = [(top > 0) - (top < 0) for top, _, _ in each]
     return sign

@@ -81,10 +81,7 @@ class Lifting:
             self._scales = [np.ldexp(1.0, shift - self.bits) for shift in shifts]
 
     def weakest(self) -> tuple[int, int, int] | None:
-        """Return a row, a column and what to add there, for which no pivot is as small.
-
-        None where floats find no pivots.
-        """
+        """Return a row, a column and what to add there, for which no pivot is as small, or None."""
         factors = _factored(self._near + NEAR * sp.eye_array(self.size, format="csc"))
         if factors is None:
             return None
@@ -223,10 +220,7 @@ def _joined(digits: Integers, width: int) -> list[int]:
 def _over_one_denominator(
     numbers: Sequence[int], bits: int, below: fmpz
 ) -> tuple[list[fmpz], fmpz] | None:
-    """Return the fractions close to numbers / 2^bits, over a multiple of `below`.
-
-    None where the numbers are too short for their denominators.
-    """
+    """Return the fractions close to numbers / 2^bits, over a multiple of `below`, or None."""
     top: list[fmpz] = []
     half = flint.fmpz(1) << (bits - 1)
     for number in numbers:

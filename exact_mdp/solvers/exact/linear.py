@@ -146,10 +146,6 @@ def solve_all(matrix: Matrix, sides: Sequence[Sequence[Any]]) -> list[Level]:
 
     Raises ZeroDivisionError where A is singular, and ModelError where thousands of unknowns depend
     on each other and floats cannot start.
-
-    >>> ring = Matrix.of(2, *np.array([[0, 0, 1, 1], [0, 1, 0, 1]]), np.array([2, -1, -1, 3]))
-    >>> [level.top for level in solve_all(ring, [[5, 0], [0, 5]])]
-    [[3, 1], [1, 2]]
     """
     solution = _Solution(matrix, sides)
     group, below = np.array(solution.group, dtype=np.int64), list(map(int, solution.below))

@@ -147,6 +147,7 @@ def largest(q: Floats, entry: Numbers, low: int, high: int) -> tuple[float, int]
 @inlined
 def greedy(rng: Numbers, q: Floats, entry: Numbers, low: int, high: int, ties: int) -> int:
     """Return the position among low … high-1 with the largest value."""
+    where: int
     best, where = largest(q, entry, low, high)
     if ties == FIRST:
         return where

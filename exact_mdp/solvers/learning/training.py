@@ -112,11 +112,7 @@ def _run(trainer: Trainer, root: SeedSequence, number: int) -> dict[str, Numbers
 def _read(
     trainer: Trainer, arrays: dict[str, Numbers], number: int, out: str | Path | None
 ) -> TrainingRun:
-    """Return a run; raises ModelError where its file holds what no run of the learner can be.
-
-    Compiled code takes its numbers as they are: an unknown action would be read from beyond an
-    array.
-    """
+    """Return a run; raises ModelError where its file holds what no run of the learner can be."""
     try:
         recorded: dict[str, Any] = {name: arrays[name] for name in RECORDED}
         recorded |= {name: array.item() for name, array in recorded.items() if not array.ndim}

@@ -32,8 +32,8 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Table
 from exact_mdp.mdp.table import Integers, Numbers, common, exact, shown
+from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact.duals import worth
-from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.exact.levels import Level, combined, signs
 from exact_mdp.solvers.objectives.amounts import Objectives, reward_name
 from exact_mdp.solvers.objectives.simplex import maximise

@@ -24,9 +24,10 @@ from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, common
+from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact import codec, duals
 from exact_mdp.solvers.exact.certificate import Proof, model_of
-from exact_mdp.solvers.exact.find import best, first_of
+from exact_mdp.solvers.exact.find import best
 from exact_mdp.solvers.exact.levels import Level, combined, signs
 from exact_mdp.solvers.exact.linear import evaluated, visited
 from exact_mdp.solvers.objectives.amounts import Objectives

@@ -112,15 +112,6 @@ class Likelihood(Divergence):
 
     With n observations of a row of k outcomes, a radius (in nats) of χ²(k - 1, level) / (2 n) makes
     this the likelihood-ratio region of that level.
-
-    Examples
-    --------
-    >>> from exact_mdp import MDP
-    >>> from exact_mdp.solvers.robust.robust import solve_robust
-    >>> toss = [("1/2", 1, 1), ("1/2", 1, 0)]
-    >>> mdp = MDP.from_outcomes([(0, 0, toss), (1, 0, [(1, 1, 0)])])
-    >>> round(solve_robust(mdp, Likelihood(radius=0.5)).start.value, 4)  # 4 q (1 - q) = 1/e
-    0.1025
     """
 
     NAME = "a likelihood radius"

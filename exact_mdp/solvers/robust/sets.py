@@ -210,13 +210,7 @@ class Ball(Ambiguity):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class L1Ball(Ball):
-    """Laws within an L1 distance of the nominal row: Σ |q - p| ≤ radius, from 0 to 2.
-
-    Examples
-    --------
-    >>> L1Ball(radius="1/2").radius
-    0.5
-    """
+    """Laws within an L1 distance of the nominal row: Σ |q - p| ≤ radius, from 0 to 2."""
 
     NAME = "an L1 radius"
 

@@ -44,7 +44,7 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
 from exact_mdp.solvers.dynamic.iterate import NEARLY_ONE
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
-from exact_mdp.solvers.endless.chain import AverageEvaluation, Mask
+from exact_mdp.solvers.endless.chain import Mask
 from exact_mdp.solvers.solution import (
     Bounded,
     Claim,
@@ -56,14 +56,8 @@ from exact_mdp.solvers.solution import (
     in_float,
 )
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
-from exact_mdp.solvers.values.policy_chain import (
-    Equations,
-    Parted,
-    PolicyChain,
-    arrives,
-    average,
-    parted,
-)
+from exact_mdp.solvers.values.average import AverageEvaluation, average
+from exact_mdp.solvers.values.policy_chain import Equations, Parted, PolicyChain, arrives, parted
 from exact_mdp.solvers.values.returns import return_distribution, times
 
 if TYPE_CHECKING:
@@ -127,7 +121,7 @@ class Evaluation(Valued, Pictured):
     @property
     def read_as(self) -> ReadAs:
         """What an array was taken for: "q" or "policy"."""
-        return "policy" if self.chain.policy is None else self.chain.policy.read_as
+        return self.chain.read_as
 
     @property
     def numbers(self) -> dict[str, Bounded]:
@@ -420,20 +414,13 @@ class Evaluation(Valued, Pictured):
         if bits is None:
             return {}
         return {
-            name: self._event(np.asarray((bits >> k) & 1 == 1))
+            name: _known(lambda k=k: at_start(self.mdp, _ever(self.chain, bits >> k & 1 == 1)))
             for k, name in enumerate(self.mdp.events)
         }
 
-    def _event(self, happens: Mask) -> Bounded:
-        return _known(lambda: at_start(self.mdp, _ever(self.chain, happens)))
-
 
 def _pair_visits(chain: PolicyChain, visits: FixedPoint) -> Floats:
-    """Return (L,) the expected discounted number of uses of each pair, from discounted visits.
-
-    Below discount 1 they sum to 1 / (1 - γ), terminal states included, in which a policy stays for
-    ever. At discount 1 the pairs of terminal states are left at 0.
-    """
+    """Return (L,) the expected discounted uses of each pair; at discount 1 none where all ended."""
     mdp = chain.mdp
     stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
     return (visits.value * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights

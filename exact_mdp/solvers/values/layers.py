@@ -28,10 +28,7 @@ NUMBERS = 2**22  # of a table over pairs and policies
 
 
 class Layers:
-    """Passes over the states of a model without cycles that are reached, for N columns at once.
-
-    A transition leads from a layer to earlier ones, or the end. Numbers are 0 where none comes.
-    """
+    """Passes over the states that are reached, for N columns at once; 0 where none comes."""
 
     def __init__(self, mdp: MDP) -> None:
         level = levels(mdp)

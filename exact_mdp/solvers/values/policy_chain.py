@@ -31,7 +31,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.graph import closure, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, PolicyLike
+from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import ended
 from exact_mdp.mdp.table import (
     FLOAT_ROW_TOLERANCE,
@@ -45,16 +45,8 @@ from exact_mdp.mdp.table import (
 )
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, rows_of, transposed
-from exact_mdp.solvers.endless.chain import (
-    AverageEvaluation,
-    Classes,
-    ExactChain,
-    Mask,
-    expansion,
-    long_run,
-)
-from exact_mdp.solvers.endless.chain import evaluated as bounded_average
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, between, rows_of, transposed
+from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, Mask, long_run
 from exact_mdp.solvers.exact.find import one_sign
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import FEW, MANY, equations, evaluated, solved, visited
@@ -83,21 +75,11 @@ def policy_of(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyChain:
-    """A model under one policy; its parts are worked out when first asked for.
-
-    Attributes
-    ----------
-    mdp : MDP
-    chosen : (L,)
-        Probability of each pair given its state, as the policy states it: over the pairs of a
-        state they sum to 1 up to rounding.
-    policy : Policy, optional
-        Where `chosen` is from, which knows the exact probabilities behind these floats.
-    """
+    """A model under one policy; its parts are worked out when first asked for."""
 
     mdp: MDP
-    chosen: Floats
-    policy: Policy | None = None
+    chosen: Floats  # (L,) probabilities of pairs; in each state they sum to 1, up to rounding
+    policy: Policy | None = None  # where `chosen` is from, which knows the exact probabilities
 
     @classmethod
     def of(cls, mdp: MDP, policy: PolicyLike | PolicyChain, *, kind: str = "auto") -> PolicyChain:
@@ -157,6 +139,11 @@ class PolicyChain:
         return 2 * int(np.bincount(self.mdp.pair_state[self.pairs]).max()) + 2
 
     @property
+    def read_as(self) -> ReadAs:
+        """What an array was taken for: "q" or "policy"."""
+        return "policy" if self.policy is None else self.policy.read_as
+
+    @property
     def pure(self) -> bool:
         """Whether the policy takes a single pair in each state."""
         return len(self.pairs) == self.mdp.n_states
@@ -210,9 +197,10 @@ class PolicyChain:
     @cached_property
     def transition(self) -> sp.csr_array:
         """(S, S) probabilities; the rows of terminal states are empty."""
-        if self.pure and not self.mdp.terminal.any():
-            return self.mdp.transition[self.pairs]
-        mdp, used = self.mdp, self.pairs[~self.mdp.terminal[self.mdp.pair_state[self.pairs]]]
+        mdp, live = self.mdp, ~self.mdp.terminal
+        if self.pure:
+            return rows_of(mdp.transition[self.pairs], live)
+        used = self.pairs[live[mdp.pair_state[self.pairs]]]
         shape = (mdp.n_states, mdp.n_pairs)
         mixing = sp.csr_array((self.weights[used], (mdp.pair_state[used], used)), shape)
         chain = mixing @ mdp.transition
@@ -221,23 +209,13 @@ class PolicyChain:
 
     @cached_property
     def graph(self) -> sp.csr_array:
-        """(S, S) positive entries where a transition is possible, however rare."""
-        if self._complete or self.probability.min() > 0:
-            return self.transition
-        # Probabilities below the range of floats have become 0, and the matrix has lost them.
-        moving = ~self.mdp.terminal[self.source]
-        entries = (self.source[moving], self.table.next[moving])
-        return sp.csr_array((np.ones(len(entries[0])), entries), self.transition.shape)
-
-    @property
-    def _complete(self) -> bool:
-        """Whether the matrix is seen to have an entry above 0 for each outcome of a pure policy."""
-        if not self.pure:
-            return False
-        offsets, live = self.mdp.table.offsets, self.pairs[~self.mdp.terminal]
-        outcomes = int((offsets[live + 1] - offsets[live]).sum())
-        chain = self.transition
-        return bool(chain.nnz == outcomes and chain.data.min(initial=1.0) > 0)
+        """(S, S) entries where a transition is possible, however rare: the matrix may lack some."""
+        moves = np.where(self.mdp.terminal, 0, self.outcomes)
+        following = self.table.next[~self.mdp.terminal[self.source]]
+        parts = np.ones(len(following)), following, np.append(0, np.cumsum(moves))
+        graph = sp.csr_array(parts, self.transition.shape)
+        graph.sum_duplicates()
+        return graph
 
     @cached_property
     def order(self) -> Integers | None:
@@ -315,10 +293,10 @@ class PolicyChain:
     # ---- equations ---------------------------------------------------------------------------
 
     def equations(self, rate: Fraction) -> Equations:
-        """Return x = c + rate · P_π x; at rate 1 the states that may not end have empty rows."""
+        """Return x = c + rate · P_π x, at rate 1 in states that end; x is 0 where all has ended."""
         live = self.ends & ~self.mdp.terminal if rate == 1 else ~self.mdp.terminal
-        matrix = self.transition if rate < 1 or self.ends.all() else rows_of(self.transition, live)
-        system = LinearSystem(matrix, float(rate), order=self.order, roundings=self.roundings)
+        inner = between(self.transition, live)
+        system = LinearSystem(inner, float(rate), order=self.order, roundings=self.roundings)
         return Equations(chain=self, rate=rate, live=live, system=system)
 
     @cached_property
@@ -446,18 +424,10 @@ def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
-    """x = c + rate · P x in some states of a chain, x = c in the others.
+    """x = c + rate · P x in some states of a chain, the `live` ones (S,); x = c = 0 in others.
 
     Where floats cannot bound x, as the chain mixes or ends too slowly, x is found in rationals.
-
-    Attributes
-    ----------
-    live : (S,)
-        The states.
-    used : (N,), optional
-        The outcomes that P counts.
-    turned : bool
-        Whether the equation is x = c + rate · Pᵀ x.
+    `used` (N,) are the outcomes that P counts, all unless given.
     """
 
     chain: PolicyChain
@@ -465,16 +435,26 @@ class Equations:
     live: Mask
     system: LinearSystem
     used: Mask | None = None
-    turned: bool = False
 
     @cached_property
     def visits(self) -> FixedPoint:
         """(S,) expected visits from the start, times rate^t at time t; arrivals at an end count."""
-        start = self.chain.mdp.start_distribution
-        turned = replace(self, system=transposed(self.system), turned=True)
-        point = turned.solve(start, UNIT * start)
-        if poor(point, self.chain.mdp):
-            point = turned.exact(start, UNIT * start)
+        chain, live, start = self.chain, self.live, self.chain.mdp.start_distribution
+        try:
+            point = transposed(self.system).solve(start, UNIT * start)
+            onward, size = rows_of(chain.transition, live).T.tocsr(), np.abs(point.value)
+            came, off = (float(self.rate) * (onward @ each) for each in (point.value, point.error))
+            terms = np.diff(onward.indptr) + chain.roundings + 4
+            off += gamma(terms) * (start + float(self.rate) * (onward @ size)) + TINY * terms
+            value = np.where(live, point.value, start + came)
+            point = FixedPoint(value=value, error=np.where(live, point.error, off * SLACK))
+            exact = poor(point, chain.mdp)
+        except SolverError as error:
+            require_few(chain.mdp, error)
+            exact = True
+        if exact:
+            (visits,) = visited(chain.rows(self.rate), live, chain.mdp.start)
+            point = rounded(visits.fractions())
         # Nothing is visited less than never: a negative rounding error is nearer to the truth as 0.
         return FixedPoint(value=np.maximum(point.value, 0.0), error=point.error)
 
@@ -491,18 +471,10 @@ class Equations:
             require_few(self.chain.mdp, error_of_floats)
             if not np.isfinite([constant, doubt]).all():
                 raise
-            return self.exact(constant, doubt)
-
-    def exact(self, constant: Floats, doubt: Floats) -> FixedPoint:
-        """Return x (S,) from rationals, for a constant that may be off by `doubt` (S,)."""
         rows = self.chain.rows(self.rate, self.used)
-        sides = [[*map(Fraction, side.tolist())] for side in (constant, doubt)]
-        if self.turned:
-            levels = visited(rows, self.live, *([*enumerate(side)] for side in sides))
-        else:
-            matrix = equations(rows, self.live)
-            levels = [solved(matrix, rows, side) for side in sides]
-        value, off = (rounded(level.fractions()) for level in levels)
+        matrix = equations(rows, self.live)
+        sides = ([*map(Fraction, side.tolist())] for side in (constant, doubt))
+        value, off = (rounded(solved(matrix, rows, side).fractions()) for side in sides)
         return FixedPoint(value=value.value, error=value.error + off.value * SLACK)
 
 
@@ -568,21 +540,11 @@ def arrives(chain: PolicyChain) -> bool:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Parted:
-    """A chain whose every run ends, comes to rest, or gains or loses for ever.
+    """A chain whose every run ends, comes to rest, or gains or loses for ever."""
 
-    Attributes
-    ----------
-    chain : PolicyChain
-        With ends wherever one of these is certain.
-    lost : {inf: (S,) bool, -inf: (S,) bool}
-        The ends that stand for an infinite return, where there are some.
-    infinite_mean : float
-        The mean return where some are infinite: inf or -inf. Where returns of +∞ and -∞ come
-        together, the mean reward of the whole decides.
-    """
-
-    chain: PolicyChain
-    lost: dict[float, Mask]
+    chain: PolicyChain  # with ends wherever one of these is certain
+    lost: dict[float, Mask]  # {inf: (S,), -inf: (S,)} the ends for an infinite return, if any
+    # The mean where some returns are infinite; of +∞ and -∞ the mean reward of the whole decides.
     infinite_mean: float = 0.0
 
     @property
@@ -633,38 +595,11 @@ def parted(chain: PolicyChain) -> Parted:
 
 def _signs(chain: PolicyChain, busy: Mask) -> Numbers:
     """Return (S,) the gains or their signs, sure in some states (S,)."""
-    own = average(chain)
-    open_ = busy & (np.abs(own.value) <= own.error)
-    return np.sign(chain.exact_gain) if open_.any() else own.value
-
-
-def average(chain: PolicyChain) -> AverageEvaluation:
-    """Return what a policy earns per step: in rationals where floats cannot bound it.
-
-    Raises SolverError where that would take too long.
-    """
-    mdp = chain.mdp.undiscounted
     try:
-        evaluation = bounded_average(mdp, chain.weights, chain.roundings, chain.policy)
-        if np.isfinite(evaluation.share.error).all() and not poor(evaluation.share, mdp):
-            return evaluation
+        own = FloatChain(chain.mdp.undiscounted, chain.weights, chain.roundings)
+        gain, _ = own.evaluated()
+        if not (busy & (np.abs(gain.value) <= gain.error)).any():
+            return gain.value
     except SolverError as error:
-        require_few(mdp, error)
-    rows = chain.rows(Fraction(1))
-    exact = ExactChain(rows)
-    (gain, bias, _), classes = expansion(exact, exact.reward), exact.classes
-    arrivals = exact.visits(mdp.start)
-    share = arrivals[classes.base[classes.own]] * exact.law
-    value, own_bias = rounded(gain), rounded(bias)
-    return AverageEvaluation(
-        mdp=mdp,
-        weights=chain.weights,
-        roundings=chain.roundings,
-        policy=chain.policy,
-        classes=classes,
-        value=value.value,
-        error=value.error,
-        bias=own_bias.value,
-        bias_error=own_bias.error,
-        exact=(rounded(share), rounded(arrivals)),
-    )
+        require_few(chain.mdp, error)
+    return np.sign(chain.exact_gain)

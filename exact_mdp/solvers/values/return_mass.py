@@ -5,8 +5,6 @@
 The states that an episode may visit fall into blocks: those of the same greatest distance from the
 start once states that lead back to each other count as one. Every transition leads to a later
 block, or back into its own. So a block is complete when its turn comes, and can be forgotten.
-
-Exact masses are integers, those of a block being over one denominator.
 """
 
 from __future__ import annotations
@@ -15,7 +13,9 @@ from collections import defaultdict
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from itertools import accumulate
 from math import lcm
+from operator import mul
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ import tqdm
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import Backward, strong_components
-from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
+from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import TINY
 from exact_mdp.solvers.endless.chain import Mask
 from exact_mdp.solvers.values.policy_chain import PolicyChain
@@ -36,16 +36,6 @@ EDGE = 1e-290  # masses below are dropped before they lose their digits, and the
 STEPS, CELLS = 10**9, 2**25  # masses times outcomes: in all, and at once
 DENSE = 8  # numbers of an array for each mass that it may hold
 MERGED = 64  # sweeps whose masses are kept apart
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Carried:
-    """Mass by multiple of the unit, its roundings, and the mass that is not in it."""
-
-    multiples: Numbers
-    masses: Floats
-    roundings: int
-    remaining: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,60 +121,25 @@ def _levels(graph: sp.csr_array) -> Integers:
     return backward.rounds(waiting == 0, every, waiting)[0][label]
 
 
-def carry_floats(flow: Flow, max_sweeps: int) -> Carried:
-    """Return the mass at the end."""
-    start = {state: float(weight) for state, weight in flow.start.items()}
-    shares = flow.chain.probability[flow.used]
-    multiples, masses, lost, roundings = _carried(flow, shares, start, max_sweeps)
-    return Carried(multiples=multiples, masses=masses, roundings=roundings, remaining=float(lost))
+Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)
 
 
-def carry_exact(flow: Flow) -> tuple[dict[int, int], int]:
-    """Return the mass at the end as integers over one denominator."""
-    if flow.cyclic.any():
+def carried(flow: Flow, *, exact: bool, max_sweeps: int) -> tuple[Numbers, Numbers, Any, int]:
+    """Return multiples and masses at the end, the mass that is not in them, and its roundings.
+
+    Masses are floats, or Fractions if they are `exact`.
+    """
+    if exact and flow.cyclic.any():
         raise ModelError(
             "states lead back to each other, so that returns have no end",
             where="policy",
             fix="leave out exact=True: all but 10^-12 of the probability is then found",
         )
-    odds, block = flow.chain.odds, flow.block[flow.source].tolist()
-    chances = [odds[number] for number in flow.used.tolist()]
-    common = [1] * int(flow.block[-1])
-    for here, chance in zip(block, chances, strict=True):
-        common[here] = lcm(common[here], chance.denominator)
-    # Mass of block b is over start · common[0] ⋯ common[b-1]: a transition that skips blocks is
-    # multiplied by every skipped denominator.
-    product = [1]
-    for factor in common:
-        product.append(product[-1] * factor)
-    ends = flow.block[flow.target].tolist()
-    shares = np.array(
-        [
-            int(chance * common[here]) * (product[there] // product[here + 1])
-            for chance, here, there in zip(chances, block, ends, strict=True)
-        ],
-        dtype=object,
-    )
-    bottom = lcm(*(weight.denominator for weight in flow.start.values()))
-    start = {
-        state: int(weight * bottom) * product[int(flow.block[state])]
-        for state, weight in flow.start.items()
-    }
-    multiples, masses, _, _ = _carried(flow, shares, start, 1)
-    return dict(zip(multiples.tolist(), masses.tolist(), strict=True)), bottom * product[-1]
-
-
-Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)
-
-
-def _carried(
-    flow: Flow, shares: Numbers, start: dict[int, Any], max_sweeps: int
-) -> tuple[Numbers, Numbers, Any, int]:
-    """Return multiples and masses at the end, the mass that is not in them, and its roundings.
-
-    `shares` (M,) are what the outcomes hand on: floats, or integers.
-    """
-    ends = flow.end + 1
+    total, ends = 1, flow.end + 1
+    shares = flow.chain.probability[flow.used]
+    start: dict[int, Any] = {state: float(weight) for state, weight in flow.start.items()}
+    if exact:
+        shares, start, total = _integers(flow)
     # Several actions may do the same: their outcomes become one.
     pair, gain, share = _summed([(flow.source * ends + flow.target, flow.gain, shares)])
     source, target = np.divmod(pair, ends)
@@ -283,7 +238,29 @@ def _carried(
     if not waiting:
         return gain[:0], share[:0], lost, roundings
     (_, multiples, masses), small = _large(_summed(waiting[last]), 0.0)
+    if exact:
+        masses = np.array([Fraction(mass, total) for mass in masses.tolist()], dtype=object)
     return multiples, masses, lost + small, roundings + int(entering[last]) + 10
+
+
+def _integers(flow: Flow) -> tuple[Numbers, dict[int, int], int]:
+    """Return shares (M,) and masses at the start as integers, and the denominator at the end.
+
+    A mass of block b is over start · common[0] ⋯ common[b-1]: the share of a transition that skips
+    blocks is multiplied by every denominator between.
+    """
+    odds, block = flow.chain.odds, flow.block.tolist()
+    chances = [odds[number] for number in flow.used.tolist()]
+    ways = list(zip(chances, flow.block[flow.source], flow.block[flow.target], strict=True))
+    common = [1] * block[-1]
+    for chance, here, _ in ways:
+        common[here] = lcm(common[here], chance.denominator)
+    product = [*accumulate(common, mul, initial=1)]
+    shares = np.empty(len(ways), dtype=object)
+    shares[:] = [int(p * common[i]) * (product[j] // product[i + 1]) for p, i, j in ways]
+    bottom = lcm(*(weight.denominator for weight in flow.start.values()))
+    start = {s: int(weight * bottom) * product[block[s]] for s, weight in flow.start.items()}
+    return shares, start, bottom * product[-1]
 
 
 def _large(moving: Mass, tolerance: float) -> tuple[Mass, Any]:

@@ -38,7 +38,7 @@ from exact_mdp.solvers.dynamic.iterate import check_counts
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
-from exact_mdp.solvers.values.return_mass import Flow, carry_exact, carry_floats
+from exact_mdp.solvers.values.return_mass import Flow, carried
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -295,42 +295,27 @@ def return_distribution(
     flow = Flow.of(chain, gain, parts.ends)
     still = np.zeros(len(gain), dtype=np.int64)
     flows = {sign: Flow.of(chain, still, ends) for sign, ends in parts.lost.items()}
-    if exact:
-        masses, total = carry_exact(flow)
-        shares = [Fraction(masses[multiple], total) for multiple in sorted(masses)]
-        return ReturnDistribution(
-            multiples=integers(sorted(masses)),
-            unit=unit,
-            probabilities=np.array([float(share) for share in shares]),
-            relative_error=UNIT,
-            remaining=0.0,
-            exact=tuple(shares),
-            unending={sign: _exact_share(each) for sign, each in flows.items()},
-            infinite_mean=parts.infinite_mean,
-        )
-    carried = carry_floats(flow, max_sweeps)
+    multiples, masses, lost, roundings = carried(flow, exact=exact, max_sweeps=max_sweeps)
+    shares = tuple(masses) if exact else None
     return ReturnDistribution(
-        multiples=carried.multiples,
+        multiples=multiples,
         unit=unit,
-        probabilities=carried.masses,
-        relative_error=float(gamma(carried.roundings)) * SLACK,
-        remaining=carried.remaining * SLACK,
-        unending={sign: _share(each, max_sweeps) for sign, each in flows.items()},
+        probabilities=masses if shares is None else np.array([float(share) for share in shares]),
+        relative_error=UNIT if exact else float(gamma(roundings)) * SLACK,
+        remaining=float(lost) * SLACK,
+        exact=shares,
+        unending={sign: _share(each, exact, max_sweeps) for sign, each in flows.items()},
         infinite_mean=parts.infinite_mean,
     )
 
 
-def _exact_share(flow: Flow) -> Certified:
+def _share(flow: Flow, exact: bool, max_sweeps: int) -> Bounded | Certified:
     """Return the probability of the ends of a flow."""
-    masses, total = carry_exact(flow)
-    return Certified(value=Fraction(sum(masses.values()), total))
-
-
-def _share(flow: Flow, max_sweeps: int) -> Bounded:
-    """Return the probability of the ends of a flow, from sweeps."""
-    carried = carry_floats(flow, max_sweeps)
-    value = float(carried.masses.sum())
-    error = (float(gamma(carried.roundings)) * value + carried.remaining) * SLACK + NEGLIGIBLE
+    _, masses, lost, roundings = carried(flow, exact=exact, max_sweeps=max_sweeps)
+    if exact:
+        return Certified(value=sum(masses, Fraction(0)))
+    value = float(masses.sum())
+    error = (float(gamma(roundings)) * value + float(lost)) * SLACK + NEGLIGIBLE
     return Bounded(value=value, error=error)
 
 

@@ -227,7 +227,10 @@ def simulate(
     parts = parted(PolicyChain.of(given, policy, kind=kind))
     chain, mdp = parts.chain, parts.chain.mdp
     limit, size = _longest(chain, horizon if max_steps is None else max_steps)
-    first, cumulative = _cumulative(chain)
+    # What is added up over all states loses as many digits as their number has, which no sample can
+    # tell: the chances of a state end where those of the next one begin.
+    above, last = np.cumsum(chain.probability), np.cumsum(chain.outcomes) - 1
+    below = np.append(0.0, above[last])
     following, gain, event = chain.table.next, chain.gain, chain.table.event
     state = _starts(mdp, n, generator)
     returns, steps = np.zeros(n), np.zeros(n, dtype=np.int64)
@@ -235,7 +238,9 @@ def simulate(
     running, factor, step = np.flatnonzero(~mdp.terminal[state]), 1.0, 0
     with tqdm.tqdm(desc="simulating", unit="step", delay=2, disable=None) as bar:
         while len(running) and step < limit:
-            outcome = _drawn(first, cumulative, state[running], generator)
+            here = state[running]
+            drawn = below[here] + generator.random(len(here)) * (below[here + 1] - below[here])
+            outcome = np.minimum(np.searchsorted(above, drawn, side="right"), last[here])
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
                 returns[running] += factor * gain[outcome]
             steps[running] += 1
@@ -285,38 +290,6 @@ def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
     # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
     missing = float(1 - mdp.discount_exact)
     return (1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))), size
-
-
-def _cumulative(chain: PolicyChain) -> tuple[Integers, Floats]:
-    """Return the first outcome of each state (S+1,), and cumulative probabilities (N,) in it."""
-    first = np.concatenate([[0], np.cumsum(chain.outcomes)])
-    begin = first[chain.source]
-    total = chain.probability.copy()
-    place = np.arange(len(total))
-    # Adding up within rows only, by doubling steps, so that no digits go to other states' sums.
-    reach = 1
-    while reach < int(chain.outcomes.max()):
-        inside = np.flatnonzero(place - reach >= begin)
-        total[inside] += total[inside - reach]
-        reach *= 2
-    whole = total[first[1:] - 1]
-    return first, total / np.repeat(whole, chain.outcomes)
-
-
-def _drawn(
-    first: Integers, cumulative: Floats, state: Integers, generator: np.random.Generator
-) -> Integers:
-    """Return an outcome for each of (R,) states: the first of more cumulative probability."""
-    share = generator.random(len(state))
-    low, high = first[state], first[state + 1] - 1
-    while True:
-        middle = (low + high) // 2
-        open_ = low < high
-        if not open_.any():
-            return low
-        above = share < cumulative[middle]
-        high = np.where(open_ & above, middle, high)
-        low = np.where(open_ & ~above, middle + 1, low)
 
 
 def _starts(mdp: MDP, episodes: int, generator: np.random.Generator) -> NDArray[np.int64]:

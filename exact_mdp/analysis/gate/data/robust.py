@@ -42,9 +42,8 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import by_time
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.bounds.gains import SLACK, UNIT, first_of
 from exact_mdp.solvers.bounds.linear import LinearSystem
-from exact_mdp.solvers.exact.find import first_of
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 

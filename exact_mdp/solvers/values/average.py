@@ -1,0 +1,146 @@
+"""What a policy earns per step in the long run, in floats or, where these cannot bound it, exactly.
+
+The gain is the same from all states of a recurrent class, the bias what a start is worth beyond it
+(`solvers.endless.chain`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.policy import ReadAs
+from exact_mdp.mdp.report import Report, Shown, Table
+from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.table import Floats
+from exact_mdp.solvers.bounds.gains import SLACK, gamma
+from exact_mdp.solvers.bounds.linear import FixedPoint
+from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, expansion
+from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Valued
+from exact_mdp.solvers.values.policy_chain import PolicyChain, poor, require_few, rounded
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+LISTED = 1000  # states in a report
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AverageEvaluation(Valued, Result):
+    """What a policy earns per step in the long run, and what a start is worth beyond it."""
+
+    chain: PolicyChain  # at discount 1
+    classes: Classes
+    value: Floats  # (S,) the gain
+    error: Floats
+    bias: Floats  # (S,)
+    bias_error: Floats
+    share: FixedPoint  # (S,) of time spent in each state in the long run, from the start
+    arrivals: FixedPoint  # (S,) expected visits from the start until a base of the classes
+
+    claim: ClassVar[Claim] = Claim.BOUNDED
+
+    def __post_init__(self) -> None:
+        for array in (self.value, self.error, self.bias, self.bias_error):
+            array.setflags(write=False)
+
+    @property
+    def mdp(self) -> MDP:
+        """The model, at discount 1."""
+        return self.chain.mdp
+
+    @property
+    def read_as(self) -> ReadAs:
+        """What an array was taken for: "q" or "policy"."""
+        return self.chain.read_as
+
+    @property
+    def mean(self) -> float:
+        """The gain from the start."""
+        return self.start.value
+
+    @property
+    def visits(self) -> Floats:
+        """(S,) the share of time; in transient states the expected visits from the start."""
+        recurrent = self.classes.recurrent
+        return np.where(recurrent, self.share.value, np.maximum(self.arrivals.value, 0.0))
+
+    @cached_property
+    def components(self) -> dict[str, Bounded]:
+        """What each reward component adds to the gain from the start."""
+        share, mdp, weights = self.share, self.mdp, self.chain.weights
+        used, doubt = (x[mdp.pair_state] * weights for x in (share.value, share.error))
+        rounding = float(gamma(mdp.n_pairs + self.chain.roundings + 6))
+        size = np.abs(mdp.components)
+        error = (doubt @ size + rounding * (used @ size)) * SLACK
+        each = zip(mdp.component_names, used @ mdp.components, error, strict=True)
+        return {name: Bounded(value=float(x), error=float(off)) for name, x, off in each}
+
+    def report(self) -> Report:
+        """Return gain and components, and gain, bias and share of time of each state."""
+        frame, parts = self.frame(), self.components
+        few = self.mdp.n_states <= LISTED
+        facts = {
+            "claim": Shown(self.claim),
+            "mean": Shown(self.mean, self.start),
+            "error_bound": Shown(self.start.error),
+            "recurrent_classes": len(self.classes.base),
+            "components": Shown({name: each.value for name, each in parts.items()}, parts),
+            "by_state": Shown(frame.set_index("state").to_dict("index") if few else None),
+        }
+        columns = {name: name for name in ("state", "gain", "bias", "share")}
+        table = Table(title="gain, bias and share of time", rows=frame, columns=columns)
+        return Report(title="average reward", facts=facts, tables={"states": table})
+
+    def frame(self) -> DataFrame:
+        """Return gain, bias and share of time of each state, with their error bounds."""
+        import pandas
+
+        columns = {
+            "state": self.mdp.space.labels(range(len(self.value))),
+            "gain": self.value,
+            "gain error": self.error,
+            "bias": self.bias,
+            "bias error": self.bias_error,
+            "share": self.share.value,
+            "share error": self.share.error,
+        }
+        return pandas.DataFrame(columns)
+
+    def __repr__(self) -> str:
+        return f"AverageEvaluation(gain at the start {self.start})"
+
+
+def average(chain: PolicyChain) -> AverageEvaluation:
+    """Return what a policy earns per step: in rationals where floats cannot bound it.
+
+    Raises SolverError where that would take too long.
+    """
+    mdp = chain.mdp.undiscounted
+    chain = replace(chain, mdp=mdp)
+    own: FloatChain | ExactChain = FloatChain(mdp, chain.weights, chain.roundings)
+    try:
+        gain, bias, share, arrivals = *own.evaluated(), *own.shares()
+        exact = poor(share, mdp) or not np.isfinite(share.error).all()
+    except SolverError as error:
+        require_few(mdp, error)
+        exact = True
+    if exact:
+        own = ExactChain(chain.rows(Fraction(1)))
+        levels = expansion(own, own.reward)[:2]
+        gain, bias, share, arrivals = map(rounded, (*levels, *own.shares(mdp.start)))
+    return AverageEvaluation(
+        chain=chain,
+        classes=own.classes,
+        value=gain.value,
+        error=gain.error,
+        bias=bias.value,
+        bias_error=bias.error,
+        share=share,
+        arrivals=arrivals,
+    )
