@@ -24,6 +24,7 @@ import numpy as np
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.solvers.bounds.gains import (
+    POLICIES,
     SLACK,
     TINY,
     gamma,
@@ -33,7 +34,6 @@ from exact_mdp.solvers.bounds.gains import (
 )
 
 MOST = 2**16  # numbers of the rows of one model: beyond it, sparse solvers are as fast
-IMPROVEMENTS = 100
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +106,7 @@ class Batch:
         """Return values (D, S) and pairs (D, S), that no pair improves by more than rounding."""
         draw, pairs = np.arange(len(self.rows))[:, None], np.tile(self.first, (len(self.rows), 1))
         number = np.arange(len(self.state))
-        for _ in range(IMPROVEMENTS):
+        for _ in range(POLICIES):
             try:
                 value = self.solved(self.rows[draw, pairs], reward[draw, pairs])
             except np.linalg.LinAlgError:

@@ -119,7 +119,7 @@ def _curve(
     """Return a curve with the policies `which` of `table`, acting at random by `chance`."""
     n = counted(n, "n", 2)
     returns = np.zeros((len(which), n))
-    from exact_mdp.solvers import kernels
+    from exact_mdp.solvers.kernels import learning as kernels
 
     cut_short = kernels.rollouts(
         tables(model, rows_of(model, columns)),

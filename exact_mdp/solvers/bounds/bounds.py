@@ -33,6 +33,7 @@ from exact_mdp.mdp.model import MDP, once
 from exact_mdp.mdp.table import COMPILED, Floats, Integers, spans
 from exact_mdp.solvers.bounds.gains import (
     FEW,
+    POLICIES,
     SLACK,
     TINY,
     UNIT,
@@ -44,8 +45,6 @@ from exact_mdp.solvers.bounds.gains import (
 )
 from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain
 from exact_mdp.solvers.solution import SolverError, Status
-
-WEIGHT_ITERATIONS = 1000  # policies; a few dozen are the most that models have been seen to take
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,7 +185,7 @@ def _expected_steps(mdp: MDP) -> Floats:
     """Return about the greatest expected number of steps to the end, by policy iteration."""
     live = np.where(mdp.terminal, 0.0, 1.0)
     pairs = mdp.pair_offsets[:-1].copy()
-    for _ in range(WEIGHT_ITERATIONS):
+    for _ in range(POLICIES):
         chain, _ = policy_chain(mdp, pairs)
         steps = live * LinearSystem(chain).approximate(live)
         gain = gains(mdp, steps, reward=live[mdp.pair_state])

@@ -28,6 +28,9 @@ from exact_mdp.solvers.solution import SolverError, Status
 
 UNIT = 2.0**-53  # half of the distance from 1 to the next float
 TINY = 2.0**-1000  # above what underflow takes from a product, 2⁻¹⁰⁷⁵, whatever factor follows
+POLICIES = (
+    1000  # tried by an improvement in floats: a few dozen are the most that models have taken
+)
 SLACK = 1 + 2.0**-20  # above what a bound, a sum of under 2³⁰ terms that are not negative, can lose
 
 

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.gains import SLACK, first_of, gains, greedy
+from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, first_of, gains, greedy
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
 from exact_mdp.solvers.dynamic.linear_program import AGREEMENT, LinearProgram, optimised
@@ -48,7 +48,6 @@ from exact_mdp.solvers.solution import (
     warn_of_precision,
 )
 
-MOST = 1000  # policies
 NEARNESS = Fraction(1, 2**12)  # 1 - γ of the policy to begin with
 
 
@@ -163,7 +162,7 @@ class Improved(NamedTuple):
     status: Status = Status.DIRECT
 
 
-def improved(step: MDP, pairs: Integers | None = None, most: int = MOST) -> Improved:
+def improved(step: MDP, pairs: Integers | None = None, most: int = POLICIES) -> Improved:
     """Return a policy that is optimal up to rounding, from `pairs` (S,) or from a patient policy.
 
     `step` is a model at discount 1 with rows that sum to 1.

@@ -19,12 +19,11 @@ from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, integers, ones
-from exact_mdp.solvers.bounds.gains import gains, greedy
+from exact_mdp.solvers.bounds.gains import POLICIES, gains, greedy
 from exact_mdp.solvers.dynamic.iterate import evaluated
 from exact_mdp.solvers.endless.graph import Graph, Mask
 from exact_mdp.solvers.solution import SolverError, Status
 
-LIMIT = 1000  # policies
 CLEAR = 16  # times what rounding may make of nothing
 COARSER = 16  # between one limit of a clear loss and the next
 
@@ -48,7 +47,7 @@ class Derived:
         graph, pairs = Graph.of(mdp), mdp.pair_offsets[:-1].copy()
         every = np.ones(mdp.n_pairs, dtype=bool)
         toward(graph, graph.distance(mdp.terminal, every), every, pairs)
-        for _ in range(LIMIT):
+        for _ in range(POLICIES):
             gain = gains(mdp, evaluated(mdp, pairs))
             before, pairs = pairs, greedy(mdp, gain, keep=pairs)
             if (pairs == before).all():

@@ -29,7 +29,7 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, row_sums, spans
-from exact_mdp.solvers.bounds.gains import first_of
+from exact_mdp.solvers.bounds.gains import POLICIES, first_of
 from exact_mdp.solvers.endless.average import improved
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import expansion as laurent
@@ -39,7 +39,6 @@ from exact_mdp.solvers.exact.levels import Level, Step, fraction, gains, signs_o
 from exact_mdp.solvers.exact.linear import evaluated
 from exact_mdp.solvers.solution import SolverError
 
-LIMIT = 200  # policies that floats try
 NOISE = 2.0**-40  # of the numbers added up: what floats take for no gain
 
 
@@ -284,7 +283,7 @@ def nearly(rows: BellmanRows, first: Integers) -> Integers:
         return first
     moves = sp.csr_array((share, rows.next, rows.offsets), shape=(len(state), len(live)))
     one, pairs = sp.eye_array(len(live), format="csc"), first
-    for _ in range(LIMIT):
+    for _ in range(POLICIES):
         try:
             value = splu(sp.csc_array(one - moves[pairs])).solve(earned[pairs])
         except RuntimeError:  # singular, up to rounding

@@ -215,7 +215,7 @@ class Trainer:
         snapshots = np.zeros((own.epochs if own.snapshot_episode else 0, rows), dtype=np.int32)
         last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int32)
         returns = np.zeros(own.epochs)
-        from exact_mdp.solvers import kernels
+        from exact_mdp.solvers.kernels import learning as kernels
 
         steps, cut_short = kernels.learn(
             self.tables,

@@ -22,7 +22,7 @@ from exact_mdp.mdp.table import Integers, Numbers
 from exact_mdp.mdp.validate import RNG, seed_of
 
 if TYPE_CHECKING:
-    from exact_mdp.solvers.kernels import Tables
+    from exact_mdp.solvers.kernels.learning import Tables
 
 
 Seed: TypeAlias = RNG | SeedSequence
@@ -78,7 +78,7 @@ def tables(mdp: MDP, rows: Rows) -> Tables:
     cut = np.empty(len(table.next))
     alias, small, large = np.empty((3, len(table.next)), dtype=np.int64)
     offsets = np.ascontiguousarray(table.offsets, dtype=np.int64)
-    from exact_mdp.solvers import kernels
+    from exact_mdp.solvers.kernels import learning as kernels
 
     kernels.alias_tables(offsets, table.probabilities(), cut, alias, small, large)
     sides = np.stack([np.arange(len(alias)), alias], axis=1).reshape(-1)

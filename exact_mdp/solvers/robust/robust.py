@@ -17,6 +17,7 @@ margin proves that episodes end under every policy and every choice of nature.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Literal
@@ -31,7 +32,7 @@ from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.result import Result
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import levels
-from exact_mdp.solvers.bounds.gains import SLACK, UNIT
+from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, UNIT
 from exact_mdp.solvers.bounds.linear import LinearSystem
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, check_counts, check_tolerance
 from exact_mdp.solvers.robust.sets import Ambiguity, Inner, blocks_of, entries, inner
@@ -39,7 +40,6 @@ from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_preci
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 Nature = Literal["worst", "best"]
-DELAYS = 200  # policies and laws tried for the greatest number of steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -150,6 +150,7 @@ class Game:
         """Nature is `against` high values of rows, or for them; `weights` (L,) fix a policy."""
         self.mdp, self.ambiguity, self.against, self.weights = mdp, ambiguity, against, weights
         self.most = mdp.sense == "max"  # whether the agent takes the best pair, not the least
+        self.rewards = True  # whether they count
         self.live = np.flatnonzero(~mdp.terminal)
         taken = ~mdp.terminal[mdp.pair_state]
         self.pairs = np.flatnonzero(taken if weights is None else taken & (weights > 0))
@@ -158,27 +159,23 @@ class Game:
         self.row_state = np.searchsorted(self.live, state)  # (U,)
         self.blocks = blocks_of(mdp, self.pairs)
 
-    def ask(self, value: Floats, *, delay: bool = False) -> Inner:
-        """Return what nature makes of each of `pairs`, at values (S,).
-
-        With `delay` both sides are after steps: nature makes rows as valuable as it can, without
-        their rewards.
-        """
+    def ask(self, value: Floats) -> Inner:
+        """Return what nature makes of each of `pairs`, at values (S,)."""
         return inner(
             self.ambiguity,
             self.blocks,
             value,
             discount=self.mdp.discount,
-            against=self.against and not delay,
-            rewards=not delay,
+            against=self.against,
+            rewards=self.rewards,
         )
 
-    def choice(self, q: Floats, *, delay: bool = False) -> Floats:
+    def choice(self, q: Floats) -> Floats:
         """Return (U,) the agent's share of each pair, given their values (U,)."""
         if self.weights is not None:
             share = self.weights[self.pairs]
             return np.asarray(share / np.add.reduceat(share, self.first)[self.row_state])
-        best = (np.maximum if self.most or delay else np.minimum).reduceat(q, self.first)
+        best = (np.maximum if self.most else np.minimum).reduceat(q, self.first)
         number = np.where(q == best[self.row_state], np.arange(len(q)), len(q))
         share = np.zeros(len(q))
         share[np.minimum.reduceat(number, self.first)] = 1.0
@@ -188,9 +185,9 @@ class Game:
         """Return (T,) the mean of pair values (U,)."""
         return np.asarray(np.add.reduceat(share * q, self.first))
 
-    def agent(self, q: Floats, *, delay: bool = False) -> Floats:
+    def agent(self, q: Floats) -> Floats:
         """Return (T,) what the agent makes of pair values (U,)."""
-        return self.mean(self.choice(q, delay=delay), q)
+        return self.mean(self.choice(q), q)
 
     def chain(self, laws: list[Floats], share: Floats) -> tuple[sp.csr_array, Floats]:
         """Return transitions (S, S) and expected rewards (S,) under laws and shares (U,)."""
@@ -206,15 +203,17 @@ def margins(game: Game) -> tuple[Floats, Floats]:
     """Return weights (S,), and verified margins (T,) of the states that are not terminal.
 
     Weights are levels where the model is acyclic, else 1 where γ < 1, else the greatest expected
-    number of steps, nature siding with delay.
+    number of steps.
     """
+    late = copy(game)  # both sides are after steps
+    late.against, late.most, late.rewards = False, True, False
     if (order := levels(game.mdp)) is not None:
         weight = order.astype(np.float64)
     elif game.mdp.discount < 1:
         weight = (~game.mdp.terminal).astype(np.float64)
     else:
-        weight = _longest(game)
-    later = np.maximum.reduceat(game.ask(weight, delay=True).high, game.first)
+        weight = _longest(late)
+    later = np.maximum.reduceat(late.ask(weight).high, game.first)
     margin = np.asarray((weight[game.live] - later) * (1 - 4 * UNIT))
     if not np.all(margin > 0):
         raise SolverError(Status.NO_BOUND, "no margin against the worst laws can be verified")
@@ -225,13 +224,13 @@ def _longest(game: Game) -> Floats:
     """Return about the greatest expected number of steps, by policy iteration on both choices."""
     mdp, live = game.mdp, ~game.mdp.terminal
     weight = live.astype(np.float64)
-    for iteration in range(DELAYS):
-        asked = game.ask(weight, delay=True)
-        gain = 1 + game.agent(asked.value, delay=True) - weight[game.live]
+    for iteration in range(POLICIES):
+        asked = game.ask(weight)
+        gain = 1 + game.agent(asked.value) - weight[game.live]
         # What adds less than half a step leaves a margin of over a half.
         if iteration and gain.max() < 0.5:
             return weight
-        chain, _ = game.chain(asked.laws, game.choice(asked.value, delay=True))
+        chain, _ = game.chain(asked.laws, game.choice(asked.value))
         stuck = np.flatnonzero(~closure(chain.T.tocsr(), mdp.terminal.copy()))
         if len(stuck):
             named = ", ".join(f"({label})" for label in mdp.space.labels(stuck[:4]))

@@ -123,20 +123,21 @@ def average(chain: PolicyChain) -> AverageEvaluation:
     """
     mdp = chain.mdp.undiscounted
     chain = replace(chain, mdp=mdp)
-    own: FloatChain | ExactChain = FloatChain(mdp, chain.weights, chain.roundings)
+    floats = FloatChain(mdp, chain.weights, chain.roundings)
+    classes = floats.classes
     try:
-        gain, bias, share, arrivals = *own.evaluated(), *own.shares()
+        (gain, bias), (share, arrivals) = floats.evaluated(), floats.shares()
         exact = poor(share, mdp) or not np.isfinite(share.error).all()
     except SolverError as error:
         require_few(mdp, error)
         exact = True
     if exact:
         own = ExactChain(chain.rows(Fraction(1)))
-        levels = expansion(own, own.reward)[:2]
+        classes, levels = own.classes, expansion(own, own.reward)[:2]
         gain, bias, share, arrivals = map(rounded, (*levels, *own.shares(mdp.start)))
     return AverageEvaluation(
         chain=chain,
-        classes=own.classes,
+        classes=classes,
         value=gain.value,
         error=gain.error,
         bias=bias.value,

@@ -25,7 +25,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf, isfinite, nan, sqrt
 from typing import TYPE_CHECKING, ClassVar, Literal, overload
 
@@ -414,9 +414,12 @@ class Evaluation(Valued, Pictured):
         if bits is None:
             return {}
         return {
-            name: _known(lambda k=k: at_start(self.mdp, _ever(self.chain, bits >> k & 1 == 1)))
+            name: _known(partial(self._event, np.asarray(bits >> k & 1 == 1)))
             for k, name in enumerate(self.mdp.events)
         }
+
+    def _event(self, happens: Mask) -> Bounded:
+        return at_start(self.mdp, _ever(self.chain, happens))
 
 
 def _pair_visits(chain: PolicyChain, visits: FixedPoint) -> Floats:

@@ -264,8 +264,8 @@ def simulate(
         returns[lost[state]] = sign
     stopped = 0
     if horizon is not None:
-        last = mdp.n_states - unstopped.n_states  # the first state of the time when all is over
-        stopped = int((~unstopped.terminal[state[state >= last] - last]).sum())
+        over = mdp.n_states - unstopped.n_states  # the first state of the time when all is over
+        stopped = int((~unstopped.terminal[state[state >= over] - over]).sum())
     missing = float(1 - mdp.discount_exact)
     rest = (size * factor / missing * SLACK + TINY) if len(running) and size else 0.0
     return Simulation(
