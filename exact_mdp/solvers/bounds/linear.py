@@ -349,6 +349,8 @@ def transposed(system: LinearSystem) -> LinearSystem:
 
 def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
     """Return a matrix with the rows that are not `chosen` emptied."""
+    if chosen.all():
+        return matrix
     entries = np.repeat(chosen, np.diff(matrix.indptr))
     lengths = np.where(chosen, np.diff(matrix.indptr), 0)
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)
@@ -357,6 +359,8 @@ def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
 
 def between(matrix: sp.csr_array, states: NDArray[np.bool_]) -> sp.csr_array:
     """Return a matrix with the entries between some states alone."""
+    if states.all():
+        return matrix
     inner = rows_of(matrix, states)
     inner.data[~states[inner.indices]] = 0.0
     inner.eliminate_zeros()  # else the band would be as wide as a state can be from an end
@@ -366,6 +370,4 @@ def between(matrix: sp.csr_array, states: NDArray[np.bool_]) -> sp.csr_array:
 def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
     """Return the (S, S) transitions between states that are not terminal, and rewards (S,)."""
     chain, reward, live = mdp.transition[pairs], mdp.reward[pairs], ~mdp.terminal
-    if live.all():
-        return chain, reward
-    return between(chain, live), np.where(live, reward, 0.0)
+    return between(chain, live), reward if live.all() else np.where(live, reward, 0.0)

@@ -209,7 +209,9 @@ class PolicyChain:
 
     @cached_property
     def graph(self) -> sp.csr_array:
-        """(S, S) entries where a transition is possible, however rare: the matrix may lack some."""
+        """(S, S) entries where a transition is possible, however rare."""
+        if self.probability.min() > 0:  # else the matrix lacks what is below the range of floats
+            return self.transition
         moves = np.where(self.mdp.terminal, 0, self.outcomes)
         following = self.table.next[~self.mdp.terminal[self.source]]
         parts = np.ones(len(following)), following, np.append(0, np.cumsum(moves))
