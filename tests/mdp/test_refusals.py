@@ -169,7 +169,6 @@ CHANGES: list[dict[str, Any]] = [
     {"pair_state": np.arange(5) // 2},
 ]  # fmt: skip
 CALLS: list[Any] = [
-    (lambda: MDP.from_arrays(P, R, colour="red"), "no option colour="),
     (lambda: MDP.from_arrays(P, R, states=["a", "b", "c", "d"]), "without action"),
     (lambda: MDP.from_arrays(P, R, states=["a", "b"]), "2 state labels"),
     (lambda: MDP.from_arrays(P, R, actions=["a"]), "action"),
@@ -177,7 +176,6 @@ CALLS: list[Any] = [
     (lambda: MDP.from_arrays(THIRDS, [0] * 3, layout="sas"), "have shape (2, 3, 3)"),
     *((lambda P=P: MDP.from_arrays(P, [1], layout="ass"), "are not 'ass'")
       for P in ([(0, 0, 0, 1)], {0: {0: {0: 1}}}, {(0, 0): {0: 1}})),
-    (lambda: MDP.from_outcomes(ENDS).component("rewrad"), "unknown component 'rewrad'"),
     (lambda: MDP.from_outcomes(ENDS, components=np.ones((2, 2))), "for 0 names"),
     (lambda: MDP.from_arrays(P, R).action("sty"), "unknown action 'sty'"),
     (lambda: solve(MDP.from_arrays(P, R, "1/2"), "value-iteration",
@@ -191,7 +189,6 @@ CALLS: list[Any] = [
     (lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], labels={"x": lambda s: ""}),
      "returns '', not True or"),
     (lambda: MDP.from_arrays(P, R).save("model.txt"), "cannot write a model as"),
-    (lambda: MDP.load("m.npz", discuont=0.9), "no option discuont=", "", "did you mean discount?"),
 ]  # fmt: skip
 PAIRS: list[Any] = [  # states, actions, rows, rewards, words
     ([0, 0, 1], [1, 1, 0], [[1, 0], [1, 0], [0, 1]], [0, 0, 0], "appears twice"),

@@ -153,9 +153,7 @@ BAD: dict[str, list[tuple[Any, ...]]] = {
 @pytest.mark.parametrize("what", BAD)
 def test_a_bad_row_is_named(what: str, tmp_path: Path) -> None:
     last = len(BAD[what]) - 1
-    with pytest.raises(ModelError, match=what) as error:
-        MDP.from_transitions(table(BAD[what]))
-    assert error.value.where == f"transitions, row {last}"
+    refused(lambda: MDP.from_transitions(table(BAD[what])), what, f"transitions, row {last}")
     table(BAD[what]).to_csv(tmp_path / "log.csv", index=False)
     done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz")
     assert done.status == 2
@@ -168,10 +166,8 @@ def test_blank_lines_count_among_the_lines(blank: str, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     rows = f'{",".join(NAMES)}\n1,"a",x,0,b\n{blank}1,b,"x\ny",0,c\n{blank}1,d,x,0,e\n'
     path.write_bytes(rows.encode())
-    with pytest.raises(ModelError, match="a gap in an episode") as caught:
-        MDP.from_transitions(path)
     line = rows[: rows.index("1,d")].count("\n") + 1
-    assert caught.value.where == f"{path}, line {line}"
+    refused(lambda: MDP.from_transitions(path), "a gap in an episode", f"{path}, line {line}")
 
 
 def test_truth_values_are_no_numbers() -> None:
