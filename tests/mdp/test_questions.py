@@ -169,12 +169,7 @@ BAD: list[Any] = [
     (lambda: LABELLED.reaching("goal").within(2).until("no"), "a question already"),
     (lambda: LABELLED.with_(start=2).reaching("goal", "start"), "start, state 2, is not among"),
     (lambda: LABELLED.until("goal", "rewrad"), "no reward component", "", "reward"),
-    (
-        lambda: LABELLED.with_(labels={"goal": [0, 1, 1]}),
-        "for 3 states",
-        "label goal",
-        "one truth value",
-    ),
+    (lambda: LABELLED.with_(labels={"goal": [0, 1, 1]}), "", "label goal", "one truth value"),
     (lambda: LABELLED.with_(goal=[True, False, False]), "goes on", "", "use until"),
     (lambda: LABELLED.with_(unreached=0.0), "misses the goal is worth 0"),
 ]
