@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import laws, negated, outcomes_of
-from refusals import refused
+from refusal_tables import refused
 from strategies import Rows, models, outcome_rows
 
 from exact_mdp import (

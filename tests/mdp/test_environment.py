@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import MDP, MDPEnv, Scenario, evaluate
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from archives import read_by_umbi
 from cli_runner import run
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import (
     MDP,

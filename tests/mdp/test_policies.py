@@ -18,7 +18,7 @@ import pytest
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusals import refused
+from refusal_tables import refused
 from strategies import Rows, models
 
 from exact_mdp import (

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import negated
 from oracle import best_within, each_choice, hitting, rows_of, until
-from refusals import refused
+from refusal_tables import refused
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, Policy, Scenario, certify, evaluate, solve

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.sparse as sp
-from refusals import refused
+from refusal_tables import refused
 
 import exact_mdp
 from exact_mdp import (

@@ -10,7 +10,7 @@ from typing import Any
 
 import umbi
 import umbi.datatypes
-from refusals import refused
+from refusal_tables import refused
 from umbi.binary import SizedType
 from umbi.umb.umb_to_tar import UmbDecoder
 

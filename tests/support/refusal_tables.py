@@ -1,7 +1,12 @@
-"""Tables of refusals in text: a call, or a command, and what is said of it."""
+"""What is refused, and tables of it in text: a call, or a command, and what is said of it."""
 
 import re
+from collections.abc import Callable
 from itertools import product
+
+import pytest
+
+from exact_mdp import ModelError
 
 
 def entries(table: str) -> list[tuple[str, str]]:
@@ -17,3 +22,14 @@ def entries(table: str) -> list[tuple[str, str]]:
         for words in product(*choices):
             rows.append(("".join(words), said.replace("*", words[1]) if words[1:] else said))
     return rows
+
+
+def refused(call: Callable[[], object], *said: str) -> ModelError:
+    """Assert that a call is refused, in these words of what, where and fix; return the error."""
+    with pytest.raises(ModelError) as caught:
+        call()
+    error = caught.value
+    for words, text in zip(said, (error.what, error.where, error.fix), strict=False):
+        assert words in text
+    assert error.fix
+    return error

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from own_scenarios import check_own, own_text, scenario_of
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import MDP, READINGS, ModelError, Scenario, evaluate, solve, study
 from exact_mdp.mdp.care import compile as blocks

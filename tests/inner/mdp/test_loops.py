@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_contents import laws
 from oracle import every_policy_ends
-from refusals import refused
+from refusal_tables import refused
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, ModelError, Scenario

@@ -13,7 +13,7 @@ from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from own_scenarios import PACKAGE, SHIPPED, own_text, scenario_of
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import ModelError, Scenario
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from care_oracle import Oracle
 from cli_runner import run
-from refusals import refused
+from refusal_tables import refused
 from scipy.stats import beta, dirichlet
 
 from exact_mdp import (

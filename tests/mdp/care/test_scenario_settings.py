@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 from own_scenarios import check_own, own_text, scenario_of
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import Scenario
 

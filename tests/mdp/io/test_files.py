@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from archives import array_header, unzipped, zipped
 from cli_runner import run
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import (
     MDP,

@@ -11,7 +11,7 @@ import pytest
 from cli_runner import run
 from hypothesis import given
 from hypothesis import strategies as st
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import MDP, Policy, ShapeError, certify, evaluate, load, solve
 

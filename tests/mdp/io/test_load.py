@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cli_runner import run
 from model_contents import assert_same
-from refusals import refused
+from refusal_tables import refused
 
 import exact_mdp
 from exact_mdp import MDP, ModelError, Scenario, load, save

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from care_oracle import Oracle
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import MDP, Scenario, certify, load, save
 

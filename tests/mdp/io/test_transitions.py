@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from model_contents import negated
 from pyarrow import parquet
-from refusals import refused
+from refusal_tables import refused
 
 from exact_mdp import MDP, ModelError, certify, fingerprint, load, save
 
