@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from cell_texts import texts
+from cell_texts import legend_of, texts, texts_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import grid
@@ -27,7 +27,7 @@ CARE = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
 def labels(ax: Axes) -> tuple[list[str], list[str]]:
     """Return the names of the rows and of the columns."""
     down, across = ax.get_yticklabels(), ax.get_xticklabels()
-    return [text.get_text() for text in down], [text.get_text() for text in across]
+    return texts_of(down), texts_of(across)
 
 
 def numbered(mdp: MDP, **place: object) -> dict[int, tuple[int, int]]:
@@ -181,11 +181,11 @@ def test_a_listed_state_is_named_apart_from_its_actions() -> None:
     moves = [(s, a, [(1, 3, a)]) for s in range(3) for a in (0, 1)] + [(3, 0, [(1, 3, 0)])]
     audit = check(MDP.from_outcomes(moves, discount="1/2"), [0, 1, 0, 0])  # begins in state 0
     ax = audit.plot()
-    shown = [text.get_text() for text in ax.texts]
+    shown = texts_of(ax.texts)
     assert shown == ["✗ 0\n1", "0", "1", "1", "✗ 0\n1", "2", "∎", "3"]
     begins, idle, wrong = (ax.texts[2 * state].get_color() for state in range(3))
     assert begins == wrong != idle
-    words = " ".join(text.get_text() for text in ax.get_legend().get_texts())
+    words = " ".join(legend_of(ax))
     assert "∎ an episode ends" in words
     assert "grey sign: not wrong" in words
 

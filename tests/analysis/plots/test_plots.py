@@ -6,6 +6,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from cell_texts import legend_of, texts_of
 from matplotlib.figure import Figure
 
 from exact_mdp import (
@@ -53,7 +54,7 @@ def test_a_fill_says_where_the_value_goes(model: MDP | Scenario) -> None:
     """It is the derivative's sign, where the value or the parameter is negative, too."""
     slopes, low = gradient(model, exact=False), "lowers the value"
     ax = slopes.plot(most=60)
-    names = [label.get_text() for label in ax.get_yticklabels()]
+    names = texts_of(ax.get_yticklabels())
     legend = ax.get_legend()
     looks = {t.get_text(): p for t, p in zip(legend.get_texts(), legend.get_patches(), strict=True)}
     for name, bar in zip(names, ax.patches, strict=True):
@@ -137,7 +138,7 @@ def test_the_acceptability_curve_is_the_distribution_of_the_regret(draws: Any) -
 def test_the_heat_map_shows_shares_of_draws(draws: Any) -> None:
     ax = plots.plot_optimal_actions(draws)
     assert np.allclose(ax.collections[0].get_array(), draws.probability_optimal()[0])
-    assert [each.get_text() for each in ax.get_yticklabels()] == list(draws.labels)
+    assert texts_of(ax.get_yticklabels()) == list(draws.labels)
 
 
 def test_figures_of_learning() -> None:
@@ -161,15 +162,14 @@ def test_figures_of_learning() -> None:
         assert ax.get_ylabel()
         ax.figure.canvas.draw()
     smoothed, bands, regrets, distinct, _ = drawn
-    legend = [text.get_text() for text in smoothed.get_legend().get_texts()]
-    assert legend == [*names, "optimum"]
+    assert legend_of(smoothed) == [*names, "optimum"]
     lines = {line.get_label(): line.get_ydata() for ax in (smoothed, bands) for line in ax.lines}
     exact = curves["constant ε"].value
     assert lines["constant ε"] == pytest.approx([exact[i : i + 5].mean() for i in range(36)])
     assert lines["a"] == pytest.approx(values.mean(axis=0))
     x, y = regrets.lines[0].get_data()
     assert (x[-1], y[-1]) == (learned.regret.max(), 1)
-    assert f"{learned.regret.mean():.2f}" in regrets.get_legend().get_texts()[0].get_text()
+    assert f"{learned.regret.mean():.2f}" in legend_of(regrets)[0]
     assert sum(bar.get_height() for bar in distinct.patches) == pytest.approx(2)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from cell_texts import texts
+from cell_texts import legend_of, texts, texts_of
 from hypothesis import given
 from hypothesis import strategies as st
 from made_models import dense, forest, grid
@@ -119,7 +119,7 @@ def test_a_value_function_is_drawn_by_its_exact_values() -> None:
             assert y == pytest.approx(best)
     assert [line.get_linestyle() for line in ax.lines].count(":") == len(value_curve.pieces) - 1
     assert "certified" in ax.get_ylabel()
-    assert ax.get_legend().get_texts()[-1].get_text() == "today: 0.96, outside"
+    assert legend_of(ax)[-1] == "today: 0.96, outside"
     inside = curve(forest("4/5"), "discount", ("1/2", "9/10")).plot()
     assert inside.lines[-1].get_xdata()[0] == 0.8
 
@@ -141,18 +141,18 @@ def test_dot_holds_every_transition_and_names_are_text() -> None:
     assert sum("penwidth" in rest for *_, rest in edges) == 9  # of one action in each state
     for name in NASTY:
         assert any(f"state {name}" in re.sub(r"\\(.)", r"\1", line) for line in lines)
-    written = [text.get_text() for text in plots.plot_transitions(mdp, "random").texts]
+    written = texts_of(plots.plot_transitions(mdp, "random").texts)
     assert set(NASTY) <= set(written)
 
 
 def test_a_graph_of_many_states_shows_what_the_policy_does_alone() -> None:
     """Of 16 states the arrows of every action would lie over each other's texts."""
     ax = plots.plot_transitions(grid(4, 4), [1] * 16)
-    written = [text.get_text() for text in ax.texts]
+    written = texts_of(ax.texts)
     assert written.count("DOWN") == 15
     assert not {"LEFT", "RIGHT", "UP"} & set(written)
     assert all(box.get_alpha() is None for text in ax.texts if (box := text.get_bbox_patch()))
-    few = [text.get_text() for text in plots.plot_transitions(grid(2, 2), [1] * 4).texts]
+    few = texts_of(plots.plot_transitions(grid(2, 2), [1] * 4).texts)
     assert {"LEFT", "DOWN"} <= set(few)
 
 
@@ -171,13 +171,12 @@ def test_start_goal_and_holes_are_told_apart() -> None:
     lake = MDP.from_gymnasium("FrozenLake-v1", "99/100")
     results = solve(lake), check(lake, [0] * 16)
     for ax in (plots.plot_policy(lake, "optimal"), *(each.plot() for each in results)):
-        words = [text.get_text() for text in ax.get_legend().get_texts()]
+        words = legend_of(ax)
         assert {"start", "G goal", "H hole"} <= set(words)
         assert ax.get_title(loc="left").endswith("FrozenLake-v1")
-        written = [text.get_text() for text in ax.texts]
+        written = texts_of(ax.texts)
         assert [sum(t.startswith(sign) for t in written) for sign in "GH"] == [1, 4]
-    solved = plots.plot_policy(grid(2, 2), [1] * 4).get_legend()
-    assert "∎ an episode ends" in [text.get_text() for text in solved.get_texts()]
+    assert "∎ an episode ends" in legend_of(plots.plot_policy(grid(2, 2), [1] * 4))
 
 
 def test_named_states_keep_their_names() -> None:
@@ -185,7 +184,7 @@ def test_named_states_keep_their_names() -> None:
     moves = [[["1/2", "1/2", 0], [0, "1/2", "1/2"], [0, 0, 1]]] * 2
     mdp = MDP.from_arrays(moves, [1, 0, 0], "9/10", states=names)
     for ax in (plots.plot_policy(mdp, [0, 1, 0]), check(mdp, [0, 1, 0]).plot()):
-        assert [label.get_text() for label in ax.get_yticklabels()] == names
+        assert texts_of(ax.get_yticklabels()) == names
 
 
 def test_a_law_without_finite_returns_is_drawn() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
+from cell_texts import legend_of
 
 from exact_mdp import (
     MDP,
@@ -152,7 +153,7 @@ def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:
     for wide in ("1/1000", 1):
         over = two_way(MODEL, "gain", "price", relative=wide, points=3)
         every = [over.chosen(number) for number in range(int(over.policy.max()) + 1)]
-        texts = [text.get_text() for text in over.plot().get_legend().get_texts()]
+        texts = legend_of(over.plot())
         assert texts == [
             f"policy {n}: state 0: {own['state 0']}" for n, own in enumerate(every)
         ] + ["today"]

@@ -10,23 +10,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from made_models import forest, grid
+from made_models import grid
 from refusal_tables import entries
 
 import exact_mdp
 from exact_mdp import (
     MDP,
-    Certificate,
     Column,
     Family,
     ModelError,
     Parameter,
-    Range,
     Scenario,
     StateSpace,
-    Uncertain,
-    Uncertainty,
-    certify,
     curve,
     load_ranges,
     load_uncertainty,
@@ -53,12 +48,10 @@ ROWS = replace(
     moving(LAWS, {ONE: [(0, 1)], TWO: [(0, 2)], THREE: [(1, 1)]}, {"reward.1": 1}),
     rows={ROW: (ONE, TWO), "other": (THREE,)},
 )
-PART = Uncertain.of("a", "beta", mean=0.3, effective_sample_size=10)
-SHARE = Family(
-    parameters=(Parameter(name="p", value="3/20", low=0, high=1),),
+OPEN = Family(
+    parameters={"p": "1/2"},
     build=lambda at: MDP.from_arrays([[[1 - at["p"], at["p"]], [0, 1]]], [1, 0], "1/2"),
 )
-OPEN = replace(SHARE, parameters=(Parameter(name="p", value="1/2"),))
 BETS = Family(
     parameters={"r": 1, "s": "1/2"},
     build=lambda at: MDP.from_arrays([[[1]]] * 2, [[at["r"], at["s"]]], 0),
@@ -70,9 +63,6 @@ KINK = Family(
     parameters=(Parameter(name="p", value="1/2", low=0, high=1),),
     build=lambda at: MDP.from_arrays([[[1]]] * 2, [[at["p"], 1 - at["p"]]], 0),
 )
-SPACE = StateSpace(columns=(Column(name="status", size=2, bits=1),), extra=("end",))
-TURNING = [(s, 0, [("1/2", 1 - s, 1), ("1/2", 2, 0)]) for s in (0, 1)]
-REVEALING = [(0, 0, [(1, 2, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 2, 1)])]
 ROUND = MDP.from_outcomes(
     [(s, a, [(1, (s + 1) % 201, 0)]) for s in range(201) for a in (0, 1)],
     "1/2",
@@ -86,21 +76,21 @@ def file_of(text: str, read: Any) -> Any:
         return read(path)
 
 
-def stated(text: str) -> Uncertainty:
+def stated(text: str) -> Any:
     return uncertainty(CARE, file_of(text, load_uncertainty)[0])
 
 
-def ranges(text: str) -> dict[str, Range]:
+def ranges(text: str) -> Any:
     return file_of(text, lambda path: load_ranges(CARE, path))
 
 
 def statuses(rows: list[Any]) -> MDP:
-    return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]).with_(space=SPACE)
+    space = StateSpace(columns=(Column(name="status", size=2, bits=1),), extra=("end",))
+    return MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]).with_(space=space)
 
 
-def loaded() -> Certificate:
-    return file_of("", lambda path: (certify(forest("9/10")).save(path), Certificate.load(path))[1])
-
+TURNING = statuses([(s, 0, [("1/2", 1 - s, 1), ("1/2", 2, 0)]) for s in (0, 1)])
+REVEALING = statuses([(0, 0, [(1, 2, 1)]), (0, 1, [(1, 2, 0)]), (1, 0, [(1, 2, 1)])])
 
 REFUSED = r"""
 worst_point(SMALL, "optimal", {"base.anger": (0, 2)}) -> outside
@@ -177,7 +167,7 @@ stated(f"base = {{effective_sample_size = {10**400}}}") -> too large for a float
 stated('"base.anger" = [0.1, 0.2]') -> psa takes distributions
 uncertainty(CARE, {"base": 50}) -> 50 is stated
 uncertainty(CARE, {"reward": {"distribution": "gama"}}) -> gama
-uncertainty(SHARE, {"p": {"distribution": "uniform", "low": 0, "high": 2}}) ->
+uncertainty(KINK, {"p": {"distribution": "uniform", "low": 0, "high": 2}}) ->
     outside of what the parameter may be
 uncertainty(ROWS, {<ONE: {"effective_sample_size": 5}|TWO: {"fixed": True}>}) -> different settings
 uncertainty(ROWS, {ROW: {"effective_sample_size": 5}, TWO: {"fixed": True}}) -> different settings
@@ -201,7 +191,7 @@ Uncertain.of("a", "normal", mean=0, relative_sd=1) -> relative spread around 0
 Uncertain.of("a", "gauss", mean=0, sd=1) -> 'gauss'
 Uncertain.of_row("row", ("a", "b"), (1, 2)) -> 2 concentrations for 2
 Uncertain.of_row("row", ("a",), (1, 0)) -> concentrations 1, 0
-Uncertainty(parts=(PART, PART), fixed={}) -> a is drawn twice
+Uncertainty(parts=(Uncertain.of("a", "normal", mean=0, sd=1),) * 2, fixed={}) -> a is drawn twice
 tradeoff(YUAN, ["anger", "x=2*angry-trial"]) -> called 'angry'
 tradeoff(YUAN, ["anger", "anger"]) -> 'anger' is named twice
 tradeoff(YUAN, "anger") -> front of 'anger' totals
@@ -211,10 +201,10 @@ tradeoff(YUAN, ["anger", "x=2 trial"]) -> nothing to count
 tradeoff(YUAN, ["anger", "forgetfulness"]) -> is no expected total
 tradeoff(ROUND, ["a", "b"<|, "steps">]) -> 201 states lead to each other; horizon; subject_to
 tradeoff(SMALL, ["anger", "trial", "steps"]).plot() -> no flat picture
-error_costs(statuses(TURNING), "optimal", np.eye(2)) -> come back
-accuracy_curves(statuses(TURNING)) -> come back
-error_costs(statuses(REVEALING), "optimal", np.eye(2)) -> reveal the status
-accuracy_curves(statuses(REVEALING)) -> reveal the status
+error_costs(TURNING, "optimal", np.eye(2)) -> come back
+accuracy_curves(TURNING) -> come back
+error_costs(REVEALING, "optimal", np.eye(2)) -> reveal the status
+accuracy_curves(REVEALING) -> reveal the status
 error_costs(PUTERMAN, "optimal", np.eye(2)) -> no statuses
 solve(grid(2, 3)).plot(down="nonsense") -> unknown state column 'nonsense'
 solve(grid(2, 3)).plot(across=["rubbish"]) -> unknown state column 'rubbish'
@@ -228,7 +218,8 @@ plots.plot_states(grid(80, 60), np.zeros(4800), shape=(80, 60)) -> a map of 4,80
 plots.plot_transitions(grid(7, 7)) -> a graph of 49 states
 dot(grid(15, 15)) -> a graph of 225 states
 compare(grid(2, 2), {}) -> no policies
-loaded().plot() -> does not contain the model
+file_of("", lambda path: (certify(PUTERMAN).save(path), Certificate.load(path))[1]).plot() ->
+    does not contain the model
 """
 NAMES = {name: getattr(exact_mdp, name) for name in exact_mdp.__all__} | {"np": np, "grid": grid}
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
+from cell_texts import legend_of
 from cli_runner import run
 
 from exact_mdp import MDP, Policy, Scenario, check, evaluate, solve, tradeoff
@@ -79,7 +80,7 @@ def test_the_picture_shows_vertices_and_policies() -> None:
     assert list(zip(*line.get_data(), strict=True)) == [
         tuple(map(float, vertex)) for vertex in front.vertices
     ]
-    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    labels = legend_of(ax)
     assert labels[0] == "front"
     assert labels[1].startswith("at random (distance ")
     assert labels[2] == "best (on the front)"
