@@ -1,21 +1,19 @@
 """What errors of perception cost, and analyses of a policy that acts on what it perceives.
 
-Against differences, the reference model, and values of the policy that mixes as perception does.
+Against differences, and values of the policy that mixes as perception does.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from fractions import Fraction
-from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from care_oracle import ACTIONS, Oracle
+from care_oracle import ACTIONS
 from cli_runner import run
 
 from exact_mdp import (
@@ -31,7 +29,6 @@ from exact_mdp import (
     solve,
 )
 
-F = Fraction
 LABELS = [f"{status:04b}" for status in range(16)]
 HITS, CLEARS = [0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6]
 ROUGH = independent(HITS, CLEARS)
@@ -89,23 +86,14 @@ def test_losses_add_up(care: MDP) -> None:
     assert costs.loss == pytest.approx(np.zeros((16, 16)), abs=costs.error)
 
 
-@pytest.mark.parametrize("status", ["all", "confusion"])
-def test_curves_are_the_reference_models_values(status: str) -> None:
-    mdp = Scenario.load("yuan2025").with_(tasks=[1], max_trial=3).compile()
-    levels = (F(1, 2), F(2, 3), F(1))
-    curves = accuracy_curves(mdp, PLAN, levels=map(float, levels), statuses=[status])
-    for level, value in zip(levels, curves.values[status], strict=True):
-        right = [level if status == "all" or bit == 1 else F(1) for bit in range(4)]
-
-        def decide(state: tuple, right: list[Fraction] = right) -> dict[str, Fraction]:
-            mixed = dict.fromkeys(ACTIONS, F(0))
-            for seen in LABELS:
-                bits = zip(state[3], map(int, seen), right, strict=True)
-                mixed[PLAN[seen]] += prod(x if true == shown else 1 - x for true, shown, x in bits)
-            return {action: chance for action, chance in mixed.items() if chance}
-
-        wanted = Oracle(tasks=[1], max_trial=3).evaluate(decide, distribution=False)["mean"]
-        assert value == pytest.approx(float(wanted), abs=curves.error + 1e-12 * abs(wanted))
+def test_accuracy_curves_are_values_of_what_is_perceived(care: MDP) -> None:
+    levels = [0.5, 2 / 3, 1.0]
+    curves = accuracy_curves(care, PLAN, levels=levels, statuses=["all", "confusion"])
+    for status, bits in (("all", [0, 1, 2, 3]), ("confusion", [1])):
+        for level, value in zip(levels, curves.values[status], strict=True):
+            rates = np.ones(4)
+            rates[bits] = level
+            assert value == pytest.approx(worth(care, independent(rates, rates)), abs=1e-9)
 
 
 def test_who_does_not_look_does_not_mind(care: MDP) -> None:

@@ -104,16 +104,6 @@ def test_a_model_may_have_more_actions_than_a_short_integer_counts() -> None:
     assert study(mdp, {"discount": ["1/4"]}).rows.tolist() == [[39_999]]
 
 
-# ---- models that move ----------------------------------------------------------------------------
-
-
-def test_numbers_of_many_digits_compile_to_distributions() -> None:
-    own = Scenario.load("yuan2025")
-    for name in ("skip.disengagement.persistence", "persistence.disengagement", "base.anger"):
-        mdp = own.with_(parameters={name: F(1234567890123, 10**13)}).compile()
-        assert (np.add.reduceat(mdp.table.weight, mdp.table.offsets[:-1]) > 0).all()
-
-
 @pytest.mark.parametrize("last", ["exact", "floats"])
 def test_what_is_left_of_a_row_is_shared_in_proportion(last: str) -> None:
     """A row of floats means tenths: the other outcomes share what the named ones leave of 1."""

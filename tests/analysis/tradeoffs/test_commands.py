@@ -11,7 +11,7 @@ import pytest
 from cell_texts import legend_of
 from cli_runner import run
 
-from exact_mdp import MDP, Policy, Scenario, check, evaluate, solve, tradeoff
+from exact_mdp import MDP, Policy, Scenario, tradeoff
 
 SMALL = ("--set", "tasks=[1]", "--set", "max_trial=2")
 CARE = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
@@ -25,28 +25,19 @@ def as_read(mdp: MDP, folder: Path, policy: object) -> Policy:
 
 
 def test_a_policy_that_keeps_limits_is_written_and_read(tmp_path: Path) -> None:
-    words = ("solve yuan2025", *SMALL, "--subject-to", "anger >= -1/10", "--json")
-    result = run(*words, "--policy-out", tmp_path / "p.csv").result
-    wanted = solve(CARE, subject_to={"anger": ">= -1/10"})
-    assert Fraction(result["exact_start_value"]) == wanted.start_value
-    assert {n: Fraction(p) for n, p in result["prices"].items()} == wanted.prices
-    assert Fraction(result["totals"]["anger"]) == Fraction(-1, 10)
-    (drawn,) = result["randomises"]
-    assert all(sum(map(Fraction, own.values())) == 1 for own in result["policy"].values())
-    assert result["policy"][drawn["state"]] == drawn["actions"]
-    for given in (tmp_path / "p.csv", as_read(CARE, tmp_path, result["policy"])):
-        assert evaluate(CARE, given).mean == pytest.approx(result["start_value"])
-        assert check(CARE, given, subject_to={"anger": ">= -1/10"}).passed
-
-
-def test_a_check_reads_the_policy_that_limits_wrote(tmp_path: Path) -> None:
     """The exact shares of the whole model do not fit in 64 bits."""
-    file, limit = tmp_path / "p.csv", ("--subject-to", "anger >= -1/2", "--json")
-    result = run("solve", "yuan2025", *limit, "--policy-out", file).result
-    checked = run("check", "yuan2025", file, *limit)
-    assert (checked.status, checked.result["passed"], checked.result["regret"]) == (0, True, 0)
-    (tmp_path / "p.json").write_text(json.dumps(result["policy"]), encoding="utf-8")
-    assert run("check", "yuan2025", tmp_path / "p.json", *limit).status == 0
+    files, limit = (tmp_path / "p.csv", tmp_path / "p.json"), ("--subject-to", "anger >= -1/2")
+    result = run("solve yuan2025 --json --policy-out", files[0], *limit).result
+    files[1].write_text(json.dumps(result["policy"]), "utf-8")
+    (drawn,) = result["randomises"]
+    assert result["policy"][drawn["state"]] == drawn["actions"]
+    assert all(sum(map(Fraction, own.values())) == 1 for own in result["policy"].values())
+    assert Fraction(result["totals"]["anger"]) == Fraction(-1, 2)
+    for file in files:
+        mean = run("evaluate yuan2025 --json", file).result["mean"]
+        assert mean == pytest.approx(result["start_value"])
+        checked = run("check yuan2025 --json", file, *limit)
+        assert (checked.status, checked.result["passed"], checked.result["regret"]) == (0, True, 0)
 
 
 def test_a_policy_with_the_time_in_its_states(tmp_path: Path) -> None:
