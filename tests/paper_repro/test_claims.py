@@ -1,7 +1,5 @@
 """The claims of the paper: pinned, held against the independent model, traceable to their place."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import tomllib

@@ -1,7 +1,5 @@
 """The report and its figures: the committed page is what the code writes; commands and files."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -3,8 +3,6 @@
 Against differences, and values of the policy that mixes as perception does.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

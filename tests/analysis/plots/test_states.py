@@ -1,7 +1,5 @@
 """Pictures of any model: what stands in a cell, at a bar, at an edge is what was computed."""
 
-from __future__ import annotations
-
 import re
 from fractions import Fraction
 from typing import Any

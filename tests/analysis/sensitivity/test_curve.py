@@ -1,7 +1,5 @@
 """The value along one parameter and where its policies change: closed forms and certificates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction

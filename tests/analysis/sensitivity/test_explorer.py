@@ -1,7 +1,5 @@
 """The explorer's page: its numbers against certificates, in Python and as a browser shows them."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """What analyses refuse: each call, and words of what is said; all say where, and what to do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory

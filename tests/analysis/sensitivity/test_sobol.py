@@ -1,7 +1,5 @@
 """Sobol indices against closed forms; how often their intervals cover; seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from fractions import Fraction as F
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The commands about trade-offs: their JSON, their exit status, and the picture of a front."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from pathlib import Path

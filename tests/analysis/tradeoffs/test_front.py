@@ -1,7 +1,5 @@
 """Exact fronts against all deterministic policies of small models, and what no front is."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import replace

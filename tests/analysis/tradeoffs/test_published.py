@@ -1,7 +1,5 @@
 """Fronts that others have published: deep sea treasure and resource gathering."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any

@@ -1,7 +1,5 @@
 """Weights that make a policy optimal, against all policies of small models."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product

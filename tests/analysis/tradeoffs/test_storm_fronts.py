@@ -5,8 +5,6 @@ Storm encloses the achievable totals between two polygons, in rationals here; we
 stormpy is installed: `make bench`, or `pytest -m storm`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from fractions import Fraction

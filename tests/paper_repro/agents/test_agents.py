@@ -1,7 +1,5 @@
 """The agents' conversation: its words, its law, its record, and what perception costs."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

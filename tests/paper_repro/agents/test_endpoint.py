@@ -1,7 +1,5 @@
 """A model behind an endpoint: what is sent, what is refused, what is tried again, and the key."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import socket
