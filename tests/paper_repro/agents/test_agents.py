@@ -57,19 +57,16 @@ def text(request: Request) -> str:
 # ---- prompts -------------------------------------------------------------------------------------
 
 
-def test_every_component_is_in_the_prompt_in_the_papers_order() -> None:
+def test_prompts_have_every_component_in_the_papers_order_and_hold_what_they_are_given() -> None:
+    prompts = {name: text(request) for name, request in requests().items()}
     assert [len(components) for components in PROMPTS.values()] == [7, 4, 8]
     for purpose, components in PROMPTS.items():
-        prompt = text(requests()[purpose])
+        prompt = prompts[purpose]
         firsts = [re.split(r"\$\w+", part)[0].strip() for part in components.values()]
         places = [prompt.index(first) for first in firsts]
         assert places == sorted(places)
         assert "$" not in prompt
         assert requests()[purpose].messages[0] == ("system", next(iter(components.values())))
-
-
-def test_prompts_hold_what_they_are_given() -> None:
-    prompts = {name: text(request) for name, request in requests().items()}
     for sign in ("PAST WORDS", "PAST ANSWER", "oat flakes", "attempt 3 of at most 5"):
         assert sign in prompts["behaviour"]
         assert sign in prompts["execution"]
