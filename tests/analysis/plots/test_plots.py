@@ -175,9 +175,8 @@ def test_figures_of_learning() -> None:
 
 def test_figures_of_one_parameter() -> None:
     x = "assistance.directive.confusion.persistence"
-    names = [label.get_text() for label in plots.plot_thresholds(
-        {x: thresholds(SMALL, x, (0, 1)), "base.anger": thresholds(SMALL, "base.anger")}
-    ).get_yticklabels()]  # fmt: skip
+    both = {x: thresholds(SMALL, x, (0, 1)), "base.anger": thresholds(SMALL, "base.anger")}
+    names = texts_of(plots.plot_thresholds(both).get_yticklabels())
     assert [name.partition(" (")[0] for name in names] == [x, "base.anger"]
     bars = tornado(SMALL, names=["base.anger"])
     assert "regret" in bars.plot(output="regret").get_xlabel()
@@ -215,5 +214,5 @@ def test_a_care_model_is_drawn_by_its_numbers() -> None:
     ax = plots.plot_influence(SMALL)
     assert ax.texts[0].get_text().splitlines()[0] == "forgetfulness"
     ax = plots.plot_status_transitions(np.eye(4), ["anger", "confusion"])
-    assert [text.get_text() for text in ax.texts] == ["100"] * 4
+    assert texts_of(ax.texts) == ["100"] * 4
     assert ax.get_ylabel() == "status now: anger, confusion"

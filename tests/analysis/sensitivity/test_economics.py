@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
-from cell_texts import legend_of
+from cell_texts import legend_of, texts_of
 
 from exact_mdp import (
     MDP,
@@ -153,18 +153,13 @@ def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:
     for wide in ("1/1000", 1):
         over = two_way(MODEL, "gain", "price", relative=wide, points=3)
         every = [over.chosen(number) for number in range(int(over.policy.max()) + 1)]
-        texts = legend_of(over.plot())
-        assert texts == [
-            f"policy {n}: state 0: {own['state 0']}" for n, own in enumerate(every)
-        ] + ["today"]
+        said = [f"policy {n}: state 0: {own['state 0']}" for n, own in enumerate(every)]
+        assert legend_of(over.plot()) == [*said, "today"]
 
 
 def test_a_tornado_has_no_exponents_beside_its_bars() -> None:
-    model = Family(
-        parameters={"cost": 9007}, build=lambda at: MDP.from_arrays([[[1]]], [at["cost"]], 0)
-    )
-    (label,) = tornado(model).plot().get_yticklabels()
-    assert label.get_text() == "cost [7,206, 10,808]"
+    dear = Family(parameters={"r": 9007}, build=BETS.build)
+    assert texts_of(tornado(dear).plot().get_yticklabels()) == ["r [7,206, 10,808]"]
 
 
 def test_a_picture_of_draws_shows_every_candidate() -> None:
