@@ -189,6 +189,8 @@ CALLS: list[Any] = [
     (lambda: MDP.from_function(0, lambda s: [], lambda s, a: [], labels={"x": lambda s: ""}),
      "returns '', not True or"),
     (lambda: MDP.from_arrays(P, R).save("model.txt"), "cannot write a model as"),
+    (lambda: MDP.from_arrays(P, R).save("model"), "a file without ending", "",
+     "name it .npz, .umb or .json"),
 ]  # fmt: skip
 PAIRS: list[Any] = [  # states, actions, rows, rewards, words
     ([0, 0, 1], [1, 1, 0], [[1, 0], [1, 0], [0, 1]], [0, 0, 0], "appears twice"),

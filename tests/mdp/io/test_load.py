@@ -79,15 +79,6 @@ def test_models_that_are_not_there(
     refused(lambda: load(spec), what, "", fix)
 
 
-def test_a_file_of_another_kind(tmp_path: Path) -> None:
-    (tmp_path / "model.txt").write_text("{}", encoding="utf-8")
-    refused(lambda: load(tmp_path / "model.txt"), "unknown kind of model file")
-    with pytest.raises(
-        ModelError, match=r"a file without ending(.|\n)*name it \.npz, \.umb or \.json"
-    ):
-        save(load("yuan2025", sets=SMALL), tmp_path / "model")
-
-
 @pytest.mark.parametrize("spec", ["gymnasium:FrozenLake-v1", "model.npz", "model.umb#x"])
 def test_only_scenarios_can_be_set(spec: str) -> None:
     refused(lambda: load(spec, sets=["base.anger=0"]), "'base.anger=0' cannot be set")
