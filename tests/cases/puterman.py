@@ -1,4 +1,4 @@
-"""Textbook examples of Puterman, and one of a discount of 0."""
+"""Textbook examples of Puterman."""
 
 from fractions import Fraction
 
@@ -55,33 +55,6 @@ def inventory() -> Case:
     )
 
 
-def discount_zero() -> Case:
-    third = "0 1/3, 1 1/3, 2 1/3"
-    return Case(
-        name="quantecon-discount-0",
-        source=f"{TESTS}, test_ddp_beta_0",
-        pairs=rows(
-            ";".join(f"{s} {a} {int(a != s % 2)}: {third}" for s in range(3) for a in (0, 1))
-        ),
-        discount=F(0),
-        values=indexed([F(1)] * 3),
-        optimal=best([1], [0], [1]),
-    )
-
-
-def multichain(beta: Fraction) -> Case:
-    """Example 9.1.1: earn 3 for ever, or walk on to earn 1, 1 and then 2 for ever."""
-    return Case(
-        name=f"puterman-multichain-{beta}",
-        source=f"{BOOK}, example 9.1.1; markkho/msdm msdm/tests/domains/__init__.py, "
-        "Puterman_Example_9_1_1",
-        pairs=rows("0 0 3: 0; 0 1 1: 1; 1 0 0: 1; 1 1 1: 2; 2 0 2: 2"),
-        discount=beta,
-        values={0: 3 / (1 - beta), 1: 1 + 2 * beta / (1 - beta), 2: 2 / (1 - beta)},
-        optimal=best([0], [1], [0]),
-    )
-
-
 CASES = (
     *map(
         two_state,
@@ -90,7 +63,4 @@ CASES = (
     two_state(F(10, 11) + F(1, 10**12), "near-tie"),
     two_state(F(1, 2) + F(1, 10**5000), "5000-digits"),  # more than Python converts to text
     inventory(),
-    discount_zero(),
-    multichain(F(1, 2)),
-    multichain(F(19, 20)),
 )

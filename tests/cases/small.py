@@ -106,19 +106,6 @@ def counter(goal: int, discount: Fraction) -> Case:
     )
 
 
-def geometric(p: Fraction, discount: Fraction) -> Case:
-    """Flip a coin (0) or wait (1), at a cost of 1, until it comes up."""
-    return Case(
-        name=f"geometric-{p}-{discount}",
-        source=MSDM + "GeometricCounter",
-        pairs=rows(f"0 0 -1: 0 {1 - p}, 1 {p}; 0 1 -1: 0; 1 0 0: 1; 1 1 0: 1"),
-        discount=discount,
-        values={0: -1 / (1 - (1 - p) * discount), 1: F(0)},
-        optimal=best([0]),
-        proper=discount < 1,
-    )
-
-
 # ---- Storm ---------------------------------------------------------------------------------------
 
 
@@ -165,9 +152,6 @@ CASES = (
     positive_cycle(),
     counter(6, F(19, 20)),
     counter(6, F(1)),
-    geometric(F(1, 2), F(9, 10)),
-    geometric(F(1, 13), F(99, 100)),
-    geometric(F(1, 2), F(1)),
     one_state(0, F(1000)),
     one_state(5, F(40951, 100)),
     one_state(10, F(6513215599, 10_000_000)),
