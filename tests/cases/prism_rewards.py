@@ -1,4 +1,4 @@
-"""Small models of PRISM's own tests with any question's published answer, restated.
+"""Small models of PRISM's own tests, questions about them, and the published answers.
 
 Source: prismmodelchecker/prism-tests, functionality/verify/mdps/rewards (rewpoliter, mdp_rewards,
 total-reward-2, total-reward-3) and bugfixes/mdp-rewards-gs-loops, each with its .props file.
@@ -11,8 +11,6 @@ from math import inf
 from pathlib import Path
 
 from golden.sources import model
-
-F = Fraction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,32 +30,14 @@ DEFAULTS = {"discount": 1, "sense": "max", "start": {"0": 1}}
 MODELS = {name: model(name, DEFAULTS | spec) for name, spec in SPECS.items()}
 
 
-def _of(model: str, *rows: tuple[str | None, str, str, Fraction | float]) -> list[Asked]:
-    return [
-        Asked(model=model, until=until, reward=reward, sense=sense, value=value)
-        for until, reward, sense, value in rows
-    ]
-
-
 PUBLISHED = [
-    *_of("rewpoliter", ("s=5", "cost", "min", F(38))),
-    *_of("gs-loops", ("s=1", "r", "max", F(2))),
-    *_of(
-        "mdp_rewards",
-        ("s=1", "a", "max", F(5)), ("s=2", "a", "max", F(17)), ("s=3", "a", "max", F(39)),
-        (None, "a", "max", F(39)), (None, "a", "min", F(25)),
-        (None, "b", "max", inf), (None, "b", "min", inf),
-    ),
-    *_of(
-        "total-reward-2",
-        (None, "steps", "max", inf), (None, "s0", "max", inf), (None, "s0_a", "max", F(3)),
-        ("s=1", "s0_a", "max", inf), ("s=1 or 2", "s0_a", "max", inf), (None, "s0_b", "max", inf),
-        (None, "s1", "max", inf),
-    ),
-    *_of(
-        "total-reward-3",
-        (None, "steps", "max", inf), (None, "s0", "max", F(3, 2)), (None, "s0_a", "max", F(3)),
-        ("s=1", "s0_a", "max", inf), ("s=1 or 2", "s0_a", "max", F(3)),
-        (None, "s0_b", "max", F(1, 100_000)), (None, "s1", "max", inf),
-    ),
-]  # fmt: skip
+    Asked(
+        model=name,
+        until=until or None,
+        reward=reward,
+        sense=sense,
+        value=inf if value == "inf" else Fraction(value),
+    )
+    for name, spec in SPECS.items()
+    for until, reward, sense, value in spec["asked"]
+]
