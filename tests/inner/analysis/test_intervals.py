@@ -268,7 +268,7 @@ def test_drawn_models_whose_policies_do_not_settle_are_refused(
     models = drawn(mdp, np.zeros(mdp.n_pairs, dtype=bool), 1.0, np.random.default_rng(0), 3)
     own = np.array([1.0, 0.0, 1.0, 0.0])  # the first policy that is tried, and two are better
     assert (drawn_regrets(models, own) > 0).all()
-    monkeypatch.setattr(batch, "IMPROVEMENTS", 1)
+    monkeypatch.setattr(batch, "POLICIES", 1)
     with pytest.raises(ModelError, match="drawn from the posterior is not solved"):
         drawn_regrets(models, own)
 
