@@ -25,7 +25,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import Column, StateSpace
-from exact_mdp.mdp.table import Integers
+from exact_mdp.mdp.table import Floats, Integers
 
 MOST_CELLS = 4000
 WIDE = 10  # states in a row where nothing says how many
@@ -191,12 +191,7 @@ def _headed(
     change one and the same.
     """
     values = np.array([space.values(name, states) for name in space.names])
-    table, inside = model.table, states < space.regular
-    pair = table.pair
-    before, after = values[:, model.pair_state[pair]], values[:, table.next]
-    moved = np.where((before < 0) | (after < 0), 0, after - before) * table.probabilities()
-    drift = np.array([np.bincount(pair, weights=each, minlength=model.n_pairs) for each in moved])
-    signs = np.array(symbols(model.actions))[model.pair_action]
+    drift, signs = _drift(model, values), np.array(symbols(model.actions))
     net = {sign: drift[:, signs == sign].sum(axis=1) for sign in ARROWS}
     change = (net["↓"] - net["↑"], net["→"] - net["←"])
     heading = [int(np.argmax(np.abs(each))) for each in change]
@@ -209,7 +204,7 @@ def _headed(
             words, objects = tuple(map(own.label, back)), tuple(map(own.thing, back))
             columns[k] = Column(name=own.name, size=own.size, words=words, objects=objects)
             values[k] = own.size - 1 - values[k]
-    number = states.copy()
+    number, inside = states.copy(), states < space.regular
     number[inside] = np.ravel_multi_index([*values[:, inside]], [c.size for c in columns])
     names = tuple(columns[k].name for k in heading)
     return replace(space, columns=tuple(columns)), number, names
@@ -261,20 +256,23 @@ def _listed(model: MDP, space: StateSpace) -> Layout:
     )
 
 
-def _signs(model: MDP, row: Integers, column: Integers) -> tuple[str, ...]:
-    """Return a sign for each action: an arrow only where its moves go that way more than aside.
+def _drift(model: MDP, values: Integers) -> Floats:
+    """Return (C, A) where each action leads along some coordinates (C, S), -1 outside of them.
 
     A move counts by its probability, whatever its length: one far back to a start is no direction.
     """
-    table, signs = model.table, symbols(model.actions)
-    pair = table.pair
-    before, after = model.pair_state[pair], table.next
-    inside = (row[before] >= 0) & (row[after] >= 0)
-    weight, action = table.probabilities() * inside, model.pair_action[pair]
-    net = {
-        axis: np.bincount(action, np.sign(at[after] - at[before]) * weight, model.n_actions)
-        for axis, at in (("←→", column), ("↑↓", row))
-    }
+    table = model.table
+    before, after = values[:, model.pair_state[table.pair]], values[:, table.next]
+    moved = np.where((before < 0) | (after < 0), 0, np.sign(after - before))
+    action = model.pair_action[table.pair]
+    weighted = moved * table.probabilities()
+    return np.array([np.bincount(action, each, model.n_actions) for each in weighted])
+
+
+def _signs(model: MDP, row: Integers, column: Integers) -> tuple[str, ...]:
+    """Return a sign for each action: an arrow only where its moves go that way more than aside."""
+    signs = symbols(model.actions)
+    net = dict(zip(("←→", "↑↓"), _drift(model, np.array([column, row])), strict=True))
     for number, sign in enumerate(signs):
         if sign in ARROWS and any(net[axis][number] for axis in net):
             along, aside = sorted(net, key=lambda axis: sign not in axis)
