@@ -140,8 +140,8 @@ class TrainerAudit(Pictured):
 
     def report(self, policies: Sequence[str] | None = None) -> Report:
         """Return the verdict and the runs, with the names of their policies where given."""
-        rows = self.frame().to_dict("records")
         names = self.names if policies is None else [policies[run] for run in self.names]
+        rows = self.frame().drop(columns="run").assign(policy=names).to_dict("records")
         facts = {
             "passed": Shown(self.passed, self.message()),
             "proven": self.proven,
@@ -155,10 +155,7 @@ class TrainerAudit(Pictured):
             "alpha": self.alpha,
             "max_regret": self.audits[0].max_regret,
             "max_relative_regret": self.audits[0].max_relative_regret,
-            "policies": [
-                {key: value for key, value in row.items() if key != "run"} | {"policy": name}
-                for row, name in zip(rows, names, strict=True)
-            ],
+            "policies": rows,
         }
         table = Table(
             title="the runs, in the order given",
