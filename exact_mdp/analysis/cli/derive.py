@@ -67,28 +67,20 @@ class Parameter:
             return click.Argument(
                 [self.name], required=not self.default, nargs=nargs, metavar=metavar
             )
-        name = singular(self.name) if self.multiple else self.name
+        name = re.sub("ie$", "y", self.name.removesuffix("s")) if self.multiple else self.name
+        names = ["--" + name.replace("_", "-"), self.name]
         shown = self.default not in ("", "None", "False", "()")
         help_ = f"{self.help[:-1]} ({self.default})." if shown else self.help
         if self.kind == "bool":
-            return click.Option([_flag(name), self.name], is_flag=True, default=None, help=help_)
+            return click.Option(names, is_flag=True, default=None, help=help_)
         return click.Option(
-            [_flag(name), self.name],
+            names,
             metavar=form,
             multiple=self.multiple,
             required=not self.default,
             type=Whole(self.form) if self.kind.startswith("int") else None,
             help=help_ + " May be repeated." * self.multiple,
         )
-
-
-def _flag(name: str) -> str:
-    return "--" + name.replace("_", "-")
-
-
-def singular(name: str) -> str:
-    """Return the singular of a name, whose option may be repeated."""
-    return re.sub("ie$", "y", name.removesuffix("s"))
 
 
 def function(target: str) -> tuple[str, list[Parameter]]:

@@ -22,7 +22,6 @@ from exact_mdp.analysis.vary.curves.thresholds import report_of, thresholds
 from exact_mdp.analysis.vary.curves.walk import optimum
 from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
-    Uncertainty,
     load_uncertainty,
     row_family,
     uncertainty,
@@ -46,7 +45,6 @@ from exact_mdp.analysis.vary.sobol import sobol as sobol_of
 from exact_mdp.analysis.vary.study import solver_of
 from exact_mdp.mdp.errors import ModelError, known, located
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.parametric import Parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, claimed
 from exact_mdp.mdp.table import FLOAT_RANGE, beside, exact, shown
@@ -265,8 +263,13 @@ def psa(
     """
     of_rows = given.endless.scenario is None
     model = row_family(given.mdp) if of_rows else given.family
-    names = given.options["parameters"]
-    chosen, size = _uncertain(model, uncertain, effective_sample_size, names)
+    stated, default = ({}, None) if uncertain is None else load_uncertainty(Path(uncertain))
+    if effective_sample_size is not None:
+        default = number_of(effective_sample_size, "--effective-sample-size")
+    size = EFFECTIVE_SAMPLE_SIZE if default is None else default
+    names = [*given.options["parameters"]] or None
+    with nullcontext() if uncertain is None else located(uncertain):
+        chosen = uncertainty(model, stated, default=size, names=names)
     n = samples or (10_000 if solver_of(model, ()).compiled else 500)
     how = _work(n_jobs, out)
     result = psa_of(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
@@ -492,18 +495,6 @@ def _moving(ranges: Ranges) -> tuple[Ranges, list[str]]:
     """Return the ranges, and the parameters without one: 0 today, so 0 ± 20 %."""
     spans = Ranges({name: span for name, span in ranges.items() if span.low < span.high})
     return spans, sorted(set(ranges) - set(spans))
-
-
-def _uncertain(
-    model: Parametric, path: str | None, size: str | None, names: Sequence[str]
-) -> tuple[Uncertainty, float]:
-    """Return what is drawn, and the sample size of what nothing is stated of."""
-    stated, default = ({}, None) if path is None else load_uncertainty(Path(path))
-    if size is not None:
-        default = number_of(size, "--effective-sample-size")
-    default = EFFECTIVE_SAMPLE_SIZE if default is None else default
-    with nullcontext() if path is None else located(path):
-        return uncertainty(model, stated, default=default, names=list(names) or None), default
 
 
 def _work(n_jobs: int | None, out: str | None) -> dict[str, Any]:

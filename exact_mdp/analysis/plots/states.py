@@ -119,7 +119,10 @@ def plot_states(
         ax = _bars(axes_or_new(ax), model, given, texts, label)
         signs += _counts(texts)
     else:
-        scale, ends, shown = _scale(given[layout.shown]), _ends(model), dict[int, Any]()
+        known = given[layout.shown][np.isfinite(given[layout.shown])]
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+        scale = Normalize(low, high if high > low else low + 1.0)
+        ends, shown = _ends(model), dict[int, Any]()
         for state in layout.shown.tolist():
             value, finite = given[state], np.isfinite(given[state])
             share = float(scale(value)) if finite else 0.0
@@ -288,12 +291,6 @@ def _named(sign: str, names: Mapping[str, str]) -> str:
 
 def _words(text: str) -> Line2D:
     return Line2D([], [], linestyle="", label=text)
-
-
-def _scale(values: Floats) -> Normalize:
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    return Normalize(low, high if high > low else low + 1.0)
 
 
 def _colours(ax: Axes, scale: Normalize, shades: Colormap, label: str) -> None:
