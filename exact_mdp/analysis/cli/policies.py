@@ -158,7 +158,12 @@ def verify(certificate: str, given: Given) -> Report:
         facts |= {"kind": proof.kind, "objectives": list(proof.objectives)}
         facts |= {} if violations else _proven_totals(proof)
     elif not violations:
-        facts |= _proven_start(proof)
+        value, exact = float(proof.start.value), isinstance(proof, Certificate)
+        error = ulp(value) if exact else proof.start.error
+        facts |= {"start_value": Shown(value, proof.start), "error_bound": Shown(error)}
+        if exact:
+            more = {"criterion": "average"} if proof.kind == "average" else {"unique": proof.unique}
+            facts |= {"exact_start_value": Shown(proof.start_value)} | more
     return given.report(Report(title="proof", facts=facts, passed=not violations))
 
 
@@ -192,17 +197,6 @@ def _proven_totals(proof: TotalsProof) -> dict[str, Any]:
         "prices": {text[name]: price for name, price in proof.prices.items()},
         "closest": Shown(closest, [limit.text(10) for limit in moved]),
     }
-
-
-def _proven_start(proof: Certificate | BoundedCertificate) -> dict[str, Any]:
-    """Return what a sound certificate proves of the start value."""
-    value = float(proof.start.value)
-    error = ulp(value) if isinstance(proof, Certificate) else proof.start.error
-    facts = {"start_value": Shown(value, proof.start), "error_bound": Shown(error)}
-    if isinstance(proof, BoundedCertificate):
-        return facts
-    more = {"criterion": "average"} if proof.kind == "average" else {"unique": proof.unique}
-    return facts | {"exact_start_value": Shown(proof.start_value)} | more
 
 
 # ---- one policy ----------------------------------------------------------------------------------

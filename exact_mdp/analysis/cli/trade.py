@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from exact_mdp.analysis.cli.given import Given
 from exact_mdp.analysis.cli.words import check_outputs, number_of
@@ -110,20 +109,14 @@ def risk(
     check_outputs((policy_out, (".csv", ".json")))
     beside = {form: given.policy(form) for form in policies}
     report = mean_cvar(given.mdp, share_of(cvar), policies=beside).report()
-    if policy_out:
-        _write_rules(policy_out, report.facts["policy"])
+    if policy_out:  # what it does by state and reward so far, exactly
+        rules = [{k: str(value) for k, value in rule.items()} for rule in report.facts["policy"]]
+        content = json.dumps(rules, indent=2, ensure_ascii=False) + "\n"
+        if not policy_out.lower().endswith(".json"):
+            table = data_frame(rules, columns=["state", "from", "to", "action"])
+            content = table.to_csv(index=False, lineterminator="\n")
+        write_atomically(policy_out, content)
     return given.report(report, written=[policy_out] if policy_out else [])
-
-
-def _write_rules(path: str, rules: Sequence[Mapping[str, Any]]) -> None:
-    """Write what a policy does by state and reward so far, exactly."""
-    texts = [{name: str(value) for name, value in rule.items()} for rule in rules]
-    if path.lower().endswith(".json"):
-        content = json.dumps(texts, indent=2, ensure_ascii=False) + "\n"
-    else:
-        table = data_frame(texts, columns=["state", "from", "to", "action"])
-        content = table.to_csv(index=False, lineterminator="\n")
-    write_atomically(path, content)
 
 
 # ---- perception ----------------------------------------------------------------------------------
