@@ -224,11 +224,10 @@ class Audit(Pictured):
     @cached_property
     def verdicts(self) -> tuple[Verdict, ...]:
         """What was checked: each limit given, or that the regret is zero."""
-        return tuple(self._of_model() if self.interval is None else self._of_records(self.interval))
-
-    def _of_records(self, interval: RegretInterval) -> Iterator[Verdict]:
-        """Yield what the interval decides, never the estimate; without a limit, that it is 0."""
-        limit = self.max_regret
+        interval, limit = self.interval, self.max_regret
+        if interval is None:
+            return tuple(self._of_model())
+        # Of records the interval decides, never the estimate; without a limit, that it is 0.
         name = "zero" if limit is None else f"at most {shown(limit, 10)}"
         decision = interval.decided(self.forgiven if limit is None else limit)
         text = f"it is in {interval}; {number(self.value)} in the estimated model"
@@ -238,7 +237,7 @@ class Audit(Pictured):
                 kept = interval.within(limit or Fraction(0)).value
                 more = f"it is kept with probability {kept:.3g} by the posterior"
             text += f", which leaves the limit open: {more}"
-        yield Verdict("the regret", name, decision, text)
+        return (Verdict("the regret", name, decision, text),)
 
     def _of_model(self) -> Iterator[Verdict]:
         """Yield the verdict on each limit given; without one, on whether the regret is zero."""
