@@ -1,9 +1,8 @@
 """What the text leaves open, and the model under one way to read it.
 
 Eight points of the text are silent, 576 combinations in all; "respectively" can be taken in two
-orders; how many subtasks the experiments ran, and whether their returns are discounted, is not said
-either. The default reading takes the words in their plain sense; it was not chosen by the returns
-that are to be checked.
+orders; the number of subtasks and the discount of the experiments' returns are not said. The
+default reading takes the words in their plain sense; it was not chosen by these returns.
 
 How far the reported returns support a reading r with an order o is the likelihood
 
@@ -11,8 +10,7 @@ How far the reported returns support a reading r with an order o is the likeliho
 
 of the three averages a_i and of the random strategy's return, of about 70; m_i and v_i are the
 exact mean and variance. Weights are L divided by its sum. In the four statuses of which nothing is
-said the policies are supportive, which is optimal there under the default reading. Tasks and
-discount are varied one at a time only (`one_change`).
+said the policies are supportive, which is optimal there under the default reading.
 """
 
 from __future__ import annotations
