@@ -47,7 +47,7 @@ def every_policy(mdp: MDP, columns: tuple[str, ...]) -> list[float]:
     return policies
 
 
-@settings(max_examples=25)
+@settings(max_examples=80)
 @given(tables())
 def test_the_best_policy_is_the_best_of_all(mdp: MDP) -> None:
     for columns in ((), ("row",)):
