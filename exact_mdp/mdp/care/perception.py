@@ -208,22 +208,17 @@ class Counted:
     @property
     def mean(self) -> Floats:
         """(Z, Z) the confusion matrix: frequencies, or posterior means with a prior."""
-        if self.prior == 0 and self.missing:
-            more = " and others" if len(self.missing) > 4 else ""
+        unseen = np.flatnonzero(self.counts.sum(axis=1) == 0).tolist()
+        if self.prior == 0 and unseen:
+            labels = map(statuses_of(len(self.counts)).label, unseen[:4])
             raise ModelError(
-                f"no example was labelled {', '.join(self.missing[:4])}{more}",
+                f"no example was labelled {', '.join(labels)}{' and others' * (len(unseen) > 4)}",
                 where="confusion matrix",
                 fix="label more, or give a prior, which counts as that many of each; "
                 "`exact-mdp perception` takes a --prior",
             )
         weight = self.counts + self.prior
         return np.asarray(weight / weight.sum(axis=1, keepdims=True))
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """Statuses without any example."""
-        label = statuses_of(len(self.counts)).label
-        return tuple(map(label, np.flatnonzero(self.counts.sum(axis=1) == 0).tolist()))
 
     def samples(self, rng: np.random.Generator, n: int) -> Floats:
         """Return (n, Z, Z) matrices drawn from the posterior, for which there has to be a prior."""

@@ -14,7 +14,7 @@ their text can be read in more than one way, a *reading* chooses.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
@@ -195,11 +195,10 @@ class Tables:
         chosen, numbers, parts = dict(self.readings), list(self.parameters), dict[str, Any]()
         given = {f"readings.{name}": option for name, option in (readings or {}).items()}
         for name, value in [*given.items(), *(parameters or {}).items(), *changes.items()]:
-            reading = name.removeprefix("readings.")
-            if reading in SETTINGS:
-                key, convert = SETTINGS[reading]
-                parts[key] = convert(value)
+            if name in SETTINGS:
+                parts[name] = SETTINGS[name](value)
             elif name.startswith("readings."):
+                reading = name.removeprefix("readings.")
                 chosen[reading] = check_reading(reading, value)
             else:
                 position = self._position(name)
@@ -258,13 +257,12 @@ def as_max_trial(value: object) -> int:
     return trials
 
 
-SETTINGS = {
-    "tasks": ("tasks", as_tasks),
-    "max_trial": ("max_trial", as_max_trial),
-    "discount": ("discount", as_discount),
-    "evaluation_discount": ("discount", as_discount),
+SETTINGS: dict[str, Callable[[object], Any]] = {
+    "tasks": as_tasks,
+    "max_trial": as_max_trial,
+    "discount": as_discount,
 }
-"""Settings beside readings and parameters: attribute and conversion of each."""
+"""Settings beside readings and parameters, with the conversion of each."""
 
 
 def check_reading(name: str, option: object) -> str:
@@ -281,7 +279,7 @@ def check_scenario(scenario: Tables) -> None:
     check_names(scenario.weights.values(), "weight", where="status_weight")
     for key in ("title", "source"):
         check_text(getattr(scenario, key), key)
-    for key, convert in SETTINGS.values():
+    for key, convert in SETTINGS.items():
         convert(getattr(scenario, key))
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))

@@ -171,7 +171,7 @@ def natural(given: Any) -> int:
 
 def unreached(given: Any) -> float:
     """Read what a run is worth that never reaches the goal."""
-    known = {"inf": inf, "-inf": -inf, "0.0": 0.0}
+    known = {"inf": inf, "-inf": -inf}
     return known[given] if given in [*known] else refuse(given, '"inf" or "-inf"')
 
 

@@ -45,7 +45,6 @@ def test_scenarios_of_other_statuses_and_actions(
         ("max_trial=4", "max_trial", 4),
         ("discount=0.9", "discount", Fraction(9, 10)),
         ("discount=2/3", "discount", Fraction(2, 3)),
-        ("evaluation_discount=1", "discount", Fraction(1)),
     ],
 )
 def test_settings(assignment: str, attribute: str, value: object) -> None:
