@@ -85,8 +85,24 @@ def _umbi() -> Any:
 
 
 def save(model: MDP, path: str | Path) -> None:
-    """Write a model as a UMB file, from which `load` returns all of it."""
-    write_atomically(path, _archive_of(model))
+    """Write a model as a UMB file, from which `load` returns all of it; always the same bytes."""
+    encoder, umb = _umbi().umb.umb_to_tar.UmbEncoder(), _umb_of(model)
+    encoder.add_index_file(umb)
+    encoder.add_state_files(umb)
+    encoder.add_transition_files(umb)
+    encoder.add_annotation_files(umb)
+    if umb.index.valuations is not None:
+        # 32-bit integers in a row need no packing of bits.
+        columns = [model.space.values(name) for name in model.space.names]
+        values = np.stack(columns, axis=1).astype("<i4").tobytes()
+        encoder.add_file("valuations/states/valuations.bin", values)
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+        for name, data in encoder.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(data)
+            archive.addfile(member, io.BytesIO(data))
+    write_atomically(path, gzip.compress(stream.getvalue(), mtime=0))
 
 
 def load(
@@ -296,27 +312,6 @@ def _damaged(what: str, where: str) -> ModelError:
 
 
 # ---- writing -------------------------------------------------------------------------------------
-
-
-def _archive_of(model: MDP) -> bytes:
-    """Return the gzipped archive; the same model gives the same bytes."""
-    encoder, umb = _umbi().umb.umb_to_tar.UmbEncoder(), _umb_of(model)
-    encoder.add_index_file(umb)
-    encoder.add_state_files(umb)
-    encoder.add_transition_files(umb)
-    encoder.add_annotation_files(umb)
-    if umb.index.valuations is not None:
-        # 32-bit integers in a row need no packing of bits.
-        columns = [model.space.values(name) for name in model.space.names]
-        values = np.stack(columns, axis=1).astype("<i4").tobytes()
-        encoder.add_file("valuations/states/valuations.bin", values)
-    stream = io.BytesIO()
-    with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as archive:
-        for name, data in encoder.items():
-            member = tarfile.TarInfo(name)
-            member.size = len(data)
-            archive.addfile(member, io.BytesIO(data))
-    return gzip.compress(stream.getvalue(), mtime=0)
 
 
 def _umb_of(model: MDP) -> Any:
