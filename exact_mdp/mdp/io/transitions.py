@@ -205,13 +205,8 @@ class Record:
             return
         single = isinstance(self.frame, pandas.DataFrame) or not isinstance(self.frame, Iterable)
         for table in [self.frame] if single else self.frame:
-            if not isinstance(table, pandas.DataFrame):
-                raise ModelError(
-                    f"a {type(table).__name__} is no table of transitions",
-                    where="transitions",
-                    fix="give a DataFrame, several of them, or the path of a .csv or .parquet file",
-                )
-            yield table
+            fix = "give a DataFrame, several of them, or the path of a .csv or .parquet file"
+            yield of_type(table, pandas.DataFrame, "transitions", fix)
 
     def _of_csv(self, file: Any) -> Generator[DataFrame]:
         """Yield the rows of a file, all as texts: "0.1" is 1/10; the index has the lines."""

@@ -211,7 +211,7 @@ NO_LOG: list[Any] = [  # log, columns, what is said, where, and how to put it ri
     (HEAD.replace("reward", "state") + "1,a,x,0,b\n", {}, "'state' stands twice"),
     (ONE, {"sate": "s"}, "unknown column 'sate'"),
     (ONE, {"state": "next_state"}, "stands for state and next_state"),
-    *((other, {}, "no table of transitions") for other in (5, [1, 2], [GOOD], {"state": [1]})),
+    *((other, {}, "is of type") for other in (5, [1, 2], [GOOD], {"state": [1]})),
     (table([(1, [0], "x", 0, [1])]), {}, "cannot be a name"),
     (table([]), {}, "no transitions"),
     ("", {}, "no transitions"),
