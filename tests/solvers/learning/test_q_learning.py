@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from model_contents import by
 
 from exact_mdp import (
     MDP,
     Constant,
     Exponential,
     ModelError,
-    Policy,
     QLearning,
     Scenario,
     evaluate,
@@ -48,7 +48,7 @@ def test_training_returns_are_those_of_the_exploring_policy(care: MDP) -> None:
     run = QLearning(epochs=4000, rate=Constant(0.0), exploration=Constant(epsilon)).train(care, 2)
     table = np.full((16, 4), epsilon / 4)
     table[:, 0] += 1 - epsilon
-    exact = evaluate(care, Policy.by(care, ("status",), table))
+    exact = evaluate(care, by(care, ("status",), table))
     error = exact.sd / sqrt(4000 * 30)
     assert abs(run.returns.mean() - exact.mean) < 4 * error
     assert abs(run.steps / (4000 * 30) - exact.steps) < 0.05
