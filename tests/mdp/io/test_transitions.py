@@ -267,7 +267,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert "2 observed of 2, 0 of them rare" in plain.out
     assert "state b (entered, never left)" in plain.out
     done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
-    assert (done.status, "name it .npz" in done.err) == (2, True)
+    assert (done.status, "--out" in done.err) == (2, True)
 
 
 def test_changed_tables_have_no_observations() -> None:
