@@ -81,12 +81,12 @@ class BellmanRows:
         return np.repeat(np.arange(len(self.constant)), np.diff(self.offsets))
 
     def of_pairs(self, pairs: Integers) -> BellmanRows:
-        """Return the equations of the policy that takes `pairs` (S,), one of each state."""
+        """Return the equations with some pairs alone, as those of a policy, one of each state."""
         first, last = self.offsets[pairs], self.offsets[pairs + 1]
         entries = spans(first, last)
         return replace(
             self,
-            pair_offsets=np.arange(len(self.scale) + 1),
+            pair_offsets=np.searchsorted(self.pair_state[pairs], np.arange(len(self.scale) + 1)),
             constant=self.constant[pairs],
             offsets=np.concatenate([[0], np.cumsum(last - first)]),
             next=self.next[entries],

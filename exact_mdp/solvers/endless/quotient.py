@@ -10,7 +10,7 @@ Systems, 1997, section 3.3). Rests are further pairs, which earn something and l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -59,23 +59,20 @@ class Derived:
         # out, and the more they lose, the better the values may bear it out.
         least = float(gain.value.min())
         while losing.any():
-            part = self._only(~(losing & (gain.value <= least / COARSER)))
-            if termination(part.mdp).proven:
-                return part
+            pairs = np.flatnonzero(~(losing & (gain.value <= least / COARSER)))
+            part = of_pairs(mdp, pairs)
+            if termination(part).proven:
+                return replace(self, mdp=part, source=self.source[pairs])
             least /= COARSER
             if not (losing & (gain.value > least)).any():
                 break
         raise SolverError(Status.NO_BOUND, "staying for ever loses too little a step")
 
-    def _only(self, some: Mask) -> Derived:
-        """Return the model with some of the pairs (L',), a pair of each state among them."""
-        pairs, mdp = np.flatnonzero(some), self.mdp
-        part = mdp.with_(
-            table=mdp.table.of_pairs(pairs),
-            pair_state=mdp.pair_state[pairs],
-            pair_action=mdp.pair_action[pairs],
-        )
-        return Derived(mdp=part, label=self.label, source=self.source[pairs])
+
+def of_pairs(mdp: MDP, pairs: Integers) -> MDP:
+    """Return the model with some pairs alone, one of each state among them."""
+    own = {name: getattr(mdp, name)[pairs] for name in ("pair_state", "pair_action")}
+    return mdp.with_(table=mdp.table.of_pairs(pairs), **own)
 
 
 def derived(

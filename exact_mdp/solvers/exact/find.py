@@ -28,7 +28,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Integers, Numbers, row_sums, spans
+from exact_mdp.mdp.table import Integers, Numbers, row_sums
 from exact_mdp.solvers.bounds.gains import POLICIES, first_of
 from exact_mdp.solvers.endless.average import improved
 from exact_mdp.solvers.endless.chain import ExactChain
@@ -233,18 +233,9 @@ def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
     stays = states[owner] & inside
     stays[rows.pair_offsets[:-1][~states]] = True
     number = np.flatnonzero(stays)
-    first, last = rows.offsets[number], rows.offsets[number + 1]
-    entries = spans(first, last)
-    part = BellmanRows(
-        pair_offsets=np.searchsorted(owner[number], np.arange(len(states) + 1)),
-        terminal=rows.terminal | ~states,
-        scale=rows.scale,
-        constant=np.where(states[owner[number]], rows.constant[number], 0),
-        offsets=np.append(0, np.cumsum(last - first)),
-        next=rows.next[entries],
-        weight=rows.weight[entries],
-    )
-    return part, number
+    part = rows.of_pairs(number)
+    constant = np.where(states[part.pair_state], part.constant, 0)
+    return replace(part, terminal=rows.terminal | ~states, constant=constant), number
 
 
 # ---- values of policies that end -----------------------------------------------------------------

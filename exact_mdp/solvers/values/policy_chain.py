@@ -47,6 +47,7 @@ from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, between, rows_of, transposed
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, Mask, long_run
+from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.find import one_sign
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import FEW, MANY, equations, evaluated, solved, visited
@@ -365,13 +366,9 @@ class PolicyChain:
     @cached_property
     def model(self) -> MDP:
         """The model in which the policy's choices are the only ones."""
-        mdp, pairs = self.mdp, self.pairs
+        mdp = self.mdp
         if self.pure:
-            return mdp.with_(
-                table=mdp.table.of_pairs(pairs),
-                pair_state=mdp.pair_state[pairs],
-                pair_action=mdp.pair_action[pairs],
-            )
+            return of_pairs(mdp, self.pairs)
         rows = [
             (s, 0, [(p, t, r) for t, p in to.items()]) for s, (r, to) in enumerate(self.mixed())
         ]

@@ -283,13 +283,11 @@ def _longest(chain: PolicyChain, max_steps: int | None) -> tuple[float, float]:
     """Return the number of steps to simulate, and the greatest reward."""
     mdp = chain.mdp
     size = float(np.abs(chain.gain[chain.reached[chain.source]]).max(initial=0.0))
-    if mdp.discount_exact == 1:
-        return (inf if max_steps is None else max_steps), size
-    if max_steps is not None:
-        return max_steps, size
-    # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
     missing = float(1 - mdp.discount_exact)
-    return (1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))), size
+    if max_steps is None and missing:
+        # The greatest return is size / (1 - γ), and what follows t steps at most γ^t of it.
+        max_steps = 1 if missing == 1 else ceil(log(NEGLIGIBLE) / log1p(-missing))
+    return (inf if max_steps is None else max_steps), size
 
 
 def _starts(mdp: MDP, episodes: int, generator: np.random.Generator) -> NDArray[np.int64]:
