@@ -195,10 +195,11 @@ class Tables:
         chosen, numbers, parts = dict(self.readings), list(self.parameters), dict[str, Any]()
         given = {f"readings.{name}": option for name, option in (readings or {}).items()}
         for name, value in [*given.items(), *(parameters or {}).items(), *changes.items()]:
-            if name in SETTINGS:
-                parts[name] = SETTINGS[name](value)
+            reading = name.removeprefix("readings.")
+            if reading in SETTINGS:
+                key, convert = SETTINGS[reading]
+                parts[key] = convert(value)
             elif name.startswith("readings."):
-                reading = name.removeprefix("readings.")
                 chosen[reading] = check_reading(reading, value)
             else:
                 position = self._position(name)
@@ -257,12 +258,13 @@ def as_max_trial(value: object) -> int:
     return trials
 
 
-SETTINGS: dict[str, Callable[[object], Any]] = {
-    "tasks": as_tasks,
-    "max_trial": as_max_trial,
-    "discount": as_discount,
+SETTINGS: dict[str, tuple[str, Callable[[object], Any]]] = {
+    "tasks": ("tasks", as_tasks),
+    "max_trial": ("max_trial", as_max_trial),
+    "discount": ("discount", as_discount),
+    "evaluation_discount": ("discount", as_discount),  # the reading of this name
 }
-"""Settings beside readings and parameters, with the conversion of each."""
+"""Settings beside readings and parameters: attribute and conversion of each."""
 
 
 def check_reading(name: str, option: object) -> str:
@@ -279,7 +281,7 @@ def check_scenario(scenario: Tables) -> None:
     check_names(scenario.weights.values(), "weight", where="status_weight")
     for key in ("title", "source"):
         check_text(getattr(scenario, key), key)
-    for key, convert in SETTINGS.items():
+    for key, convert in SETTINGS.values():
         convert(getattr(scenario, key))
     for name in READINGS:
         check_reading(name, scenario.readings.get(name, ""))
