@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction as F
-from math import inf, isinf
-from pathlib import Path
+from math import isinf
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ import pytest
 from answers import holds, near, quietly, within
 from cases import BY_NAME, CASES, Case
 from cases.prism_rewards import MODELS, PUBLISHED, Asked
-from cli_runner import run
 from made_models import forest
 from model_contents import is_acyclic
 from oracle import every_policy_ends
@@ -155,22 +153,6 @@ def test_questions(case: Asked) -> None:
         if np.isfinite(proof.value_float).all():
             assert check(mdp, solution).passed
         assert evaluate(mdp, solution).mean == pytest.approx(float(case.value))
-
-
-@pytest.mark.parametrize("case", [c for c in PUBLISHED if c.until], ids=lambda c: c.model)
-@pytest.mark.parametrize("ending", ["npz", "umb"])
-def test_questions_on_the_command_line(tmp_path: Path, case: Asked, ending: str) -> None:
-    path = tmp_path / f"model.{ending}"
-    MODELS[case.model].save(path)
-    words = ["--until", case.until, "--reward", case.reward, "--start", "0"]
-    words += ["--minimize"] if case.sense == "min" else []
-    done = run("solve", path, *words, "--certify", "--json", "--certificate", tmp_path / "c.json")
-    assert done.result["exact_start_value"] == ("inf" if case.value == inf else str(case.value))
-    assert done.result["sense"] == case.sense
-    assert done.result["start_value"] == ("inf" if case.value == inf else float(case.value))
-    assert run("verify", tmp_path / "c.json", path, *words, "--json").result["holds"]
-    other = run("verify", tmp_path / "c.json", path, "--json")
-    assert (other.status, other.result["holds"]) == (1, False)
 
 
 # ---- averages ------------------------------------------------------------------------------------
