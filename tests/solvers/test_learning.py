@@ -17,6 +17,7 @@ from exact_mdp import (
     Constant,
     Exponential,
     ModelError,
+    Policy,
     QLearning,
     Scenario,
     TrainingRun,
