@@ -544,6 +544,26 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         """1 where the greatest value is best, -1 where rewards are costs."""
         return 1 if self.sense == "max" else -1
 
+    def negated(self) -> MDP:
+        """Return the model of the other sense, every reward times -1: the same policies are best.
+
+        Returns
+        -------
+        MDP
+
+        Examples
+        --------
+        >>> costs = MDP.from_arrays([[[0, 1], [0, 1]]], ["3/2", 0], sense="min")
+        >>> costs.negated().sense, costs.negated().reward.tolist()
+        ('max', [-1.5, 0.0])
+        """
+        return replace(
+            self,
+            table=self.table.negated(),
+            sense="max" if self.sense == "min" else "min",
+            unreached=-self.unreached,
+        )
+
     @property
     def maximised(self) -> MDP:
         """The model itself, or its negation where rewards are costs."""
@@ -660,5 +680,4 @@ def once(find: Callable[[MDP], Found]) -> Callable[[MDP], Found]:
 
 @once
 def _negated(mdp: MDP) -> MDP:
-    """Return the model of costs as one of rewards, each times -1: the same policies are best."""
-    return replace(mdp, table=mdp.table.negated(), sense="max", unreached=-mdp.unreached)
+    return mdp.negated()

@@ -129,6 +129,8 @@ Policy.of(MODEL, {("a", "slow"): 0.5, ("a", "fast"): 0.5}) ->
     probabilities or a Q-table; state a; kind="policy"
 Policy.of(MODEL, "optimal") ->
     unknown kind of policy; optimal; file; the optimal policy is solve(mdp).policy
+Policy.by(MODEL, ["state"], [0.9, 0.0]) ->
+    [0.9, 0.0] are not all numbers of actions; policy; from 0 to 1: 0 is slow, 1 is fast
 MODEL.with_(labels={"goal": <[0, 1]|[2]>}) -> type int64; label goal; numbers of some states
 train(MODEL, 3, 1) -> 3 is no learner; train; QLearning()
 train(MODEL, QLearning(), 1) -> needs a seed; rng; rng=0
@@ -284,9 +286,10 @@ load("yuan2025", sets=<3|[3]>) -> sets
 MDP.from_transitions("no.csv", columns=3) -> columns
 MDP.from_gymnasium({0: {0: [(1, 0, 0, True)]}}, states=3) -> states
 MODEL.by_action([1]) -> by_action
+Policy.by(MODEL, <3|"state">, [0, 0]) -> columns
 Policy.of(MODEL, [0, 0], kind=[]) -> kind
 Policy.of(MODEL, [0, 0]).write(3) -> path
-Policy.<of(3, [0, 0])|from_choices(3, [0, 0])> -> model
+Policy.<of(3, [0, 0])|by(3, ["state"], [0, 0])|from_choices(3, [0, 0])> -> model
 <Policy.of(MODEL, [0, 0]).weights|fingerprint>(3) -> model
 moving(3, {}) -> model
 moving(MODEL, 3) -> entries

@@ -18,7 +18,6 @@ import pytest
 from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from model_contents import by
 from refusal_tables import refused
 from strategies import Rows, models
 
@@ -81,7 +80,7 @@ def test_every_form_of_a_status_policy_is_the_same(tmp_path_factory: Any, chosen
     files = [folder / name for name in ("p.csv", "p.json", "q.npy", "q.npz", "more.npz")]
     mixed = {status: {word: 1} for status, word in words.items()}
     for mdp in (CARE, OWN_SKIP, FLAGGED):  # a table over statuses leaves the action skip out
-        policies = [by(CARE, ["status"], chosen), by(CARE, ["status"], one_hot)]
+        policies = [Policy.by(CARE, ["status"], chosen), Policy.by(CARE, ["status"], one_hot)]
         policies += [Policy.of(mdp, form) for form in (words, mixed, *files, str(files[0]))]
         policies += [Policy.of(mdp, one_hot * 3 - 1, kind="q"), Policy.of(CARE, words)]
         for policy in policies:
@@ -130,7 +129,7 @@ def test_a_mixed_policy_over_all_columns_survives_its_file(
     table = np.where(offered, table, 0)
     table[table.sum(axis=1) == 0, 0] = 1
     table /= table.sum(axis=1, keepdims=True)
-    policy = by(mdp, mdp.space.names, table)
+    policy = Policy.by(mdp, mdp.space.names, table)
     path = tmp_path_factory.mktemp("policy") / "mixed.csv"
     policy.write(path)
     again = Policy.of(mdp, path)
@@ -160,7 +159,7 @@ def test_a_policy_is_the_array_of_its_rule() -> None:
     with pytest.raises(AttributeError, match="'Policy' object has no attribute 'gap'"):
         _ = policy.__getattribute__("gap")
     table = np.array([[0.5, 0.5, 0, 0]] * 16)
-    mixed = by(CARE, ["status"], table)
+    mixed = Policy.by(CARE, ["status"], table)
     table[0] = [0, 1, 0, 0]
     assert np.asarray(mixed).tolist() == mixed.table.tolist() == [[0.5, 0.5, 0, 0]] * 16
     with pytest.raises(ValueError, match="read-only"):
@@ -348,7 +347,7 @@ def test_files_keep_exact_shares(tmp_path: Path, suffix: str, share: str) -> Non
 def partial(mdp: MDP, *states: int) -> Policy:
     table = np.eye(mdp.n_actions)[[0] * mdp.n_states]
     table[list(states)] = np.nan
-    return by(mdp, ["state"], table)
+    return Policy.by(mdp, ["state"], table)
 
 
 WIDE = Policy(space=StateSpace(columns=(Column(name="status", size=64, bits=6),)),
@@ -382,9 +381,9 @@ REFUSED: list[Any] = [  # model, form, kind, what is said and where, perhaps how
     *((LAKE, np.ones(shape), kind, "", "", "reshape(16, 4)")
       for shape in [64, (4, 4, 4)] for kind in ("q", "auto")),
     (CARE, WIDE, "auto", "64 values here and 16"),
-    (CARE.with_(actions=("nothing", *ACTIONS[1:])), by(CARE, ["status"], [0] * 16), "auto",
+    (CARE.with_(actions=("nothing", *ACTIONS[1:])), Policy.by(CARE, ["status"], [0] * 16), "auto",
      "unknown action 'none'"),
-    (PLAIN, by(CARE, ["subtask"], [0, 1]), "auto", "unknown state column 'subtask'"),
+    (PLAIN, Policy.by(CARE, ["subtask"], [0, 1]), "auto", "unknown state column 'subtask'"),
     (PLAIN, partial(PLAIN, 1, 2), "auto", "gives no action", "state z"),
     (PLAIN, "always:c", "auto", "not available", "state z", "a, b"),
     (PLAIN, np.array([1, 1, 1]), "auto", "not available", "state x", "a, c"),

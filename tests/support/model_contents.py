@@ -9,19 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp import MDP, Policy, StateSpace
+from exact_mdp import MDP
 
 
 def negated(mdp: MDP) -> MDP:
     """The model of the other sense, every reward times -1."""
     other = "min" if mdp.sense == "max" else "max"
     return mdp.with_(sense="min").maximised.with_(sense=other)
-
-
-def by(mdp: MDP, columns: Sequence[str], table: Any) -> Policy:
-    """The policy that reads some columns of the state."""
-    space = StateSpace(columns=tuple(map(mdp.space.column, columns)))
-    return Policy(space=space, actions=mdp.actions, rule=np.asarray(table))
 
 
 def meant(row: Sequence[float | Fraction]) -> list[Fraction]:

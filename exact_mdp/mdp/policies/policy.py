@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
-from exact_mdp.mdp.errors import ModelError, check_names, located, no_such, of_type
+from exact_mdp.mdp.errors import ModelError, check_names, located, no_such, of_type, words_of
 from exact_mdp.mdp.forms.numbers import float_array, is_table
 from exact_mdp.mdp.io.arrays import read_array
 from exact_mdp.mdp.model import MDP
@@ -461,6 +461,41 @@ class Policy(ByFields, NDArrayOperatorsMixin):
         """
         of_type(model, MDP, "model", MODEL)
         return cls(**action_numbers(model, numbers_of(choices)))
+
+    @classmethod
+    def by(cls, model: MDP, columns: Sequence[str], table: ArrayLike) -> Policy:
+        """Return a policy that reads the named columns.
+
+        Parameters
+        ----------
+        model : MDP
+        columns : names of columns of the model's states
+        table : (K,) action numbers or (K, A) probabilities, row-major over the columns
+            Exact probabilities (Fractions) stay exact.
+
+        Returns
+        -------
+        Policy
+
+        Examples
+        --------
+        >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [1, 0])
+        >>> Policy.by(mdp, ["state"], [[0.5, 0.5], [1, 0]]).weights(mdp).tolist()
+        [0.5, 0.5, 1.0, 0.0]
+        """
+        space = of_type(model, MDP, "model", MODEL).space
+        names = words_of(columns, "columns")
+        space = StateSpace(columns=tuple(space.column(name) for name in names))
+        array: Numbers = np.asarray(table)
+        inside = array.dtype.kind in "iu" and ((array >= 0) & (array < model.n_actions)).all()
+        if array.ndim == 1 and not inside:
+            raise ModelError(
+                f"{array.tolist()} are not all numbers of actions",
+                where="policy",
+                fix=f"give whole numbers from 0 to {model.n_actions - 1}: "
+                + ", ".join(f"{number} is {name}" for number, name in enumerate(model.actions)),
+            )
+        return cls(space=space, actions=model.actions, rule=array)
 
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads one column alone) `.json`, atomically."""
