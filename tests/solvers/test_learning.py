@@ -201,7 +201,9 @@ def test_the_selected_policy_is_the_best_of_the_five_most_frequent(
         times = {i: int((run.last == i).sum()) for i in set(run.last.tolist())}
         fifth = (counts + [0] * 5)[4]
         always = [i for i, count in times.items() if count > fifth]
-        values = {i: evaluate(care, Policy.by(care, ("status",), run.policies[i])).mean for i in times}
+        values = {
+            i: evaluate(care, Policy.by(care, ("status",), run.policies[i])).mean for i in times
+        }
         assert learned.value[number] >= max(values[i] for i in always or [run.last[-1]]) - 1e-9
         assert any(abs(learned.value[number] - value) < 1e-9 for value in values.values())
 
