@@ -22,7 +22,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from math import inf, lcm
+from math import inf
 
 import numpy as np
 import scipy.sparse as sp
@@ -39,6 +39,7 @@ from exact_mdp.mdp.table import (
     Integers,
     Numbers,
     OutcomeTable,
+    common,
     divide,
     exact,
     integers,
@@ -347,20 +348,17 @@ class PolicyChain:
             return bellman_rows(self.mdp if same else self.mdp.with_(discount=rate)).of_pairs(
                 self.pairs
             )
-        parts = [
-            (mean, [(t, rate * row[t]) for t in sorted(row) if rate])
-            for mean, row in self.mixed(used)
-        ]
-        scale = [lcm(mean.denominator, *(p.denominator for _, p in row)) for mean, row in parts]
-        each = zip(scale, parts, strict=True)
+        mixed = [(mean, sorted(row.items())) for mean, row in self.mixed(used)]
+        parts = [common([mean, *(rate * p for _, p in row)]) for mean, row in mixed]
+        weights = [top[1:] if rate else [] for top, _ in parts]
         return BellmanRows(
             pair_offsets=np.arange(len(parts) + 1),
             terminal=self.mdp.terminal,
-            scale=integers(scale),
-            constant=integers(int(m * k) for k, (m, _) in zip(scale, parts, strict=True)),
-            offsets=np.cumsum([0, *(len(row) for _, row in parts)]),
-            next=np.array([t for _, row in parts for t, _ in row], dtype=np.int64),
-            weight=integers(int(p * k) for k, (_, row) in each for _, p in row),
+            scale=integers(below for _, below in parts),
+            constant=integers(top[0] for top, _ in parts),
+            offsets=np.cumsum([0, *map(len, weights)]),
+            next=np.array([t for _, row in mixed for t, _ in row if rate], dtype=np.int64),
+            weight=integers(weight for own in weights for weight in own),
         )
 
     @cached_property
