@@ -10,19 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import exp, log
-from typing import Protocol, cast
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.table import Floats, float_of
 
-
-class Schedule(Protocol):
-    """A number for every epoch."""
-
-    def values(self, epochs: int) -> Floats:
-        """Return (E,) numbers, that of epoch t = 0 first."""
+Schedule: TypeAlias = Any  # `values(epochs)` are (E,) numbers, that of epoch t = 0 first
 
 
 @dataclass(frozen=True)
@@ -111,7 +106,7 @@ PAPER_DECAYING = Exponential.through(0.8, at=300, minimum=0.03)
 def as_schedule(given: object) -> Schedule:
     """Return a schedule as it is, and a number as the constant one."""
     if callable(getattr(given, "values", None)) and not isinstance(given, Mapping):
-        return cast(Schedule, given)
+        return given
     return Constant(float_of(given, "schedule"))
 
 
