@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,7 +37,7 @@ from exact_mdp.mdp.forms.numbers import whole_numbers
 from exact_mdp.mdp.io.gymnasium import FromGymnasium
 from exact_mdp.mdp.io.transitions import FromTransitions
 from exact_mdp.mdp.questions import Questions
-from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
+from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, DataFrame, as_html, data_frame
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Integers, Numbers, OutcomeTable, distinct, divide
 from exact_mdp.mdp.validate import (
@@ -49,9 +49,6 @@ from exact_mdp.mdp.validate import (
     check_options,
     counted,
 )
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 Found = TypeVar("Found")
 SHOWN = (
@@ -229,8 +226,6 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         return self._outcomes(pair for state in chosen for pair in self.pairs_of(state))
 
     def _outcomes(self, pairs: Iterable[int]) -> DataFrame:
-        import pandas
-
         label = self.space.label
         rows = [
             (label(self.pair_state[pair]), self.actions[self.pair_action[pair]], label(after), p, r)
@@ -239,7 +234,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         ]
         earned = "cost" if self.sense == "min" else "reward"
         names = ["state", "action", "next state", "probability", earned]
-        return pandas.DataFrame(rows, columns=names)
+        return data_frame(rows, columns=names)
 
     def _repr_html_(self) -> str:
         few = self._outcomes(range(min(self.n_pairs, ROWS_SHOWN)))

@@ -22,7 +22,7 @@ from fractions import Fraction
 from functools import cache, cached_property, partial
 from itertools import groupby
 from math import gcd, lcm
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.graph import termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.questions import NO_DATA, ONE_COMPONENT
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
     Integers,
@@ -50,9 +50,6 @@ from exact_mdp.solvers.exact.find import certificate
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.solver import mdp_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 CELLS = 20_000_000  # outcomes times returns
 WHERE = "risk of the return"
@@ -348,10 +345,8 @@ class CVaROptimum(Result):
 
     def frame(self) -> DataFrame:
         """Return the distribution of the return."""
-        import pandas
-
         returns = self.distribution()
-        return pandas.DataFrame(
+        return data_frame(
             {"return": map(float, returns), "probability": map(float, returns.values())}
         )
 

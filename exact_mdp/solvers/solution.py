@@ -17,18 +17,14 @@ from enum import StrEnum
 from fractions import Fraction
 from functools import cached_property
 from math import inf, isinf, nan
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 OWN = (__name__.partition(".")[0], "numpy")  # whose decorators stand between two calls
 
@@ -402,14 +398,12 @@ def least(mdp: MDP, solved: Callable[[MDP], Any]) -> Any:
 
 def by_state(mdp: MDP | None, columns: Mapping[str, Any]) -> DataFrame:
     """Return columns (S,) beside the states, and `action` by name; by number without a model."""
-    import pandas
-
     if mdp is None:
-        return pandas.DataFrame({"state": range(len(columns["action"])), **columns})
+        return data_frame({"state": range(len(columns["action"])), **columns})
     names = {"state": mdp.space.labels(range(mdp.n_states)), **columns}
     if "action" in columns:
         names["action"] = [mdp.actions[action] for action in columns["action"].tolist()]
-    return pandas.DataFrame(names)
+    return data_frame(names)
 
 
 def in_decimals(numbers: Iterable[Fraction | float | None]) -> list[float]:

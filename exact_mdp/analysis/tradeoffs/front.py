@@ -22,7 +22,7 @@ from fractions import Fraction
 from itertools import combinations
 from math import gcd
 from operator import mul
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -34,7 +34,7 @@ from exact_mdp.mdp.graph import strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, common
 from exact_mdp.solvers.exact.duals import worth
 from exact_mdp.solvers.exact.levels import Level, combined
@@ -42,9 +42,6 @@ from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import Attained, Point, TotalsProof, about, extreme
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import flow_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 Weights = tuple[int, ...]
 LONGEST = 200  # states that lead to each other: a front of two totals takes a minute or two
@@ -191,9 +188,7 @@ class Front(TotalsProof, Pictured):
 
     def frame(self) -> DataFrame:
         """Return the vertices, one in each row, and what the step from the one before costs."""
-        import pandas
-
-        frame = pandas.DataFrame(self.vertices, columns=list(self.names))
+        frame = data_frame(self.vertices, columns=list(self.names))
         if len(self.names) == 2:
             frame["rate"] = [None, *(edge.rate for edge in self.edges)]
         return frame

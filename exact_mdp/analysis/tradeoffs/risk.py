@@ -10,23 +10,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import shown
 from exact_mdp.solvers.risk import CVaROptimum, best_cvar, share_of, tail_mean
 from exact_mdp.solvers.solution import Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.returns import return_distribution
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 RULES = 20  # rows of a policy with a memory that a table shows
 WEIGHTS = (Fraction(0), Fraction(1, 4), Fraction(1, 2), Fraction(3, 4), Fraction(99, 100))
@@ -88,13 +83,11 @@ class MeanCVaR(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each best policy, and for each given one."""
-        import pandas
-
         best = {
             f"best, weight {shown(o.weight)} of the mean": (o.mean, o.value) for o in self.optima
         }
         rows = [*best.items(), *self.policies.items()]
-        return pandas.DataFrame(
+        return data_frame(
             {"policy": name, "mean": float(mean), "CVaR": float(value), "claim": "certified"}
             for name, (mean, value) in rows
         )

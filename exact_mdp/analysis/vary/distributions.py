@@ -43,7 +43,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -63,11 +63,8 @@ from exact_mdp.mdp.parametric import (
     parameter_of,
     parametric,
 )
-from exact_mdp.mdp.result import Brief
+from exact_mdp.mdp.result import Brief, DataFrame
 from exact_mdp.mdp.table import Floats, float_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 Numbers = tuple[float, ...]
 Settings = Mapping[str, object]

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,13 +33,10 @@ from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.solution import Claim
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 DOMINATED, EXTENDED = "dominated", "extendedly dominated"
 STEP = ("incremental cost", "incremental effect", "ICER")
@@ -102,9 +99,7 @@ class CostEffectiveness(Pictured):
         Each is compared with the one before it on the efficient frontier; a strategy that is not on
         the frontier has no ICER, and `status` says why.
         """
-        import pandas
-
-        rows = pandas.DataFrame(
+        rows = data_frame(
             {
                 "strategy": self.strategies,
                 "cost": self.cost.mean(axis=0),
@@ -132,10 +127,8 @@ class CostEffectiveness(Pictured):
 
     def frame(self, wtp: ArrayLike | None = None) -> DataFrame:
         """Return one row for each willingness to pay: CEAC, frontier, EVPI."""
-        import pandas
-
         at = self.grid() if wtp is None else np.atleast_1d(_prices(wtp))
-        table = pandas.DataFrame(self.acceptability(at), columns=list(self.strategies))
+        table = data_frame(self.acceptability(at), columns=list(self.strategies))
         table.insert(0, WTP, at)
         table["best on average"] = [name for name, _ in self.frontier(at)]
         worth = [(each.value, each.standard_error) for each in self.evpi(at)]

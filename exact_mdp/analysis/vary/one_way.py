@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,14 +27,10 @@ from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, claimed
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers
 from exact_mdp.mdp.validate import counted
 from exact_mdp.solvers.solution import Bounded, regret
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 VALUES = {
     "re-optimised": "value:.6g",
@@ -116,9 +112,7 @@ class Tornado(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each bar; values and regrets in units of reward."""
-        import pandas
-
-        return pandas.DataFrame(
+        return data_frame(
             {
                 "parameter": bar.parameter.name,
                 "unit": unit_of(bar.parameter),

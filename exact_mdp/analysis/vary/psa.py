@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,15 +47,11 @@ from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, Flags, counted, seed_of
 from exact_mdp.solvers.parallel import How, seeded
 from exact_mdp.solvers.solution import Bounded, Estimated
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 LISTED = 16  # rows of a table
 POOL = 24  # policies that are considered as candidates
@@ -317,9 +313,7 @@ class PSA(Pictured):
 
     def frame(self) -> DataFrame:
         """Return a table: the drawn parameters, V*, each candidate's value (units of reward)."""
-        import pandas
-
-        table = pandas.DataFrame(self.table.points, columns=list(self.names))
+        table = data_frame(self.table.points, columns=list(self.names))
         table["V* (reward)"] = self.table.optimal
         for number, candidate in enumerate(self.candidates):
             table[f"{candidate.name} (reward)"] = self.table.fixed[:, number]

@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
-from exact_mdp.mdp.result import Pictured, Result
+from exact_mdp.mdp.result import DataFrame, Pictured, Result, data_frame
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.solvers.robust.divergence import Likelihood, RelativeEntropy
 from exact_mdp.solvers.robust.robust import Nature, RobustSolution, solve_robust
@@ -41,9 +40,6 @@ from exact_mdp.solvers.robust.sets import Ambiguity, Intervals, L1Ball, radius_o
 from exact_mdp.solvers.solution import Bounded, Claim, difference
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -132,8 +128,6 @@ class Robust(Result):
 
     def frame(self) -> DataFrame:
         """Return values at the start (reward), one row for each policy and law."""
-        import pandas
-
         rows = [
             ("nominal", "nominal", self.value),
             ("nominal", "worst", self.worst),
@@ -145,7 +139,7 @@ class Robust(Result):
         ]
         headings = ["policy", "laws", "value (reward)", "error bound (reward)"]
         table = [(policy, laws, number.value, number.error) for policy, laws, number in rows]
-        return pandas.DataFrame(table, columns=headings)
+        return data_frame(table, columns=headings)
 
 
 def _weights(solution: RobustSolution) -> Floats:
@@ -169,9 +163,7 @@ class RobustCurve(Pictured):
 
     def frame(self) -> DataFrame:
         """Return values at the start (reward), one row for each radius."""
-        import pandas
-
-        return pandas.DataFrame(
+        return data_frame(
             [
                 {
                     "set": self.kind,
@@ -329,10 +321,8 @@ class WorstPoint(Result):
 
     def frame(self) -> DataFrame:
         """Return where each parameter is."""
-        import pandas
-
         at = [float(each) for each in self.point.values()]
-        return pandas.DataFrame({"parameter": list(self.point), "at": at})
+        return data_frame({"parameter": list(self.point), "at": at})
 
 
 def worst_point(

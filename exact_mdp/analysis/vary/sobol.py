@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.random import default_rng
@@ -34,15 +34,11 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, number
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, counted, seed_of
 from exact_mdp.solvers.learning.sampler import child
 from exact_mdp.solvers.parallel import How
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 OUTPUTS = ("optimal", "fixed", "regret")
 RESAMPLES = 200
@@ -162,11 +158,9 @@ class Sobol(Pictured):
 
     def frame(self, output: str = "optimal") -> DataFrame:
         """Return one row for each parameter, the largest total index of an output first."""
-        import pandas
-
         indices, spans = self.of(output), self.spans.items()
         rows = [(each.name, unit_of(each), float(r.low), float(r.high)) for each, r in spans]
-        table = pandas.DataFrame(rows, columns=["parameter", "unit", "low", "high"])
+        table = data_frame(rows, columns=["parameter", "unit", "low", "high"])
         table["first order (share of variance)"] = indices.first
         table["first order ±"] = indices.first_half
         table["total (share of variance)"] = indices.total

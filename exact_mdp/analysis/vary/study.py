@@ -16,7 +16,7 @@ from fractions import Fraction
 from functools import cached_property, partial
 from hashlib import sha256
 from math import inf
-from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+from typing import Any, TypeAlias, Unpack
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.arrays import distinct
 from exact_mdp.mdp.policies.policy import PolicyLike
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import gains
@@ -37,10 +37,6 @@ from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
 from exact_mdp.solvers.solution import Solution, regrets
 from exact_mdp.solvers.values.evaluate import evaluate
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 SHOWN = 3  # parameters of a point that an error names
 KEPT = 2**24  # numbers of built models that are kept for the next question
@@ -76,9 +72,7 @@ class Study(Result):
 
     def values(self) -> DataFrame:
         """Return one row for each point: the optimum, each policy and its regret (reward)."""
-        import pandas
-
-        table = pandas.DataFrame({"value": self.optimal})
+        table = data_frame({"value": self.optimal})
         for number, (fixed, regret) in enumerate(zip(self.fixed.T, self.regret.T, strict=True)):
             end = f"_{number}" * (len(self.fixed.T) > 1)
             table[[f"fixed_value{end}", f"regret{end}"]] = np.column_stack([fixed, regret])
@@ -90,7 +84,7 @@ class Study(Result):
         """Return one row for each point: its parameters, and what `values` says of it."""
         import pandas
 
-        points = pandas.DataFrame(self.points.astype(float), columns=list(self.names))
+        points = data_frame(self.points.astype(float), columns=list(self.names))
         return pandas.concat([points, self.values()], axis=1)
 
 

@@ -16,7 +16,7 @@ from fractions import Fraction
 from functools import cached_property
 from math import inf, ulp
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,11 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
-from exact_mdp.mdp.result import Pictured, Result
+from exact_mdp.mdp.result import DataFrame, Pictured, Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.exact import checker, codec
 from exact_mdp.solvers.exact.levels import Level, fraction, surplus
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, by_state, in_decimals, in_float
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 Flags = NDArray[np.bool_]
 

@@ -9,23 +9,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import ReadAs
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Result
+from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, expansion
 from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Valued
 from exact_mdp.solvers.values.policy_chain import PolicyChain, poor, require_few, rounded
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 LISTED = 1000  # states in a report
 
@@ -99,8 +96,6 @@ class AverageEvaluation(Valued, Result):
 
     def frame(self) -> DataFrame:
         """Return gain, bias and share of time of each state, with their error bounds."""
-        import pandas
-
         columns = {
             "state": self.mdp.space.labels(range(len(self.value))),
             "gain": self.value,
@@ -110,7 +105,7 @@ class AverageEvaluation(Valued, Result):
             "share": self.share.value,
             "share error": self.share.error,
         }
-        return pandas.DataFrame(columns)
+        return data_frame(columns)
 
     def __repr__(self) -> str:
         return f"AverageEvaluation(gain at the start {self.start})"

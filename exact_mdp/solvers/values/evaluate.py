@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property, partial
 from math import inf, isfinite, nan, sqrt
-from typing import TYPE_CHECKING, ClassVar, Literal, overload
+from typing import ClassVar, Literal, overload
 
 import numpy as np
 import scipy.sparse as sp
@@ -38,7 +38,7 @@ from exact_mdp.mdp.graph import closure, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.report import Report, Shown, Table, claimed
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import COMPILED, Floats
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
@@ -59,10 +59,6 @@ from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, sol
 from exact_mdp.solvers.values.average import AverageEvaluation, average
 from exact_mdp.solvers.values.policy_chain import Equations, Parted, PolicyChain, arrives, parted
 from exact_mdp.solvers.values.returns import return_distribution, times
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 UNKNOWN = Bounded(value=nan, error=inf)
@@ -136,10 +132,8 @@ class Evaluation(Valued, Pictured):
 
     def frame(self) -> DataFrame:
         """Return every number from the start with its error bound."""
-        import pandas
-
         rows = [(name, number.value, number.error) for name, number in self.numbers.items()]
-        return pandas.DataFrame(rows, columns=["number", "value", "error"])
+        return data_frame(rows, columns=["number", "value", "error"])
 
     def report(self) -> Report:
         """Return the mean and what it is made of, with quantiles."""

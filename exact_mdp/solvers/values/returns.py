@@ -22,7 +22,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import accumulate
 from math import inf, lcm, nan, sqrt
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
 from exact_mdp.solvers.dynamic.iterate import check_counts
@@ -39,10 +39,6 @@ from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 from exact_mdp.solvers.values.return_mass import Flow, carried
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 NEGLIGIBLE = 1e-280
 WIDE = 2**31  # of multiples, of which a return adds up to 2^32
@@ -191,7 +187,7 @@ class ReturnDistribution(Pictured):
         errors |= zip(self.values, self.error.tolist(), strict=True)
         errors |= {s: float(getattr(each, "error", 0.0)) for s, each in self.unending.items()}
         columns = {"probability": [*law.values()], "error": [errors[value] for value in law]}
-        return pandas.DataFrame(columns, index=pandas.Index([*law], name="return"))
+        return data_frame(columns, index=pandas.Index([*law], name="return"))
 
     def report(self) -> Report:
         """Return the law of the return."""

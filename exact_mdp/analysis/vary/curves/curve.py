@@ -44,14 +44,13 @@ from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, parametric
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import exact, shown
 from exact_mdp.solvers.solution import Claim
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from flint import fmpq_poly
-    from pandas import DataFrame
 
 NEARLY_ONE = 1 - Fraction(1, 2**40)
 
@@ -268,9 +267,7 @@ class ValueFunction(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each piece."""
-        import pandas
-
-        return pandas.DataFrame(
+        return data_frame(
             {
                 "parameter": self.parameter.name,
                 "low": float(piece.low[0]),

@@ -44,7 +44,7 @@ from exact_mdp.mdp.parametric.row_change import (
 )
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, difference, in_float
@@ -54,7 +54,6 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 if TYPE_CHECKING:
     from flint import fmpq
-    from pandas import DataFrame
 
 
 EXACT_TRANSITIONS = 100_000
@@ -182,9 +181,7 @@ class Gradient(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each parameter, the largest elasticity first."""
-        import pandas
-
-        return pandas.DataFrame(self._rows())
+        return data_frame(self._rows())
 
     def _rows(self) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = [

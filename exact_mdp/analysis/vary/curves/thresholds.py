@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,13 +26,10 @@ from exact_mdp.mdp.graph import reachable
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.report import Report, Table
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import shown
 from exact_mdp.mdp.validate import Flags
 from exact_mdp.solvers.solution import Claim
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,10 +106,8 @@ class Thresholds(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each state that changes at a threshold."""
-        import pandas
-
         columns = ["parameter", "threshold", "state", "before", "after", "reached", "touch"]
-        table = pandas.DataFrame(self.switches(), columns=columns).assign(claim=str(self.claim))
+        table = data_frame(self.switches(), columns=columns).assign(claim=str(self.claim))
         table[["before", "after"]] = table[["before", "after"]].map(" or ".join)
         return table
 
