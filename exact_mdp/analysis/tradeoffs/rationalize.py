@@ -17,13 +17,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import inf
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table
+from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.solvers.exact.duals import allowed, worth
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.objectives.amounts import Objectives
@@ -39,9 +40,6 @@ from exact_mdp.solvers.objectives.totals import (
 from exact_mdp.solvers.solution import Certified
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import flow_of
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 ZERO, ONE = Fraction(0), Fraction(1)
 
@@ -140,13 +138,11 @@ class Rationalization(TotalsProof):
 
     def frame(self) -> DataFrame:
         """Return a row for each component: its multiplier, and the interval that does it alone."""
-        import pandas
-
         rows = [
             (name, weight, *(self.alone[name] or (None, None)))
             for name, weight in self.weights.items()
         ]
-        return pandas.DataFrame(rows, columns=["component", "multiplier", "alone from", "to"])
+        return data_frame(rows, columns=["component", "multiplier", "alone from", "to"])
 
 
 @named_options

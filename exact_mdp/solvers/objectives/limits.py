@@ -22,7 +22,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import combinations
 from operator import sub
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import flint
 import numpy as np
@@ -31,6 +31,7 @@ from exact_mdp.mdp.errors import ModelError, located
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Table
+from exact_mdp.mdp.result import DataFrame, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, common, exact, shown
 from exact_mdp.solvers.bounds.gains import first_of
 from exact_mdp.solvers.exact.duals import worth
@@ -49,9 +50,6 @@ from exact_mdp.solvers.objectives.totals import (
     optimum,
 )
 from exact_mdp.solvers.solution import Certified
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 ZERO, ONE = Fraction(0), Fraction(1)
 LIMIT = re.compile(r"\s*(>=|<=)\s*(\S+)\s*$")
@@ -210,11 +208,9 @@ class ConstrainedSolution(TotalsProof):
 
     def frame(self) -> DataFrame:
         """Return one row for each limit: the total, the price, and the closest limit."""
-        import pandas
-
         each = zip(self.limits, self.price, self.moved, strict=True)
         rows = [(str(x), self.totals[x.name], price, moved.bound) for x, price, moved in each]
-        return pandas.DataFrame(rows, columns=["limit", "total", "price", "closest"])
+        return data_frame(rows, columns=["limit", "total", "price", "closest"])
 
 
 def bounds(limits: Sequence[Limit], moved: Sequence[Limit]) -> dict[str, Fraction]:
