@@ -80,15 +80,16 @@ def test_each_number_is_what_it_is_beside_any_other_in_every_container(
     drawn: list[Any], sparse: bool
 ) -> None:
     """A float in a list of words is not read as one; an integer beside a float keeps its end."""
-    exact, given_ = (list(each) for each in zip(*drawn, strict=True))
+    exact, given_ = map(list, zip(*drawn, strict=True))
     size, objects = len(given_), np.empty(len(given_), dtype=object)
     objects[:] = given_
     eye = sp.eye_array(size, format="csr") if sparse else np.eye(size)
     states = range(size)
     moved = [[x if s == t else 0 for t in states] for s, x in enumerate(given_)]
+    each = [[x] for x in given_], [np.array([x]) for x in given_]  # a row for each state
     for mdp in (
-        *(MDP.from_arrays([eye], reward, 0) for reward in (given_, objects, [[x] for x in given_])),
-        *([] if sparse or size == 2 else [MDP.from_arrays([eye], [moved], 0)]),
+        *(MDP.from_arrays([eye], reward, 0) for reward in (given_, objects, *each)),
+        *([] if sparse else [MDP.from_arrays([eye], [moved], 0)]),
         MDP.from_pairs(states, [0] * size, eye, given_, 0),
         MDP.from_pairs(states[::-1], [0] * size, np.eye(size)[::-1], given_[::-1], 0),
         MDP.from_outcomes([(s, 0, [(1.0, s, x)]) for s, x in enumerate(given_)], 0),
