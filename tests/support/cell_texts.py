@@ -18,4 +18,6 @@ def texts_of(parts: Iterable[Text]) -> list[str]:
 
 def legend_of(ax: Axes) -> list[str]:
     """Return what the legend says."""
-    return texts_of(ax.get_legend().get_texts())
+    legend = ax.get_legend()
+    assert legend is not None
+    return texts_of(legend.get_texts())
