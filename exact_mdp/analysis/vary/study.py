@@ -182,11 +182,12 @@ def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers
         high = inf if parameter.high is None else float(parameter.high)
         wrong = ~((drawn >= low) & (drawn <= high) & np.isfinite(drawn))
         if wrong.any():
-            row = int(wrong.argmax())
+            row, fault = int(wrong.argmax()), f"outside [{low:g}, {high:g}]"
+            fault = fault if np.isfinite(drawn[row]) else "no finite number"
             raise ModelError(
-                f"{name} is {drawn[row]:.17g}, outside [{low:g}, {high:g}]",
+                f"{name} is {drawn[row]:.17g}, {fault}",
                 where=f"draw {row}",
-                fix="draw within that range",
+                fix="draw finite numbers within its range",
             )
     return points, draws
 

@@ -105,7 +105,8 @@ ranges('"base.anger" = 0.2') -> not a pair
 ranges('"base.anger" = [0.2') -> broken TOML
 ranges("") -> no range
 study(THIRDS, {"a": [0.5, 0.5], "b": [0.25, 0.75]}) -> more than 1; draw 1, a = 0.5, b = 0.75
-study(THIRDS, {"a": [0.5], "b": [<1.5|np.nan>]}) -> outside; draw 0
+study(THIRDS, {"a": [0.5], "b": [1.5]}) -> outside [0, 1]; draw 0; within its range
+study(THIRDS, {"a": [0.5], "b": [np.nan]}) -> nan, no finite number; draw 0
 study(THIRDS, {"a": <[1], "b": [1, 2]|[[1, 2]]>}) -> columns of shape
 study(THIRDS, {"a": []}) -> no points
 study(THIRDS, {}) -> none
