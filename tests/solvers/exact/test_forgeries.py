@@ -135,6 +135,11 @@ UNREAD: list[tuple[MDP, str, dict[str, Any]]] = [
     *[(LEAST, "model", change) for change in (
         {"unreached": "5"}, {"goal": None, "unreached": "5"}, {"goal": [0]}, {"discount": "1/2"},
     )],
+    *[(ONE, "model", change) for change in (
+        {"discount": "3/2"}, {"discount": "-1/2"}, {"sense": "most"}, {"states": 3}, {"states": 1},
+        {"start": {"0": "1/2"}}, {"start": {"0": "3/2", "1": "-1/2"}}, {"start": {"7": "1"}},
+        {"start": {}}, {"start": ["1"]}, {"pairs": []},
+    )],
     # numbers that nothing uses, and ranks below 0
     *[(ONE, "proof", change) for change in (
         {"h": level(1, 0) | {"below": ["0x1", "0x7"]}}, {"rank": [1, -1]}, {"rank": [0, -1]},
@@ -149,6 +154,11 @@ def test_what_says_nothing_is_not_read(
     same = {"h": level(1, 0), "rank": [1, 0]} if mdp is ONE else {}
     assert check_certificate.main(written(tmp_path, mdp, same)) == 0
     assert check_certificate.main(written(tmp_path, mdp, change, of)) == 2
+
+
+def test_a_start_may_name_states_in_which_no_episode_begins(tmp_path: Path) -> None:
+    change = {"start": {"0": "1", "1": "0"}}
+    assert check_certificate.main(written(tmp_path, ONE, change, "model")) == 0
 
 
 # ---- the checker by itself -----------------------------------------------------------------------
