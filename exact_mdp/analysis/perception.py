@@ -281,6 +281,11 @@ def error_costs(model: MDP, policy: PolicyLike, confusion: ArrayLike) -> ErrorCo
     -------
     ErrorCosts
 
+    Raises
+    ------
+    ModelError
+        Where the model has no statuses, or the matrix does not fit them.
+
     Examples
     --------
     >>> from exact_mdp import Scenario, error_costs, independent

@@ -374,6 +374,11 @@ def best_cvar(
     -------
     CVaROptimum
 
+    Raises
+    ------
+    ModelError
+        For other discounts, cycles, too many returns, and numbers out of range.
+
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]

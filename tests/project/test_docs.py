@@ -194,7 +194,7 @@ def test_a_block_of_the_gallery_draws_one_figure_for_each_picture() -> None:
 
 # ---- docstrings ----------------------------------------------------------------------------------
 
-ROOMS = ("", ".mdp", ".solvers", ".analysis")
+ROOMS = ("", ".mdp", ".solvers", ".analysis", ".analysis.plots")
 
 
 def public() -> Iterator[tuple[str, Any]]:

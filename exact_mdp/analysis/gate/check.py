@@ -187,6 +187,13 @@ def assert_policy_optimal(
     -------
     Audit
 
+    Raises
+    ------
+    AssertionError
+        Where a limit does not hold.
+    ModelError
+        As `check` does.
+
     Examples
     --------
     >>> mdp = MDP.from_arrays([[[0, 1], [0, 1]], [[0, 1], [0, 1]]], [[1, 3], [0, 0]])

@@ -219,6 +219,11 @@ def compare(model: MDP | Scenario, policies: Mapping[str, PolicyLike]) -> Policy
     -------
     PolicyComparison
 
+    Raises
+    ------
+    ModelError
+        Without policies, and for one that does not fit the model.
+
     Examples
     --------
     >>> from exact_mdp import MDP

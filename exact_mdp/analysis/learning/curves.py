@@ -69,6 +69,11 @@ def learning_curve(
     -------
     LearningCurve
 
+    Raises
+    ------
+    ModelError
+        For a run on another model, or fewer than two experiments.
+
     Examples
     --------
     >>> from exact_mdp import Scenario

@@ -138,6 +138,11 @@ def explore(
     -------
     Explorer
 
+    Raises
+    ------
+    ModelError
+        For no parameter or more than two, and as `thresholds` does.
+
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 0, 5), ("1/2", 1, 5)]), (0, 1, [(1, 1, 10)]), (1, 0, [(1, 1, -1)])]

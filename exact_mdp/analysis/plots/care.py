@@ -30,7 +30,24 @@ APART = 0.07  # of an arrow from the line between two centres: arrows to and fro
 
 @picture
 def plot_influence(scenario: Scenario, *, ax: Axes | None = None) -> Axes:
-    """Draw who raises whom; widths and labels are percentage points per timestep."""
+    """Draw who raises whom; widths and labels are percentage points per timestep.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario
+    >>> ax = plot_influence(Scenario.load("yuan2025"))
+    >>> ax.texts[0].get_text().splitlines()[0]
+    'forgetfulness'
+    """
     ax, count = axes_or_new(ax, high=6.0), len(scenario.statuses)
     angles = 3 * np.pi / 4 - 2 * np.pi * np.arange(count) / count  # four statuses make a square
     places = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -73,9 +90,24 @@ def _influence(ax: Axes, start: Floats, end: Floats, amount: float) -> None:
 def plot_status_transitions(
     law: Floats, statuses: Sequence[str], *, ax: Axes | None = None
 ) -> Axes:
-    """Draw the moves between vectors of n statuses as a map: the darker, the likelier.
+    """Draw the moves between status vectors as a map: the darker, the likelier.
 
-    `law` (2^n, 2^n) holds the probability of the next vector (column) given the present one (row).
+    Parameters
+    ----------
+    law : (2^n, 2^n)
+        Probabilities of the next vector (column) given the present one (row).
+    statuses : sequence of n str
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> ax = plot_status_transitions(np.eye(4), ["anger", "confusion"])
+    >>> [text.get_text() for text in ax.texts], ax.get_ylabel()
+    (['100', '100', '100', '100'], 'status now: anger, confusion')
     """
     ax = _vector_map(ax, law, 0.1)
     names = {"x": "status after the action", "y": f"status now: {', '.join(statuses)}"}
@@ -133,9 +165,23 @@ def plot_error_costs(costs: ErrorCosts, *, ax: Axes | None = None) -> Axes:
 
 @picture
 def plot_confusion(confusion: Floats, *, ax: Axes | None = None) -> Axes:
-    """Draw a confusion matrix (2^n, 2^n): the darker, the likelier; numbers where 5 % and more.
+    """Draw a confusion matrix: the darker, the likelier; numbers where 5 % and more.
 
-    It holds the probability of each perceived status (column) given the true one (row).
+    Parameters
+    ----------
+    confusion : (2^n, 2^n)
+        Probability of each perceived status (column) given the true one (row).
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> plot_confusion(np.eye(4)).get_xlabel()
+    'perceived status'
     """
     ax, what = _vector_map(ax, confusion, 0.05), "How each status is perceived (chances in %)"
     return described(ax, what, x="perceived status", y="true status")

@@ -40,8 +40,28 @@ def plot_learning_curves(
     """Draw each curve twice: the range of sampled means as a pale band, exact values as a line.
 
     The greedy policy changes from epoch to epoch, and its exact value with it; the heavy line is
-    the mean over a window of epochs, the dots beside it are the values themselves. The dotted line
-    is the optimal value.
+    the mean over a window of epochs, the dots beside it are the values themselves.
+
+    Parameters
+    ----------
+    curves : LearningCurve or {label: LearningCurve}
+    optimum : float, optional
+        The optimal value, as a dotted line.
+    window : int
+        Epochs that a heavy line averages over; 1 for the values themselves.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import QLearning, Scenario, learning_curve
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> curve = learning_curve(mdp, QLearning(epochs=20).train(mdp, rng=0), rng=1)
+    >>> plot_learning_curves(curve, window=5).get_xlabel()
+    'epoch'
     """
     ax = axes_or_new(ax)
     every = curves if isinstance(curves, Mapping) else {"mean over a window": curves}
@@ -68,9 +88,24 @@ def plot_value_bands(
     window: int = 25,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw exact values (R, E) of greedy policies of R runs by epoch: mean, 5 and 95 % quantiles.
+    """Draw exact values of greedy policies by epoch: mean over runs, 5 and 95 % quantiles.
 
-    `optimum` and `window` are those of `plot_learning_curves`.
+    Parameters
+    ----------
+    values : {label: (R, E)}
+        As `analysis.learning.curves.exact_curves` returns them.
+    optimum, window, ax
+        As in `plot_learning_curves`.
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> values = np.linspace(0, 1, 40).reshape(2, 20)  # of two runs
+    >>> plot_value_bands({"two runs": values}, window=5).get_xlabel()
+    'epoch'
     """
     ax, means, bands = axes_or_new(ax), {}, {}
     for label, curves in values.items():
@@ -94,7 +129,25 @@ def smoothed(values: Floats, window: int) -> tuple[Floats, Floats]:
 
 @picture
 def plot_regrets(outcomes: Outcomes | Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
-    """Draw the share of runs whose final regret is at most x, one step line for each training."""
+    """Draw the share of runs whose final regret is at most x, one step line for each training.
+
+    Parameters
+    ----------
+    outcomes : Outcomes or {label: Outcomes}
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import QLearning, Scenario, outcomes, train
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> runs = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
+    >>> plot_regrets(runs).get_xlabel()
+    'exact regret of the final policy (reward)'
+    """
     ax = axes_or_new(ax)
     every = outcomes if isinstance(outcomes, Mapping) else {"all runs": outcomes}
     for number, (label, each) in enumerate(every.items()):
@@ -136,7 +189,25 @@ def plot_trainer(audit: TrainerAudit, *, ax: Axes | None = None) -> Axes:
 
 @picture
 def plot_distinct(outcomes: Mapping[str, Outcomes], *, ax: Axes | None = None) -> Axes:
-    """Draw how many policies are greedy in the last episodes of a run, with 95 % intervals."""
+    """Draw how many policies are greedy in the last episodes of a run, with 95 % intervals.
+
+    Parameters
+    ----------
+    outcomes : {label: Outcomes}
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import QLearning, Scenario, outcomes, train
+    >>> mdp = Scenario.load("yuan2025").compile()
+    >>> runs = outcomes(mdp, train(mdp, QLearning(epochs=20), 2, rng=0))
+    >>> plot_distinct({"20 epochs": runs}).get_ylabel()
+    'share of runs'
+    """
     ax = axes_or_new(ax)
     width = 0.8 / max(len(outcomes), 1)
     for number, (label, each) in enumerate(outcomes.items()):

@@ -186,6 +186,23 @@ def plot_thresholds(
     """Draw a strip for each parameter: its range, today's value, thresholds, and where it is safe.
 
     Ranges are drawn to the same length; numbers at their ends give the scale.
+
+    Parameters
+    ----------
+    changes : Thresholds or {name: Thresholds}
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, thresholds
+    >>> small = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
+    >>> ax = plot_thresholds(thresholds(small, "reward.anger"))
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['today', 'the optimal policy stays']
     """
     every = [*changes.values()] if isinstance(changes, Mapping) else [changes]
     names = [_axis(each.curve.parameter) for each in every]
@@ -359,7 +376,24 @@ def plot_cost_effectiveness(analysis: CostEffectiveness, *, ax: Axes | None = No
 
 @picture
 def plot_optimal_actions(draws: PSA, *, ax: Axes | None = None) -> Axes:
-    """Draw, for each status and action, the share of draws in which the action is optimal."""
+    """Draw, for each status and action, the share of draws in which the action is optimal.
+
+    Parameters
+    ----------
+    draws : PSA
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import Scenario, psa
+    >>> draws = psa(Scenario.load("yuan2025"), 10, rng=0, effective_sample_size=40)
+    >>> len(plot_optimal_actions(draws).get_xticks())
+    4
+    """
     ax, share = axes_or_new(ax), draws.probability_optimal()[0][:MOST_ROWS]
     texts = {place: _share(float(value)) for place, value in np.ndenumerate(share)}
     shaded(ax, share, draws.labels[:MOST_ROWS], draws.actions, texts)

@@ -66,7 +66,28 @@ LOSSES = LinearSegmentedColormap.from_list("loss", ["#FFF1E8", ORANGE])
 
 @picture
 def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **place: Any) -> Axes:
-    """Draw what a policy does in each state, in the style of its action."""
+    """Draw what a policy does in each state, in the style of its action.
+
+    Parameters
+    ----------
+    model : MDP
+    policy : PolicyLike
+    ax : Axes, optional
+    **place
+        Where states stand: `shape`, `down`, `across`, and columns held fixed; see `arrange`.
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> names = ["left", "down", "right", "up"]
+    >>> grid = MDP.from_arrays([np.eye(6)] * 4, [0, 0, 0, 0, 0, 1], 0.9, actions=names)
+    >>> ax = plot_policy(grid, [2, 2, 1, 3, 0, 0], shape=(2, 3))
+    >>> [text.get_text() for text in ax.texts]
+    ['∎', '∎', '∎', '∎', '∎', '←']
+    """
     layout, ends, used = _placed(model, place), _ends(model), set[int]()
     signs, choices = layout.signs, actions_of(model, policy_of(model, policy).weights(model) > 0)
     shown: dict[int, tuple[str, Look]] = {}
@@ -95,10 +116,29 @@ def plot_states(
     ax: Axes | None = None,
     **place: Any,
 ) -> Axes:
-    """Draw a number (S,) for each state: a heat map, or bars where states are only numbered.
+    """Draw a number for each state: a heat map, or bars where states are only numbered.
 
-    What a policy does is written into the cells, or at the ends of the bars; `label` says what the
-    numbers are, with their unit.
+    Parameters
+    ----------
+    model : MDP
+    values : (S,)
+    policy : PolicyLike, optional
+        Its actions are written into the cells, or at the ends of the bars.
+    label : str
+        What the numbers are, with their unit.
+    ax : Axes, optional
+    **place
+        Where states stand; see `plot_policy`.
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> model = MDP.from_arrays([np.eye(6)], np.zeros(6), 0.9)
+    >>> len(plot_states(model, np.arange(6), shape=(2, 3)).patches)  # cells, and the start's frame
+    7
     """
     given = np.asarray(values, dtype=np.float64)
     if given.shape != (model.n_states,):

@@ -104,7 +104,12 @@ def _context(settings: Any) -> Iterator[None]:
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw with the project's settings inside a `with` block."""
+    """Draw with the project's settings inside a `with` block.
+
+    >>> with style():
+    ...     mpl.rcParams["svg.fonttype"]
+    'none'
+    """
     with _context(SETTINGS):
         yield
 

@@ -26,10 +26,26 @@ def plot_transitions(
 ) -> Axes:
     """Draw states as circles, actions as points, and where each leads with what probability.
 
-    The model has 40 states at most; `exact_mdp.dot` takes more. A policy's actions are black and
-    others grey; of over 8 states its actions alone are drawn. With more than 150 outcomes to draw
-    it is a heat map of the probabilities from state to state, without a policy as if all actions
-    were as likely.
+    Parameters
+    ----------
+    model : MDP or Scenario
+        Of at most 40 states; `exact_mdp.analysis.graph.dot` takes more. With more than 150 outcomes
+        to draw, it becomes a heat map of the probabilities from state to state.
+    policy : PolicyLike, optional
+        Its actions are black, others grey; of over 8 states its actions alone are drawn. In a heat
+        map it chooses the actions; without one all are as likely.
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+
+    Examples
+    --------
+    >>> from exact_mdp import MDP
+    >>> mdp = MDP.from_outcomes([(0, 0, [("1/3", 0, 0), ("2/3", 1, 5)]), (1, 0, [(1, 1, 0)])])
+    >>> sorted(text.get_text() for text in plot_transitions(mdp).texts)
+    ['0', '0', '1', '1/3', '2/3, 5']
     """
     with extra("plots"):
         import networkx as nx

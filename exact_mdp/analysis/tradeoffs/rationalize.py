@@ -159,6 +159,11 @@ def rationalize(model: MDP | Scenario, policy: PolicyLike) -> Rationalization:
     -------
     Rationalization
 
+    Raises
+    ------
+    ModelError
+        For a policy that does not fit, or a component whose total is infinite.
+
     Examples
     --------
     >>> rows = [(0, 0, [(1, 1, 5)]), (0, 1, [(1, 1, 3)]), (1, 0, [(1, 1, 0)])]

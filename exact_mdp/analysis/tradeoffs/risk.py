@@ -120,6 +120,11 @@ def mean_cvar(
     -------
     MeanCVaR
 
+    Raises
+    ------
+    ModelError
+        As `best_cvar` does.
+
     Examples
     --------
     >>> rows = [(0, 0, [("1/2", 1, 10), ("1/2", 1, 0)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]

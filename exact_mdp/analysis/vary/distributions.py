@@ -520,6 +520,11 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     -------
     {name or beginning of names: settings}, float or None
 
+    Raises
+    ------
+    ModelError
+        For broken TOML, a setting that is not known, and a file that states nothing.
+
     Examples
     --------
     >>> from tempfile import TemporaryDirectory

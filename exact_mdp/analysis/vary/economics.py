@@ -184,6 +184,11 @@ def cost_effectiveness(
     -------
     CostEffectiveness
 
+    Raises
+    ------
+    ModelError
+        For unknown components, no strategy, and as `psa` does.
+
     Examples
     --------
     >>> rows = [(0, 0, [(1, 1, 0)]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]

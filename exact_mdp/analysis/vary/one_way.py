@@ -191,6 +191,11 @@ def one_way(
     -------
     Curve
 
+    Raises
+    ------
+    ModelError
+        For unknown names, empty ranges, fewer than 2 points, and where a value is infinite.
+
     Examples
     --------
     >>> rows = [(0, 0, [(1, 1, 3)]), (0, 1, [(1, 2, 0)]), (2, 0, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
@@ -353,6 +358,11 @@ def two_way(
     Returns
     -------
     TwoWay
+
+    Raises
+    ------
+    ModelError
+        As for `one_way`, and for twice the same parameter.
 
     Examples
     --------

@@ -431,6 +431,11 @@ def psa(
     -------
     PSA
 
+    Raises
+    ------
+    ModelError
+        For no draws, and where nothing is uncertain.
+
     Examples
     --------
     >>> analysis = psa(Scenario.load("yuan2025"), 200, rng=0, effective_sample_size=50)

@@ -194,6 +194,11 @@ def load_ranges(model: Parametric, path: str | Path) -> Ranges:
     -------
     {name: Range}
 
+    Raises
+    ------
+    ModelError
+        For any mistake in the file; the error names the place.
+
     Examples
     --------
     >>> from exact_mdp.mdp.care.scenario import Scenario

@@ -219,6 +219,11 @@ def robust(
     -------
     Robust
 
+    Raises
+    ------
+    ModelError
+        As `solve_robust` does.
+
     Examples
     --------
     >>> from exact_mdp import Scenario
@@ -265,6 +270,11 @@ def robust_curve(
     Returns
     -------
     RobustCurve
+
+    Raises
+    ------
+    ModelError
+        For an unknown kind, and where no radius or one that cannot be is given.
 
     Examples
     --------

@@ -201,6 +201,12 @@ def sobol(
     -------
     Sobol
 
+    Raises
+    ------
+    ModelError
+        For unknown names, empty ranges, an `n` that is no power of 2, and values that the model
+        cannot have together.
+
     Examples
     --------
     >>> from exact_mdp.mdp.parametric import moving
