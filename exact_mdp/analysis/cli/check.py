@@ -75,7 +75,8 @@ def check(
     certify : bool
         Use rational arithmetic, however long it takes.
     no_explain : bool
-        Leave out which part of the loss is due to what the policy reads.
+        Leave out which part of the loss is due to what the policy reads, and which of its rows to
+        change first: much faster with --horizon.
     subject_to : 'NAME >= X', optional
         Keep an expected total at least (>=) or at most (<=) at X: of a component of the reward,
         steps, an event, or a sum such as 2*a-b. Exact.

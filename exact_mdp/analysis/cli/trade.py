@@ -74,11 +74,6 @@ def rationalize(given: Given, policy: Policy) -> Report:
     ----
     Of Rationalization.
     change: the least such relative change, "p/q".
-
-    Raises
-    ------
-    ModelError
-        For a policy that does not fit, or a component whose total is infinite.
     """
     return given.report(weights_for(given.mdp, policy).report())
 

@@ -184,11 +184,6 @@ def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -
     Keys
     ----
     parameter: the parameter that varies; points: points with their values.
-
-    Raises
-    ------
-    ModelError
-        For unknown names, empty ranges, fewer than 2 points, and where a value is infinite.
     """
     (name,) = _named(parameters, 1, "one-way")
     spans = _ranges(given, [name])
@@ -212,11 +207,6 @@ def two_way(given: Given, *, parameters: Sequence[str] = (), points: int = 11) -
     ----
     parameters: the parameters that vary; points: points with their values; policies: the policies
     that are optimal somewhere.
-
-    Raises
-    ------
-    ModelError
-        As for `one_way`, and for twice the same parameter.
     """
     x, y = _named(parameters, 2, "two-way")
     spans = _ranges(given, [x, y])
@@ -270,11 +260,6 @@ def psa(
     status; evpi: expected value of perfect information; evpi_bounds: lower and upper estimates,
     without the bias of the sample; evpi_of_candidates: EVPI if only the candidates can be chosen;
     evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
-
-    Raises
-    ------
-    ModelError
-        For no draws, and where nothing is uncertain.
     """
     of_rows = given.endless.scenario is None
     model = row_family(given.mdp) if of_rows else given.family
@@ -321,12 +306,6 @@ def sobol(
     variance that a parameter explains alone; first_order_interval: interval of `first_order`;
     total: share of the variance including all interactions with others; total_interval: interval of
     `total`; regret: the same indices, of the regret of a policy held fixed.
-
-    Raises
-    ------
-    ModelError
-        For unknown names, empty ranges, an `n` that is no power of 2, and values that the model
-        cannot have together.
     """
     some = given.options["parameters"] or given.options["ranges"]
     spans, without = _moving(_ranges(given, None if some else usual(given.family)))
@@ -370,11 +349,6 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
     case; worst_case_gain: gain of the robust policy in the worst case; robust_policy_value: value
     of the robust policy if the tables are right; price_of_robustness: loss of the robust policy if
     the tables are right; policy_changes: states in which the robust policy acts differently.
-
-    Raises
-    ------
-    ModelError
-        As `solve_robust` does.
     """
     if set_kind == BOX:
         return _box(given, radius)
@@ -460,11 +434,6 @@ def explore(
     Keys
     ----
     parameters: parameters that move; pieces: number of pieces on the page.
-
-    Raises
-    ------
-    ModelError
-        For no parameter or more than two, and as `thresholds` does.
     """
     check_outputs((html, (".html",)))
     how: dict[str, Any] = {"policy": policy, "said": given.form, "n": points}

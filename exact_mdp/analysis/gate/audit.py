@@ -383,7 +383,8 @@ class Audit(Pictured):
             rest = sum(each.cost for each in met[most:])
             lines.append(f"  and {len(met) - most} more, {rest:.6g} in all")
         if self.never_reached:
-            lines.append(f"  and {self.never_reached} that it never visits, which cost nothing")
+            others = "and " if lines else ""
+            lines.append(f"  {others}{self.never_reached} that it never visits, which cost nothing")
         return lines
 
     def report(self, *, explain: bool = True) -> Report:

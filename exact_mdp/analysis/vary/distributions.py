@@ -446,13 +446,16 @@ def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertai
     return part
 
 
+ROW = "name all but one of its probabilities, each a Parameter(…, low=0, high=1)"
+
+
 def _row(row: Sequence[Parameter], label: str, settings: Settings, default: float) -> Uncertain:
     """Return the joint distribution of a row's entries."""
     names, where = [p.name for p in row], f"row {label}"
     for parameter in row:
         if not is_probability(parameter):
             what = f"{parameter.name} is not a probability of a row"
-            raise ModelError(what, where=where, fix="name probabilities")
+            raise ModelError(what, where=where, fix=ROW)
     usual = settings.get("distribution", "dirichlet") == "dirichlet"
     if not usual or set(settings) - {"distribution", "alpha", SIZE}:
         fix = f"state its {SIZE}, or alpha, a list of one more than its parameters"

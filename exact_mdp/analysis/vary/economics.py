@@ -132,8 +132,8 @@ class CostEffectiveness(Pictured):
         table.insert(0, WTP, at)
         table["best on average"] = [name for name, _ in self.frontier(at)]
         worth = [(each.value, each.standard_error) for each in self.evpi(at)]
-        table[["EVPI", "EVPI ±"]] = np.array(worth)
-        table["EVPI ±"] = table["EVPI ±"].replace(np.inf, np.nan)  # of one draw, unknown
+        table[["EVPI", "EVPI s.e."]] = np.array(worth)
+        table["EVPI s.e."] = table["EVPI s.e."].replace(np.inf, np.nan)  # of one draw, unknown
         table["claim"] = str(self.claim)
         return table
 

@@ -351,6 +351,10 @@ def groups_of(
                 alike.setdefault(f"{start}.*", []).extend(part.names)
         groups = {part.label: part.names for part in chosen.parts}
         groups |= {name: members for name, members in alike.items() if len(members) > 1}
+    lists = groups.values() if isinstance(groups, Mapping) else ["none"]
+    if any(isinstance(members, str) for members in lists):
+        what, fix = f"{groups!r:.60} names no groups", 'give {"label": ["name", …]}'
+        raise ModelError(what, where="EVPPI", fix=fix)
     for label, members in groups.items():
         unknown = [name for name in members if name not in place]
         if unknown:

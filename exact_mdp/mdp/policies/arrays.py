@@ -106,12 +106,19 @@ def policy_of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
     return {"space": space, "actions": actions, "rule": table, "source": PROBABILITIES}
 
 
+def whole_fix(array: Floats) -> str:
+    """Return how to give action numbers, of floats that were given."""
+    if (array == np.round(array)).all():
+        return "give them as integers: policy.astype(int)"
+    return "give actions, such as q.argmax(axis=1), or the Q-table itself"
+
+
 def no_distribution(row: list[Any], place: str) -> ModelError:
     """Return the error for probabilities that are none."""
     return ModelError(
         f"action probabilities are {row}, not a distribution",
         where=f"policy{place}",
-        fix="make them at least 0, with sum 1",
+        fix='make them at least 0, with sum 1; of a Q-table say kind="q"',
     )
 
 
@@ -328,7 +335,7 @@ def of_array(model: MDP, array: Numbers, kind: str = "auto") -> Parts:
         raise ModelError(
             "action numbers are whole numbers, not floats",
             where="policy",
-            fix="give them as integers: policy.astype(int)",
+            fix=whole_fix(array),
         )
     raise ModelError(
         f"a policy of shape {array.shape} and type {array.dtype}",

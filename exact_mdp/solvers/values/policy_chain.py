@@ -31,6 +31,7 @@ from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
 from exact_mdp.mdp.graph import closure, ways_out
 from exact_mdp.mdp.model import MDP
+from exact_mdp.mdp.policies.arrays import whole_fix
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import ended
 from exact_mdp.mdp.table import (
@@ -503,8 +504,7 @@ def _checked(mdp: MDP, weights: Floats) -> Floats:
         raise ModelError(
             "action numbers are whole numbers, not floats",
             where="policy",
-            fix=f"give them as integers: policy.astype(int); or give {mdp.n_pairs} probabilities, "
-            "one for each pair",
+            fix=f"{whole_fix(weights)}; or give {mdp.n_pairs} probabilities, one for each pair",
         )
     if weights.shape != (mdp.n_pairs,):
         raise ModelError(

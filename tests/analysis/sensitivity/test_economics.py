@@ -128,7 +128,7 @@ def test_one_row_of_todays_values_is_the_base_case() -> None:
     assert [base.effect.tolist(), base.cost.tolist()] == [[[0, 1, 2]], [[0, 5, 20]]]
     assert base.icers()["ICER"].tolist()[1:] == [5, 15]
     assert base.acceptability([4, 10, 20]).tolist() == np.eye(3).tolist()
-    assert base.frame([10])["EVPI ±"].isna().all()
+    assert base.frame([10])["EVPI s.e."].isna().all()
     assert str(base.evpi(10)) == "0 (estimated, of one draw)"
 
 
