@@ -131,6 +131,7 @@ def test_a_forged_certificate_is_refused(
 
 LEAST = until_goal(WAIT_OR_PAY, sense="min")
 ONE = MDP.from_outcomes([(0, 0, [(1, 1, 1)]), END])
+ROW = {"state": 0, "action": 0, "reward": 1, "denominator": 1, "next": [1], "weight": [1]}
 UNREAD: list[tuple[MDP, str, dict[str, Any]]] = [
     *[(LEAST, "model", change) for change in (
         {"unreached": "5"}, {"goal": None, "unreached": "5"}, {"goal": [0]}, {"discount": "1/2"},
@@ -139,6 +140,11 @@ UNREAD: list[tuple[MDP, str, dict[str, Any]]] = [
         {"discount": "3/2"}, {"discount": "-1/2"}, {"sense": "most"}, {"states": 3}, {"states": 1},
         {"start": {"0": "1/2"}}, {"start": {"0": "3/2", "1": "-1/2"}}, {"start": {"7": "1"}},
         {"start": {}}, {"start": ["1"]}, {"pairs": []},
+    )],
+    # weights of 0 and below it, too few of them, a sum that is not the denominator, no such state
+    *[(ONE, "model", {"pairs": [ROW | change, ROW | {"state": 1, "reward": 0}]}) for change in (
+        {"next": [1, 0], "weight": [1, 0]}, {"next": [1, 0], "weight": [2, -1]}, {"next": [1, 0]},
+        {"denominator": 2}, {"next": [2]}, {"next": [-1]}, {"reward": [1, 1]}, {"next": []},
     )],
     # numbers that nothing uses, and ranks below 0
     *[(ONE, "proof", change) for change in (
