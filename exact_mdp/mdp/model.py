@@ -513,9 +513,9 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
             parts["start"] = as_start(start, parts.get("space", self.space))
             parts.setdefault("episodes", None)
         if "table" in parts:
+            table = of_type(parts["table"], OutcomeTable, "table", "give an OutcomeTable")
             parts = questions.NO_DATA | parts
             if not parts.keys() & {"components", "component_names"}:
-                table = of_type(parts["table"], OutcomeTable, "table", "give an OutcomeTable")
                 parts |= questions.ONE_COMPONENT
                 parts["table"] = table.earning(table.gain, table.gain_denominator)
         if "components" in parts:

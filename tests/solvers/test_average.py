@@ -94,6 +94,9 @@ def test_components_of_rows_that_are_divided_by_their_sums_add_up() -> None:
 
 def test_settings() -> None:
     mdp = forest("9/10")
+    policy = evaluate(mdp, "random", criterion="average").policy
+    assert policy is not None
+    assert policy.weights(mdp).tolist() == [0.5] * 6
     with pytest.warns(PrecisionWarning):
         assert solve(mdp, tol=1e-300, criterion="average").error_bound < 1e-12
     with pytest.raises(SolverError, match="after 3 iterations"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 
 from exact_mdp.analysis.graph import moves
@@ -110,8 +111,9 @@ def _heat_map(model: MDP, policy: PolicyLike | None, outcomes: int, ax: Axes | N
         side = 2.5 + 0.22 * model.n_states
         ax = plt.subplots(figsize=(1.15 * side, side), layout="constrained")[1]
     names = [name.removeprefix("state ") for name in model.space.labels(range(model.n_states))]
-    chances = PolicyChain.of(model, "random" if policy is None else policy).transition
-    mesh = shaded(ax, chances.toarray(), names, names, {}, most=None, fontsize=7)
+    chain = PolicyChain.of(model, "random" if policy is None else policy)
+    chances = chain.transition.toarray() + np.diag(model.terminal * 1.0)  # an end stays
+    mesh = shaded(ax, chances, names, names, {}, most=None, fontsize=7)
     ax.tick_params(axis="x", rotation=90)
     ax.set_aspect("equal")
     ax.figure.colorbar(mesh, ax=ax, label="probability", shrink=0.8)

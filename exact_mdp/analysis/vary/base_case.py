@@ -105,6 +105,11 @@ def held_at(family: Parametric, name: str, value: Fraction) -> Parametric:
     """Return the family with another value of a parameter that does not move."""
     if isinstance(family, ScenarioFamily):
         return replace(family, scenario=family.scenario.with_(parameters={name: value}), base=None)
-    assert isinstance(family, Family)
-    moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
-    return replace(family, parameters=tuple(moved))
+    if isinstance(family, Family):
+        moved = (replace(p, value=value) if p.name == name else p for p in family.parameters)
+        return replace(family, parameters=tuple(moved))
+    raise ModelError(
+        f"the parameters of {family.name} cannot be held",
+        where=f"parameter {name}",
+        fix="give a scenario, a model or a Family, or one parameter alone",
+    )

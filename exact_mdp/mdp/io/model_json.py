@@ -115,7 +115,11 @@ def content(mdp: MDP) -> dict[str, Any]:
         rewards = [own if len({*own}) > 1 else own[0] for own in of_pairs]
     states, actions = mdp.pair_state.tolist(), mdp.pair_action.tolist()
     columns = states, actions, rewards, _integers(below), following, weights
-    named = mdp.space != StateSpace.plain(mdp.n_states)
+    named, one = mdp.space != StateSpace.plain(mdp.n_states), mdp.space.names == ("state",)
+    words = [
+        mdp.space.columns[0].label(state) if one and state < mdp.space.regular else label
+        for state, label in enumerate(mdp.space.labels(range(mdp.n_states)))
+    ]
     several = mdp.component_names if table.components is not None else ()
     parts = {name: (each.tolist() for each in mdp.component(name)) for name in several}
     head = {
@@ -132,7 +136,7 @@ def content(mdp: MDP) -> dict[str, Any]:
         "labels": {name: np.flatnonzero(each).tolist() for name, each in mdp.labels.items()},
         "components": {name: [*map(_ratio, *each)] for name, each in parts.items()},
         "action_names": mdp.actions,
-        "state_names": mdp.space.labels(range(mdp.n_states)) if named else None,
+        "state_names": words if named else None,
     }
     pairs = [dict(zip(PAIR, pair, strict=True)) for pair in zip(*columns, strict=True)]
     return {**ready(head), "pairs": pairs}

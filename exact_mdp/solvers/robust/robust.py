@@ -119,7 +119,8 @@ def solve_robust(
         against=(nature == "worst") == (model.sense == "max"),
         weights=None if policy is None else PolicyChain.of(model, policy).weights,
     )
-    status, value, error, asked, iterations = _iterate(game, tol, max_iterations)
+    with np.errstate(over="ignore", invalid="ignore"):
+        status, value, error, asked, iterations = _iterate(game, tol, max_iterations)
     share, pairs = game.choice(asked.value), None
     if policy is None:
         pairs = model.pair_offsets[:-1].copy()
@@ -266,7 +267,8 @@ def _iterate(
         # Bounds of what a step adds, to the optimum and to the policy that takes these pairs.
         low = np.minimum(game.agent(asked.low), game.mean(share, asked.low)) - here - doubt
         high = np.maximum(game.agent(asked.high), game.mean(share, asked.high)) - here + doubt
-        error = max(0.0, float((high / margin).max()), -float((low / margin).min())) * SLACK
+        # NumPy's maximum is not a number where one of them is none, as beyond the range of floats.
+        error = float(np.max([0.0, (high / margin).max(), -(low / margin).min()])) * SLACK
         if not error < trust:  # the equations led away: a step of value iteration does not
             if trust == np.inf:
                 raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")

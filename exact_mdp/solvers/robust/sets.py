@@ -28,6 +28,7 @@ from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import FLOAT_ROW_TOLERANCE, Floats, Integers, exact, shown
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
+from exact_mdp.solvers.solution import SolverError, Status
 
 ROOM = 2**22  # outcomes in one block
 
@@ -316,6 +317,8 @@ def inner(
         if rewards:
             payoff += block.gain
             size += block.largest
+        if not np.isfinite(4 * size).all():  # payoffs are up to 2 `size` apart
+            raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats")
         q, short = ambiguity.least(block, payoff if against else -payoff)
         base = payoff[:, :1]
         worst = base[:, 0] + np.einsum("kn,kn->k", q, payoff - base)

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import ReadAs
+from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
@@ -50,6 +50,11 @@ class AverageEvaluation(Valued, Result):
     def mdp(self) -> MDP:
         """The model, at discount 1."""
         return self.chain.mdp
+
+    @property
+    def policy(self) -> Policy | None:
+        """The policy, unless it was given as probabilities of pairs."""
+        return self.chain.policy
 
     @property
     def read_as(self) -> ReadAs:

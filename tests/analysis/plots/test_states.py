@@ -165,6 +165,14 @@ def test_a_graph_that_would_be_a_tangle_is_a_heat_map(policy: Any) -> None:
     assert np.allclose(shades, each[0] if isinstance(policy, list) else np.mean(each, axis=0))
 
 
+def test_an_end_stays_in_a_heat_map() -> None:
+    law = np.full((1, 20, 20), 0.05)
+    law[0, -1] = np.eye(20)[-1]
+    ax = plots.plot_transitions(MDP.from_arrays(law, [1] * 19 + [0]))
+    shades = np.asarray(ax.collections[0].get_array()).reshape(20, 20)
+    assert np.allclose(shades.sum(axis=1), 1)
+
+
 def test_start_goal_and_holes_are_told_apart() -> None:
     lake = MDP.from_gymnasium("FrozenLake-v1", "99/100")
     results = solve(lake), check(lake, [0] * 16)

@@ -297,6 +297,16 @@ def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
         solve_robust(mdp, ambiguity_of(mdp, "l1", 0.1), tol=1e-17)
 
 
+@pytest.mark.parametrize("kind", ["l1", "kl", "entropy"])
+def test_values_beyond_the_range_of_floats_have_no_bound(kind: str) -> None:
+    most, half = 1.5e308, "1/2"
+    mdp = MDP.from_outcomes([(0, 0, [(half, 0, most), (half, 1, most)]),
+                             (0, 1, [(half, 0, most), (half, 1, -most)]),
+                             (1, 0, [(1, 1, 0)])], "1/10")  # fmt: skip
+    with pytest.raises(SolverError, match="beyond the range of floats"):
+        solve_robust(mdp, ambiguity_of(mdp, kind, 0.5))
+
+
 # ---- the analysis --------------------------------------------------------------------------------
 
 # Safe earns 1; risky earns 3 with probability 1/2, and so 3/2 on average.

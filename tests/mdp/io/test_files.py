@@ -203,6 +203,15 @@ def test_archives_that_are_not_what_they_claim(
 NAMES = ["episode", "state", "action", "reward", "next_state"]
 
 
+def test_a_model_that_is_written_again_keeps_the_names_of_its_states(tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    mdp = MDP.from_arrays([[[0, 1], [0, 1]]], [1, 0], states=["a", "b"])
+    for _ in range(3):
+        assert mdp.space.labels([0, 1]) == ["state a", "state b"]
+        mdp.save(path)
+        mdp = MDP.load(path)
+
+
 def test_one_and_one_point_zero_are_one_state(tmp_path: Path) -> None:
     """Pandas writes whole numbers as floats in a column where one is missing."""
     rows = [(1, 0, 1, 2, 1), (1, 1, 0, "1.0", 12), (2, 0, 0, 1, None), (3, 12, 1, 3, 0)]
