@@ -158,7 +158,19 @@ SETTINGS = (*sorted(NUMBERS), "distribution", "fixed")
 
 @dataclass(frozen=True, kw_only=True)
 class Uncertain:
-    """The distribution of one parameter, or the joint one of the probabilities of a row."""
+    """The distribution of one parameter, or the joint one of the probabilities of a row.
+
+    Attributes
+    ----------
+    names : tuple of k str
+        One name; for a Dirichlet all that share a row, what is left of the row going unnamed.
+    kind : str
+        A distribution, or "sample".
+    numbers : tuple of float
+        Its own, in the order of `KINDS`; k + 1 concentrations of a Dirichlet.
+    mean, sd : tuple of k float
+    label : str
+    """
 
     names: tuple[str, ...]  # (k,) one; of a Dirichlet those of a row but the rest, which has none
     kind: str  # or "sample"
@@ -289,7 +301,15 @@ def _check_within(value: float, what: str, where: str) -> float:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Uncertainty(Brief):
-    """What is drawn and what is held."""
+    """What is drawn and what is held.
+
+    Attributes
+    ----------
+    parts : tuple of Uncertain
+    fixed : {parameter name: reason}
+    sample : (D, Q) or None
+        One's own draws, in the order of `names`.
+    """
 
     parts: tuple[Uncertain, ...]
     fixed: Mapping[str, str]  # why, by the parameter's name

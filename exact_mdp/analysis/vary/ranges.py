@@ -42,7 +42,17 @@ def is_probability(parameter: Parameter) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """From where to where a parameter is varied: two numbers or "p/q", kept exact."""
+    """From where to where a parameter is varied: two numbers or "p/q", kept exact.
+
+    Examples
+    --------
+    >>> Range(low=Fraction(1), high=Fraction(0))
+    Traceback (most recent call last):
+    ...
+    exact_mdp.mdp.errors.ModelError: the range from 1 to 0 is empty
+      where: range
+      fix:   put the smaller number first
+    """
 
     low: Fraction
     high: Fraction

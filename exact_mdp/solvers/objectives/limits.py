@@ -76,7 +76,22 @@ class Limit:
 class ConstrainedSolution(TotalsProof):
     """The optimum under limits and its proof, or a proof that no policy keeps them.
 
-    Its `objectives` are the reward, then what is limited.
+    Attributes
+    ----------
+    objectives : tuple of str
+        The reward, then what is limited.
+    limits : tuple of Limit
+    feasible : bool
+        Whether a policy keeps them.
+    flow : Flow
+        Expected visits of pairs under the optimal policy, or one that keeps the moved limits.
+    price : tuple of Fraction
+        Of each limit: what the optimum gains for each unit by which the limit is moved. Where it is
+        infeasible, the weights that prove it.
+    dual : Level
+        Values that no policy exceeds, of the reward where feasible and the limits by their prices.
+    shift : Fraction
+        The least t such that limits that are all moved by t can be kept: 0 where it is feasible.
 
     Examples
     --------
