@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -99,7 +100,9 @@ def wrong_rows(table: OutcomeTable, reward: Floats) -> Numbers:
     floats = table.expected_components()
     with np.errstate(over="ignore"):  # a scale beyond the floats forgives nothing that it should
         total = floats.sum(axis=1)
-        scale = np.abs(floats).sum(axis=1) + np.abs(reward)
+        # Rewards of both signs cancel: it is the size of each that rounding is relative to.
+        size = replace(table, gain=np.abs(table.gain)).expected_gain()
+        scale = np.abs(floats).sum(axis=1) + size
     lost = (floats.shape[1] + 1) * 2.0**-1074  # below the range, rounding is no longer relative
     return np.asarray(~(np.abs(total - reward) <= 1e-12 * scale + lost))
 

@@ -534,6 +534,13 @@ def npz_of(mdp: MDP, folder: Path) -> MDP:
 AMOUNTS = st.one_of(st.fractions(-9, 9, max_denominator=7), st.floats(-4, 4), st.integers(-9, 9))
 
 
+def test_a_component_that_is_the_reward_is_taken_where_its_mean_is_0() -> None:
+    law = [[[0.1, 0.7, 0.2], [0, 1, 0], [0, 0, 1]]]
+    reward = [[[7, -1, 0], [0] * 3, [0] * 3]]
+    mdp = MDP.from_arrays(law, reward, "1/2", components={"x": reward})
+    assert mdp.component_names == ("x",)
+
+
 @settings(max_examples=30)
 @given(
     st.lists(st.lists(AMOUNTS, min_size=3, max_size=3), min_size=1, max_size=3),

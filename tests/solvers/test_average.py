@@ -92,6 +92,17 @@ def test_components_of_rows_that_are_divided_by_their_sums_add_up() -> None:
     assert evaluation.components["first"].value == pytest.approx(1.25 / 4 / (1 + 1e-10), rel=1e-9)
 
 
+@pytest.mark.parametrize("digits", [300, 325])
+def test_shares_below_the_range_of_floats(digits: int) -> None:
+    rare, most = F(1, 10**digits), F(10) ** 300
+    mdp = MDP.from_outcomes([(0, 0, [(1 - rare, 0, 0), (rare, 1, 0)]), (1, 0, [(1, 0, most)])])
+    evaluation = evaluate(mdp, [0, 0], criterion="average")
+    exact = most * rare / (1 + rare)
+    for number in (evaluation.components["reward"], evaluation.start):
+        assert abs(F(number.value) - exact) <= F(number.error)
+    assert evaluation.start.value == pytest.approx(float(exact))
+
+
 def test_settings() -> None:
     mdp = forest("9/10")
     policy = evaluate(mdp, "random", criterion="average").policy

@@ -6,7 +6,9 @@ or with either side turned round. Sets are (s, a)-rectangular: nature chooses fo
 own, and may choose anew in every step. The equations of the present policy and laws are solved in
 turn with choosing both anew; where that does not bring the bounds closer, a step of value iteration
 does (Iyengar, Mathematics of Operations Research 30, 2005; Kaufman and Schaefer, INFORMS Journal on
-Computing 25, 2013). T is the robust Bellman operator, and w is positive but for terminal states:
+Computing 25, 2013). If both go round, nature settles before the agent chooses anew (Hoffman and
+Karp, Management Science 12, 1966). T is the robust Bellman operator, and w is positive but for
+terminal states:
 
     m(s) = w(s) - γ max over the pairs l of s, and the laws q of l, of Σ q w  > 0,
     T V - V ≤ c m  gives  V* ≤ V + c w   (c ≥ 0),     T V - V ≥ c m  gives  V* ≥ V + c w   (c ≤ 0),
@@ -20,7 +22,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -40,6 +42,7 @@ from exact_mdp.solvers.solution import Found, SolverError, Status, warn_of_preci
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 Nature = Literal["worst", "best"]
+TURNS, SETTLING = 20, 100  # choices of both sides at once; of nature alone after one of the agent
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -190,6 +193,11 @@ class Game:
         """Return (T,) what the agent makes of pair values (U,)."""
         return self.mean(self.choice(q), q)
 
+    def solved(self, asked: Inner, share: Floats, order: Any) -> Floats:
+        """Return about the values (S,) under what nature chose and shares (U,)."""
+        chain, earned = self.chain(asked.laws, share)
+        return LinearSystem(chain, self.mdp.discount, order=order).approximate(earned)
+
     def chain(self, laws: list[Floats], share: Floats) -> tuple[sp.csr_array, Floats]:
         """Return transitions (S, S) and expected rewards (S,) under laws and shares (U,)."""
         place, following, probability, earned = entries(self.blocks, laws, share > 0)
@@ -283,8 +291,13 @@ def _iterate(
         best = min(best, error)
         step = value.copy()
         step[live] = better
-        chain, earned = game.chain(asked.laws, share)
-        system = LinearSystem(chain, game.mdp.discount, order=order)
-        value, trust = system.approximate(earned), error
+        value = game.solved(asked, share, order)
+        # Both at once may go round, each undoing the other's choice: then nature settles first, and
+        # what the agent gains grows, whatever the bounds do on the way.
+        trust = np.inf if iteration > TURNS else error
+        for _ in range(SETTLING if iteration > TURNS else 0):
+            before, value = value, game.solved(game.ask(value), share, order)
+            if not (np.abs(value - before) > 8 * UNIT * np.abs(before).max()).any():
+                break
     detail = f"{best * most:.2g} is the error bound after {max_iterations} iterations"
     raise SolverError(Status.ITERATION_LIMIT, detail)

@@ -21,7 +21,7 @@ from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, expansion
-from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Valued
+from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, Valued
 from exact_mdp.solvers.values.policy_chain import PolicyChain, poor, require_few, rounded
 
 LISTED = 1000  # states in a report
@@ -127,7 +127,9 @@ def average(chain: PolicyChain) -> AverageEvaluation:
     classes = floats.classes
     try:
         (gain, bias), (share, arrivals) = floats.evaluated(), floats.shares()
-        exact = poor(share, mdp) or not np.isfinite(share.error).all()
+        exact = poor(share, mdp) or poor(gain, mdp) or not np.isfinite(share.error).all()
+        if chain.probability.min() < np.finfo(np.float64).tiny:  # errors are no longer relative
+            raise SolverError(Status.NO_BOUND, "probabilities are below the range of floats")
     except SolverError as error:
         require_few(mdp, error)
         exact = True

@@ -491,11 +491,14 @@ def require_few(mdp: MDP, error: SolverError) -> None:
 
 def rounded(numbers: Iterable[Fraction]) -> FixedPoint:
     """Return (S,) exact numbers, each rounded once."""
+    exactly = [*numbers]
     try:
-        value = np.array([float(number) for number in numbers])
+        value = np.array([float(number) for number in exactly])
     except OverflowError:
         raise SolverError(Status.NO_BOUND, "a value is beyond the range of floats") from None
-    return FixedPoint(value=value, error=UNIT * np.abs(value) + TINY * (value != 0))
+    return FixedPoint(
+        value=value, error=UNIT * np.abs(value) + TINY * np.array([*map(bool, exactly)])
+    )
 
 
 def _checked(mdp: MDP, weights: Floats) -> Floats:

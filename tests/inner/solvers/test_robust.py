@@ -297,6 +297,22 @@ def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
         solve_robust(mdp, ambiguity_of(mdp, "l1", 0.1), tol=1e-17)
 
 
+@pytest.mark.parametrize("discount", ["99/100", "99999/100000"])
+def test_sides_that_undo_each_other_settle_soon(discount: str) -> None:
+    """To go is worth -1 + γ (γ x + (1 - γ) …): one round of both gains a factor γ alone."""
+    rows = [(0, 0, [(1, 1, -1)]), (0, 1, [(1, 0, 0)]), (1, 0, [(1, 0, 0)]), (2, 0, [(1, 2, 0)]),
+            (1, 1, [("1/4", 0, 9), ("1/6", 1, 9), ("7/12", 2, 9)])]  # fmt: skip
+    mdp = MDP.from_outcomes(rows, discount)
+    chance = mdp.table.probabilities()
+    sets = Intervals(lower=chance / 2, upper=np.minimum(1, 2 * chance))
+    solution = solve_robust(mdp, sets, tol=1e-6)
+    # Nature sends 1/8, 1/12 and 19/24 of what goes on: x = 9 + γ (y / 8 + x / 12), y = -1 + γ x.
+    rate = F(discount)
+    exact = (9 - rate / 8) / (1 - rate / 12 - rate**2 / 8)
+    assert solution.iterations < 50
+    assert abs(solution.value[1] - float(exact)) <= 1e-5
+
+
 @pytest.mark.parametrize("kind", ["l1", "kl", "entropy"])
 def test_values_beyond_the_range_of_floats_have_no_bound(kind: str) -> None:
     most, half = 1.5e308, "1/2"
