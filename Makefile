@@ -39,7 +39,7 @@ test: lint types ## lint, types, doctests, the wheel, every test but those marke
 test-slow: ## the tests that take long, and every property on examples never seen before
 	EXPLORE=1 $(call TESTS,$(VENV)) -m "(slow or hypothesis) and not bench"
 test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versions, in .venv-lowest
-	$(call TESTS,$(LOWEST)) -k "not compiled_draws" $(addprefix tests/,mdp solvers/exact solvers/values inner/mdp \
+	$(call TESTS,$(LOWEST)) -k "not compiled_draws and not Taxi" $(addprefix tests/,mdp solvers/exact solvers/values inner/mdp \
 	    solvers/test_published.py solvers/test_solvers.py analysis/cli/test_commands.py analysis/cli/test_train.py project/test_house.py \
 	    analysis/gate/test_check_command.py analysis/sensitivity/test_sobol.py analysis/sensitivity/test_psa.py solvers/test_laws.py \
 	    $(patsubst %,inner/solvers/test_%.py,parallel robust))
