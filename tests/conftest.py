@@ -1,7 +1,5 @@
 """Property tests draw the same examples in every run, unless EXPLORE=1 asks for new ones."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """What strangers call is taken where it can mean one thing; what is advised can be done."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from fractions import Fraction as F

@@ -4,8 +4,6 @@ What is said of both is compared number by number: the JSON of a report, else th
 Numbers whose place is of WORTH and not of SAME turn, and the ends of a SPREAD change places.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

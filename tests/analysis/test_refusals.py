@@ -1,7 +1,5 @@
 """What strangers call and what cannot be: refused with what, where and fix."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from fractions import Fraction as F
 from functools import partial

@@ -21,10 +21,8 @@ from strategies import Rows, models, outcome_rows
 
 from exact_mdp import (
     MDP,
-    DistributionError,
     ModelError,
     Policy,
-    Scenario,
     ShapeError,
     certify,
     load,
@@ -103,37 +101,6 @@ def test_elsewhere_the_shape_says_the_layout(form: str) -> None:
     refused(lambda: MDP.from_arrays(FORMS[form](P), FORMS[form](R), layout="sas"))
     with pytest.raises(ShapeError, match="rewards have shape"):
         MDP.from_arrays(FORMS[form](P), R.transpose(1, 0, 2), layout="ass")
-
-
-@pytest.mark.parametrize(
-    ("row", "what"),
-    [([7, 7], "sum to 14"), ([0, 0.9], r"sum to 0\.9"), ([0, np.nan], "is nan"),
-     ([-0.5, 1.5], r"is -0\.5"), ([0, 0], "sum to 0")],
-)  # fmt: skip
-def test_a_faulty_row_does_not_say_the_layout(row: list[float], what: str) -> None:
-    """What is not offered may hold anything, but no reading of P is tried out."""
-    P, R = np.array([[[1, 0], row], [[0, 1], [0, 1]]]), np.array([[1, -np.inf], [2, 3]])
-    wanted = MDP.from_pairs([0, 1, 1], [0, 0, 1], [[1, 0], [0, 1], [0, 1]], [1, 2, 3])
-    for layout, rows in (("sas", P), ("ass", P.transpose(1, 0, 2))):
-        assert same(MDP.from_arrays(rows, R, layout=layout), wanted)
-        with pytest.raises(ModelError, match="as many actions as states") as caught:
-            MDP.from_arrays(rows, R)
-        assert f'layout="{layout}"' in caught.value.fix
-        with pytest.raises(DistributionError, match=what) as caught:
-            MDP.from_arrays(rows, [[1, 4], [2, 3]], layout=layout)
-        assert "state 0, action 1" in caught.value.where
-
-
-def test_what_follows_the_layout() -> None:
-    P, R = np.full((2, 2, 2), 0.5), np.arange(8.0).reshape(2, 2, 2)
-    refused(lambda: MDP.from_arrays(P, R), "as many actions as states")
-    assert MDP.from_arrays(P, R, layout="ass").reward.tolist() == [0.5, 4.5, 2.5, 6.5]
-    assert MDP.from_arrays(P, R, layout="sas").reward.tolist() == [0.5, 2.5, 4.5, 6.5]
-    assert MDP.from_arrays(P, R + R.transpose(1, 0, 2)).reward.tolist() == [1, 7, 7, 13]
-    rows = [[[1, 0], None], [[0, 1], [1, 0]]]
-    refused(lambda: MDP.from_arrays(rows, [5, 7]), "as many actions as states")
-    assert MDP.from_arrays(rows, [5, 7], layout="sas").R.tolist() == [[5, -INF], [7, 7]]
-    assert MDP.from_arrays(rows, [5, 7], layout="ass").R.tolist() == [[5, 5], [-INF, 7]]
 
 
 @st.composite
@@ -316,15 +283,6 @@ def test_outcomes_are_kept_exactly_and_every_float_is_rounded_once(
                 assert dense[pair, n] == float(chance)
 
 
-def test_rewards_of_moves_may_be_sparse() -> None:
-    rows, gains = np.array([[0.5, 0.5], [0, 1]]), np.array([[0, 4.0], [9, 1]])
-    dense = MDP.from_pairs([0, 1], [0, 0], rows, gains)
-    assert dense.table.row(0) == [(HALF, 0, 0), (HALF, 1, 4)]
-    for form in (sp.csr_array, sp.coo_array, sp.csc_matrix, sp.lil_matrix, sp.dok_array):
-        for transition in (rows, form(rows)):
-            assert same(MDP.from_pairs([0, 1], [0, 0], transition, form(gains)), dense)
-
-
 def test_what_a_matrix_remembers_of_its_order_is_not_believed() -> None:
     """SciPy keeps what it once found, though indices may be written in place since."""
     parts = (np.array([1.0, 0.5, 0.5, 1]), np.array([1, 0, 2, 2]), np.array([0, 1, 3, 4]))
@@ -422,29 +380,6 @@ def test_names_stay() -> None:
     three = MDP.from_arrays(P, R, 0.9, actions=["stay", "go"], states=["a", "b", "c"])
     assert three.where(3) == "state b, action go"
     assert three.pair(1, "go") == three.pair(1, 1) == 3
-
-
-@pytest.mark.parametrize("ending", [".npz", ".umb"])
-def test_a_loaded_model_knows_states_by_their_text(tmp_path: Path, ending: str) -> None:
-    """Names of a file may be texts of objects; a number may be a name, or is refused."""
-    path = tmp_path / f"model{ending}"
-    mdp = MDP.from_function(
-        (0, 0), lambda s: ["stay", "$go$"] if s == (0, 0) else None,
-        lambda s, a: [("1/3", (0, 0), "1/7"), ("2/3", (0, a != "stay"), 0)], HALF,
-    )  # fmt: skip
-    mdp.save(path)
-    loaded = MDP.load(path)
-    assert same(loaded, mdp)
-    assert loaded.actions == mdp.actions
-    assert MDP.load(path, discount="1/3").discount_exact == THIRD
-    assert loaded.space.number((0, True)) == loaded.space.number("(0, True)") == 1
-    assert Policy.of(loaded, {(0, 0): "$go$"}).rule[0] == 1
-    assert MDP.load(path, start=(0, True)).start == ((1, 1),)
-    refused(lambda: loaded.space.number((7, 7)), "is not a state")
-    tens = MDP.from_arrays([np.eye(2)], [0, 0], states=["10", "20"])
-    ones = MDP.from_arrays([np.eye(2)], [0, 0], states=["1", "2"])
-    assert (tens.space.number(20), ones.space.number(2), ones.space.number("1")) == (1, 1, 0)
-    refused(lambda: ones.space.number(1), "state 1, by its name, or state 2, number 1 in")
 
 
 # ---- the start, components, and what a model tells -----------------------------------------------
@@ -598,15 +533,6 @@ def test_components_of_transitions_of_functions_and_of_scenarios(tmp_path: Path)
     )
     assert mixed.component_names == ("x", "rest")
     assert mixed.components[0].tolist() == [0.05, 1.5]
-    scenario = Scenario.load("yuan2025")
-    care = scenario.compile()
-    top, bottom = care.table.expected_gain_exact()
-    total = zip(*(amounts(care, n) for n in care.component_names), strict=True)
-    assert [sum(row) for row in total] == [
-        Fraction(int(a), int(b)) for a, b in zip(top, bottom, strict=True)
-    ]
-    done = amounts(care, "subtask-complete")[0] / scenario["reward.subtask-complete"]
-    assert done == sum(p for p, s, _ in care.table.row(0) if s == 16 * care.space.columns[1].size)
     wide = {"a": [Fraction(10**40 + 1, 3**50), 0], "b": ["1/3", 0]}
     ends = [(0, 0, [(1, 1, 1)]), (1, 0, [(1, 1, 0)])]
     mdp = MDP.from_outcomes(ends, components=wide)

@@ -185,23 +185,6 @@ def test_thresholds_where_an_absorbing_reward_spans_both_signs(bounds) -> None:
     assert switches.claim == Claim.CHECKED
 
 
-def test_a_tie_at_a_kink_is_a_touch() -> None:
-    """|x - 1/2| is worth as much as nothing at 1/2 alone."""
-
-    def build(at):
-        rows = [(0, 0, [(1, 1, abs(at["x"] - F(1, 2)))]), (0, 1, [(1, 1, 0)]), (1, 0, [(1, 1, 0)])]
-        return MDP.from_outcomes(rows)
-
-    family = Family(parameters=(unit("x", F(1, 4)),), build=build, breaks={"x": [F(1, 2)]})
-    switches = thresholds(family, "x", (0, 1))
-    (one,) = switches.found
-    assert (one.low, one.high, one.touch) == (F(1, 2), F(1, 2), True)
-    assert (one.switches[0].before, one.switches[0].after) == (("0",), ("0", "1"))
-    assert switches.claim == Claim.CHECKED
-    assert switches.frame()["touch"].tolist() == [True]
-    assert switches.stable() == (0, 1)
-
-
 def test_what_is_checked_at_points_alone_is_not_certified() -> None:
     """A family that `moving` made is certified, until its builder is replaced."""
     known = moving(staying({"p": F(1, 2)}), {"p": [(0, 0)]})
@@ -291,24 +274,6 @@ def test_default_ranges_stay_where_there_is_a_model() -> None:
 # ---- degenerate models ---------------------------------------------------------------------------
 
 
-def test_models_without_a_step_have_gradients() -> None:
-    for gain, discount in ((0, 1), (0, "1/2"), (1, "1/2")):
-        family = moving(MDP.from_arrays([[[1]]], [gain], discount), {})
-        value = gradient(family, policy=[0])["discount"].value
-        assert value is not None
-        assert value.value == (4 if gain else 0)
-        assert gradient(family)["discount"].elasticity == (1.0 if gain else None)
-
-
-def test_an_elasticity_beyond_floats_is_infinite_not_an_error() -> None:
-    """The value is 1e-320, the parameter 1 and the derivative 1: 1e320 per cent."""
-    tiny = F(1, 10**320)
-    family = Family(
-        parameters=(Parameter(name="p", value=F(1)),), build=lambda at: earning(at["p"] - 1 + tiny)
-    )
-    assert gradient(family)["p"].elasticity == np.inf
-
-
 # ---- numbers and names as they are given ---------------------------------------------------------
 
 
@@ -374,17 +339,3 @@ def test_entries_are_named_as_states_and_actions_are_everywhere() -> None:
         (("sick", "wait", "well"), "an entry is"),
     ):
         refused(lambda each=entry: moving(WORDS, {"recovery": [each]}), what, "parameter recovery")
-
-
-def test_pairs_are_named_as_states_and_actions_are_everywhere() -> None:
-    for state, action in (("sick", "wait"), (0, 0), ("state sick", "action wait")):
-        assert WORDS.pair(state, action) == 0
-    for state, action, what in (
-        ("sik", "wait", "unknown state"), (9, 0, "there is no state 9"),
-        (0, "wai", "unknown action"), (0, 7, "there is no action 7"),
-    ):  # fmt: skip
-        refused(lambda state=state, action=action: WORDS.pair(state, action), what)
-    numbered = MDP.from_arrays([np.eye(2)] * 3, [0, 0], states=["1", "0"], actions=["2", "0", "1"])
-    assert numbered.pair("1", "0") == 1
-    refused(lambda: numbered.pair(1, "0"), "by its name, or")
-    refused(lambda: numbered.P(1), "by its name, or")

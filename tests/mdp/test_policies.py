@@ -5,7 +5,6 @@ import json
 import os
 import pickle
 import stat
-from collections import defaultdict
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -94,29 +93,6 @@ def test_every_form_of_a_status_policy_is_the_same(tmp_path_factory: Any, chosen
         follows(CARE, Policy.of(CARE, table, kind="q"), chosen)
 
 
-@given(st.lists(st.integers(0, 3), min_size=16, max_size=16))
-def test_every_form_of_a_policy_over_cells_is_the_same(numbers: list[int]) -> None:
-    """By columns, by what a function gives, in a model within some steps; nothing is added."""
-    names, one_hot = [LAKE.actions[a] for a in numbers], np.eye(4)[numbers]
-    rows: defaultdict[int, Any] = defaultdict(lambda: np.zeros(4))
-    rows |= {s: 2.5 * one_hot[s] for s in range(16) if numbers[s]}
-    count = len(rows)
-    forms = [
-        lambda s: names[s],
-        lambda s: {names[s]: 1},
-        lambda s: np.array(numbers[s]),
-        lambda s: one_hot[s],
-        {LAKE.space.label(s): a for s, a in enumerate(names)},
-        {(s // 4, s % 4): a for s, a in enumerate(names)},
-        rows,
-    ]
-    for mdp in (LAKE, LAKE.within(3)):
-        wanted = Policy.of(mdp, numbers).weights(mdp).tolist()
-        for form in forms[:1] if mdp is not LAKE else forms:
-            assert Policy.of(mdp, form).weights(mdp).tolist() == wanted
-    assert len(rows) == count
-
-
 @settings(max_examples=30)
 @given(st.sampled_from([CARE, FLAGGED, PLAIN]), st.integers(0, 2**32))
 def test_a_mixed_policy_over_all_columns_survives_its_file(
@@ -173,20 +149,6 @@ def test_states_whose_actions_are_the_same(drawn: Rows, floats: bool) -> None:
     assert mdp.indifferent.tolist() == [all(row == each[0] for row in each) for each in rows]
 
 
-def test_rows_may_hold_anything_where_all_actions_are_the_same() -> None:
-    """As in ICU-Sepsis: from death and survival the way leads on to the absorbing state."""
-    P, R = np.zeros((4, 2, 4)), np.zeros((4, 2, 4))
-    P[0, :, 1:3] = [[0.5, 0.5], [0.25, 0.75]]
-    P[1:, :, 3] = R[:, :, 2] = 1
-    mdp = MDP.from_arrays(P, R, start=[1.0, 0, 0, 0])
-    table = np.array([[0.5, 0.5], [0, 0], [0, 0], [0, 0]])
-    assert Policy.of(mdp, table, kind="policy").weights(mdp)[:2].tolist() == [0.5, 0.5]
-    assert check(mdp, table[:, ::-1] * [0, 2]).passed
-    refused(lambda: Policy.of(mdp, table * 0, kind="policy"), "not a distribution")
-    tied = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[3, 3], [0, 0]])
-    assert Policy.of(tied, np.array([[3.0, 2.9], [0, 0]])).rule.tolist() == [0, 0]
-
-
 # ---- names that are numbers of others ------------------------------------------------------------
 
 PERMUTED = MDP.from_arrays([np.eye(4)] * 2, [[1, 0]] * 4, "1/2", states=["3", "1", "2", "0"])
@@ -216,28 +178,6 @@ def test_what_fits_two_readings_that_differ_is_refused_and_both_are_named() -> N
     assert PERMUTED.with_(start=1).start == ((1, 1),)  # both readings are the same
 
 
-def test_what_equals_an_object_is_that() -> None:
-    truth = walk([True, False], [True, False], [0, 1, 2])
-    assert truth.actions == ("False", "True")
-    for policy in ({0: 1, 1: 0}, lambda s: int(s == 0), [True, False, False], [1, 0, 0],
-                   np.array([True, False, False]), {0: np.True_, 1: "False"}):  # fmt: skip
-        assert check(truth, policy).passed
-    assert not check(truth, {0: 0, 1: 1}).passed
-    right = {0: (1.0, 0.0), 1: (0.0, 1.0)}
-    for policy in (right, right | {1: (0, 1)}, [(1, 0), (0, 1), (0, 1)]):
-        assert check(TUPLES, policy).passed
-    for make in (list, np.array):
-        rows = {0: make((0, 1)), 1: make((1, 0))}
-        assert check(TUPLES, Policy.of(TUPLES, rows, kind="policy")).passed
-        half = Policy.of(TUPLES, {0: make((0.5, 0.5)), 1: make((1, 0))}, kind="policy")
-        assert half.weights(TUPLES).tolist() == [0.5, 0.5, 1, 0, 1]
-    three = walk([(0, 1), (1, 0), (1, 1)], [(1, 0), (0, 1)], [0, 1, 2])
-    assert check(three, lambda s: np.array([1, 0]) if s == 0 else np.array([0, 1])).passed
-    for form in (ONES, dict(enumerate(ONES)), ONES.__getitem__):
-        assert check(COSTS, form, kind="policy").passed
-        assert not check(COSTS, form, kind="q").passed
-
-
 def test_a_solution_of_another_model_goes_by_names() -> None:
     P, R = [[[1, 0], [0, 1]]] * 2, [[1, 0], [0, 1]]
     one = MDP.from_arrays(P, R, "1/2", actions=["l", "r"], states=["x", "y"], layout="ass")
@@ -252,16 +192,6 @@ def test_a_solution_of_another_model_goes_by_names() -> None:
 
 
 # ---- named policies and Q-tables -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("mdp", [CARE, OWN_SKIP, FLAGGED, PLAIN], ids=["care", "own", "flag", "3"])
-def test_random_is_uniform_over_what_is_offered_and_always_takes_one(mdp: MDP) -> None:
-    many = np.diff(mdp.pair_offsets)
-    assert Policy.of(mdp, "random").weights(mdp).tolist() == (1 / np.repeat(many, many)).tolist()
-    for number, action in enumerate(ACTIONS if mdp is not PLAIN else []):
-        policy = Policy.of(mdp, f"always:{action}")
-        assert policy.columns == ()
-        follows(mdp, policy, [number] * 16)
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=9, max_size=9))
@@ -508,24 +438,6 @@ def test_arrays_and_names_that_are_no_policy(tmp_path: Path) -> None:
     for name in ("p\0.json", "p\0.csv", "p\0.npy", f"{'p' * 5000}.json"):
         with pytest.raises(ModelError):
             Policy.of(CARE, name)
-
-
-LINES = {  # the first line, each line of a state, the end; how it is read
-    "number.csv": ("state,action\n", "{s},DOWN\n", "", "auto"),
-    "old.csv": ("state,action\n", "{s},1\n", "", "auto"),
-    "columns.csv": ("row,column,action\n", "{row},{column},1\n", "", "auto"),
-    "rows.json": ('{"0": [0,1,0,0]', ', "{s}": ["1/8", 0.5, "3/8", 0]', "}", "q"),
-}
-
-
-@pytest.mark.parametrize("name", LINES)
-def test_a_file_by_state(tmp_path: Path, name: str) -> None:
-    first, line, last, kind = LINES[name]
-    lines = (line.format(s=s, row=s // 4, column=s % 4) for s in range("json" in name, 16))
-    (tmp_path / name).write_text(first + "".join(lines) + last)
-    policy = Policy.of(LAKE, tmp_path / name, kind=kind)
-    assert policy.read_as == ("q" if kind == "q" else "policy")
-    assert (policy.weights(LAKE) == Policy.of(LAKE, "always:DOWN").weights(LAKE)).all()
 
 
 def test_files_as_editors_leave_them(tmp_path: Path) -> None:

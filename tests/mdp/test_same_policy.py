@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle import evaluate_exact, solve_exact
@@ -261,28 +260,13 @@ def agrees(case: Case, name: str, form: Any, *, has_to: bool = False) -> bool:
     return True
 
 
-def every_form(data: st.DataObject, folder: Path) -> None:
-    case = Case(data, folder)
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_no_form_is_read_as_another_policy(tmp_path_factory: Any, data: st.DataObject) -> None:
+    case = Case(data, tmp_path_factory.mktemp("m"))
     assert all(agrees(case, name, form, has_to=True) for name, form in case.surely())
     forms = [*case.by_object(), *case.by_text(), *case.by_order()]
     taken = [form for name, form in forms if agrees(case, name, form)]
     audit = check(case.model, data.draw(st.sampled_from(taken)))
     assert audit.value.value == case.regret()
     assert audit.passed == (case.regret() == 0)
-
-
-def examples(most: int) -> Any:
-    return settings(max_examples=most, suppress_health_check=list(HealthCheck))
-
-
-@examples(60)
-@given(st.data())
-def test_no_form_is_read_as_another_policy(tmp_path_factory: Any, data: st.DataObject) -> None:
-    every_form(data, tmp_path_factory.mktemp("m"))
-
-
-@pytest.mark.slow
-@examples(3000)
-@given(st.data())
-def test_no_form_of_many_is_read_as_another(tmp_path_factory: Any, data: st.DataObject) -> None:
-    every_form(data, tmp_path_factory.mktemp("m"))

@@ -87,16 +87,14 @@ def test_imports_point_one_way() -> None:
     assert [path for path in numba if not any(fnmatch(path, each) for each in NUMBA)] == []
 
 
-def test_what_is_forbidden_is_found() -> None:
-    lower = {"mdp/a.py": "def f():\n    from exact_mdp.solvers import b", "solvers/b.py": ""}
-    assert upward(imports(lower)) == [("mdp/a.py", "solvers.b", True)]
-    assert len(upward(imports({"mdp/a.py": "import exact_mdp"}))) == 1
-    assert upward(imports({"mdp/a.py": "def f():\n    import exact_mdp"})) == []
-    typing = "if TYPE_CHECKING:\n    from exact_mdp.mdp.io.b import B"
-    ring = {"mdp/a.py": typing, "mdp/io/b.py": "f = lambda: import_module('exact_mdp.mdp.a')"}
-    assert circles(imports(ring)) == [["mdp.a", "mdp.io.b"]]
-    assert circles(imports({**ring, "mdp/io/b.py": "import exact_mdp.mdp"})) == []
-    assert "numba" in loaded("import exact_mdp.solvers.kernels.learning")
+def test_the_checkers_of_curves_import_no_solver() -> None:
+    folder = PACKAGE / "analysis" / "vary" / "curves"
+    texts = {f"analysis/vary/curves/{n}.py": (folder / f"{n}.py").read_text("utf-8")
+             for n in ("checker", "roots")}  # fmt: skip
+    for _, name, _ in imports(texts):
+        assert not name.startswith("exact_mdp") or name.startswith(
+            ("exact_mdp.mdp.", "exact_mdp.analysis.vary.curves.roots")
+        )
 
 
 def python(*words: str) -> str:

@@ -62,14 +62,3 @@ def test_an_answer_is_held_against_the_reference_and_its_own_bound(
     assert (f"| {FAMILY} | 20 | 0.5 | {PEER} |" in page) == right
     assert "results_ratio.png" in page
     assert (tmp_path / "results_ratio.png").exists() == right
-
-
-def test_we_are_timed_in_a_process_of_our_own(tmp_path: Path) -> None:
-    workload, values = queue(20), tmp_path / "values.npy"
-    workload.save(tmp_path / "work.npz")
-    row = compare._in_a_process(tmp_path / "work.npz", FAMILY, OURS, values)
-    assert row is not None
-    assert 0 < row["solving"] <= row["seconds"]
-    assert max(row["memory"], row["first memory"]) < 500e6  # not that of this process
-    value, proven = compare.reference(workload)
-    assert np.abs(np.load(values) - value).max() <= row["bound"] + proven

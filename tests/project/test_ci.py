@@ -105,20 +105,6 @@ def test_the_workflow_of_the_readme_reports_a_policy_that_loses_too_much(project
     assert len(list(project.glob(upload["with"]["path"]))) == 2
 
 
-def test_a_good_policy_passes(project: Path) -> None:
-    given = {
-        "model": "tea",
-        "policy": "optimal",
-        "max-regret": "",
-        "options": "--set\ntasks=[2]\n\n",
-    }
-    status, said, annotations = act(project, **GATE | given | {"extras": "models,lp"})
-    assert status == 0, said
-    assert annotations.splitlines()[-1] == f"{ROOT}[models,lp]"
-    key = (project.parent / "output.txt").read_text("utf-8")  # of the cache: no commas, no blanks
-    assert re.fullmatch(r"key=3\.\d+\.\d+-\d+\n", key)
-
-
 @pytest.mark.parametrize("name", ["$(touch owned)", "`touch owned`", '"; touch owned; "', "--x y"])
 def test_an_input_is_no_command(project: Path, name: str) -> None:
     """Whatever an input says is one word of the command, and model and policy are no options."""
@@ -130,14 +116,6 @@ def test_an_input_is_no_command(project: Path, name: str) -> None:
     options = [name, f"--max-regret={name}", f"--junit={name}", f"--html={name}"]
     assert said.splitlines() == ["check", *options, "--", name, name]
     assert not list(project.parent.rglob("owned"))
-
-
-def test_bad_input_is_reported_too(project: Path) -> None:
-    status, said, _ = act(project, **GATE | {"policy": "nowhere.npy"})
-    assert status == 2, said
-    assert "::error title=exact-mdp check model.npz::ModelError" in said
-    root = ElementTree.parse(project / "policy-report.xml").getroot()
-    assert (root.get("failures"), root.get("errors")) == ("0", "1")
 
 
 def test_the_hook_of_the_readme(project: Path) -> None:

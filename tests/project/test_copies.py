@@ -4,11 +4,8 @@ import copy
 import pickle
 import re
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
-from fractions import Fraction
 from functools import cached_property
-from multiprocessing import get_context
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -17,14 +14,8 @@ import pytest
 import exact_mdp
 from exact_mdp import (
     MDP,
-    Family,
-    Parameter,
     Policy,
     Scenario,
-    certify,
-    check,
-    curve,
-    gradient,
     moving,
 )
 
@@ -61,11 +52,6 @@ def floats() -> MDP:
 
 def scenario() -> MDP:
     return Scenario.load("yuan2025").with_(max_trial=1, tasks=[1]).compile()
-
-
-def built(at: Any) -> MDP:
-    rows = [[[at["p"], 1 - at["p"]], [0, 1]], [[0, 1], [0, 1]]]
-    return MDP.from_arrays(rows, [[1, 2], [0, 0]], "1/2", layout="ass")
 
 
 def by_name(mdp: MDP) -> dict[str, str]:
@@ -127,34 +113,3 @@ def test_whatever_was_asked_before(model: str, ask: Callable[[MDP], Any]) -> Non
         assert shown(again) == shown(mdp)
         assert shown(copied) == shown(answer)
     assert shown(ask(again)) == shown(answer)
-
-
-@pytest.mark.parametrize("how", COPIES.values(), ids=COPIES)
-def test_policies_scenarios_families_and_curves(how: Callable[[Any], Any]) -> None:
-    mdp, tables = scenario(), Scenario.load("yuan2025")
-    policy = Policy.of(mdp, by_name(mdp))
-    policy.weights(mdp)
-    assert how(policy).tolist() == policy.tolist()
-    assert not how(policy).rule.flags.writeable
-    tables["base.anger"]
-    assert how(tables) == tables
-    chance = Parameter(name="p", value=Fraction(1, 3), low=Fraction(0), high=Fraction(1))
-    own = Family(parameters=(chance,), build=built)
-    for family in (own, moving(floats(), {"chance": [(0, 0)]}), tables.parametric()):
-        first = shown(gradient(family))
-        other = how(family)
-        assert [p.name for p in other.parameters] == [p.name for p in family.parameters]
-        assert shown(gradient(other)) == first
-    exact = curve(own, "p")
-    assert how(exact).violations() == exact.violations() == []
-    assert [how(exact).at(at) for at in ("1/3", "1/2")] == [exact.at(at) for at in ("1/3", "1/2")]
-
-
-def test_a_pool_of_processes_takes_a_model_that_was_asked() -> None:
-    mdp = line()
-    audit, proof = check(mdp, by_name(mdp)), certify(mdp)
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        mean = pool.submit(exact_mdp.evaluate, mdp, by_name(mdp)).result().mean
-        assert shown(pool.submit(check, mdp, by_name(mdp)).result()) == shown(audit)
-        assert pool.submit(certify, mdp).result().start_value == proof.start_value
-    assert mean == exact_mdp.evaluate(mdp, by_name(mdp)).mean

@@ -1,16 +1,12 @@
 """The core works where every optional package is missing, and each missing one names its extra."""
 
-import ast
-import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 # What the core does without, by the extra that brings it.
 EXTRAS = {
     "lp": {"clarabel", "cvxpy"},
@@ -20,8 +16,6 @@ EXTRAS = {
     "agents": {"httpx"},
 }
 OPTIONAL = {package: extra for extra, packages in EXTRAS.items() for package in packages}
-# Whoever reads a module of these folders has read one that names the extra.
-GUARDED = ("exact_mdp/analysis/plots/", "exact_mdp/paper_repro/")
 
 WITHOUT = f"""
 import sys
@@ -105,44 +99,3 @@ def test_so_it_does_in_the_reproduction(tmp_path: Path) -> None:
     assert done.returncode == 2, done.stderr
     assert 'pip install "exact-mdp[plots]"' in done.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def unguarded(text: str) -> list[str]:
-    """The optional packages that are imported, but not where their extra is named."""
-    astray = []
-
-    def visit(node: ast.AST, extra: str) -> None:
-        names: list[str] = []
-        match node:
-            case ast.If(test=ast.Name(id="TYPE_CHECKING")):
-                return
-            case ast.With(items=[ast.withitem(context_expr=ast.Call(ast.Name("extra"), [name]))]):
-                extra = ast.literal_eval(name)
-            case ast.Import(names=listed):
-                names = [each.name for each in listed]
-            case ast.ImportFrom(module=str(module), level=0):
-                names = [module]
-        packages = {name.partition(".")[0] for name in names} & OPTIONAL.keys()
-        astray.extend(name for name in packages if name not in EXTRAS.get(extra, ()))
-        for child in ast.iter_child_nodes(node):
-            visit(child, extra)
-
-    visit(ast.parse(text), "")
-    return astray
-
-
-def test_every_optional_import_stands_under_its_extra() -> None:
-    """No import of such a package fails in words of Python's own; each is in a declared extra."""
-    files = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8")
-             for path in (ROOT / "exact_mdp").rglob("*.py")}  # fmt: skip
-    assert {n: unguarded(text) for n, text in files.items() if not n.startswith(GUARDED)} == {
-        name: [] for name in files if not name.startswith(GUARDED)
-    }
-    assert unguarded("import cvxpy") == ["cvxpy"]
-    wrong = "with extra('plots'):\n    def f():\n        from cvxpy import Problem"
-    assert unguarded(wrong) == ["cvxpy"]
-    for extra, packages in EXTRAS.items():
-        lines = DECLARED["optional-dependencies"][extra]
-        brought = {re.split(r"[^\w-]", line)[0] for line in lines} - {"exact-mdp", "gymnasium"}
-        assert brought <= packages, extra
-    assert set(DECLARED["optional-dependencies"]) == {*EXTRAS, "all", "bench"}

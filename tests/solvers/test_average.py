@@ -82,16 +82,6 @@ def test_rows_of_floats_mean_what_was_written() -> None:
     assert (step.discount, step.floats) == (1, True)
 
 
-def test_components_of_rows_that_are_divided_by_their_sums_add_up() -> None:
-    rows = [(0, 0, [(0.1, 0, 1.5), (0.9 + 1e-10, 1, 2.0)]), (1, 0, [(0.3, 0, 1.0), (0.7, 1, 0.1)])]
-    mdp = MDP.from_outcomes(rows).with_(components={"first": [1.25, 0], "second": ["1/3", "1/7"]})
-    evaluation = evaluate(mdp, [0, 0], criterion="average")
-    total = sum(number.value for number in evaluation.components.values())
-    assert list(evaluation.components) == ["first", "second", "rest"]
-    assert total == pytest.approx(evaluation.start_value, rel=1e-12)
-    assert evaluation.components["first"].value == pytest.approx(1.25 / 4 / (1 + 1e-10), rel=1e-9)
-
-
 @pytest.mark.parametrize("digits", [300, 325])
 def test_shares_below_the_range_of_floats(digits: int) -> None:
     rare, most = F(1, 10**digits), F(10) ** 300

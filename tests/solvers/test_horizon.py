@@ -1,8 +1,5 @@
 """Episodes that stop after N steps, against recursions that share nothing with the toolkit."""
 
-from __future__ import annotations
-
-from fractions import Fraction as F
 from pathlib import Path
 from typing import Any
 
@@ -162,28 +159,3 @@ def test_a_command_says_once_that_it_leaves_the_limit_out(command: str, tmp_path
     if command == "check":
         run(*words, "--discount", "9/10", "--html", f"{tmp_path}/p.html")
         assert "Note: the environment stops after 100 steps" in (tmp_path / "p.html").read_text()
-
-
-@pytest.mark.parametrize(
-    "steps", ["0", "-1", "1.5", "x", "", "1e3", "true", "9" * 30, "1000000000"]
-)
-def test_a_bad_horizon_is_refused(steps: str) -> None:
-    done = run("solve", f"gymnasium:{LAKE}", "--horizon", steps)
-    assert (done.status, done.out) == (2, "")
-    assert "horizon" in done.err
-
-
-def test_solve_with_a_horizon_is_proved_written_and_given_back(tmp_path: Path) -> None:
-    """A certificate is verified with the same horizon; policies are read back as they are."""
-    proof, policy, arrays = tmp_path / "p.json", tmp_path / "p.csv", tmp_path / "p.npz"
-    model, limit = f"gymnasium:{LAKE}", ("--horizon", "10")
-    files = ("--certificate", proof, "--policy-out", policy, "--out", arrays)
-    result = run("solve", model, *limit, "--certify", *files, "--json").result
-    best = certify(MDP.from_gymnasium(LAKE).within(10)).start_value
-    assert F(result["exact_start_value"]) == best
-    assert run("verify", proof, model, *limit).status == 0
-    assert run("verify", proof, model).status == 1
-    for file in (policy, arrays):
-        own = run("evaluate", model, file, *limit, "--json").result
-        assert own["mean"] == pytest.approx(float(best), abs=1e-13)
-        assert run("check", model, file, *limit, "--no-explain", "--json").status == 0

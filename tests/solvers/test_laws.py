@@ -4,8 +4,6 @@ A view is another form of a drawn model, whose values follow from its own. A doo
 for the optimum. What is right says the oracle: no policy has more, in rational arithmetic.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from fractions import Fraction as F
 from itertools import chain, product

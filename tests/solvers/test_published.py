@@ -1,7 +1,5 @@
 """Published answers: optima by every solver, values of policies, questions, averages and mazes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction as F
 from math import isinf

@@ -1,7 +1,5 @@
 """What solvers refuse: each call, with words of what is said; all say where, and what to do."""
 
-from __future__ import annotations
-
 from fractions import Fraction as F
 from typing import Any
 

@@ -22,7 +22,6 @@ from exact_mdp import (
     Certified,
     Claim,
     Estimated,
-    GaussSeidel,
     LinearProgram,
     ModelError,
     ModifiedPolicyIteration,
@@ -128,19 +127,6 @@ def test_small_last_changes_are_no_reason_to_stop() -> None:
         assert solution.error_bound <= 1e-6
         assert solution.iterations < 200
         assert abs(solution.start_value - 0.5) <= solution.start.error
-
-
-@pytest.mark.parametrize("name", ["howard-taxicab", "forest-10-24/25"])
-def test_relaxed_values_are_not_shifted_for_ever(name: str) -> None:
-    """Where errors differ from state to state, a shift to the middle of the bounds adds to them."""
-    solution = solve(case_model(name), GaussSeidel(max_iterations=200))
-    assert solution.status is Status.CONVERGED
-
-
-def test_small_values_beside_large_ones_are_found_as_closely() -> None:
-    """A tolerance that is a part of the largest value is no reason to stop at the first pass."""
-    rows = [(0, 0, [(1, 0, 0)]), (1, 0, [("1/2", 0, 1), ("1/2", 1, 1)]), (2, 0, [(1, 0, 10**9)])]
-    assert solve(MDP.from_outcomes(rows, "1/2")).value[1] == pytest.approx(4 / 3, rel=1e-12)
 
 
 @pytest.mark.parametrize("solver", [ModifiedPolicyIteration, PolicyIteration])

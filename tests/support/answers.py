@@ -1,7 +1,5 @@
 """What every answer owes to the exact one: it is no further away than its own error."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterable
 from fractions import Fraction as F

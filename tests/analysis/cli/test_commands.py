@@ -131,26 +131,6 @@ def test_solve_writes_policy_arrays_and_their_records(tmp_path: Path) -> None:
 # ---- evaluate, returns, simulate -------------------------------------------------------------
 
 
-def test_verify_tells_proofs_from_what_is_none(tmp_path: Path) -> None:
-    exact, bounds = tmp_path / "exact.json", tmp_path / "bounds.json"
-    solved = run("solve yuan2025 --certify --certificate", exact, "--json").result
-    run("solve yuan2025 --certificate", bounds, "--json")
-    for path, claim in ((exact, "certified"), (bounds, "bounded")):
-        done = run("verify", path, "yuan2025", "--json")
-        found = done.result
-        assert (done.status, found["holds"], found["claim"]) == (0, True, claim)
-        off = abs(Fraction(found["start_value"]) - Fraction(solved["exact_start_value"]))
-        assert off <= Fraction(found["error_bound"])
-        done = run("verify", path, "yuan2025", "--set", "base.anger=0.06", "--json")
-        assert (done.status, done.result["holds"]) == (1, False)
-        assert done.result["violations"]
-    assert "does not hold" in run("verify", exact, "yuan2025", "--discount", "0.9").out
-    np.savez(tmp_path / "solution.npz", value=np.zeros(3))
-    refused = run("verify", tmp_path / "solution.npz", "yuan2025").refusal()
-    assert "not a certificate" in refused
-    assert "--certificate F.json" in refused
-
-
 def test_a_loose_tolerance_does_not_make_an_optimum_stationary() -> None:
     """Here the best action of a status changes with the trial: bounds may not deny it."""
     model = f"solve yuan2025 --set {COLUMN_TO_ROW} --json"

@@ -11,9 +11,6 @@ from cli_runner import PROGRAM, launch, run
 
 from exact_mdp import MDP, Policy, evaluate, load, save
 
-ROOT = Path(__file__).resolve().parents[3]
-
-
 # ---- what it prints --------------------------------------------------------------------------
 
 

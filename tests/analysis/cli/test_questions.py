@@ -1,16 +1,12 @@
 """The questions that every command takes: one model by hand, each answer worked out by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from cli_runner import run
-from made_models import forest
 
-from exact_mdp import MDP, MDPEnv
+from exact_mdp import MDP
 
 # From `here`, walk gets home with chance 1/2 and else stays, at cost 1; fly is home at once, at
 # cost 3; swim costs 5 and drowns with chance 1/4. Home and the sea end it.
@@ -32,7 +28,6 @@ LAND = MDP.from_outcomes(
         "beach": [False, False, False, True],
     },
 )
-AVERAGE = ("--criterion", "average")
 HOME, OVER = ("--until", "home", "--minimize"), ("--until", "over", "--minimize")
 
 
@@ -95,20 +90,6 @@ def test_solve(land: str, words: list[str], exact: str, policy: str | None) -> N
         assert result["policy_by_state"]["here"] == policy
 
 
-def test_other_commands(land: str) -> None:
-    """One policy against the question: its value, and what it loses."""
-    assert run("evaluate", land, "always:fly", *OVER, "--json").result["mean"] == 3
-    lost = run("check", land, "always:fly", *OVER, "--start", "here", "--json")
-    assert (lost.status, lost.result["exact_regret"]) == (1, "1")
-    assert (lost.result["optimal_value"], lost.result["learned_value"]) == (2, 3)
-    assert lost.result["disagreements"][0]["optimal_actions"] == ["walk"]
-    drowned = run("check", land, "always:swim", "--reach", "home", "--json").result
-    assert drowned["exact_regret"] == "1/4"
-    labels = {"home": 1, "over": 2, "dry": 3, "beach": 1}
-    assert run("info", land, "--json").result["labels"] == labels
-    assert "home 1, over 2" in run("info", land).out
-
-
 # ---- sensitivity ---------------------------------------------------------------------------------
 
 
@@ -124,31 +105,6 @@ def test_sensitivity_of_what_is_asked() -> None:
     least = run(f"gradient {small} --parameter base.anger --minimize").result
     assert least["sense"] == "min"
     assert least["start_value"] <= most["start_value"]
-
-
-@pytest.mark.parametrize("kind", ["psa", pytest.param("sobol", marks=pytest.mark.slow)])
-def test_draws_of_costs(kind: str) -> None:
-    """The least probability of anger, drawn: a policy held has no less."""
-    model = "yuan2025 --set tasks=[1] --reach anger --minimize --json"
-    result = run(f"{kind} {model} --samples 4 --policy always:none --seed 1").result
-    assert result["regret"]["mean"] > 0
-
-
-def test_robust_values_of_costs() -> None:
-    small = "robust yuan2025 --set tasks=[1] --reach anger --radius 1/10"
-    least = run(f"{small} --minimize --policy always:none --json").result
-    assert least["worst_case"]["value"] >= least["best_case"]["value"]
-    assert least["worst_case_gain"]["value"] >= 0
-    assert least["price_of_robustness"]["value"] <= 0  # held: a policy that is not the best
-
-
-def test_an_environment_pays_costs_as_rewards() -> None:
-    paid = []
-    for mdp in (LAND, LAND.with_(sense="min")):
-        env = MDPEnv(mdp)
-        env.reset(seed=3)
-        paid.append(env.step(np.int64(0))[1])
-    assert paid[0] == -paid[1]
 
 
 def test_where_some_policy_never_ends(tmp_path: Path) -> None:
@@ -193,20 +149,3 @@ def test_totals_that_nobody_has_are_refused_by_name(
     MDP.from_outcomes(rows, start=start, labels={"home": [False, True]}).save(model)
     policy = ["always:0"] * (command == "check")
     assert message in run(command, model, *policy, *words).refusal()
-
-
-def test_an_average_is_solved_proven_and_verified(tmp_path: Path) -> None:
-    forest("9/10").save(model := tmp_path / "forest.npz")
-    proof, arrays = tmp_path / "proof.json", tmp_path / "arrays.npz"
-    files = ("--certificate", proof, "--out", arrays, "--policy-out", tmp_path / "policy.csv")
-    result = run("solve", model, *AVERAGE, "--certify", *files, "--json").result
-    assert result["criterion"] == "average"
-    assert (result["exact_start_value"], result["claim"]) == ("81/25", "certified")
-    assert result["bias"] == {"0": "-162/25", "1": "-72/25", "2": "28/25"}
-    assert result["policy_by_state"] == {"0": "0", "1": "0", "2": "0"}
-    assert np.load(arrays)["bias"].tolist() == [-6.48, -2.88, 1.12]
-    verified = run("verify", proof, model, "--json").result
-    assert (verified["holds"], verified["exact_start_value"]) == (True, "81/25")
-    proof.write_text(proof.read_text().replace('"0x51"', '"0x52"', 1))
-    assert run("verify", proof, model).status == 1
-    assert run("check", model, tmp_path / "policy.csv", *AVERAGE).status == 0

@@ -1,7 +1,5 @@
 """What the commands refuse: nothing on standard output, status 2, and a sentence with its fix."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -100,6 +98,7 @@ robust small <--radius|--set-kind box --radius> -1 -> where: --radius
 robust small --set-kind box --radius 0 -> above 0
 robust small --set-kind l1 --radius 2.1 -> no two distributions are more than 2 apart
 robust small --set-kind l1 --radius 2.1 -> where: --radius
+robust land.npz --set-kind box -> no parameter moves
 robust small --set-kind ball -> --set-kind
 robust gymnasium:FrozenLake-v1 --discount 1 -> every episode to end
 robust small --set-kind box --parameter base.angr -> base.angr
@@ -122,6 +121,10 @@ explore tea always:sing --parameter base.anxiety --html p.html -> sing
 check tea random --gamma 0.9 -> Did you mean '--discount'?
 check tea random --plot p.png -> Did you mean '--html'?
 check FrozenLake-v1 random -> did you mean gymnasium:FrozenLake-v1?
+solve land.npz --horizon <0|-1|1.5|x|''|1e3|true|NINES|1000000000> -> horizon
+risk small -> --cvar
+risk small --cvar 0 -> above 0
+risk small --cvar 1/2 --discount 1/2 -> discount 1
 solve land.npz --reach hom -> did you mean home
 solve land.npz --reach home --allowed sea -> is not among the allowed states
 solve land.npz --reach home --until home -> two questions

@@ -1,9 +1,6 @@
 """The analyses of parameters on the command line: what they print, draw, write and refuse."""
 
-from __future__ import annotations
-
 import json
-from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -49,14 +46,6 @@ def test_the_discount_is_held_unless_it_is_named(words: str, vary: set[str]) -> 
     assert set(result["total"]) | set(result["without_range"]) == vary
 
 
-def test_first_orders_above_the_total_are_called_noise() -> None:
-    names = ("base.anger", "reward.anger", "reward.timestep", "base.forgetfulness")
-    line = f"sobol {SET} --samples 8 --parameter {' --parameter '.join(names)}"
-    result = run(line, "--json").result
-    assert any(result["first_order"][name] > result["total"][name] for name in names)
-    assert "the first order is above the total" in run(line).err
-
-
 def test_sobol_keeps_its_work(tmp_path: Path) -> None:
     line = f"sobol {SET} --samples 4 --parameter base.anger --json --out"
     answer = run(line, tmp_path / "kept").result
@@ -73,13 +62,6 @@ def test_a_regret_of_nothing_has_no_indices() -> None:
     answer = run(line, "reward.subtask-complete", "--json").result
     assert answer["regret"]["total"] == {"reward.subtask-complete": None}
     assert "shares of the variance of the start value" in run(line, "discount").out
-
-
-def test_a_saved_model_has_a_discount_to_vary(tmp_path: Path) -> None:
-    file = tmp_path / "loop.npz"
-    save(MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0], "9/10"), file)
-    line = "sobol --samples 32 --n-jobs 1 --relative 0.05 --parameter discount --json"
-    assert run(line, file).result["total"]["discount"] == pytest.approx(1, abs=0.2)
 
 
 # ---- robust -------------------------------------------------------------------------------------
@@ -100,30 +82,7 @@ def test_a_box_tells_the_worst_point_found() -> None:
     assert "discount" not in wide["box"]
 
 
-@pytest.mark.parametrize("kind", ["interval", "l1", "kl"])
-def test_a_radius_of_0_is_the_tables_as_they_are(kind: str) -> None:
-    result = run(f"robust {SET} --set-kind {kind} --radius 0 --json").result
-    nominal = [result[case]["nominal_policy"]["value"] for case in ("worst_case", "best_case")]
-    assert nominal == pytest.approx([result["start_value"]] * 2, abs=1e-6)
-
-
 # ---- derivatives, bars and thresholds -----------------------------------------------------------
-
-
-def test_command_tornado_and_threshold(tmp_path: Path) -> None:
-    file = tmp_path / "ranges.toml"
-    file.write_text('"reward.assist.non-directive" = [-10, 0]', "utf-8")
-    result = run(f"tornado {SET} --json --range", file).result
-    (bar,) = result["bars"]
-    assert (bar["low"], bar["high"]) == (-10, 0)
-    assert bar["value_low"] < result["start_value"] < bar["value_high"]
-    result = run(f"threshold {SET} --json --range", file).result
-    assert result["switches"]
-    for switch in result["switches"]:
-        assert switch["before"] != switch["after"]
-        assert Fraction(switch["high"]) - Fraction(switch["low"]) <= Fraction(1, 10**12)
-    stable = result["stable"]["reward.assist.non-directive"]
-    assert stable["low"] <= -3 <= stable["high"]
 
 
 # ---- psa ----------------------------------------------------------------------------------------

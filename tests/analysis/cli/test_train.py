@@ -117,3 +117,13 @@ def test_a_model_that_cannot_be_judged_is_refused_before_the_work(tmp_path: Path
 def test_a_folder_that_holds_something_else_is_refused(tmp_path: Path) -> None:
     assert run(QUICK, "--seeds", 1, "--out", tmp_path).status == 0
     assert "differs in seed" in run(QUICK, "--seeds", 1, "--out", tmp_path, "--seed", 1).refusal()
+
+
+def test_a_piece_whose_numbers_were_changed_is_damaged(tmp_path: Path) -> None:
+    words = ["train", "tea", "--seeds=1", "--learner=epochs=3", "--n-jobs=1", "--out", tmp_path]
+    assert run(*words).status == 0
+    with np.load(path := tmp_path / "runs-000000.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    for name, value in {"policies": 32767, "last": 32767, "snapshots": -1, "q": 3}.items():
+        np.savez(path, **arrays | {name: np.full_like(arrays[name], value)})
+        assert run(*words).refusal().startswith("ModelError: the file is damaged\n")

@@ -1,7 +1,5 @@
 """What is counted beside the reward, also where nothing is earned, against all small policies."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

@@ -1,10 +1,8 @@
 """The audit of a policy: its regret and the price of each state, against rational arithmetic."""
 
-import pickle
 from fractions import Fraction as F
 from math import inf
 from random import Random
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from care_oracle import ACTIONS, acting, oracle_of
 from cases import CASES, Case
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_models import forest
 from oracle import evaluate_exact, mixed, solve_exact
 from strategies import Pairs, Rows, any_models, model_of, models
 
@@ -23,7 +20,6 @@ from exact_mdp import (
     Claim,
     ModelError,
     Scenario,
-    assert_policy_optimal,
     certify,
     check,
     evaluate,
@@ -104,20 +100,6 @@ def test_published_policies_pass_and_wrong_ones_do_not(case: Case) -> None:
             assert failed.regret.learned_value[s] == wanted
 
 
-def test_the_forest_policy_of_a_learner_s_test_is_rejected() -> None:
-    """Its test takes (0, 1, 1) for right, and believes it to be worth 11.2 in the first state."""
-    q = np.array([[11.19899, 10.34652], [10.74229, 11.74105], [2.86981, 12.25978]])
-    audit = check(forest("24/25"), q)
-    assert not audit.passed
-    assert audit.regret.learned == Certified(value=F(10800, 932))
-    assert audit.regret.optimal == Certified(value=F(746496, 10_000))
-    assert [each.state for each in audit.disagreements] == [1, 2]
-    assert audit.q_error is not None
-    assert audit.q_error.promised == 11.19899
-    with pytest.raises(AssertionError, match="state 1: yours 1, optimal 0"):
-        assert_policy_optimal(forest("24/25"), q)
-
-
 # ---- the care model --------------------------------------------------------------------------
 
 
@@ -190,22 +172,6 @@ def test_a_wrong_state_that_is_never_visited_does_no_harm() -> None:
     assert [each.cost for each in costly.disagreements] == [101.0, 7.0]
 
 
-def test_infinite_action_values_are_no_errors_and_promise_nothing() -> None:
-    """A table may rule actions out by -inf, which says nothing of their values."""
-    step = [[0, 1, 0], [0, 0, 1], [0, 0, 1]]
-    mdp = MDP.from_arrays([step] * 3, [[1, 3, 2], [0, 1, 4], [0, 0, 0]], layout="ass")
-    table = np.array([[2.0, -np.inf, 6.5], [-np.inf, 0.5, 3.5], [0, 0, 0]])
-    q_error = check(mdp, table, kind="q").q_error
-    assert q_error is not None
-    # Q* is 5, 7, 6 in the first state and 0, 1, 4 in the second.
-    errors = np.array([2 - 5, 6.5 - 6, 0.5 - 1, 3.5 - 4])
-    assert (q_error.largest, q_error.where) == (3.0, mdp.where(0))
-    assert q_error.mean == pytest.approx(errors.mean())
-    assert q_error.root_mean_square == pytest.approx((errors**2).mean() ** 0.5)
-    assert q_error.promised == 6.5
-    assert q_error.visited == pytest.approx(0.5)
-
-
 def test_its_text_names_the_costliest_states_and_its_table_begins_with_what_matters() -> None:
     """A certificate in the regret is not spelled out."""
     rows = [(s, a, [(1, s + 1, a * (s + 1))]) for s in range(5) for a in (0, 1)]
@@ -251,25 +217,6 @@ def test_many_actions_take_one_line() -> None:
 # ---- where a policy never ends -------------------------------------------------------------------
 
 
-def test_a_state_that_is_never_visited_may_keep_its_policy_for_ever() -> None:
-    """Waiting there costs nothing."""
-    rows: list[Any] = [(0, 0, [(1, 2, -1)]), (0, 1, [(1, 1, -1)]), (1, 0, [(1, 1, -1)])]
-    mdp = MDP.from_outcomes([*rows, (1, 1, [(1, 2, -1)]), (2, 0, [(1, 2, 0)])])
-    audit = check(mdp, [0, 0, 0])
-    assert (audit.passed, audit.regret.at_start.value) == (True, 0)
-    assert [(each.state, each.cost) for each in audit.disagreements] == [(1, 0.0)]
-
-
-def test_the_error_of_a_table_that_waits_for_ever_is_that_of_where_it_waits() -> None:
-    rows: list[Any] = [(2, 0, [(1, 2, 0)])]
-    for state in range(2):
-        rows += [(state, 0, [(1, state, -1)]), (state, 1, [(1, state + 1, -1)])]
-    audit = check(MDP.from_outcomes(rows), np.zeros((3, 2)))
-    assert audit.regret.at_start.value == inf
-    assert audit.q_error is not None
-    assert audit.q_error.visited == 3  # Q*(0, wait) = -1 + V*(0)
-
-
 @settings(max_examples=60)
 @given(any_models(4), st.randoms(use_true_random=False))
 def test_policies_of_models_without_end_are_judged(pairs: Pairs, rng: Random) -> None:
@@ -300,32 +247,6 @@ def test_policies_of_models_without_end_are_judged(pairs: Pairs, rng: Random) ->
         assert audit.passed == (audit.value.value == 0)
         lost = sum(each.cost for each in audit.disagreements)
         assert lost == pytest.approx(float(audit.value.value))
-
-
-def test_an_action_that_only_a_policy_without_gain_uses_for_ever_is_to_blame() -> None:
-    """The loop 0 -> 1 -> 0 earns nothing, and on average it is at a debt; staying in 0 is not."""
-    rows: list[Any] = [(0, 0, [(1, 0, 0)]), (1, 0, [("4/5", 0, 1), ("1/5", 1, 0)])]
-    rows += [(0, a, [("2/3", 0, 0), ("1/3", 1, -1)]) for a in (1, 2)] + [(1, 1, [(1, 1, 0)])]
-    audit = check(MDP.from_outcomes(rows), [2, 0])
-    assert audit.value.value == F(5, 17)
-    [found] = audit.disagreements
-    assert (found.state, found.optimal, found.cost) == (0, ("0",), 5 / 17)
-
-
-def test_an_audit_says_from_where_it_measures() -> None:
-    """A wrong policy that the start never leads to loses nothing: that is said."""
-    mdp = MDP.from_arrays([np.eye(3)] * 2, [[1, 0]] * 3, "1/2", states=["x", "y", "z"])
-    audit = check(mdp, [0, 1, 1])
-    assert (audit.passed, audit.begins, audit.never_reached) == (True, "state x", 2)
-    spread = check(mdp.with_(start=["1/2", "1/2", 0]), [0, 1, 1])
-    assert (spread.begins, spread.never_reached) == ("2 states, each with its probability", 1)
-
-
-@pytest.mark.parametrize("criterion", ["total", "average"])
-def test_audits_can_be_pickled(criterion: Any) -> None:
-    audit = check(Scenario.load("yuan2025").compile(), "random", criterion=criterion)
-    again = pickle.loads(pickle.dumps(audit))
-    assert (repr(again), again.message()) == (repr(audit), audit.message())
 
 
 def test_an_audit_says_what_it_compares_and_what_is_lost() -> None:

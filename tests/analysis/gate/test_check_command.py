@@ -72,21 +72,6 @@ def test_planted_policies_get_the_right_verdict(mdp: MDP, tmp_path: Path) -> Non
             assert [each["state"] for each in visited[:1]] == ([] if passed else [first])
 
 
-def test_reasons(tmp_path: Path) -> None:
-    q = np.random.default_rng(0).normal(size=(16, 4))
-    np.save(tmp_path / "q.npy", q)
-    result = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json").result
-    why = result["representation"]
-    assert (why["columns"], why["proven"]) == (["status"], True)
-    assert why["loss"] + why["learning_error"] == pytest.approx(result["regret"], abs=1e-12)
-    assert list(why["policy"]) == [f"status {s:04b}" for s in range(16)]
-    assert result["rows"][0]["gain"] > 0
-    assert result["q_error"]["promised"] == q[0].max()
-    bare = run("check", "yuan2025", tmp_path / "q.npy", *SMALL, "--json", "--no-explain").result
-    assert (bare["representation"], bare["rows"]) == (None, None)
-    assert bare["regret"] == result["regret"]
-
-
 # ---- reports -----------------------------------------------------------------------------------
 
 
@@ -231,9 +216,3 @@ def test_bad_input_becomes_an_error_case(tmp_path: Path, line: str) -> None:
     assert done.out == ""
     assert cases[0].get("message") == done.err.partition("\n")[0]
     assert str(cases[0].text).strip() == done.err.strip()
-
-
-def test_help_and_refused_names_of_reports_write_nothing(tmp_path: Path) -> None:
-    assert run("check", "--help", "--junit", tmp_path / "a.xml").status == 0
-    assert run("check", "tea", "optimal", "--junit", tmp_path / "a.txt").status == 2
-    assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,5 @@
 """The best policy that reads some columns only: proven by enumeration and by relaxations."""
 
-from __future__ import annotations
-
 from fractions import Fraction as F
 from itertools import product
 from typing import Any
@@ -13,10 +11,8 @@ from strategies import tables
 
 from exact_mdp import (
     MDP,
-    Column,
     Policy,
     Scenario,
-    StateSpace,
     best_policy,
     certify,
     check,
@@ -109,22 +105,6 @@ def test_rows_of_a_policy_that_gain_by_a_change() -> None:
         better = check(mdp, own | {label: each["best"]})
         gain = audit.regret.at_start.value - better.regret.at_start.value
         assert each["gain"] == pytest.approx(float(gain), abs=1e-9)
-
-
-def test_a_policy_that_reads_more_may_take_what_others_do_not_offer() -> None:
-    rows = [(s, 2 * s + a, [(1, s + 1, 0)]) for s in (0, 1) for a in (0, 1)]
-    space = StateSpace(
-        columns=(Column(name="time", size=2), Column(name="row", size=1)), extra=("end",)
-    )
-    mdp = MDP.from_outcomes([*rows, (2, 0, [(1, 2, 0)])]).with_(space=space)
-    assert best_policy(mdp, ("time", "row")).proven
-
-
-def test_a_start_policy_is_never_lost() -> None:
-    mdp = TEMPTING.compile()
-    good = best_policy(mdp).policy
-    cut = best_policy(mdp, start=good, node_limit=1)
-    assert cut.value.value == pytest.approx(best_policy(mdp).value.value, abs=1e-9)
 
 
 REWARDS = [[0, -5, 0], [3, 2, 12], [-1, 0, -10], [-12, -5, -10]]

@@ -1,7 +1,5 @@
 """Intervals on the command line and on the page about them: keys, statuses, reports."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -62,12 +60,3 @@ def test_the_keys_and_the_reports(kind: str, folder: Path, tmp_path: Path) -> No
         assert "leaves the limit open" in text
         assert "no: it is in" not in text
     assert [text.count("no medical advice") for text in texts[:2]] == [1, 1]
-
-
-@pytest.mark.parametrize("kind", ["robust", "posterior", "off-policy"])
-def test_a_horizon_leaves_no_counts_behind(kind: str, folder: Path) -> None:
-    words = asked(kind, folder, 80)
-    alone, one = (run(*words, *late, "--json").result for late in ([], ["--horizon=1"]))
-    assert one["horizon"] == 1
-    assert one["regret_interval"][1] <= alone["regret_interval"][1] + 1e-3
-    assert one["regret_interval"][0] <= one["regret"] <= one["regret_interval"][1]

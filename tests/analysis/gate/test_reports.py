@@ -1,7 +1,5 @@
 """What `check` shows besides its text: Markdown, a page, GitHub's annotations and summary."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -13,14 +13,11 @@ from exact_mdp import (
     MDP,
     QLearning,
     Scenario,
-    accuracy_curves,
     check,
     compare,
     curve,
-    error_costs,
     evaluate,
     gradient,
-    independent,
     learning_curve,
     outcomes,
     plots,
@@ -34,7 +31,6 @@ from exact_mdp import (
 )
 
 SMALL = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2)
-ROUGH = independent([0.9, 0.8, 0.7, 0.95], [0.85, 0.9, 0.75, 0.6])
 
 
 @pytest.fixture(scope="module")
@@ -173,15 +169,6 @@ def test_figures_of_learning() -> None:
     assert sum(bar.get_height() for bar in distinct.patches) == pytest.approx(2)
 
 
-def test_figures_of_one_parameter() -> None:
-    x = "assistance.directive.confusion.persistence"
-    both = {x: thresholds(SMALL, x, (0, 1)), "base.anger": thresholds(SMALL, "base.anger")}
-    names = texts_of(plots.plot_thresholds(both).get_yticklabels())
-    assert [name.partition(" (")[0] for name in names] == [x, "base.anger"]
-    bars = tornado(SMALL, names=["base.anger"])
-    assert "regret" in bars.plot(output="regret").get_xlabel()
-
-
 def test_figures_of_indices() -> None:
     names = ["base.anger", "discount", "reward.anger"]
     indices = sobol(SMALL, policy="always:directive", names=names, n=16, rng=0)
@@ -194,25 +181,3 @@ def test_figures_of_indices() -> None:
     widths = [patch.get_width() for patch in ax.patches]
     assert widths[2:] == sorted(total.values(), reverse=True)[:2]
     assert ax.get_yticklabels()[0].get_text().startswith(max(total, key=total.__getitem__))
-
-
-def test_figures_of_perception() -> None:
-    mdp = SMALL.compile()
-    policy = {f"{s:04b}": mdp.actions[(3 * s + 2) % 4] for s in range(16)}
-    drawn = [
-        accuracy_curves(mdp, levels=[1.0, 0.9]).plot(),
-        error_costs(mdp, policy, ROUGH).plot(),
-        plots.plot_confusion(ROUGH),
-    ]
-    assert all(ax.get_xlabel() for ax in drawn)
-    bars = sorted(round(bar.get_width(), 9) for bar in drawn[1].patches)
-    losses = error_costs(mdp, policy, ROUGH).by_status.values()
-    assert bars == sorted(round(loss, 9) for both in losses for loss in both)
-
-
-def test_a_care_model_is_drawn_by_its_numbers() -> None:
-    ax = plots.plot_influence(SMALL)
-    assert ax.texts[0].get_text().splitlines()[0] == "forgetfulness"
-    ax = plots.plot_status_transitions(np.eye(4), ["anger", "confusion"])
-    assert texts_of(ax.texts) == ["100"] * 4
-    assert ax.get_ylabel() == "status now: anger, confusion"

@@ -41,14 +41,6 @@ def test_every_cell_shows_its_states_value_and_action(rows: int, columns: int) -
     plt.close("all")
 
 
-def test_bars_where_states_are_only_numbered() -> None:
-    solution = solve(forest("24/25"))
-    ax = solution.plot()
-    assert [bar.get_height() for bar in ax.patches] == pytest.approx(solution.value.tolist())
-    assert certify(forest("24/25")).plot().patches[0].get_height() == pytest.approx(74.6496)
-    assert ax.get_ylabel() == "optimal value (reward)"
-
-
 def test_a_map_over_any_two_columns() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[2], max_trial=2).compile()
     visits = evaluate(mdp, "random").plot(visits=True, down=["trial"], across=["subtask"], status=4)
@@ -92,17 +84,6 @@ def test_a_table_leaves_out_rationals_that_are_too_long_to_read() -> None:
         assert len(frame.to_string()) < 300
     regrets = compare(long, {"go": "always:0"}).regrets
     assert regrets["go"].learned.value == sum(Fraction(3, 5) ** t for t in range(60))
-
-
-def test_bounds_of_a_large_comparison_hold() -> None:
-    mdp = grid(15, 15)  # one cycle of 224 states
-    comparison = compare(mdp, {"down": "always:DOWN", "best": "optimal"})
-    assert comparison.claim == "bounded"
-    assert comparison.frame()["exact"].isna().all()
-    exact = {"down": -10, "best": -10 * (1 - Fraction(9, 10) ** 28)}  # for ever; 28 steps
-    for name, each in comparison.regrets.items():
-        low, high = each.learned.interval
-        assert low <= exact[name] <= high
 
 
 def test_a_value_function_is_drawn_by_its_exact_values() -> None:
@@ -163,14 +144,6 @@ def test_a_graph_that_would_be_a_tangle_is_a_heat_map(policy: Any) -> None:
     shades = np.asarray(ax.collections[0].get_array())
     each = [mdp.P(action).toarray() for action in range(mdp.n_actions)]
     assert np.allclose(shades, each[0] if isinstance(policy, list) else np.mean(each, axis=0))
-
-
-def test_an_end_stays_in_a_heat_map() -> None:
-    law = np.full((1, 20, 20), 0.05)
-    law[0, -1] = np.eye(20)[-1]
-    ax = plots.plot_transitions(MDP.from_arrays(law, [1] * 19 + [0]))
-    shades = np.asarray(ax.collections[0].get_array()).reshape(20, 20)
-    assert np.allclose(shades.sum(axis=1), 1)
 
 
 def test_start_goal_and_holes_are_told_apart() -> None:

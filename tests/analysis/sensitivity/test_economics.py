@@ -11,7 +11,6 @@ from cell_texts import legend_of, texts_of
 from exact_mdp import (
     MDP,
     Family,
-    ModelError,
     Parameter,
     cost_effectiveness,
     evaluate,
@@ -106,20 +105,6 @@ def test_the_guide_has_the_numbers_of_the_published_model() -> None:
             total += state @ mdp.components[action::4]
             state = state @ rows / 1.03
         assert list(parts.values()) == pytest.approx(total.tolist(), rel=1e-9)
-
-
-def test_several_willingnesses_to_pay_are_taken_one_by_one(analysis) -> None:
-    two = cost_effectiveness(MODEL, {n: POLICIES[n] for n in ("wait", "treat")}, 50, uncertain=SAID)
-    for each in (analysis, two):
-        for wtp in ([4.0, 10.0], [4.0, 10.0, 20.0]):
-            assert each.evpi(wtp) == [each.evpi(one) for one in wtp]
-            alone = [each.net_benefit(one) for one in wtp]
-            assert np.array_equal(each.net_benefit(wtp), alone)
-        for wrong in ("ten", [4.0, None], float("inf"), [[4.0]]):
-            with pytest.raises(ModelError, match=r"willingness to pay"):
-                each.evpi(wrong)
-        with pytest.raises(ModelError, match="several numbers"):
-            each.evppi([4.0, 10.0])
 
 
 def test_one_row_of_todays_values_is_the_base_case() -> None:

@@ -95,15 +95,6 @@ def test_a_chance_that_is_cut_off_at_1_has_two_sides() -> None:
     assert F(4, 5) in parametric(own).breakpoints("persistence.anger")
 
 
-def test_floats_agree_within_their_bounds() -> None:
-    own = scenario({})
-    exact, bounded = gradient(own, names=NAMES), gradient(own, names=NAMES, exact=False)
-    for name in NAMES:
-        near = bounded[name].value
-        assert abs(F(near.value) - F(exact[name].value.value)) <= F(near.error)
-        assert near.error < 1e-8
-
-
 def test_published_model_with_cycles() -> None:
     """Fire in the forest: V(0) by hand, and every row that has the fire moves with it."""
     family, p, g = burning("9/10"), F(1, 10), F(9, 10)

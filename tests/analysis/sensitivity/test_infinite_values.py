@@ -1,7 +1,6 @@
 """Totals of ±∞ at discount 1: analyses that compare refuse them by name, and give no number."""
 
 from collections.abc import Callable
-from fractions import Fraction as F
 from json import loads
 from pathlib import Path
 
@@ -11,15 +10,11 @@ from cli_runner import run
 
 from exact_mdp import (
     MDP,
-    Bounded,
-    Certified,
-    Estimated,
     ModelError,
     Parametric,
     moving,
     one_way,
     psa,
-    robust,
     sobol,
     tornado,
     two_way,
@@ -82,11 +77,6 @@ def test_infinite_values_are_refused(name: str, mdp: MDP, policy: str, what: str
         ANALYSES[name](chances(mdp), policy=policy)
 
 
-def test_the_worst_case_refuses_them() -> None:
-    with pytest.raises(ModelError, match="needs every episode to end"):
-        robust(GAINS, policy="always:1")
-
-
 @pytest.mark.parametrize("kind", ["tornado", "psa --samples 4", "sobol --samples 4"])
 @pytest.mark.parametrize(
     ("mdp", "more"),
@@ -120,10 +110,3 @@ def test_commands_about_one_policy_agree(tmp_path: Path) -> None:
         assert "to -\n" not in out
         stated = loads(run(line, tmp_path / "both.npz", "optimal", "--json").out)
         assert (stated["mean"], stated["sd"]) == ("-inf", None)
-
-
-def test_a_claim_is_a_number() -> None:
-    """`float` takes the value of each kind of claim, an exact one beyond the floats, too."""
-    claims = [Certified(value=F(1, 2)), Bounded(value=0.5, error=0), Certified(value=F(10) ** 400)]
-    claims.append(Estimated(value=0.5, standard_error=0.1))
-    assert [float(each) for each in claims] == [0.5, 0.5, np.inf, 0.5]

@@ -111,6 +111,11 @@ study(THIRDS, {"a": <[1], "b": [1, 2]|[[1, 2]]>}) -> columns of shape
 study(THIRDS, {"a": []}) -> no points
 study(THIRDS, {}) -> none
 study(THIRDS, {"as": [1]}) -> unknown parameter 'as'
+study(YUAN, {"base.angr": [0.1]}) -> unknown parameter 'base.angr'
+study(YUAN, {"base.anger": [<1.5|-1e-9>]}) -> base.anger
+study(YUAN, {"discount": [1.01]}) -> discount
+study(YUAN, {"reward.trial": [np.<inf|nan>]}) -> reward.trial is *
+study(YUAN, {"reward.trial": [1e308], "reward.assist.directive": [-1e308]}) -> overflow
 study(OPEN, {"p": [0.5, 1.25]}) ->
     draw 1, p = 1.25: state 0, action 0; give distributions or ranges without
 curve(PUTERMAN, "discount", (0, "99/100")).within(1) -> no policy

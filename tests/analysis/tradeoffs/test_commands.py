@@ -9,17 +9,10 @@ import pytest
 from cell_texts import legend_of
 from cli_runner import run
 
-from exact_mdp import MDP, Policy, Scenario, tradeoff
+from exact_mdp import Scenario, tradeoff
 
 SMALL = ("--set", "tasks=[1]", "--set", "max_trial=2")
 CARE = Scenario.load("yuan2025").with_(tasks=[1], max_trial=2).compile()
-TWO = ("anger", "done=subtask-complete-1/2*trial")
-
-
-def as_read(mdp: MDP, folder: Path, policy: object) -> Policy:
-    """The policy that a file with a part of the JSON says."""
-    (folder / "own.json").write_text(json.dumps(policy), encoding="utf-8")
-    return Policy.of(mdp, folder / "own.json")
 
 
 def test_a_policy_that_keeps_limits_is_written_and_read(tmp_path: Path) -> None:
@@ -36,13 +29,6 @@ def test_a_policy_that_keeps_limits_is_written_and_read(tmp_path: Path) -> None:
         assert mean == pytest.approx(result["start_value"])
         checked = run("check yuan2025 --json", file, *limit)
         assert (checked.status, checked.result["passed"], checked.result["regret"]) == (0, True, 0)
-
-
-def test_a_policy_with_the_time_in_its_states(tmp_path: Path) -> None:
-    result = run("tradeoff yuan2025", *TWO, *SMALL, "--horizon", "2", "--json").result
-    front = tradeoff(CARE.within(2), TWO)
-    for vertex, point in zip(result["vertices"], front.vertices, strict=True):
-        assert front.totals(as_read(front.mdp, tmp_path, vertex["policy"])) == point
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import totals, vertices, with_components
 
-from exact_mdp import MDP, ModelError, Scenario, certify, evaluate, rationalize, solve, tradeoff
+from exact_mdp import MDP, ModelError, Scenario, evaluate, tradeoff
 
 F = Fraction
 Point = tuple[Fraction, ...]
@@ -65,22 +65,6 @@ def test_three_totals_bound_all_policies_and_are_attained(mdp: MDP, data: Any) -
 
 def best(weights: Any, points: list[Point]) -> Fraction:
     return max(sum((w * v for w, v in zip(weights, p, strict=True)), F(0)) for p in points)
-
-
-def test_the_front_of_the_care_model() -> None:
-    """Its best sum is the optimum; both ends are the optima of one total alone."""
-    mdp = Scenario.load("yuan2025").with_(tasks=[1, 1]).compile()
-    front = tradeoff(mdp, ["anger", "rest=forget+confuse+disengaged+trial+subtask-complete+"
-        "subtask-skip+timestep+task-complete+assist.none+assist.supportive+assist.non-directive"
-        "+assist.directive"])  # fmt: skip
-    assert max(a + b for a, b in front.vertices) == certify(mdp).start_value
-    assert front.violations() == []
-    assert front.distance("optimal") == 0
-    assert front.distance("random") > 0
-    steps = tradeoff(mdp, ["steps", "skip"])
-    evaluation = evaluate(mdp, "random")
-    assert float(steps.totals("random")[0]) == pytest.approx(evaluation.steps)
-    assert all(0 <= v[1] <= 2 for v in steps.vertices)
 
 
 @settings(max_examples=40)
@@ -166,12 +150,6 @@ def test_components_that_an_end_earns_for_ever_are_infinite() -> None:
     assert evaluate(two.with_(start=1), [0, 0, 0]).components["a"] == math.inf
 
 
-def test_at_discount_0_limits_and_weights_have_proofs() -> None:
-    limited = solve(NOW, subject_to={"b": ">= 1/2"})
-    assert (limited.start_value, limited.violations()) == (F(3, 2), [])
-    assert rationalize(NOW, [1, 0]).violations() == []
-
-
 def test_the_checker_notices() -> None:
     """A lost vertex, a lost bound, another total and values too low are all found."""
     front = tradeoff(Scenario.load("yuan2025").with_(tasks=[1]), ["anger", "subtask-complete"])
@@ -219,12 +197,3 @@ def test_amounts_of_very_different_size(size: int) -> None:
         front = tradeoff(mdp, ["a", "b"])
         assert front.vertices == sorted(vertices(totals(mdp, ["a", "b"]), 1))
         assert front.violations() == []
-
-
-def test_what_is_proposed_instead_of_a_front_of_long_fractions_is_answered() -> None:
-    rows = [(s, a, [(1, (s + 1) % 201, 0)]) for s in range(201) for a in (0, 1)]
-    mdp = MDP.from_outcomes(rows, "1/2", components={"a": [0, 1] * 201, "b": [2, 0] * 201})
-    with pytest.raises(ModelError, match="201 states lead to each other"):
-        tradeoff(mdp, ["a", "b"])
-    assert tradeoff(mdp.within(3), ["a", "b"]).vertices == [(0, F(7, 2)), (F(7, 4), 0)]
-    assert solve(mdp, subject_to={"a": ">= 1"}).violations() == []

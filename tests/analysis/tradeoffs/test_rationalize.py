@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from objective_models import totals, with_components
@@ -101,8 +100,3 @@ def test_the_checker_notices() -> None:
         other(cuts=()),
     ):
         assert broken.violations()
-
-
-def test_the_command_says_that_nothing_needs_to_change() -> None:
-    line = "rationalize yuan2025 optimal --set tasks=[1] --set max_trial=2"
-    assert "already" in run(line).out

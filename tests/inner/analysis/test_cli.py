@@ -2,7 +2,6 @@
 
 import ast
 import errno
-import io
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -22,14 +21,11 @@ from hypothesis import strategies as st
 
 import exact_mdp
 from exact_mdp import ModelError, SolverError, Status, solve
-from exact_mdp.analysis import exit_status
 from exact_mdp.analysis.ci import Case, write_junit
 from exact_mdp.analysis.cli import cli
-from exact_mdp.analysis.cli.render import markdown
-from exact_mdp.mdp.report import Report, Table, at_most, decimal, digits_of, number, ratio
+from exact_mdp.mdp.report import Report, at_most, decimal, digits_of, number, ratio
 from exact_mdp.paper_repro.__main__ import main as reproduce
 from exact_mdp.paper_repro.agents.__main__ import main as agents
-from exact_mdp.solvers.parallel import write_piece
 
 READ = "exact_mdp.analysis.cli.given.read_model"
 SOLVE = "exact_mdp.analysis.optimum.solve"
@@ -113,25 +109,6 @@ def test_a_check_that_does_not_end_leaves_an_error_case(
     assert "did not end" not in message() != ""
 
 
-def test_a_piece_whose_numbers_were_changed_is_damaged(tmp_path: Path) -> None:
-    """A changed policy was read from beyond an array; others were taken as they were."""
-    words = ["train", "tea", "--seeds=1", "--learner=epochs=3", "--n-jobs=1", "--out", tmp_path]
-    assert run(*words).status == 0
-    path = tmp_path / "runs-000000.npz"
-    good = path.read_bytes()
-    with np.load(path) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    for name, value in {"policies": 32767, "last": 32767, "snapshots": -1, "q": 3}.items():
-        np.savez(path, **arrays | {name: np.full_like(arrays[name], value)})
-        assert run(*words).refusal().startswith("ModelError: the file is damaged\n")
-    arrays.pop("sha256")
-    for name in ("policies", "last"):  # with a digest that agrees
-        write_piece(path, arrays | {name: np.full_like(arrays[name], 32767)})
-        assert run(*words).status == 2
-    path.write_bytes(good)
-    assert run(*words).status == 0
-
-
 # ---- numbers -------------------------------------------------------------------------------------
 
 
@@ -177,15 +154,6 @@ def test_printed_numbers_are_as_good_as_their_error(
 # ---- reports -------------------------------------------------------------------------------------
 
 
-def test_markdown_shows_facts_and_notes() -> None:
-    table = Table(title="t", rows=[{"a": 1}], columns={"a": "a"}, note="what a is")
-    report = Report(title="*", facts={"x": None, "y_z": 2}, tables={"t": table})
-    assert markdown(report).splitlines() == [
-        r"## \*", "", "|  |  |", "| --- | --- |", "| y z | 2 |", "", "### t", "", "what a is", "",
-        "| a |", "| ---: |", "| 1 |",
-    ]  # fmt: skip
-
-
 def test_what_xml_cannot_hold(tmp_path: Path) -> None:
     nasty = 'a\x00b\x1b[0m<&>"\ud800\uffff ]]> é \U0001f600\n'
     case, path = Case(nasty, "failure", nasty, nasty), tmp_path / "r.xml"
@@ -194,18 +162,6 @@ def test_what_xml_cannot_hold(tmp_path: Path) -> None:
     assert root.findtext(".//failure") == 'a?b?[0m<&>"?? ]]> é \U0001f600\n'
     with pytest.raises(ModelError):
         write_junit(tmp_path / "no" / "r.xml", "s", [case], seconds=0, properties={})
-
-
-def test_what_a_program_prints_is_seen_while_it_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    screen, seen = io.StringIO(), []
-    monkeypatch.setattr("sys.stdout", screen)
-
-    @click.command()
-    def talk() -> None:
-        click.echo("first")
-        seen.append(screen.getvalue())
-
-    assert (exit_status.run(talk, "talk", []), seen) == (0, ["first\n"])
 
 
 def test_an_error_names_options_that_there_are() -> None:

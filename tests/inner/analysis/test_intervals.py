@@ -1,9 +1,6 @@
 """What intervals from records are made of: sets of rows, drawn models, the bootstrap."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from itertools import pairwise
 from math import exp, lgamma, log
 from typing import Any
 
@@ -175,16 +172,6 @@ def test_no_model_of_the_sets_has_another_regret(
             assert ends[0] - 1e-7 <= bound <= ends[1] + 1e-7
 
 
-def test_the_bound_is_narrower_than_that_by_two_models() -> None:
-    """What is unsure of the optimum and of the policy alike does not widen the interval."""
-    mdp = estimated(recorded(np.random.default_rng(1), 3000))
-    for form in (POLICY, solve(mdp).policy):
-        bounds = robust_bounds(RowSets.of(mdp, 0.05, (0, 1)), Policy.of(mdp, form).weights(mdp))
-        (least, most), (low, high) = (bounds.at_start(mdp, x) for x in (bounds.best, bounds.own))
-        assert max(least - high, 0) <= bounds.regret[0] <= bounds.regret[1] < most - low
-    assert bounds.regret[1] < (most - low) / 2
-
-
 @pytest.mark.parametrize("how", ["discounted", "undiscounted", "within 3 steps", "cut off"])
 def test_with_ever_more_records_the_interval_is_the_regret(how: str) -> None:
     frame, returns = recorded(np.random.default_rng(1), 300), None
@@ -212,17 +199,6 @@ def test_with_ever_more_records_the_interval_is_the_regret(how: str) -> None:
     assert how == "cut off" or low == pytest.approx(float(wanted), abs=1e-4)
 
 
-def test_at_discount_1_the_interval_is_that_of_episodes_that_stop_late() -> None:
-    """By backward induction from 0, in place of a range that shrinks; the range itself is gone."""
-    mdp = MDP.from_transitions(recorded(np.random.default_rng(1), 3000))
-    own, sets = Policy.of(mdp, POLICY).weights(mdp), RowSets.of(mdp, 0.05, (0, 1))
-    late = robust_bounds(sets, np.tile(own, (300, 1)))
-    for most in (50.0, 5000.0):
-        ever = robust_bounds(sets, own, (-most, most))
-        for name in ("own", "best", "regret"):
-            assert np.allclose(getattr(late, name), getattr(ever, name), rtol=0, atol=1e-5)
-
-
 # ---- posterior -----------------------------------------------------------------------------------
 
 
@@ -243,20 +219,6 @@ def test_a_draw_is_a_model_that_is_solved(horizon: int | None) -> None:
         how: Any = {"horizon": 3, "kind": "policy"} if horizon else {}
         audit = check(one, table if horizon else POLICY, exact_values=False, **how)
         assert regret[draw] == pytest.approx(float(audit.value.value), abs=1e-8)
-
-
-def test_drawn_rows_are_dirichlet() -> None:
-    mdp = estimated(recorded(np.random.default_rng(2), 60))
-    models = drawn(mdp, mdp.observations > 0, 2.0, np.random.default_rng(0), 4000)
-    every = [(mdp.counts[[l]].toarray()[0], models.rows[:, l]) for l in range(mdp.n_pairs)]
-    every = [(np.array([60, 0, 0, 0]), models.start), *(each for each in every if each[0].any())]
-    for counts, sample in every:
-        alpha = counts + 0.5  # 2 observations over 4 states
-        n, mean = alpha.sum(), alpha / alpha.sum()
-        spread = np.sqrt(mean * (1 - mean) / (n + 1))
-        assert sample.mean(axis=0) == pytest.approx(mean, abs=5 * spread.max() / 60)
-        assert sample.std(axis=0) == pytest.approx(spread, rel=0.1)
-    assert models.reward.mean(axis=0) == pytest.approx(mdp.reward, abs=0.05)
 
 
 def test_drawn_models_whose_policies_do_not_settle_are_refused(
@@ -290,14 +252,6 @@ def test_the_bootstrap_is_that_of_another_library(episodes: int) -> None:
     ends = bootstrap(weight, returns, 0.9, (-9.0, 9.0), 6000, 1)
     assert np.allclose(ends, other, rtol=0, atol=0.06 * (other.high - other.low))
     assert bootstrap(0 * weight, returns, 0.9, (-9.0, 9.0), 10, 1) == (-9, 9)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_the_bootstrap_widens_with_the_confidence(sign: int) -> None:
-    """Also where the correction for skewness has a pole: one return of many is not 0."""
-    levels, returns = (0.5, 0.95, 0.9999, 1 - 1e-8, 1 - 1e-9, 1 - 1e-12), sign * np.eye(1, 400)[0]
-    every = [bootstrap(np.ones(400), returns, level, (-1.0, 1.0), 500, 0) for level in levels]
-    assert all(b[0] <= a[0] <= a[1] <= b[1] for a, b in pairwise(every))
 
 
 @settings(max_examples=20)

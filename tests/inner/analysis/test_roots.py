@@ -1,10 +1,7 @@
 """Roots and signs of polynomials, and where exact curves stop."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import pairwise
-from pathlib import Path
 
 import flint
 import pytest
@@ -12,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_mdp import MDP, ModelError, curve, moving
-from exact_mdp.analysis.vary.curves import checker, gap_polynomials
-from exact_mdp.analysis.vary.curves import roots as real_roots
+from exact_mdp.analysis.vary.curves import gap_polynomials
 from exact_mdp.analysis.vary.curves.roots import (
     nonnegative,
     odd_part,
@@ -108,13 +104,3 @@ def test_roots_closer_than_a_bracket_are_told_apart() -> None:
         brackets = root.apart(below, F(1, 10**12))
         assert below < brackets.low <= true <= brackets.high <= 1
         below = brackets.high
-
-
-def test_the_checkers_import_no_solver() -> None:
-    own = "exact_mdp.analysis.vary.curves"
-    allowed = {f"{own}.roots"}
-    for module in (checker, real_roots):
-        source = Path(module.__file__).read_text("utf-8")
-        assert "import exact_mdp" not in source
-        lines = (line.split() for line in source.splitlines() if line.startswith("from exact_mdp"))
-        assert all(home.startswith("exact_mdp.mdp.") or home in allowed for _, home, *_ in lines)

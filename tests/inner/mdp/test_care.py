@@ -3,110 +3,15 @@
 from dataclasses import fields
 from fractions import Fraction as F
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
 from own_scenarios import check_own, own_text, scenario_of
-from refusal_tables import refused
 
-from exact_mdp import MDP, READINGS, ModelError, Scenario, evaluate, solve, study
+from exact_mdp import READINGS, ModelError, Scenario
 from exact_mdp.mdp.care import compile as blocks
 from exact_mdp.mdp.care.compile import check_explicit, size
 from exact_mdp.mdp.table import OutcomeTable
-from exact_mdp.solvers.care import optimal, policy_values
-
-YUAN = Scenario.load("yuan2025")
-CHANCES = [p.name for p in YUAN.parameters if p.low is not None]
-WEIGHTS = [p.name for p in YUAN.parameters if p.low is None]
-TODAY = np.empty((1, 0))
-
-
-def staged(scenario: Scenario, shares: np.ndarray) -> np.ndarray:
-    stages = optimal(scenario, (), TODAY).actions.shape[1:-1]
-    return np.broadcast_to(shares[:, None, None, None], (len(shares), *stages, *shares.shape[1:]))
-
-
-def sampled(count: int, seed: int) -> tuple[list[str], np.ndarray]:
-    rng = np.random.default_rng(seed)
-    drawn = rng.uniform(0, 1, (count, len(CHANCES)))
-    return [*CHANCES, *WEIGHTS], np.hstack([drawn, rng.normal(0, 20, (count, len(WEIGHTS)))])
-
-
-def compiled(scenario: Scenario, names: list[str], row: np.ndarray) -> MDP:
-    return scenario.with_(parameters=dict(zip(names, row.tolist(), strict=True))).compile()
-
-
-@pytest.mark.parametrize("seed", range(14))
-def test_values_are_those_of_the_explicit_model(seed: int) -> None:
-    """Of policies that change from stage to stage, mixed and not."""
-    rng = np.random.default_rng(seed)
-    readings = {name: options[rng.integers(len(options))] for name, options in READINGS.items()}
-    scenario = YUAN.with_(
-        readings=readings, tasks=[2, 1], max_trial=2, discount=["19/20", 1, 0][seed % 3]
-    )
-    names, draws = sampled(2, seed=seed)
-    batch = optimal(scenario, names, draws)
-    stages = batch.actions.shape[1:]
-    tables = np.concatenate(
-        [rng.dirichlet(np.ones(4), (2, *stages)), np.eye(4)[rng.integers(0, 4, (2, *stages))]]
-    )
-    values, error = policy_values(scenario, names, draws, tables)
-    best, _ = policy_values(scenario, names, draws, np.eye(4)[batch.actions])
-    for d, row in enumerate(draws):
-        mdp = compiled(scenario, names, row)
-        solution = solve(mdp)
-        start, gaps = solution.start, solution.gap_table[:16, :4]
-        assert abs(batch.start[d] - start.value) <= batch.error[d] + start.error
-        assert batch.gaps[d] == pytest.approx(gaps, abs=2 * (batch.error[d] + solution.error_bound))
-        assert best[d, d] == pytest.approx(batch.start[d], abs=batch.error[d])
-        if mdp.n_actions == 4:
-            for n, table in enumerate(tables):
-                own = evaluate(mdp, np.append(table.reshape(-1), 1.0)).start
-                assert abs(values[d, n] - own.value) <= error[d] + own.error
-
-
-def test_neither_the_order_nor_the_company_changes_a_bit() -> None:
-    names, draws = sampled(1100, seed=3)
-    one, two = optimal(YUAN, names, draws), optimal(YUAN, names, draws[::-1])
-    assert one.start.tobytes() == two.start[::-1].tobytes()
-    assert np.array_equal(one.gaps, two.gaps[::-1])
-    assert np.array_equal(one.actions, two.actions[::-1])
-    policies = staged(YUAN, np.eye(4)[np.random.default_rng(4).integers(0, 4, size=(300, 16))])
-    many, _ = policy_values(YUAN, (), TODAY, policies)
-    assert policy_values(YUAN, (), TODAY, policies[7:8])[0][0, 0] == many[0, 7]
-
-
-def test_shipped_scenarios_and_one_with_more_weights_than_chances() -> None:
-    """Two statuses, eight actions: arrays are as long as what they hold."""
-    draws = np.array([[0.2, 0.7], [0.6, 0.5]])
-    cases = [(scenario_of(own_text(2, 8)), ["base.s0", "persistence.s0"], draws)]
-    cases += [(Scenario.load(name), [], TODAY) for name in ("tea", "yuan2025")]
-    for scenario, chosen, rows in cases:
-        batch = optimal(scenario, chosen, rows)
-        assert batch.error.max() < 1e-9
-        for d, row in enumerate(rows):
-            start = solve(compiled(scenario, chosen, row)).start
-            assert abs(batch.start[d] - start.value) <= batch.error[d] + start.error
-
-
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        ({"base.angr": [0.1]}, "unknown parameter 'base.angr'"),
-        ({"base.anger": [1.5]}, "base.anger"),
-        ({"base.anger": [-1e-9]}, "base.anger"),
-        ({"discount": [1.01]}, "discount"),
-        ({"reward.trial": [np.inf]}, "reward.trial is inf"),
-        ({"reward.trial": [np.nan]}, "reward.trial is nan"),
-        ({"base.anger": []}, "point"),
-        ({"reward.trial": [1e308], "reward.assist.directive": [-1e308]}, "overflow"),
-    ],
-)
-def test_draws_that_cannot_be_are_refused(points: Any, message: str) -> None:
-    refused(lambda: study(YUAN, points), message)
-    assert np.isfinite(study(YUAN, {"reward.trial": [1e200]}).optimal).all()
-
 
 # ---- models built in blocks ----------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from refusal_tables import refused
 from strategies import Rows, model_of, models
 
 from exact_mdp import MDP, ModelError, Scenario
-from exact_mdp.mdp import graph, table
+from exact_mdp.mdp import table
 from exact_mdp.mdp.forms import threads
 from exact_mdp.mdp.graph import (
     is_acyclic,
@@ -26,7 +26,6 @@ from exact_mdp.mdp.graph import (
     termination,
     topological_levels,
 )
-from exact_mdp.mdp.io import transitions
 
 
 def proves(mdp: MDP, rank: np.ndarray) -> bool:
@@ -96,26 +95,6 @@ def test_models_end_as_they_say_and_a_policy_that_does_not_is_named() -> None:
     assert levels.max() == 5000  # four further trials of each subtask, then the next
     assert proves(care, levels)
     assert proves(care, termination(care).rank)
-
-
-@given(st.integers(1, 12), st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11))), st.data())
-def test_components_and_closures_are_those_of_networkx(size: int, ends, data) -> None:
-    """Components are numbered by their first nodes, or so that no edge leads to a higher one."""
-    known = nx.DiGraph([(source % size, target % size) for source, target in ends])
-    known.add_nodes_from(range(size))
-    edges = sp.csr_array(nx.to_scipy_sparse_array(known, nodelist=range(size), dtype=float))
-    edges.indices = np.repeat(edges.indices, 2)[::2]  # a strided view
-    first = np.array(data.draw(st.lists(st.booleans(), min_size=size, max_size=size)))
-    parts, order = graph.strong_components(edges), graph.components_in_order(edges)
-    expected = {frozenset(part) for part in nx.strongly_connected_components(known)}
-    for label in (parts, order):
-        numbers = range(label.max() + 1)
-        assert {frozenset(np.flatnonzero(label == number)) for number in numbers} == expected
-    assert all(order[source] >= order[target] for source, target in known.edges)
-    assert [*dict.fromkeys(parts.tolist())] == [*range(len(expected))]
-    begins = np.flatnonzero(first).tolist()
-    reached = set(begins).union(*(nx.descendants(known, node) for node in begins))
-    assert set(np.flatnonzero(graph.closure(edges, first))) == reached
 
 
 # ---- rows ----------------------------------------------------------------------------------------
@@ -193,15 +172,3 @@ def test_work_on_threads_raises_and_ignores_as_its_caller_does() -> None:
     assert np.isinf(seen).all()
     with pytest.raises(ValueError, match=r"^\d+ \d+$"):
         threads.run_blocks([0, 1, 2, 3], fails)
-
-
-def test_counts_of_keys_beyond_64_bits_are_those_of_a_dictionary() -> None:
-    rng = np.random.default_rng(0)
-    keys = rng.choice([-2, 0, 1, 2**20, 2**31], size=(500, 4))
-    sums: dict[tuple[int, ...], int] = {}
-    for number, key in enumerate(map(tuple, keys.tolist())):
-        sums[key] = sums.get(key, 0) + number
-    rows, counts = transitions._sums(keys, np.arange(500))
-    assert list(zip(map(tuple, rows.tolist()), counts.tolist(), strict=True)) == sorted(
-        sums.items()
-    )

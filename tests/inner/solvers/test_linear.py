@@ -1,11 +1,9 @@
 """Exact solutions of linear systems, beside elimination in fractions."""
 
 from fractions import Fraction as F
-from typing import Any
 
 import numpy as np
 import pytest
-from flint import fmpz
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_models import gridworld
@@ -14,7 +12,6 @@ from oracle import solved
 from exact_mdp import ModelError, certify
 from exact_mdp.mdp.table import integers
 from exact_mdp.solvers.exact import linear
-from exact_mdp.solvers.exact.lifting import Lifting
 from exact_mdp.solvers.exact.linear import Matrix, solve_all
 
 Entries = dict[tuple[int, int], int]
@@ -122,35 +119,6 @@ def test_sets_that_are_hardly_ever_left(parts: int) -> None:
         wanted = solution(matrix, side)
         patch.setattr(linear, "FEW", 20)
         assert solution(matrix, side) == wanted
-
-
-def test_a_known_denominator_takes_half_the_digits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is tried first; a wrong one changes nothing."""
-    taken, each = list[int](), Lifting._taken
-
-    def counted(lifting: Lifting, digits: Any, count: int) -> Any:
-        taken.append(count)
-        return each(lifting, digits, count)
-
-    monkeypatch.setattr(Lifting, "_taken", counted)
-    matrix = ring(500, 10, 3)
-    first = solution(matrix, list(range(500)))
-    whole, below = sum(taken), matrix.denominators[0]
-    for known in (below, 6 * below, fmpz(11)):  # the last is wrong
-        taken.clear()
-        matrix.denominators[0] = known
-        assert solution(matrix, list(range(500))) == first
-        assert (sum(taken) < 0.6 * whole) == (known != 11)
-
-
-def test_what_floats_cannot_start_is_refused_where_it_is_large(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(linear, "FEW", 8)
-    monkeypatch.setattr(linear, "MANY", 9)
-    monkeypatch.setattr(linear, "MOST_CHANGES", 0)
-    with pytest.raises(ModelError, match="are singular, or nearly so"):
-        solution(ring(10, 2**90, 2**90 - 1), [1] * 10)
 
 
 def test_cycles_that_are_too_large_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

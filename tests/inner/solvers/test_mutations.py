@@ -1,7 +1,5 @@
 """Proofs of every kind with one thing changed: none is accepted whose claim is false."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from copy import deepcopy

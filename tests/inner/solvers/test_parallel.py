@@ -1,8 +1,5 @@
 """Many independent pieces: the same in one process, on cores, and after a halt."""
 
-from __future__ import annotations
-
-import logging
 import os
 import signal
 import time
@@ -10,12 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 import pytest
 from numpy.random import SeedSequence, default_rng
 
-from exact_mdp import MDP, ModelError, QLearning, train
+from exact_mdp import ModelError
 from exact_mdp.solvers.parallel import many
 
 KEY = {"model": "normal draws", "seed": 0}
@@ -66,28 +62,3 @@ def test_a_process_that_dies_loses_no_piece(tmp_path: Path) -> None:
     results = many(partial(draws_that_die, str(tmp_path)), range(12), key=KEY, n_jobs=2)
     assert (tmp_path / "died").exists()
     assert same(results)
-
-
-def test_a_dask_cluster_gives_the_same_bytes(tmp_path: Path) -> None:
-    """By joblib's own backend; what is done in threads here goes there as well."""
-    distributed = pytest.importorskip("distributed")
-    mdp = MDP.from_outcomes([(0, 0, [("1/2", 0, 1), ("1/2", 1, 0)]), (1, 0, [(1, 1, 0)])], 1)
-    learner = QLearning(epochs=1)
-    alone = train(mdp, learner, 3, rng=0, out=tmp_path / "alone")
-    with (
-        distributed.LocalCluster(
-            n_workers=2,
-            threads_per_worker=1,
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        distributed.Client(cluster),
-        joblib.parallel_config(backend="dask"),
-    ):
-        results = many(draws, range(12), key=KEY, n_jobs=None)
-        runs = train(mdp, learner, 3, rng=0, n_jobs=None, out=tmp_path / "cluster")
-    assert os.getpid() not in {int(each["process"]) for each in results}
-    assert same(results)
-    assert [run.q.tobytes() for run in runs] == [run.q.tobytes() for run in alone]
-    one, other = (sorted((tmp_path / name).iterdir()) for name in ("alone", "cluster"))
-    assert [(p.name, p.read_bytes()) for p in one] == [(p.name, p.read_bytes()) for p in other]

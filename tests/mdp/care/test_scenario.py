@@ -1,7 +1,5 @@
 """The compiled care model against the one of `care_oracle.py`, outcome by outcome, exactly."""
 
-import subprocess
-import sys
 from fractions import Fraction
 from itertools import product
 from random import Random
@@ -118,23 +116,3 @@ def test_numbers_that_outgrow_64_bits_stay_exact(values: dict[str, Any], skip: s
 
 
 # ---- large scenarios ----------------------------------------------------------------------------
-
-MEASURE = """
-import resource
-from exact_mdp import Scenario
-mdp = Scenario.load("yuan2025").with_(tasks=[10_000]).compile()
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-print(mdp.n_states, mdp.n_transitions, peak)
-"""
-
-
-@pytest.mark.slow
-def test_ten_thousand_subtasks_compile_within_four_gigabytes() -> None:
-    pytest.importorskip("resource")  # Unix alone has it
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURE], capture_output=True, text=True, check=True
-    )
-    states, transitions, peak = map(int, done.stdout.split())
-    assert states == 800_001
-    assert transitions > 28_000_000
-    assert peak < 4 * 2**30

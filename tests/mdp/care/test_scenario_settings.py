@@ -3,7 +3,6 @@
 import pickle
 from collections.abc import Iterable
 from fractions import Fraction
-from pathlib import Path
 from random import Random
 
 import pytest
@@ -86,18 +85,6 @@ def test_bad_settings_say_what_and_how_to_mend(assignment: str, what: str, fix: 
     assert refused(lambda: BASE.set(assignment), what, "", fix).where
 
 
-def test_a_file_that_is_no_text(tmp_path: Path) -> None:
-    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    refused(lambda: Scenario.load(tmp_path / "binary.toml"), "UTF-8")
-    refused(lambda: Scenario.load("yuan2024"), "yuan2024", "", "yuan2025")
-
-
-def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
-    path = tmp_path / "own.toml"
-    path.write_text(own_text(3, 3), encoding="utf-8-sig")
-    assert Scenario.load(path).values() == scenario_of(own_text(3, 3)).values()
-
-
 def test_a_scenario_is_frozen_and_survives_a_pickle() -> None:
     with pytest.raises(AttributeError):
         BASE.max_trial = 3
@@ -108,9 +95,3 @@ def test_a_scenario_is_frozen_and_survives_a_pickle() -> None:
     with pytest.raises(TypeError):
         again.readings["skip_onset"] = "base"
     assert again.compile().table.row(0) == BASE.compile().table.row(0)
-
-
-def test_changes_leave_the_original_alone() -> None:
-    before = BASE.values()
-    BASE.with_(tasks=[1], parameters={"base.anger": "1/2"}, readings={"skip_onset": "base"})
-    assert (BASE.values(), BASE.tasks, BASE.readings["skip_onset"]) == (before, (3,), "none")

@@ -1,7 +1,5 @@
 """Chances above 1 are cut off, and it is said: once, with the state and the numbers."""
 
-import subprocess
-import sys
 import warnings
 from fractions import Fraction
 
@@ -88,12 +86,3 @@ def test_the_command_line_says_it_in_one_line_on_standard_error() -> None:
         assert done.out.startswith("{")
         (line,) = done.err.splitlines()
         assert line.startswith("warning: scenario yuan2025: a chance of 1.34 is cut off at 1")
-
-
-def test_the_command_line_refuses_it_where_warnings_are_errors() -> None:
-    words = ["info", "yuan2025", "--set", "readings.influence_on_present=additive"]
-    program = [sys.executable, "-W", "error", "-m", "exact_mdp"]
-    done = subprocess.run([*program, *words], capture_output=True)
-    assert done.returncode == 2
-    assert done.stdout == b""
-    assert done.stderr.startswith(b"ScenarioWarning: scenario yuan2025: a chance of 1.34")

@@ -269,19 +269,3 @@ def test_where_episodes_were_cut_off_is_no_end(
     assert (
         load(model).labels["cut off"].sum() == load(tmp_path / "m.umb").labels["cut off"].sum() == 2
     )
-
-
-def test_a_signal_after_the_rename_is_what_ends_the_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The temporary file is gone by then, which was reported in the signal's place."""
-    rename = os.replace
-
-    def replace(source: str, target: Path) -> None:
-        rename(source, target)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "replace", replace)
-    with pytest.raises(KeyboardInterrupt):
-        save(MODEL, tmp_path / "model.npz")
-    assert [path.name for path in tmp_path.iterdir()] == ["model.npz"]

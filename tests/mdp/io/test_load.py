@@ -6,22 +6,15 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from cli_runner import run
 from model_contents import assert_same
 from refusal_tables import refused
 
 import exact_mdp
-from exact_mdp import MDP, ModelError, Scenario, load, save
+from exact_mdp import MDP, load, save
 
 SMALL = ["tasks=[1]", "max_trial=1"]
-
-
-def test_a_shipped_scenario() -> None:
-    loaded = load("yuan2025", sets=SMALL)
-    assert loaded.name == "yuan2025"
-    assert_same(loaded, Scenario.load("yuan2025").with_(tasks=[1], max_trial=1).compile())
 
 
 def test_settings_apply_in_order_and_the_discount_last() -> None:
@@ -54,12 +47,6 @@ def test_a_saved_model(tmp_path: Path, name: str) -> None:
     assert load(str(tmp_path / name), discount="1/3").discount_exact == Fraction(1, 3)
 
 
-def test_a_nameless_model_goes_by_its_file(tmp_path: Path) -> None:
-    mdp = MDP.from_arrays(np.eye(2)[None], [1.0, 2.0], 0.5)
-    save(mdp, tmp_path / "two states.npz")
-    assert run("info", tmp_path / "two states.npz", "--json").result["model"] == "two states"
-
-
 @pytest.mark.parametrize(
     ("spec", "what", "fix"),
     [
@@ -77,20 +64,6 @@ def test_models_that_are_not_there(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     refused(lambda: load(spec), what, "", fix)
-
-
-@pytest.mark.parametrize("spec", ["gymnasium:FrozenLake-v1", "model.npz", "model.umb#x"])
-def test_only_scenarios_can_be_set(spec: str) -> None:
-    refused(lambda: load(spec, sets=["base.anger=0"]), "'base.anger=0' cannot be set")
-    refused(lambda: load(spec, sets=["discount=0.9"]), "", "", "use --discount")
-
-
-@pytest.mark.parametrize("discount", ["1.5", -1, "x", float("nan"), ""])
-def test_bad_discounts(tmp_path: Path, discount: object) -> None:
-    save(load("yuan2025", sets=SMALL), tmp_path / "m.npz")
-    for spec in ("yuan2025", "gymnasium:FrozenLake-v1", str(tmp_path / "m.npz")):
-        with pytest.raises(ModelError):
-            load(spec, discount=discount)
 
 
 def test_without_storm_the_error_names_the_extra(

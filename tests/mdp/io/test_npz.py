@@ -54,15 +54,6 @@ def test_any_program_can_read_it(tmp_path: Path) -> None:
             assert row == mdp.table.row(pair)
 
 
-def test_a_compressed_archive_is_read_too(tmp_path: Path) -> None:
-    mdp, path = MODELS["care"], tmp_path / "model.npz"
-    save(mdp, path)
-    with np.load(path) as archive:
-        np.savez_compressed(tmp_path / "small.npz", **dict(archive))
-    assert (tmp_path / "small.npz").stat().st_size < path.stat().st_size / 3
-    assert_same(mdp, load(tmp_path / "small.npz"))
-
-
 # ---- damage -----------------------------------------------------------------------------------
 
 

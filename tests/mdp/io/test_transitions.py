@@ -1,6 +1,5 @@
 """Models from data: counted as a dictionary counts, in chunks of any size; bad rows are named."""
 
-import json
 from collections import Counter, defaultdict
 from fractions import Fraction as F
 from pathlib import Path
@@ -254,20 +253,6 @@ def test_a_parquet_file_is_read_by_its_columns_alone(tmp_path: Path) -> None:
     twice = pyarrow.Table.from_arrays(columns.columns + columns.columns[:1], [*NAMES, NAMES[0]])
     parquet.write_table(twice, path)
     refused(lambda: MDP.from_transitions(path), "stands twice")
-
-
-def test_the_command(tmp_path: Path) -> None:
-    rows = [(n, "a", "x", "0.5", "b") for n in range(7)] + [(7, "a", "y", "1", "a")]
-    table(rows).to_csv(tmp_path / "log.csv", index=False)
-    done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz", "--json")
-    content = json.loads(done.out)
-    assert content["rare"] == [{"state": "state a", "action": "y", "observations": 1}]
-    assert content["ends"] == ["state b"]
-    plain = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.npz", "--rare", "0")
-    assert "2 observed of 2, 0 of them rare" in plain.out
-    assert "state b (entered, never left)" in plain.out
-    done = run("data", tmp_path / "log.csv", "--out", tmp_path / "m.csv")
-    assert (done.status, "--out" in done.err) == (2, True)
 
 
 def test_changed_tables_have_no_observations() -> None:

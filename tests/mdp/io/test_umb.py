@@ -14,13 +14,11 @@ import pytest
 import umbi
 from archives import annotate, foreign_umb, is_refused, read_by_umbi, tarred, untarred, written
 from model_contents import laws
-from saved_models import MODELS
 
 from exact_mdp import MDP, ModelError, Scenario, certify, load, save
 
 F = Fraction
 CARE = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=1).compile()
-FLOATS = MODELS["floats"]
 
 
 def test_umbi_itself_reads_ours(tmp_path: Path) -> None:
@@ -200,21 +198,6 @@ def refused(content: bytes, message: str, folder: Path) -> None:
     is_refused(folder / "bad.umb", message, discount=1)
 
 
-def test_files_cut_short_or_left_out(tmp_path: Path) -> None:
-    members, path = members_of_care(tmp_path), tmp_path / "bad.umb"
-    path.write_bytes(tarred(members))
-    assert laws(load(path)) == laws(CARE)
-    optional = ("valuations/", "annotations/aps", "annotations/rewards/component", "strings")
-    for name in members:
-        if any(part in name for part in optional) or "string-mapping" in name:
-            continue
-        for data in (members[name][:-8], b""):
-            refused(tarred(members | {name: data}), "", tmp_path)
-    content = (tmp_path / "good.umb").read_bytes()
-    for length in range(0, len(content), len(content) // 40):
-        refused(content[:length], "", tmp_path)
-
-
 @pytest.mark.parametrize(
     ("name", "place", "value", "message"),
     [
@@ -242,18 +225,6 @@ def test_numbers_that_make_no_model(
     refused(tarred(members | {"index.json": json.dumps(index).encode()}), message, tmp_path)
 
 
-def test_umb_files_of_other_lengths(tmp_path: Path) -> None:
-    members = members_of_care(tmp_path)
-    names = ("branch-to-target.bin", "actions/choices/values.bin", "state-to-choices.bin")
-    for name in (*names, "annotations/rewards/reward/choices/values.bin"):
-        data = members[name] + members[name][-16:]
-        refused(
-            tarred(members | {name: data}),
-            "values, not" if "to-c" not in name else "offsets",
-            tmp_path,
-        )
-
-
 RATIONAL = "branch-probability-type"
 SPOILED: list[tuple[str, str, Any, str]] = [  # of the index
     ("transition-system", "#states", 34, "damaged"),
@@ -277,14 +248,6 @@ def test_indices_that_lie(tmp_path: Path, part: str, key: str, value: Any, messa
     index[part][key] = value
     refused(tarred(members | {"index.json": json.dumps(index).encode()}), message, tmp_path)
     refused(tarred(members | {"index.json": b"[" * 50_000}), "damaged", tmp_path)
-
-
-def test_what_umbi_cannot_read_is_refused_in_its_words(tmp_path: Path) -> None:
-    members = members_of_care(tmp_path)
-    index = json.loads(members["index.json"])
-    index["valuations"]["states"]["classes"] *= 2
-    content = tarred(members | {"index.json": json.dumps(index).encode()})
-    refused(content, "umbi cannot read this file: reading multiple valuation classes", tmp_path)
 
 
 # ---- labels, names and variables -----------------------------------------------------------------

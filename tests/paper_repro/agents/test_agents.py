@@ -3,7 +3,6 @@
 import json
 import os
 import re
-from collections import Counter
 from dataclasses import replace
 from fractions import Fraction
 from itertools import chain, pairwise, product
@@ -19,7 +18,7 @@ from exact_mdp import ModelError, Scenario, counted, evaluate, independent, perc
 from exact_mdp.paper_repro.agents import DISCLAIMER, log
 from exact_mdp.paper_repro.agents.__main__ import main
 from exact_mdp.paper_repro.agents.scripted import PHRASES, Scripted
-from exact_mdp.paper_repro.agents.simulate import NAME, Conversation, choose, conversation
+from exact_mdp.paper_repro.agents.simulate import NAME, Conversation, conversation
 from exact_mdp.paper_repro.agents.texts import PROMPTS, VARIANTS, Modules, Request, encode
 
 STATUS = {"forgetfulness": 1, "confusion": 0, "anger": 1, "disengagement": 0}
@@ -96,14 +95,6 @@ def test_data_stays_within_its_tags(attack: str) -> None:
     assert json.loads(prompt.split("<behaviour>\n")[1].split("\n</behaviour>")[0]) == behaviour
 
 
-def test_the_history_recalls_the_latest_exchanges_only() -> None:
-    past = [PAST[0] | {"verbal": f"words {number}"} for number in range(9)]
-    for recalled in (0, 2, 20):
-        request = replace(MODULES, history=recalled).behaviour(PLACE, past, STATUS, 0)
-        shown = [number for number in range(9) if f"words {number}" in text(request)]
-        assert shown == list(range(9))[max(0, 9 - recalled) :]
-
-
 def test_scenarios_without_words_are_refused() -> None:
     with pytest.raises(ModelError, match="distraction"):
         Modules.of(Scenario.load("tea"))
@@ -125,26 +116,7 @@ def test_statuses_are_read_back_from_phrases_and_from_whole_behaviours() -> None
         assert Scripted().answer(MODULES.perception(behaviour, seed)) == status
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_nobody_says_a_line_twice_and_nobody_angry_is_praised(seed: int) -> None:
-    steps = steps_of(talk(backend=Scripted(), policy="always:supportive", seed=seed))
-    for part in ("nonverbal", "verbal"):
-        lines = [step["behaviour"][part] for step in steps if step["behaviour"][part]]
-        assert len(set(lines)) == len(lines)
-    praise = PHRASES["speech"]["supportive"]["calm"]
-    angry = [step["assistance"] for step in steps if step["status"][2] == "1"]
-    assert not [line for line, said in product(praise, angry) if line in said]
-
-
 # ---- the law -------------------------------------------------------------------------------------
-
-
-def test_draws_follow_their_probabilities() -> None:
-    chances = [Fraction(1, 6), Fraction(0), Fraction(1, 2), Fraction(1, 3)]
-    drawn = Counter(choose(chances, seed) for seed in range(3000))
-    for number, chance in enumerate(chances):
-        spread = sqrt(3000 * float(chance) * (1 - float(chance)))
-        assert abs(drawn[number] - 3000 * float(chance)) <= 4.5 * spread
 
 
 def test_the_mean_return_is_the_exact_one_under_the_same_errors() -> None:
@@ -176,25 +148,6 @@ def test_every_reading_plays_to_its_end(change: str, policy: str) -> None:
     gained = [Fraction(step["reward"]) for step in steps]
     rate = one.mdp.discount_exact
     assert Fraction(end["return"]) == sum(r * rate**t for t, r in enumerate(gained))
-
-
-def test_events_follow_trial_and_reward() -> None:
-    seen = set()
-    for seed in range(12):
-        for step in steps_of(talk(policy="always:none", seed=seed)):
-            seen.add(step["event"])
-            assert (step["event"] == "skipped") <= (step["trial"] == 4)
-            if step["event"] != "skipped":
-                assert (Fraction(step["reward"]) > 0) == (step["event"] == "completed")
-    assert seen == {"completed", "failed", "skipped"}
-
-
-def test_a_policy_acts_on_what_is_perceived() -> None:
-    for step in steps_of(talk(backend=Scripted(noise=0.3), policy="reported:directive", seed=2)):
-        if step["perceived"][2] == "1":
-            assert step["action"] == "supportive"
-        if step["perceived"] in ("0000", "1000", "1100"):
-            assert step["action"] == "directive"
 
 
 # ---- the record ----------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """False certificates, each of which a single clause of the checker stops."""
 
-from __future__ import annotations
-
 import ast
 import json
 import subprocess

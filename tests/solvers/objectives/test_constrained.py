@@ -1,7 +1,5 @@
 """Optima under limits against mixtures of all deterministic policies, and their proofs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -87,16 +85,6 @@ def test_the_optimum_is_the_best_mixture_of_policies(
     assert optimum({name: x + signs[name] * shift / 9 for name, x in closest.items()}) is None
 
 
-def test_limits_on_steps_and_with_a_horizon() -> None:
-    walk = [[["1/2", "1/2"], [0, 1]], [[0, 1], [0, 1]]]
-    mdp = MDP.from_arrays(walk, [[2, 1], [0, 0]])
-    solution = solve(mdp, subject_to={"steps": "<= 3/2"})
-    assert (solution.start_value, solution.prices) == (F(5, 2), {"steps": F(3)})
-    both = solve(mdp, horizon=2, subject_to={"steps": ["<= 4/3", ">= 4/3"]})
-    assert both.totals == {"steps": F(4, 3)}
-    assert both.violations() == []
-
-
 def ring(constant: bool = False) -> MDP:
     """A random model of 60 states on one cycle, of three totals."""
     rows, draw = garnet_rows(60, rng=1), np.random.default_rng(2)
@@ -142,16 +130,3 @@ def test_a_file_says_what_it_counts(tmp_path: Path) -> None:
     assert replace(twice, dual=dual, price=(2 * solution.price[0],)).violations() == [
         "what is maximised is not the reward"
     ]
-
-
-@pytest.mark.parametrize("bound", [0, 1])
-def test_a_file_may_say_that_nothing_is_visited(bound: int, tmp_path: Path) -> None:
-    """All has ended at the start."""
-    rows = [(0, 0, [(1, 1, 1)]), (0, 1, [(1, 1, 4)]), (1, 0, [(1, 1, 0)])]
-    mdp = MDP.from_outcomes(rows, "1/2", components={"a": [1, 4, 0]}, start=1)
-    solution = solve(mdp, subject_to={"a": f">= {bound}"})
-    assert solution.violations() == []
-    solution.save(path := tmp_path / "proof.json")
-    mdp.save(tmp_path / "model.npz")
-    result = run("verify", path, tmp_path / "model.npz", "--json").result
-    assert (result["holds"], result["feasible"]) == (True, not bound)

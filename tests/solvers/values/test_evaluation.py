@@ -1,7 +1,5 @@
 """Mean, spread, components, steps, visits and events of a policy, against exact arithmetic."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace

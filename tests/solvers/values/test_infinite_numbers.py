@@ -1,7 +1,5 @@
 """What is infinite is said to be, the rest is given, and no warning of NumPy gets out."""
 
-from __future__ import annotations
-
 from fractions import Fraction as F
 from math import inf, isnan
 from pathlib import Path

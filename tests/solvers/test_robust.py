@@ -1,18 +1,14 @@
 """Robust values: published answers, rationals, linear programs, closed forms, and laws of any."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from fractions import Fraction
-from math import exp, inf, log, nan, sqrt
-from pathlib import Path
+from math import exp, log, sqrt
 from typing import Any
 
 import numpy as np
 import pytest
 from answers import holds
 from cases.intervals import INTERVAL_CASES, IntervalCase, total_reward
-from cli_runner import run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
@@ -31,10 +27,9 @@ from exact_mdp import (
     solve,
     solve_robust,
 )
-from exact_mdp.analysis.vary.robust import SETS, ambiguity_of
-from exact_mdp.solvers.robust.robust import RobustSolution
 
 F = Fraction
+SETS = ("interval", "absolute", "l1", "kl", "entropy")
 SMALL = Scenario.load("yuan2025").with_(tasks=[1, 1], max_trial=3)
 fewer = settings(max_examples=40)
 
@@ -58,7 +53,17 @@ def interval_model(case: IntervalCase) -> tuple[MDP, Intervals]:
     return mdp, Intervals(lower=lower, upper=upper)
 
 
-def earned(solution: RobustSolution) -> Any:
+def cases(mdp: MDP, kind: str, radius: float | F, policy: Any = "optimal") -> Any:
+    """Both natures, against the best policy and a given one, in sets of one kind."""
+    return robust_curve(mdp, kind, [radius], policy=policy).points[0][1]
+
+
+def side(both: Any, nature: str) -> Any:
+    """The solution of one nature."""
+    return both.robust if nature == "worst" else both.optimistic
+
+
+def earned(solution: Any) -> Any:
     """What the chain that is returned earns."""
     system = np.eye(solution.mdp.n_states) - solution.mdp.discount * solution.transition.toarray()
     return np.linalg.solve(system, solution.reward)
@@ -107,9 +112,10 @@ def test_intervals_and_balls_against_a_linear_program(row: Any, kind: str, radiu
     mdp, p, gains, nature = row
     n, size = len(p), np.abs(gains).max() or 1.0  # the program's tolerances are absolute
     eye, none = np.eye(n), np.zeros((1, n))
-    bounds, most, ambiguity = [(0.0, 1.0)] * n, float(radius), ambiguity_of(mdp, kind, radius)
+    bounds, most = [(0.0, 1.0)] * n, float(radius)
     if kind != "l1":
-        bounds, most = list(zip(ambiguity.lower[:n], ambiguity.upper[:n], strict=True)), 2.0
+        far = radius * (p if kind == "interval" else 1)
+        bounds, most = [*zip(np.maximum(p - far, 0), np.minimum(p + far, 1), strict=True)], 2.0
     sign = 1 if nature == "worst" else -1
     done = linprog(
         np.concatenate([sign * gains / size, np.zeros(n)]),
@@ -119,7 +125,7 @@ def test_intervals_and_balls_against_a_linear_program(row: Any, kind: str, radiu
         b_ub=np.concatenate([p, -p, [most]]),
         bounds=[*bounds, *[(0, None)] * n],
     )
-    start = solve_robust(mdp, ambiguity, nature=nature).start
+    start = side(cases(mdp, kind, radius), nature).start
     assert abs(start.value - sign * size * done.fun) <= start.error + 1e-7 * size
     assert start.error <= 1e-7 * size
 
@@ -144,7 +150,7 @@ def test_divergence_sets_hold_what_they_return_and_no_member_beats_the_bound(
     kind: str, divergence: Callable[..., float], row: Any, radius: float, seed: int
 ) -> None:
     mdp, p, gains, nature = row
-    solution, n = solve_robust(mdp, ambiguity_of(mdp, kind, radius), nature=nature), len(p)
+    solution, n = side(cases(mdp, kind, radius), nature), len(p)
     low, high = solution.start.interval
     q = solution.transition.toarray()[0, 1 : n + 1]
     q = q / q.sum()
@@ -169,31 +175,12 @@ def test_divergence_sets_hold_what_they_return_and_no_member_beats_the_bound(
 def test_two_outcomes_have_closed_forms() -> None:
     mdp = row_model([1, 1], [0.0, 1.0])
     for radius in (1e-6, 1e-3, 0.1, 0.5, 2.0):
-        start = solve_robust(mdp, ambiguity_of(mdp, "kl", radius)).start
+        start = cases(mdp, "kl", radius).worst
         right = (1 - sqrt(1 - exp(-2 * radius))) / 2  # 4 q (1 - q) = e^-2β
         assert abs(start.value - right) <= start.error < 1e-9
-    entropy = solve_robust(mdp, ambiguity_of(mdp, "entropy", 1.0))  # above log 2
+    entropy = cases(mdp, "entropy", 1.0).robust  # above log 2
     assert entropy.transition.toarray()[0].tolist() == [0, 1, 0]
     assert abs(entropy.start_value) <= entropy.start.error < 1e-12
-
-
-def test_a_radius_for_each_pair() -> None:
-    rows = [["1/2", "1/2"], [0, 1]], [["1/4", "3/4"], [0, 1]]
-    mdp = MDP.from_arrays(rows, [[1, 1], [0, 0]], layout="ass")
-    ball = ambiguity_of(mdp, "l1", [0.0, 0.5, 0, 0])
-    values = [solve_robust(mdp, ball, policy=policy).start_value for policy in ([0, 0], [1, 0])]
-    assert values == pytest.approx([2, 1])
-
-
-@pytest.mark.parametrize("kind", ["l1", "kl", "entropy"])
-@pytest.mark.parametrize(
-    "radius", [-0.1, nan, inf, "much", True, [0.1], [0.1, -1.0], [0.1, nan], [0.1, True], 10**400]
-)
-def test_what_is_no_set_of_laws_is_refused(kind: str, radius: Any) -> None:
-    mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    with pytest.raises(ModelError) as caught:
-        solve_robust(mdp, ambiguity_of(mdp, kind, radius))
-    assert (caught.value.where, bool(caught.value.fix)) == ("radius", True)
 
 
 # ---- whole models --------------------------------------------------------------------------------
@@ -234,14 +221,6 @@ def test_the_care_model_in_rationals(objective: str, nature: Any, share: Fractio
         assert solution.error_bound < 1e-9
 
 
-def solved(mdp: MDP, kind: str, share: Fraction, **choices: Any) -> RobustSolution | None:
-    """The solution; None where a set lets an episode go on for ever, or floats do not suffice."""
-    try:
-        return solve_robust(mdp, ambiguity_of(mdp, kind, share), **choices)
-    except (ModelError, SolverError):
-        return None
-
-
 @pytest.mark.filterwarnings("ignore::exact_mdp.PrecisionWarning")
 @settings(max_examples=12)
 @given(models(), st.sampled_from([F(0), F(1, 5), F(1, 2)]))
@@ -249,19 +228,18 @@ def test_order_of_values(rows: Rows, share: Fraction) -> None:
     mdp = rows.model()
     nominal = solve(mdp)
     for kind in SETS:
-        worst, best = solved(mdp, kind, share), solved(mdp, kind, share, nature="best")
-        if worst is None or best is None:
+        try:
+            both = cases(mdp, kind, share)
+            again = cases(mdp, kind, share, both.robust.policy)
+        except (ModelError, SolverError):  # a set lets an episode go on, or floats do not suffice
             assert kind not in ("interval", "absolute") or rows.discount > 0.9
             continue
+        worst, best = both.robust, both.optimistic
         room = worst.state_error + best.state_error + nominal.state_error
         assert (worst.value <= nominal.value + room).all()
         assert (nominal.value <= best.value + room).all()
-        fixed = solved(mdp, kind, share, policy=nominal)
-        own = solved(mdp, kind, share, policy=worst.policy)
-        assert fixed is not None
-        assert own is not None
-        assert (fixed.value <= worst.value + fixed.state_error + worst.state_error).all()
-        assert (np.abs(own.value - worst.value) <= own.state_error + worst.state_error).all()
+        assert both.worst.interval[0] <= worst.start.interval[1]
+        assert abs(again.worst.value - worst.start.value) <= again.worst.error + worst.start.error
         if share == 0:
             assert (np.abs(worst.value - nominal.value) <= room + 1e-9 * np.abs(worst.value)).all()
 
@@ -273,28 +251,30 @@ def test_discount_near_1_ends_with_honest_bounds() -> None:
         matrix[action, state, rng.choice(60, 5, replace=False)] = rng.dirichlet(np.ones(5))
     mdp = MDP.from_arrays(list(matrix), rng.normal(size=(60, 3)), "9999/10000")
     for kind in SETS:
-        solution = solve_robust(mdp, ambiguity_of(mdp, kind, F(1, 10)))
+        solution = cases(mdp, kind, F(1, 10)).robust
         assert np.abs(earned(solution) - solution.value).max() <= 3 * solution.error_bound + 1e-6
         assert solution.iterations < 30
 
 
 def test_a_way_out_that_nature_can_close() -> None:
     mdp = MDP.from_arrays([[["9/10", "1/10"], [0, 1]]], [-1, 0])
-    near, far = (ambiguity_of(mdp, "l1", radius) for radius in (0.1, 0.3))
-    assert solve_robust(mdp, near).start.value == pytest.approx(-20)
-    for model, kind in (mdp, far), interval_model(total_reward(F(1))):
+    assert cases(mdp, "l1", 0.1).worst.value == pytest.approx(-20)
+    for ask in (
+        lambda: cases(mdp, "l1", 0.3),
+        lambda: solve_robust(*interval_model(total_reward(F(1)))),
+    ):
         with pytest.raises(ModelError, match=r"(?s)every episode to end.*state \d"):
-            solve_robust(model, kind)
-    late = solve_robust(mdp.with_(discount="9/10"), far)
-    assert late.start.value == pytest.approx(-10)
+            ask()
+    assert cases(mdp.with_(discount="9/10"), "l1", 0.3).worst.value == pytest.approx(-10)
 
 
 def test_a_limit_of_iterations_and_a_tolerance_beyond_floats() -> None:
     mdp = MDP.from_arrays([[["1/3", "2/3"], ["1/7", "6/7"]]], [1, 0], "9/10")
+    sets = Intervals.relative(mdp, 0.1)
     with pytest.raises(SolverError, match="iteration limit"):
-        solve_robust(mdp, ambiguity_of(mdp, "l1", 0.1), max_iterations=1, tol=1e-9)
+        solve_robust(mdp, sets, max_iterations=1, tol=1e-9)
     with pytest.warns(PrecisionWarning):
-        solve_robust(mdp, ambiguity_of(mdp, "l1", 0.1), tol=1e-17)
+        solve_robust(mdp, sets, tol=1e-17)
 
 
 @pytest.mark.parametrize("discount", ["99/100", "99999/100000"])
@@ -320,7 +300,7 @@ def test_values_beyond_the_range_of_floats_have_no_bound(kind: str) -> None:
                              (0, 1, [(half, 0, most), (half, 1, -most)]),
                              (1, 0, [(1, 1, 0)])], "1/10")  # fmt: skip
     with pytest.raises(SolverError, match="beyond the range of floats"):
-        solve_robust(mdp, ambiguity_of(mdp, kind, 0.5))
+        cases(mdp, kind, 0.5, [0, 0])
 
 
 # ---- the analysis --------------------------------------------------------------------------------
@@ -334,14 +314,14 @@ RISKY = MDP.from_outcomes(
 
 
 def test_the_price_of_robustness() -> None:
-    cases = robust(RISKY, Intervals.relative(RISKY, "1/2"))
-    assert cases.value.value == 1.5
-    assert (cases.price.value, cases.gain.value) == pytest.approx((0.5, 0.25))
-    assert cases.changed.tolist() == [0]
-    taken = cases.mdp.pair_action[cases.robust.pairs[cases.changed]]
-    assert [cases.mdp.actions[action] for action in taken] == ["safe"]
+    both = robust(RISKY, Intervals.relative(RISKY, "1/2"))
+    assert both.value.value == 1.5
+    assert (both.price.value, both.gain.value) == pytest.approx((0.5, 0.25))
+    assert both.changed.tolist() == [0]
+    taken = both.mdp.pair_action[both.robust.pairs[both.changed]]
+    assert [both.mdp.actions[action] for action in taken] == ["safe"]
     values = [1.5, 0.75, 2.25, 1, 1, 1, 2.25]
-    assert cases.frame()["value (reward)"].tolist() == pytest.approx(values)
+    assert both.frame()["value (reward)"].tolist() == pytest.approx(values)
     costs = robust(RISKY.with_(sense="min"), Intervals.relative(RISKY, "1/2"))
     assert (costs.value.value, costs.worst.value) == (1, 1)
 
@@ -349,17 +329,10 @@ def test_the_price_of_robustness() -> None:
 @pytest.mark.parametrize("kind", SETS)
 def test_every_kind_of_set_on_the_care_model(kind: str) -> None:
     mdp = SMALL.compile()
-    cases = robust(mdp, ambiguity_of(mdp, kind, "1/20"), policy="always:directive")
-    assert cases.worst.value < cases.value.value < cases.best.value
-    assert cases.value.value == pytest.approx(evaluate(mdp, "always:directive").mean)
-    assert cases.gain.value > 0
-
-
-def test_a_box_needs_a_parameter_that_moves(tmp_path: Path) -> None:
-    RISKY.save(tmp_path / "model.npz")
-    done = run("robust", tmp_path / "model.npz", "--set-kind", "box")
-    assert (done.status, done.out) == (2, "")
-    assert "no parameter moves" in done.err
+    both = cases(mdp, kind, 1 / 20, "always:directive")
+    assert both.worst.value < both.value.value < both.best.value
+    assert both.value.value == pytest.approx(evaluate(mdp, "always:directive").mean)
+    assert both.gain.value > 0
 
 
 def test_the_curve_and_its_figure() -> None:
