@@ -10,7 +10,7 @@ is found is bounded whatever it came from: with a w > 0 such that w - γ P_l w �
 because no policy keeps more of w than that. Below discount 1, w = 1 and c = 1 - γ. At discount 1, w
 is the greatest expected number of steps to the end, found by the same iteration and checked; where
 there is none, because some policy may never end, or where the models do not have the same pairs,
-`Batch.of` and `Batch.optimum` give None, and models are solved one by one.
+`Batch.of` gives None, and models are solved one by one.
 """
 
 from __future__ import annotations
@@ -49,23 +49,22 @@ class Batch:
     terms: int  # the most roundings in a row
     live: np.ndarray  # (D, S) states that are not terminal, at discount 1; all of them below
     start: Floats  # (D, S)
-    components: Floats  # (D, L, C)
-    component_names: tuple[str, ...]
     state: Integers  # (L,) the state of each pair
     first: Integers  # (S,) the first pair of each state
 
     @classmethod
     def of(cls, models: Sequence[MDP]) -> Batch | None:
-        """Return the models as one batch; None where they are too large, or too different."""
+        """Return the models as one batch; None where they are too large or too different.
+
+        And where some policy may never end.
+        """
         one = models[0]
         if one.n_pairs * one.n_states > MOST or any(
-            not np.array_equal(one.pair_offsets, other.pair_offsets)
-            or one.component_names != other.component_names
-            for other in models[1:]
+            not np.array_equal(one.pair_offsets, other.pair_offsets) for other in models[1:]
         ):
             return None
         facts = [rounding_facts(mdp) for mdp in models]
-        return cls(
+        batch = cls(
             rows=np.stack([mdp.transition.toarray() for mdp in models]),
             reward=np.stack([mdp.sign * mdp.reward for mdp in models]),
             reward_error=np.stack([reward_errors(mdp) for mdp in models]),
@@ -75,11 +74,10 @@ class Batch:
             terms=max(f.most for f in facts),
             live=np.stack([~mdp.terminal | (mdp.discount_exact < 1) for mdp in models]),
             start=np.stack([mdp.start_distribution for mdp in models]),
-            components=np.stack([mdp.components for mdp in models]),
-            component_names=one.component_names,
             state=np.array(one.pair_state),
             first=np.array(one.pair_offsets[:-1]),
         )
+        return None if batch.weights is None else batch
 
     def gains(self, value: Floats, reward: Floats | None = None) -> tuple[Floats, Floats]:
         """Return d(l) of values (D, S), and a bound on its rounding error, both (D, L)."""
@@ -167,12 +165,12 @@ class Batch:
         off += np.add.reduceat(noise * chosen, self.first, axis=1)
         return self.at_start(value, weight * (off.max(axis=1) / least * SLACK)[:, None])
 
-    def totals(self, chosen: Floats) -> Floats:
-        """Return (D, C) the expected totals of each component under a policy (L,)."""
+    def totals(self, chosen: Floats, amounts: Floats) -> Floats:
+        """Return (D, C) the expected totals of amounts (D, L, C) under a policy (L,)."""
         share = chosen[None, :, None]
         rows = np.add.reduceat(self.rows * share, self.first, axis=1)
-        amounts = np.add.reduceat(self.components * share, self.first, axis=1)
-        values = [self.solved(rows, amounts[:, :, c]) for c in range(amounts.shape[2])]
+        earned = np.add.reduceat(amounts * share, self.first, axis=1)
+        values = [self.solved(rows, earned[:, :, c]) for c in range(earned.shape[2])]
         return np.asarray(np.einsum("ds,cds->dc", self.start, np.array(values)))
 
     def at_start(self, value: Floats, error: Floats) -> tuple[Floats, Floats]:

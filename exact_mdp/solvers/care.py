@@ -18,9 +18,8 @@ to the error of a value: in total c u R H (H + 1) / 2 where H = K (M + 1) timest
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,132 +52,16 @@ class CareValues:
     gaps: Floats
     # (D, K, trials, flags, V) the first of the optimal actions in each state.
     actions: NDArray[np.int8]
-
-
-class Batch:
-    """A scenario and draws of some of its numbers; `numbers` (P+2,) are today's, 0, and discount.
-
-    `positions` (Q,) says which of these are drawn, `draws` (D, Q).
-    """
-
-    def __init__(self, scenario: Scenario, names: Sequence[str], draws: ArrayLike) -> None:
-        self.scenario, self.rules, none = scenario, rules_of(scenario), len(scenario.names)
-        place = self.rules.position | {DISCOUNT: none + 1}
-        self.draws = np.asarray(draws, dtype=np.float64)
-        ends = {each.name: (each.low, each.high) for each in scenario.parameters}
-        ends[DISCOUNT] = Fraction(0), Fraction(1)
-        for name, column in zip(names, self.draws.T, strict=True):
-            least, most = ends[name]
-            low = -np.inf if least is None else float(least)
-            high = np.inf if most is None else float(most)
-            outside = column[~(np.isfinite(column) & (column >= low) & (column <= high))]
-            if len(outside):
-                raise ModelError(
-                    f"{name} is drawn as {outside[0]:g}, outside [{low:g}, {high:g}]",
-                    where=f"parameter {name}",
-                    fix="draw finite values in that range",
-                )
-        numbers = [float(parameter.value) for parameter in scenario.parameters]
-        self.numbers = np.array([*numbers, 0.0, float(scenario.discount)])
-        self.positions = np.array([place[name] for name in names], dtype=np.int64)
-
-    def parts(self) -> Iterator[tuple[slice, Laws, Floats]]:
-        """Yield the laws, and the discounts, of so many draws at a time."""
-        for begin in range(0, len(self.draws), TOGETHER):
-            some = slice(begin, begin + TOGETHER)
-            drawn = self.draws[some]
-            numbers = np.repeat(self.numbers[None], len(drawn), axis=0)
-            numbers[:, self.positions] = drawn
-            yield some, Laws.drawn(self.scenario, numbers[:, :-1]), numbers[:, -1].copy()
-
-    def values(self, shares: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.int8]]:
-        """Return what policies (N, G, V, A) are worth, or the optimum, and its error (D,).
-
-        Beside an optimum, its gaps and its actions, too.
-        """
-        from exact_mdp.solvers.kernels import care as loops
-
-        rules, count, optimum = self.rules, len(self.draws), not len(shares)
-        vectors, number, bits = rules.vectors, rules.assistive, rules.bits.shape[1]
-        step = rules.step.transpose(1, 0, 2).reshape(-1, bits)
-        which = np.concatenate([step, rules.skip]).T.copy()
-        room = loops.Room(
-            chance=np.empty((2, *which.shape)),
-            law=np.empty((vectors, which.shape[1])),
-            policy=np.empty((vectors, vectors)),
-            q=np.empty(number * vectors),
-            vector=np.zeros((4, vectors)),
-            starts=np.zeros((2, rules.flags, vectors)),
-        )
-        value, error = np.empty((count, 1 if optimum else len(shares))), np.empty(count)
-        gaps = np.empty((count * optimum, vectors, number))
-        stages = len(rules.places), rules.trials, rules.flags, vectors
-        actions = np.empty((count * optimum, *stages), dtype=np.int8)
-        for some, laws, discount in self.parts():
-            error[some] = self.errors(laws)
-            draws = loops.Draws(
-                which=which,
-                gains=rules.gains,
-                places=rules.places,
-                flag_after=rules.flag_after,
-                trials=rules.trials,
-                flags=rules.flags,
-                own=rules.own,
-                chance=laws.top,
-                gain=laws.gain,
-                assist=laws.assist,
-                present=rules.now * laws.cost,
-                following=rules.next * laws.cost,
-                discount=discount,
-            )
-            loops.values(draws, room, shares, value[some], gaps[some], actions[some])
-        return value, error, gaps, actions
-
-    def errors(self, laws: Laws) -> Floats:
-        """Return (D,) bounds on the errors of start values.
-
-        Numbers so large that sums of them may overflow are refused: a bound is more than u times
-        the largest number on the way, which is R H.
-        """
-        rules, bits = self.rules, self.rules.bits.shape[1]
-        # At most one of completing, with its own reward, and failing, with status costs and a skip.
-        with np.errstate(over="ignore"):  # refused below
-            sizes = replace(laws, reward=np.abs(laws.reward))
-            complete, fail, skip = (sizes.gain[:, each].max(axis=(1, 2)) for each in rules.gains)
-            reward = np.maximum(complete + sizes.assist.max(axis=1), fail + skip)
-            reward += sizes.cost[:, -1]
-        law = 2 * bits * float(gamma(bits)) + float(gamma(2 * bits + 1))
-        unit = (2 * law + float(gamma(2 * rules.vectors + 4 * rules.assistive + 24))) * SLACK
-        steps = len(rules.places) * (rules.trials + 1)
-        error = reward * unit * (steps * (steps + 1) / 2) * SLACK + UNIT
-        if not error.max() < UNIT * np.finfo(float).max / 16:
-            raise ModelError(
-                "reward weights so large that returns overflow",
-                where=f"scenario {self.scenario.name}",
-                fix="state rewards in a larger unit, or draw them with a smaller spread",
-            )
-        return np.asarray(error)
-
-
-def cut_off(model: Scenario, names: Sequence[str], draws: ArrayLike) -> NDArray[np.bool_]:
-    """Return (D,) whether the numbers that add up to some chance pass 1, so that it is cut off."""
-    batch = Batch(model, names, draws)
-    cut = np.zeros(len(batch.draws), dtype=bool)
-    for some, laws, _ in batch.parts():
-        cut[some] = (laws.sums > 1 + 2.0**-50).any(axis=1)
-    return cut
+    cut: NDArray[np.bool_]  # (D,) whether the numbers that add up to some chance pass 1
 
 
 def optimal(model: Scenario, names: Sequence[str], draws: ArrayLike) -> CareValues:
     """Return the optimum of a scenario at every draw (D, Q) of Q of its parameters.
 
-    "discount" may be among them. Raises ModelError for a value outside its parameter's range, and
-    for rewards that overflow.
+    "discount" may be among them. Raises ModelError for rewards that overflow.
     """
-    batch = Batch(model, names, draws)
-    none = np.empty((0, 1, batch.rules.vectors, batch.rules.assistive))
-    value, error, gaps, actions = batch.values(none)
-    return CareValues(start=value[:, 0], error=error, gaps=gaps, actions=actions)
+    rules = rules_of(model)
+    return _values(model, names, draws, np.empty((0, 1, rules.vectors, rules.assistive)))[1]
 
 
 def policy_values(
@@ -189,10 +72,99 @@ def policy_values(
     Policies are probabilities of actions by state, (N, K, trials, flags, V, A). Raises ModelError
     as `optimal` does.
     """
-    batch = Batch(model, names, draws)
     shares = np.asarray(policies, dtype=np.float64)
     shares = shares.reshape(len(shares), -1, *shares.shape[-2:])
     if (shares == shares[:, :1]).all():  # the same at every stage
         shares = shares[:, :1]
     # What the bound of the errors speaks of is the policy whose shares sum to 1.
-    return batch.values(shares / shares.sum(axis=-1, keepdims=True))[:2]
+    value, beside = _values(model, names, draws, shares / shares.sum(axis=-1, keepdims=True))
+    return value, beside.error
+
+
+def _values(
+    scenario: Scenario, names: Sequence[str], given: ArrayLike, shares: Floats
+) -> tuple[Floats, CareValues]:
+    """Return what policies (N, G, V, A) are worth (D, N), or the optimum (D, 1), and the rest.
+
+    Gaps and actions are those of an optimum.
+    """
+    from exact_mdp.solvers.kernels import care as loops
+
+    rules, drawn = rules_of(scenario), np.asarray(given, dtype=np.float64)
+    zero = len(scenario.names)  # today's numbers, 0, and the discount
+    today = [float(parameter.value) for parameter in scenario.parameters]
+    numbers = np.array([*today, 0.0, float(scenario.discount)])
+    places = rules.position | {DISCOUNT: zero + 1}
+    columns = [places[name] for name in names]
+    count, optimum = len(drawn), not len(shares)
+    vectors, number, bits = rules.vectors, rules.assistive, rules.bits.shape[1]
+    step = rules.step.transpose(1, 0, 2).reshape(-1, bits)
+    which = np.concatenate([step, rules.skip]).T.copy()
+    room = loops.Room(
+        chance=np.empty((2, *which.shape)),
+        law=np.empty((vectors, which.shape[1])),
+        policy=np.empty((vectors, vectors)),
+        q=np.empty(number * vectors),
+        vector=np.zeros((4, vectors)),
+        starts=np.zeros((2, rules.flags, vectors)),
+    )
+    value = np.empty((count, 1 if optimum else len(shares)))
+    stages = len(rules.places), rules.trials, rules.flags, vectors
+    beside = CareValues(
+        start=value[:, 0],
+        error=np.empty(count),
+        gaps=np.empty((count * optimum, vectors, number)),
+        actions=np.empty((count * optimum, *stages), dtype=np.int8),
+        cut=np.empty(count, dtype=bool),
+    )
+    for begin in range(0, count, TOGETHER):
+        some = slice(begin, begin + TOGETHER)
+        every = np.repeat(numbers[None], len(drawn[some]), axis=0)
+        every[:, columns] = drawn[some]
+        laws = Laws.drawn(scenario, every[:, :-1])
+        beside.error[some] = _errors(scenario, laws)
+        beside.cut[some] = (laws.sums > 1 + 2.0**-50).any(axis=1)
+        draws = loops.Draws(
+            which=which,
+            gains=rules.gains,
+            places=rules.places,
+            flag_after=rules.flag_after,
+            trials=rules.trials,
+            flags=rules.flags,
+            own=rules.own,
+            chance=laws.top,
+            gain=laws.gain,
+            assist=laws.assist,
+            present=rules.now * laws.cost,
+            following=rules.next * laws.cost,
+            discount=every[:, -1].copy(),
+        )
+        loops.values(draws, room, shares, value[some], beside.gaps[some], beside.actions[some])
+    return value, beside
+
+
+def _errors(scenario: Scenario, laws: Laws) -> Floats:
+    """Return (D,) bounds on the errors of start values.
+
+    Numbers so large that sums of them may overflow are refused: a bound is more than u times the
+    largest number on the way, which is R H.
+    """
+    rules = rules_of(scenario)
+    bits = rules.bits.shape[1]
+    # At most one of completing, with its own reward, and failing, with status costs and a skip.
+    with np.errstate(over="ignore"):  # refused below
+        sizes = replace(laws, reward=np.abs(laws.reward))
+        complete, fail, skip = (sizes.gain[:, each].max(axis=(1, 2)) for each in rules.gains)
+        reward = np.maximum(complete + sizes.assist.max(axis=1), fail + skip)
+        reward += sizes.cost[:, -1]
+    law = 2 * bits * float(gamma(bits)) + float(gamma(2 * bits + 1))
+    unit = (2 * law + float(gamma(2 * rules.vectors + 4 * rules.assistive + 24))) * SLACK
+    steps = len(rules.places) * (rules.trials + 1)
+    error = reward * unit * (steps * (steps + 1) / 2) * SLACK + UNIT
+    if not error.max() < UNIT * np.finfo(float).max / 16:
+        raise ModelError(
+            "reward weights so large that returns overflow",
+            where=f"scenario {scenario.name}",
+            fix="state rewards in a larger unit, or draw them with a smaller spread",
+        )
+    return np.asarray(error)

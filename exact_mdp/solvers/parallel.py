@@ -48,7 +48,7 @@ def many(
     n_jobs: int | None = 1,
     threads: bool = False,
     folder: str | Path | None = None,
-    files: tuple[str, str] = ("work.json", ""),
+    names: Iterable[str] | None = None,
     progress: bool = False,
     what: str = "runs",
 ) -> list[Arrays]:
@@ -58,13 +58,13 @@ def many(
     `key` has the JSON values that say what it is: model, settings, seed. `n_jobs` are processes:
     None takes all cores, or all workers of the backend that `joblib.parallel_config` names. With
     `threads` they are threads of this process, for work that needs no interpreter lock. Finished
-    pieces are kept in the `folder`, under a record and a stem that are its `files`; `what` they are
+    pieces are kept in the `folder`, in files of these `names`, or else numbered; `what` they are
     called is said by the bar and by messages.
     """
     n_jobs = None if n_jobs is None else counted(n_jobs, "n_jobs")
-    record, stem = files
-    place = None if folder is None else _opened(folder_of(folder), key, name=record, what=what)
-    paths = [place and place / f"{stem}{index:06d}.npz" for index in range(len(pieces))]
+    place = None if folder is None else _opened(folder_of(folder), key, what=what)
+    stems = names or (f"{index:06d}" for index in range(len(pieces)))
+    paths = [place and place / f"{stem}.npz" for stem in stems]
     known = ((index, read_piece(path)) for index, path in enumerate(paths) if path)
     done = {index: arrays for index, arrays in known if arrays is not None}
     tasks = {index: piece for index, piece in enumerate(pieces) if index not in done}
@@ -157,7 +157,7 @@ def folder_of(given: object) -> Path:
     return Path(of_type(given, str | os.PathLike, "folder", "give a path"))
 
 
-def _opened(folder: Path, record: Mapping[str, object], *, name: str, what: str) -> Path:
+def _opened(folder: Path, record: Mapping[str, object], *, what: str) -> Path:
     """Return the folder, made where it is missing, after checking that it is of this record."""
     text = json.dumps(dict(record), indent=2)
     try:
@@ -166,7 +166,7 @@ def _opened(folder: Path, record: Mapping[str, object], *, name: str, what: str)
         raise ModelError(
             f"cannot make the folder: {error.strerror}", where=str(folder), fix="choose another"
         ) from error
-    path = folder / name
+    path = folder / "work.json"
     if not path.exists():
         write_atomically(path, text + "\n")
         return folder
@@ -239,11 +239,10 @@ class How(TypedDict, total=False):
     progress: bool
 
 
-def seeded(seed: int, n: int, block: int) -> tuple[list[tuple[SeedSequence, int]], int]:
-    """Return blocks, a stream and a number of draws for each, and the size of a last one."""
-    rest = n % block
-    sizes = [block] * (n // block) + [rest] * (rest > 0)
-    return list(zip(SeedSequence(seed).spawn(len(sizes)), sizes, strict=True)), rest
+def seeded(seed: int, n: int, block: int) -> list[tuple[SeedSequence, int]]:
+    """Return blocks of n draws: a stream and a number of draws for each."""
+    sizes = [min(block, n - first) for first in range(0, n, block)]
+    return list(zip(SeedSequence(seed).spawn(len(sizes)), sizes, strict=True))
 
 
 def joined(blocks: Sequence[Arrays], names: Iterable[str] | None = None) -> Arrays:

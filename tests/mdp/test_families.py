@@ -247,27 +247,27 @@ CONTINUING = MDP.from_arrays(
 
 def test_the_default_range_of_a_discount_stays_below_1_where_the_model_goes_on() -> None:
     """Half way to 1 in a model that never ends; 1 itself where every policy ends."""
-    (bar,) = tornado(CONTINUING, names=["discount"]).bars
-    assert (bar.low.at, bar.high.at) == (F(18, 25), F(19, 20))
+    (span,) = tornado(CONTINUING, names=["discount"]).spans.values()
+    assert (span.low, span.high) == (F(18, 25), F(19, 20))
     assert one_way(CONTINUING, "discount", points=3).table.points[-1, 0] == F(19, 20)
     assert thresholds(CONTINUING, "discount").curve.range.high == F(19, 20)
     ending = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0], F(9, 10))
-    (bar,) = tornado(ending, names=["discount"]).bars
-    assert bar.high.at == 1
+    (span,) = tornado(ending, names=["discount"]).spans.values()
+    assert span.high == 1
 
 
 def test_default_ranges_stay_where_there_is_a_model() -> None:
     """A probability of staying of 9/10 ± 20 % would be 1, and the model would never end."""
     mdp = MDP.from_arrays([[["9/10", "1/10"], [0, 1]]], [1, 0])
-    bars = {bar.parameter.name: bar for bar in tornado(moving(mdp, {"stay": [(0, 0)]})).bars}
-    assert bars["stay"].high.at == F(19, 20)
+    spans = {p.name: span for p, span in tornado(moving(mdp, {"stay": [(0, 0)]})).spans.items()}
+    assert spans["stay"].high == F(19, 20)
     rows = [["1/2", "9/20", "1/20"], [0, 1, 0], [0, 0, 1]]
     family = moving(MDP.from_arrays([rows], [1, 2, 0], "1/2"), {"a": [(0, 0)], "b": [(0, 1)]})
-    bars = {bar.parameter.name: bar for bar in tornado(family).bars}
-    assert (bars["a"].high.at, bars["b"].high.at) == (F(11, 20), F(1, 2))
+    spans = {p.name: span for p, span in tornado(family).spans.items()}
+    assert (spans["a"].high, spans["b"].high) == (F(11, 20), F(1, 2))
     open_ended = Family(parameters=(Parameter(name="p", value=F(9, 10)),), build=staying)
-    (bar,) = tornado(open_ended).bars
-    assert F(9, 10) < bar.high.at < 1
+    (span,) = tornado(open_ended).spans.values()
+    assert F(9, 10) < span.high < 1
     assert two_way(family, "a", "discount", points=2).policy.shape == (2, 2)
 
 

@@ -82,9 +82,8 @@ def tornado(given: Given) -> Report:
     """
     spans, without = _moving(_ranges(given))
     result = tornado_of(given.family, policy=given.fixed, names=list(spans), ranges=spans)
-    if given.options["perception"]:  # the question is what it does to the policy held fixed
-        result = replace(result, bars=tuple(sorted(result.bars, key=lambda b: -b.fixed_swing)))
-    return _report(given, "tornado", result.report(), without_range=without)
+    by = "fixed_swing" if given.options["perception"] else "swing"  # what it does to the policy
+    return _report(given, "tornado", result.report(by), without_range=without)
 
 
 def gradient(given: Given) -> Report:

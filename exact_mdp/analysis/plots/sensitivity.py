@@ -37,7 +37,7 @@ from exact_mdp.analysis.vary.curves.gradient import Gradient
 from exact_mdp.analysis.vary.curves.thresholds import Thresholds
 from exact_mdp.analysis.vary.economics import CostEffectiveness
 from exact_mdp.analysis.vary.intervals import tolerances_of
-from exact_mdp.analysis.vary.one_way import Bar, Curve, Tornado, TwoWay
+from exact_mdp.analysis.vary.one_way import Curve, Tornado, TwoWay
 from exact_mdp.analysis.vary.psa import PSA
 from exact_mdp.analysis.vary.ranges import unit_of
 from exact_mdp.analysis.vary.robust import RobustCurve
@@ -63,7 +63,7 @@ MOST_POLICIES = 8  # in a legend
 STEEP = 50  # times the usual value, beyond which values leave the picture
 
 
-def _with_range(name: str, low: Fraction, high: Fraction) -> str:
+def _with_range(name: str, low: float | Fraction, high: float | Fraction) -> str:
     return f"{name} [{_number(low)}, {_number(high)}]"
 
 
@@ -108,18 +108,20 @@ def plot_tornado(
     `output` is "fixed" unless given where the policy held fixed is not optimal today, else
     "optimal".
     """
-    lost = tornado.today.regret
+    lost = tornado.today["regret"]
     output = output or ("fixed" if lost.value > lost.error else "optimal")
     known(output, OUTPUT, "output", "output")
-    middle = float(getattr(tornado.today, output).value)
+    middle = tornado.today[output].value
+    column = {"optimal": "value", "fixed": "fixed_value", "regret": "regret"}[output]
 
-    def reaches(bar: Bar) -> list[tuple[float, Look]]:
+    def reaches(bar: Mapping[str, float]) -> list[tuple[float, Look]]:
         """Return both ends' reach and look, the wider first."""
-        low, high = (getattr(end, output).value - middle for end in (bar.low, bar.high))
+        low, high = (bar[f"{column}_{end}"] - middle for end in ("low", "high"))
         return sorted(((low, LOW), (high, HIGH)), key=lambda end: -abs(end[0]))
 
-    rows = sorted(tornado.bars, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
-    names = [_with_range(b.parameter.name, b.low.at, b.high.at) for b in rows]
+    bars_of = tornado.frame().to_dict("records")
+    rows = sorted(bars_of, key=lambda bar: -abs(reaches(bar)[0][0]))[:most]
+    names = [_with_range(bar["parameter"], bar["low"], bar["high"]) for bar in rows]
     drawn = ((row, *end) for row, bar in enumerate(rows) for end in reaches(bar))
     what = "regret" if output == "regret" else "value"
     return described(

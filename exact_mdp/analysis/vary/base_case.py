@@ -33,9 +33,14 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseCase:
-    """A model at today's values; it is solved once, when that is first asked for."""
+    """A model at today's values; it is solved once, when that is first asked for.
+
+    `labels` (X,) are what a policy is told by: the states with a choice, or their statuses.
+    """
 
     mdp: MDP
+    labels: tuple[str, ...]
+    place: Integers  # (S,) which label a state has, -1 for none
 
     @cached_property
     def solution(self) -> Solution:
@@ -47,11 +52,26 @@ class BaseCase:
         today = isinstance(policy, str) and policy == "optimal"
         return PolicyChain.of(self.mdp, self.solution if today else policy).chosen
 
-    def taken(self, choice: Integers) -> Floats:
-        """Return (L,) 1 for the pairs that (S,) action numbers take; a state's only pair always."""
-        mdp = self.mdp
-        taken = mdp.pair_action == np.asarray(choice)[mdp.pair_state]
-        return np.where(mdp.forced[mdp.pair_state], 1.0, taken.astype(float))
+    def taken(self, row: Integers) -> Floats:
+        """Return (L,) 1 for the pairs that (S,) action numbers take."""
+        return np.asarray(self.mdp.pair_action == row[self.mdp.pair_state], dtype=float)
+
+    def row(self, weights: Floats) -> Integers:
+        """Return (S,) the action numbers of a policy (L,), -1 where it mixes."""
+        row, sure = np.full(self.mdp.n_states, -1), np.flatnonzero(weights == 1)
+        row[self.mdp.pair_state[sure]] = self.mdp.pair_action[sure]
+        return row
+
+    def shown(self, weights: Floats) -> dict[str, str] | None:
+        """Return the action at each label, where a policy says one and the same there."""
+        here = self.place >= 0
+        place, row = self.place[here], self.row(weights)[here]
+        number = np.empty(len(self.labels), dtype=np.int64)
+        number[place] = row
+        if (row < 0).any() or (number[place] != row).any():
+            return None
+        chosen = [self.mdp.actions[action] for action in number.tolist()]
+        return dict(zip(self.labels, chosen, strict=True))
 
 
 def actions_of(mdp: MDP, pairs: Flags) -> list[tuple[str, ...]]:

@@ -38,7 +38,7 @@ draws of the others. Correlated parameters are given as a table of draws with a 
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -50,7 +50,15 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.analysis.vary.ranges import entries, is_probability, unit_of
-from exact_mdp.mdp.errors import ModelError, known, listed, suggest
+from exact_mdp.analysis.vary.study import checked
+from exact_mdp.mdp.errors import (
+    ModelError,
+    check_names,
+    known,
+    listed,
+    located,
+    once_each,
+)
 from exact_mdp.mdp.io.files import SMALL, read_text
 from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.model import MDP
@@ -269,11 +277,11 @@ class Uncertain:
 
 def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
     """Return the own numbers of a distribution by its mean and spread."""
-    spreads = [name for name in ("sd", SPREAD, SIZE) if name in said]
+    ways = ["sd", SPREAD, SIZE] if kind == "beta" else ["sd", SPREAD]
+    spreads = [name for name in ways if name in said]
     if "mean" not in said or len(spreads) != 1 or len(said) != 2:
         own = "" if kind == "normal" else f"; or {', '.join(KINDS[kind].own)} alone"
-        size = f", {SIZE}" if kind == "beta" else ""
-        fix = f"state a mean and one of sd, relative_sd{size}{own}"
+        fix = f"state a mean and one of {', '.join(ways)}{own}"
         raise ModelError(f"a {kind} with {', '.join(said) or 'no spread'}", where=where, fix=fix)
     mean, (spread,) = said["mean"], spreads
     if not math.isfinite(mean) or (spread == SPREAD and not mean):
@@ -283,12 +291,7 @@ def _of_moments(kind: str, said: Mapping[str, float], where: str) -> Numbers:
         scale = abs(mean or 1.0)
         relative = said[spread] / scale if spread == "sd" else said[spread]
         return KINDS[kind].of_moments(mean, _check_within(relative, SPREAD, where) * scale)
-    count = _check_within(said[SIZE], SIZE, where)
-    if kind != "beta":
-        fix = "state an sd or a relative_sd; a sample size is of a probability"
-        what = f"an effective sample size of a {kind} distribution"
-        raise ModelError(what, where=where, fix=fix)
-    return _beta(mean, count)
+    return _beta(mean, _check_within(said[SIZE], SIZE, where))
 
 
 def _check_within(value: float, what: str, where: str) -> float:
@@ -316,10 +319,7 @@ class Uncertainty(Brief):
     sample: Floats | None = None  # (D, Q) one's own draws, in the order of `names`
 
     def __post_init__(self) -> None:
-        for name, count in Counter(self.names).items():
-            if count > 1:
-                fix = "state each name once"
-                raise ModelError(f"{name} is drawn twice", where="uncertainty", fix=fix)
+        check_names(self.names, "drawn parameter", where="uncertainty")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -333,7 +333,7 @@ class Uncertainty(Brief):
 
 def uncertainty(
     model: Parametric,
-    stated: Mapping[str, Settings] | DataFrame | None = None,
+    stated: Mapping[str, Settings] | DataFrame | Uncertainty | None = None,
     *,
     default: float = EFFECTIVE_SAMPLE_SIZE,
     names: Sequence[str] | None = None,
@@ -344,7 +344,7 @@ def uncertainty(
     ----------
     model : Parametric
         Parameters that share one of its `rows` are Dirichlet, instead of a Beta for each.
-    stated : {name, beginning of names, or label of a row: settings}, or pandas.DataFrame
+    stated : {name, beginning of names, or label of a row: settings}, DataFrame or Uncertainty
         Settings say a distribution, as at the top of `analysis.vary.distributions`, or
         `fixed = True`. The longest beginning counts: `influence.anger` before `influence`. What is
         stated of the entries of a row must be the same for all. A table is a sample of one's own:
@@ -372,6 +372,8 @@ def uncertainty(
     >>> part.kind, part.mean, part.sd
     ('gamma', (4000.0,), (400.0,))
     """
+    if isinstance(stated, Uncertainty):
+        return stated
     if stated is not None and not isinstance(stated, Mapping):
         return _of_sample(model, stated)
     stated = {name: _checked(name, settings) for name, settings in (stated or {}).items()}
@@ -381,12 +383,10 @@ def uncertainty(
     for name in stated:
         if name not in rows and not any(_begins(known, name) for known in parameters):
             parameter_of(model, name)
-    label_of: dict[str, str] = {}
-    for label, row in rows.items():
-        for name in row:
-            if label_of.setdefault(parameter_of(model, name).name, label) != label:
-                fix = "name it in one of them"
-                raise ModelError(f"{name} is in two rows", where=f"row {label}", fix=fix)
+    with located("rows"):
+        label_of = once_each(
+            (parameter_of(model, name).name, label) for label, row in rows.items() for name in row
+        )
     asked = [*parameters] if names is None else listed(names, "names")
     chosen = {each for name in asked for each in rows.get(name) or [parameter_of(model, name).name]}
     parts, fixed = list[Uncertain](), dict[str, str]()
@@ -418,18 +418,8 @@ def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
     if not hasattr(frame, "columns"):
         fix = "give {name: settings}, or a pandas.DataFrame of draws"
         raise ModelError(f"{type(frame).__name__} is given", where="uncertain", fix=fix)
-    names = [parameter_of(model, str(name)).name for name in frame.columns]
-    columns = [
-        column if column.dtype.kind in "fiu" else [_float(x, "a draw", name) for x in column]
-        for name, column in zip(names, map(np.asarray, dict(frame).values()), strict=True)
-    ]
-    sample = np.array(columns, dtype=float).T
-    if not sample.size or not np.isfinite(sample).all():
-        raise ModelError(
-            "a sample without rows, or with numbers that are not finite",
-            where="sample",
-            fix="give a column for each parameter and a row for each draw",
-        )
+    names = tuple(frame.columns)
+    sample = checked(model, frame).astype(float)
     spread = sample.std(axis=0, ddof=1) if len(sample) > 1 else np.zeros(len(names))
     parts = [
         Uncertain(names=(n,), kind="sample", numbers=(), mean=(m,), sd=(s,), label=n)
@@ -442,12 +432,11 @@ def _of_sample(model: Parametric, frame: Any) -> Uncertainty:
 def _alone(parameter: Parameter, settings: Settings, default: float) -> Uncertain | str:
     """Return the distribution of one parameter, or why it is not drawn."""
     name, today, low, high = parameter.name, float(parameter.value), parameter.low, parameter.high
-    share = low == 0 and high == 1
-    if not settings and (name == DISCOUNT or not share):
+    if not settings and not is_probability(parameter):
         weights = "reward weights" if unit_of(parameter) == "reward" else f"{unit_of(parameter)}s"
         reason = "the discount is" if name == DISCOUNT else f"{weights} are"
         return f"{reason} held unless stated otherwise"
-    usual = "beta" if share else "normal" if low is None or low < 0 else "gamma"
+    usual = "beta" if low == 0 and high == 1 else "normal" if low is None or low < 0 else "gamma"
     kind = str(settings.get("distribution", usual))
     said = {key: _float(settings[key], key, name) for key in settings if key in NUMBERS}
     said = said or ({SIZE: default} if kind == "beta" else {})
@@ -560,16 +549,10 @@ def load_uncertainty(path: str | Path) -> tuple[dict[str, dict[str, object]], fl
     stated: dict[str, dict[str, object]] = {}
     content = toml_of(read_text(path, most=SMALL), str(path), number=float)
     for prefix, key, value in entries(content):
-        name = f"{prefix}.{key}" if prefix else key
-        where = f"{path}, {prefix or 'top level'}"
-        if prefix and key in SETTINGS:
-            stated.setdefault(prefix, {})[key] = value
-        elif isinstance(value, list):
-            fix = f'psa takes distributions: write "{name}" = {{{SIZE} = 50}}'
-            raise ModelError(f"{name} has a range", where=where, fix=fix)
-        else:
-            fix = suggest(key, SETTINGS) if prefix else f"write {key} = {{{SIZE} = 50}}"
-            raise ModelError(f"unknown setting {key!r}", where=where, fix=fix)
+        if not prefix:
+            fix = f'psa takes distributions: write "{key}" = {{{SIZE} = 50}}'
+            raise ModelError(f"{key} = {value!r:.60}", where=str(path), fix=fix)
+        stated.setdefault(prefix, {})[key] = value
     if not stated:
         fix = f'write "NAME" = {{{SIZE} = 50}}'
         raise ModelError("nothing is stated in the file", where=str(path), fix=fix)

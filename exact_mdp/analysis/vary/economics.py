@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from exact_mdp.analysis.vary.distributions import Settings, Uncertainty
+from exact_mdp.analysis.vary.distributions import Settings, Uncertainty, uncertainty
 from exact_mdp.analysis.vary.information import PartialInformation, evpi, evppi
-from exact_mdp.analysis.vary.psa import drawn, groups_of, uncertain_of
+from exact_mdp.analysis.vary.psa import drawn, groups_of
 from exact_mdp.analysis.vary.study import ModelSolver
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, known
@@ -84,7 +84,7 @@ class CostEffectiveness(Pictured):
     def evppi(
         self, wtp: float, groups: Mapping[str, Sequence[str]] | None = None
     ) -> dict[str, PartialInformation]:
-        """Return what knowing groups of parameters would be worth; unless given, each alone."""
+        """Return what knowing groups of parameters would be worth; those of `PSA` unless given."""
         if _prices(wtp).ndim:
             raise ModelError("several numbers", where=WTP, fix="ask for the EVPPI at each of them")
         value = self.net_benefit(wtp)
@@ -202,22 +202,20 @@ def cost_effectiveness(
     if not isinstance(strategies, Mapping) or not strategies:
         what = "no strategy" if isinstance(strategies, Mapping) else "strategies without names"
         raise ModelError(what, where="strategies", fix="give {name: policy}, at least one")
-    chosen = uncertain_of(family, uncertain)
+    chosen = uncertainty(family, uncertain)
     solver = ModelSolver(family, chosen.names)
+    draws = drawn(family, chosen, n, seed, solver.block)
     for name in (effect, cost):
         known(name, solver.base.mdp.component_names, "component", "cost-effectiveness")
-    blocks = drawn(chosen, n, seed, solver.block)
     weights = [solver.base.held(policy) for policy in strategies.values()]
-    totals = np.concatenate(
-        [
-            solver.totals(each, weights, (effect, cost), at * solver.block)
-            for at, each in enumerate(blocks)
-        ]
-    )
+    firsts = range(0, len(draws), solver.block)
+    blocks = [(draws[first : first + solver.block], first) for first in firsts]
+    every = [solver.totals(some, weights, (effect, cost), first) for some, first in blocks]
+    totals = np.concatenate(every)
     return CostEffectiveness(
         strategies=tuple(strategies),
         uncertainty=chosen,
-        draws=np.concatenate(blocks),
+        draws=draws,
         effect=totals[:, :, 0],
         cost=totals[:, :, 1],
         seed=seed,

@@ -43,14 +43,14 @@ class PartialInformation:
     relied on.
     """
 
-    names: tuple[str, ...]
+    parameters: tuple[str, ...]
     regression: Estimated
     lower: Estimated
     doubts: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         doubts = f"; doubtful: {'; '.join(self.doubts)}" if self.doubts else ""
-        return f"PartialInformation({', '.join(self.names)}: {self.regression}{doubts})"
+        return f"PartialInformation({', '.join(self.parameters)}: {self.regression}{doubts})"
 
     @property
     def reliable(self) -> bool:
@@ -82,7 +82,7 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     varies = draws.min(axis=0) < draws.max(axis=0)
     if candidates == 1 or not varies.any():
         zero = Estimated(value=0.0, standard_error=0.0)
-        return PartialInformation(names=names, regression=zero, lower=zero)
+        return PartialInformation(parameters=names, regression=zero, lower=zero)
     basis = _basis(draws[:, varies])
     ends = np.linspace(0, count, FOLDS + 1).astype(int)
     folds = [slice(first, last) for first, last in pairwise(ends.tolist())]
@@ -118,7 +118,7 @@ def evppi(values: Floats, draws: Floats, names: tuple[str, ...]) -> PartialInfor
     doubts = tuple(reason for reason, holds in reasons.items() if holds)
     error = float(np.sqrt(sure**2 + apart**2 + missed**2 + (2 * astray) ** 2))
     return PartialInformation(
-        names=names,
+        parameters=names,
         regression=Estimated(value=value, standard_error=error),
         lower=lower,
         doubts=doubts if value else ("the fit changes the choice in no draw",),

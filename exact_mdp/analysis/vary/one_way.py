@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from exact_mdp.analysis.vary.base_case import BaseCase, finite_worth
 from exact_mdp.analysis.vary.ranges import Range, checked, range_of, ranges_of, unit_of
-from exact_mdp.analysis.vary.study import Study, study_of
+from exact_mdp.analysis.vary.study import Study, study
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.graph import reachable
@@ -39,55 +38,32 @@ VALUES = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Point:
-    """The start values of the optimum and of a policy held fixed, at a value of a parameter."""
-
-    optimal: Bounded
-    fixed: Bounded
-    sense: str = "max"
-    at: Fraction = Fraction(0)
-
-    @property
-    def regret(self) -> Bounded:
-        """What holding the policy costs; not below 0, whatever rounding says."""
-        return regret(self.optimal, self.fixed, self.sense)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bar:
-    """The bar of one parameter: the values at both ends of its range, and their distances."""
-
-    parameter: Parameter
-    low: Point
-    high: Point
-
-    @property
-    def swing(self) -> float:
-        """Of the optimum."""
-        return abs(self.high.optimal.value - self.low.optimal.value)
-
-    @property
-    def fixed_swing(self) -> float:
-        """Of the policy held fixed."""
-        return abs(self.high.fixed.value - self.low.fixed.value)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Tornado(Pictured):
-    """Bars of all parameters, the widest first, and the values at today's parameters."""
+    """The study of today's values, then of the low and the high end of each parameter's range."""
 
     model: str
-    today: Point
-    bars: tuple[Bar, ...]
+    spans: Mapping[Parameter, Range]
+    table: Study
 
     def __repr__(self) -> str:
-        widest = f", the widest of {self.bars[0].parameter.name}" if self.bars else ""
-        return f"Tornado({len(self.bars)} bars{widest}; value today {self.today.optimal})"
+        widest = f", the widest of {self.frame()['parameter'][0]}" if self.spans else ""
+        return f"Tornado({len(self.spans)} bars{widest}; value today {self.today['optimal']})"
 
-    def report(self) -> Report:
-        """Return values and regrets at both ends of every range."""
-        bars, today = self.frame().drop(columns="claim"), self.today
+    @property
+    def today(self) -> dict[str, Bounded]:
+        """The optimum at today's values, the value of the policy held "fixed", and its "regret"."""
+        optimal, fixed = self.table.bounded(0)
+        lost = regret(optimal, fixed, "max" if self.table.sign > 0 else "min")
+        return {"optimal": optimal, "fixed": fixed, "regret": lost}
+
+    def report(self, by: str = "swing") -> Report:
+        """Return values and regrets at both ends of every range, the greatest `by` a column first.
+
+        Which is "swing", or "fixed_swing", that of the policy held fixed.
+        """
+        bars, today = self.frame(by).drop(columns="claim"), self.today
+        lost = today["regret"]
 
         def table(policy: str, what: str, rows: Any = ()) -> Table:
             columns = {"parameter": "parameter", "from": "low:.6g", "to": "high:.6g"}
@@ -95,43 +71,42 @@ class Tornado(Pictured):
             title = f"start value at both ends, policy {policy}"
             return Table(title=title, rows=rows, columns=columns | {"regret": "regret:.3g"})
 
-        held = bars.sort_values("fixed_swing", ascending=False, kind="stable")
+        held = self.frame("fixed_swing") if lost.value > lost.error else ()
         return Report(
             title="tornado",
             facts={
-                **claimed("start_value", today.optimal),
-                "policy_value": Shown(today.fixed.value, today.fixed),
-                "regret": Shown(today.regret.value, today.regret),
+                **claimed("start_value", today["optimal"]),
+                "policy_value": Shown(today["fixed"].value, today["fixed"]),
+                "regret": Shown(lost.value, lost),
                 "bars": bars.to_dict("records"),
             },
             tables={
                 "bars": table("re-optimised; regret of the policy held fixed", "value"),
-                "held": table("held fixed", "fixed_value", held if today.regret.value > 0 else ()),
+                "held": table("held fixed", "fixed_value", held),
             },
         )
 
-    def frame(self) -> DataFrame:
-        """Return one row for each bar; values and regrets in units of reward."""
-        return data_frame(
+    def frame(self, by: str = "swing") -> DataFrame:
+        """Return one row for each parameter; values and regrets in units of reward."""
+        spans, study = self.spans, self.table
+        table = data_frame(
             {
-                "parameter": bar.parameter.name,
-                "unit": unit_of(bar.parameter),
-                "low": float(bar.low.at),
-                "today": float(bar.parameter.value),
-                "high": float(bar.high.at),
-                "value_low": bar.low.optimal.value,
-                "fixed_value_low": bar.low.fixed.value,
-                "regret_low": bar.low.regret.value,
-                "value_high": bar.high.optimal.value,
-                "fixed_value_high": bar.high.fixed.value,
-                "regret_high": bar.high.regret.value,
-                "swing": bar.swing,
-                "fixed_swing": bar.fixed_swing,
-                "regret": max(bar.low.regret.value, bar.high.regret.value),
-                "claim": "bounded",
+                "parameter": [parameter.name for parameter in spans],
+                "unit": [*map(unit_of, spans)],
+                "low": [float(span.low) for span in spans.values()],
+                "today": [float(parameter.value) for parameter in spans],
+                "high": [float(span.high) for span in spans.values()],
             }
-            for bar in self.bars
         )
+        for end, rows in (("low", slice(1, None, 2)), ("high", slice(2, None, 2))):
+            table[f"value_{end}"] = study.optimal[rows]
+            table[f"fixed_value_{end}"] = study.fixed[rows, 0]
+            table[f"regret_{end}"] = study.regret[rows, 0]
+        for swing, what in (("swing", "value"), ("fixed_swing", "fixed_value")):
+            table[swing] = (table[f"{what}_high"] - table[f"{what}_low"]).abs()
+        table["regret"] = table[["regret_low", "regret_high"]].max(axis=1)
+        table["claim"] = "bounded"
+        return table.sort_values(by, ascending=False, kind="stable", ignore_index=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -149,18 +124,14 @@ class Curve(Pictured):
 
     def report(self) -> Report:
         """Return the values along the range."""
-        points = self.frame().drop(columns=["parameter", "unit", "claim"]).to_dict("records")
+        points = self.frame().drop(columns="claim").to_dict("records")
         table = Table(title="value at the start", columns={self.parameter.name: "at:.6g"} | VALUES)
         facts = {"parameter": self.parameter.name, "points": points}
         return Report(title="one-way", facts=facts, tables={"points": table})
 
     def frame(self) -> DataFrame:
         """Return one row for each value of the parameter."""
-        values = self.table.values()
-        values.insert(0, "parameter", self.parameter.name)
-        values.insert(1, "unit", unit_of(self.parameter))
-        values.insert(2, "at", self.table.points[:, 0].astype(float))
-        return values
+        return self.table.frame(["at"])
 
 
 @named_options
@@ -205,7 +176,7 @@ def one_way(
     """
     family = parametric(model)
     values = grid(range_of(family, name, ranges, relative), points)
-    table = study_of(family, {name: values}, [policy])[1]
+    table = study(family, {name: values}, [policy])
     return Curve(model=family.name, parameter=parameter_of(family, name), table=table)
 
 
@@ -220,7 +191,7 @@ def tornado(
 ) -> Tornado:
     """Return the tornado of the start value over the ranges of parameters.
 
-    The model is solved once at today's values, and once at each end of a range.
+    The model is solved at today's values, and at each end of a range.
 
     Parameters
     ----------
@@ -249,33 +220,23 @@ def tornado(
     --------
     >>> from exact_mdp.mdp.parametric import moving
     >>> mdp = MDP.from_arrays([[["1/2", "1/2"], [0, 1]]], [1, 0])
-    >>> (bar,) = tornado(moving(mdp, {"stay": [(0, 0)]}), names=["stay"]).bars
-    >>> [round(end.optimal.value, 9) for end in (bar.low, bar.high)]
-    [1.666666667, 2.5]
+    >>> bars = tornado(moving(mdp, {"stay": [(0, 0)]}), names=["stay"]).frame()
+    >>> bars[["value_low", "value_high"]].round(9).values.tolist()
+    [[1.666666667, 2.5]]
     """
     family = parametric(model)
     spans = ranges_of(family, names, ranges, relative)
-    ends = [(name, at) for name, span in spans.items() for at in (span.low, span.high)]
-    parameters = {name: parameter_of(family, name) for name in spans}
+    ends = [("", Fraction(0))]  # today, where no parameter moves
+    ends += [(name, at) for name, span in spans.items() for at in (span.low, span.high)]
     columns = {
-        name: [at if name == moved else parameter.value for moved, at in ends]
-        for name, parameter in parameters.items()
+        parameter.name: [at if parameter.name == moved else parameter.value for moved, at in ends]
+        for parameter in family.parameters
     }
-    base = BaseCase(mdp=family.at({}))
-    fixed_policy, sense = base.held(policy), base.mdp.sense
-    points: list[Point] = []
-    if ends:
-        table = study_of(family, columns, [fixed_policy])[1]
-        values = np.column_stack([table.optimal, table.fixed, table.error]).tolist()
-        for (_, at), (best, own, off, own_off) in zip(ends, values, strict=True):
-            optimal, fixed = Bounded(value=best, error=off), Bounded(value=own, error=own_off)
-            points.append(Point(at=at, optimal=optimal, fixed=fixed, sense=sense))
-    pairs = zip(parameters.values(), points[::2], points[1::2], strict=True)
-    bars = [Bar(parameter=parameter, low=low, high=high) for parameter, low, high in pairs]
-    bars.sort(key=lambda bar: -bar.swing)
-    worth = finite_worth(base.mdp, fixed_policy, "today's parameters")
-    now = Point(optimal=base.solution.start, fixed=worth, sense=sense)
-    return Tornado(model=family.name, today=now, bars=tuple(bars))
+    return Tornado(
+        model=family.name,
+        spans={parameter_of(family, name): span for name, span in spans.items()},
+        table=study(family, columns, [policy]),
+    )
 
 
 def grid(span: Range, points: int) -> list[Fraction]:
@@ -318,11 +279,7 @@ class TwoWay(Pictured):
 
     def frame(self) -> DataFrame:
         """Return one row for each point of the grid."""
-        values, points = self.table.values(), self.table.points.T.astype(float)
-        values.insert(0, "x", points[0])
-        values.insert(1, "y", points[1])
-        values.insert(2, "policy", self.policy.reshape(-1))
-        return values
+        return self.table.frame(["x", "y"]).assign(policy=self.policy.reshape(-1))
 
     def chosen(self, number: int) -> dict[str, str]:
         """Return what the policy of a number does in each state that it reaches, with a choice."""
@@ -388,16 +345,15 @@ def two_way(
     spans = ranges_of(family, [x, y], ranges, relative)
     across, along = (grid(spans[name], points) for name in (x, y))
     columns = {x: across * points, y: [at for at in along for _ in across]}
-    solver, table = study_of(family, columns, [policy])
-    mdp, taken = solver.base.mdp, [solver.weights(row) > 0 for row in table.rows]
-    actions = np.array([mdp.pair_action[each] for each in taken])
+    mdp, table = family.at({}), study(family, columns, [policy])
+    taken = [mdp.pair_action == row[mdp.pair_state] for row in table.rows]
     seen = np.array([reachable(mdp, pairs=each) & ~mdp.forced for each in taken])
-    numbers = distinct(np.where(seen, actions, -1)[table.which])[1]
+    numbers = distinct(np.where(seen, table.rows, -1)[table.which])[1]
     return TwoWay(
         mdp=mdp,
         x=across_by,
         y=along_by,
         table=table,
-        choices=actions[table.which].reshape(points, points, -1),
+        choices=table.rows[table.which].reshape(points, points, -1),
         policy=numbers.reshape(points, points),
     )

@@ -9,20 +9,19 @@ Medical Decision Making 37, 2017). What knowing all parameters before choosing w
 
 The best of all policies is hard to find (Steimle, Kaufman and Denton, IISE Transactions 53, 2021):
 the upper end of EVPI takes the best policy found, the lower end min_a E[V* - Q*(start, a)] lets all
-but the first action be chosen in full knowledge. Where reward weights alone are uncertain, and
-today's are their means, today's optimum is the best policy, and the ends are one.
+but the first action be chosen in full knowledge.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from exact_mdp.analysis.vary.base_case import digest
 from exact_mdp.analysis.vary.distributions import (
     EFFECTIVE_SAMPLE_SIZE,
     Settings,
@@ -39,16 +38,16 @@ from exact_mdp.analysis.vary.intervals import (
     tolerances_of,
     wilson,
 )
-from exact_mdp.analysis.vary.study import Draws, Study, in_blocks, solver_of
+from exact_mdp.analysis.vary.study import Draws, Study, checked, solver_of
 from exact_mdp.mdp.care.scenario import Scenario
-from exact_mdp.mdp.errors import ModelError, named_options
+from exact_mdp.mdp.errors import ModelError, known, named_options
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.parametric import Parametric, parameter_of, parametric
+from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
-from exact_mdp.mdp.table import Floats, Integers
+from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, Flags, counted, seed_of
 from exact_mdp.solvers.parallel import How, seeded
 from exact_mdp.solvers.solution import Bounded, Estimated
@@ -93,7 +92,6 @@ class PSA(Pictured):
     labels: tuple[str, ...]  # (X,) statuses at subtask 0, trial 0, else the states with a choice
     actions: tuple[str, ...]  # (A,)
     compiled: bool  # whether the batched loops of the care model did the work
-    linear: bool  # whether weights of rewards alone are drawn, of which today's are the means
 
     def __len__(self) -> int:
         return len(self.table.optimal)
@@ -143,10 +141,6 @@ class PSA(Pictured):
 
     def evpi(self) -> Information:
         """Return what knowing every drawn parameter would be worth, over all policies."""
-        if self.linear:
-            today = [candidate.name for candidate in self.candidates].index(TODAY)
-            loss = mean_loss(self.regret(today))
-            return Information(low=loss, high=loss, best=TODAY)
         best = int(self.gained.mean(axis=0).argmax())
         high, low = mean_loss(self.regret(best)), mean_loss(np.zeros(len(self)))
         lost = self.table.lost
@@ -173,7 +167,7 @@ class PSA(Pictured):
         apart = 2 * np.hypot(among.standard_error, least.standard_error)
         doubt = (MISSING,) if among.value + apart < least.value else ()
         by_group = {}
-        for label, members, columns in groups_of(self.uncertainty, groups, together=True):
+        for label, members, columns in groups_of(self.uncertainty, groups):
             each = evppi(self.gained, self.table.points[:, columns], members)
             by_group[label] = replace(each, doubts=(*each.doubts, *doubt))
         return by_group
@@ -181,26 +175,43 @@ class PSA(Pictured):
     def report(self, policy: str = "optimal") -> Report:
         """Return what the draws show; `policy` is what the policy held fixed is called."""
         partly = self.evppi() if len(self) >= FEWEST else {}
-        information, regret, optimal = self.evpi(), self.regret(), self.table.optimal
-        losses = [mean_loss(self.regret(n)) for n in range(len(self.candidates))]
-        lost, tolerances = losses[0], tolerances_of([regret])
-        accepted, least, most = self.acceptability(tolerances)
-        means = {"regret": lost, "EVPI": information.high, "EVPI's lower end": information.low}
+        information, regret, numbers = self.evpi(), self.regret(), range(len(self.candidates))
+        names = [candidate.name for candidate in self.candidates]
+        losses, tolerances = [mean_loss(self.regret(n)) for n in numbers], tolerances_of([regret])
+        accepted = [self.acceptability(tolerances, n) for n in numbers]
+        within, least, most = accepted[0]
+        means = {"regret": losses[0], "EVPI": information.high, "EVPI's lower end": information.low}
         few = [f"{name} by {m.carried:.0f}" for name, m in means.items() if m.few and m.value]
-        ends = f"{cell(information.low)} to {cell(information.high)}"
         share, low, high = self.probability_optimal()
         reach = float(np.maximum(high - share, share - low).max(initial=0.0))
+        where = "at subtask 0, trial 0; " if self.compiled else ""
         candidates = [
             {
                 "name": candidate.name,
                 "actions": candidate.actions,
                 "mean": mean_of(self.table.fixed[:, n]),
                 "expected_loss": _loss(losses[n]),
-                "probability_optimal": float(self.acceptability([0.0], n)[0][0]),
+                "probability_optimal": float(accepted[n][0][0]),  # at a tolerance of 0
                 "draws_whose_optimum_it_was": candidate.frequency,
             }
             for n, candidate in enumerate(self.candidates)
         ]
+        drawn = {
+            name: {"distribution": part.kind, "size": part.size, "mean": mean, "sd": sd}
+            for part in self.uncertainty.parts
+            for name, mean, sd in zip(part.names, part.mean, part.sd, strict=True)
+        }
+        acceptability = {
+            "policy": policy,
+            "tolerance": tolerances,
+            "probability": within,
+            "low": least,
+            "high": most,
+            "candidates": {name: each for name, (each, *_) in zip(names, accepted, strict=True)},
+        }
+        ends = {"low": _loss(information.low), "high": _loss(information.high)}
+        between = f"{cell(information.low)} to {cell(information.high)}"
+        ordered = sorted(partly.items(), key=lambda item: -item[1].regression.value)
         return Report(
             title="probabilistic sensitivity analysis",
             facts={
@@ -208,57 +219,22 @@ class PSA(Pictured):
                 "claim": "estimated",
                 "draws": Shown(len(self), f"{len(self):,}, each re-solved"),
                 "seed": self.seed,
-                "drawn": Shown(
-                    {
-                        name: {"distribution": part.kind, "size": part.size, "mean": mean, "sd": sd}
-                        for part in self.uncertainty.parts
-                        for name, mean, sd in zip(part.names, part.mean, part.sd, strict=True)
-                    },
-                    f"{len(self.names)} parameters",
-                ),
+                "drawn": Shown(drawn, f"{len(drawn)} parameters"),
                 "fixed": Shown(self.uncertainty.fixed, len(self.uncertainty.fixed) or None),
                 "clipped": self.clipped,
-                "value": Shown(
-                    _spread(optimal), f"mean {cell(self.value)}, 95 % of draws {_middle(optimal)}"
-                ),
-                "regret": Shown(
-                    _spread(regret, lost), f"mean {cell(lost)}, 95 % of draws {_middle(regret)}"
-                ),
+                "value": _spread(self.table.optimal, self.value),
+                "regret": _spread(regret, losses[0]),
                 "acceptability": Shown(
-                    {
-                        "policy": policy,
-                        "tolerance": tolerances,
-                        "probability": accepted,
-                        "low": least,
-                        "high": most,
-                        "candidates": {
-                            candidate.name: self.acceptability(tolerances, n)[0]
-                            for n, candidate in enumerate(self.candidates)
-                        },
-                    },
-                    f"the policy held is optimal in {accepted[0]:.1%} of draws",
+                    acceptability, f"the policy held is optimal in {within[0]:.1%} of draws"
                 ),
-                "evpi": Shown(information.high.value, f"{ends} (best policy: {information.best})"),
-                "evpi_bounds": Shown(
-                    {
-                        "low": _loss(information.low),
-                        "high": _loss(information.high),
-                        "best_policy": information.best,
-                    }
+                "evpi": Shown(
+                    information.high.value, f"{between} (best policy: {information.best})"
                 ),
+                "evpi_bounds": Shown(ends | {"best_policy": information.best}),
                 "evpi_of_candidates": Shown(_loss(self.evpi_of_candidates())),
                 "evppi": {name: each.regression.value for name, each in partly.items()},
                 "evppi_details": Shown(
-                    {
-                        name: {
-                            "parameters": each.names,
-                            "regression": each.regression,
-                            "lower": each.lower,
-                            "reliable": each.reliable,
-                            "doubts": each.doubts,
-                        }
-                        for name, each in partly.items()
-                    }
+                    {n: vars(each) | {"reliable": each.reliable} for n, each in partly.items()}
                 ),
                 "p_optimal": {
                     label: {
@@ -271,8 +247,7 @@ class PSA(Pictured):
             },
             tables={
                 "p_optimal": Table(
-                    title="share of draws in which an action is optimal, "
-                    f"{'at subtask 0, trial 0; ' if self.compiled else ''}"
+                    title=f"share of draws in which an action is optimal, {where}"
                     f"ends of Wilson's 95 % intervals are within {reach:.2g}",
                     rows=[
                         {"": label, **{str(n): each for n, each in enumerate(row)}}
@@ -298,13 +273,10 @@ class PSA(Pictured):
                     title="EVPPI, choosing among these policies: by regression, at most their "
                     "EVPI, and a lower estimate; ? marks what is not to be relied on",
                     rows=[
-                        {"name": name, "by": each.regression, "lower": each.lower}
-                        | {"doubt": "" if each.reliable else "?"}
-                        for name, each in sorted(
-                            partly.items(), key=lambda item: -item[1].regression.value
-                        )
+                        {"known": name, **vars(each), "": "" if each.reliable else "?"}
+                        for name, each in ordered
                     ],
-                    columns={"known": "name", "regression": "by", "lower": "lower", "": "doubt"},
+                    columns={n: n for n in ("known", "regression", "lower", "")},
                     first=LISTED,
                 ),
             },
@@ -320,32 +292,33 @@ class PSA(Pictured):
         return table
 
 
-def _loss(loss: MeanLoss) -> dict[str, Any]:
+def _loss(loss: MeanLoss) -> dict[str, object]:
     return {**plain(loss), "draws_that_carry_it": loss.carried, "few_draws": loss.few}
 
 
-def _spread(values: Floats, lost: MeanLoss | None = None) -> dict[str, Any]:
-    mean = plain(mean_of(values)) if lost is None else _loss(lost)
+def _spread(values: Floats, mean: Estimated) -> Shown:
+    """Return the mean of draws, their spread and quantiles."""
+    stated = _loss(mean) if isinstance(mean, MeanLoss) else plain(mean)
     sd = float(values.std(ddof=1)) if len(values) > 1 else float("nan")
-    return {"mean": mean.pop("value"), **mean, "sd": sd, "quantiles": quantiles(values)}
-
-
-def _middle(values: Floats) -> str:
-    low, high = (each["value"] for each in quantiles(values, (0.025, 0.975)))
-    return f"{low:.4g} to {high:.4g}"
+    every = quantiles(values)
+    middle = f"{every[0]['value']:.4g} to {every[-1]['value']:.4g}"
+    return Shown(
+        {"mean": stated.pop("value"), **stated, "sd": sd, "quantiles": every},
+        f"mean {cell(mean)}, 95 % of draws {middle}",
+    )
 
 
 def groups_of(
-    chosen: Uncertainty, groups: Mapping[str, Sequence[str]] | None, *, together: bool = False
+    chosen: Uncertainty, groups: Mapping[str, Sequence[str]] | None
 ) -> list[tuple[str, tuple[str, ...], list[int]]]:
     """Return groups of drawn parameters: label, names, and columns of the draws.
 
-    Unless given, each part alone; where `together`, also parameters whose names begin alike.
+    Unless given, each part alone, and parameters whose names begin alike together.
     """
     place = {name: column for column, name in enumerate(chosen.names)}
     if groups is None:
         alike: dict[str, list[str]] = {}
-        for part in chosen.parts if together else ():
+        for part in chosen.parts:
             start, dot, _ = part.names[0].partition(".")
             if dot and part.kind != "dirichlet":
                 alike.setdefault(f"{start}.*", []).extend(part.names)
@@ -356,49 +329,31 @@ def groups_of(
         what, fix = f"{groups!r:.60} names no groups", 'give {"label": ["name", …]}'
         raise ModelError(what, where="EVPPI", fix=fix)
     for label, members in groups.items():
-        unknown = [name for name in members if name not in place]
-        if unknown:
-            raise ModelError(
-                f"{unknown[0]!r} is not drawn",
-                where=f"EVPPI of {label}",
-                fix="name parameters that are drawn",
-            )
+        for name in members:
+            known(name, place, "drawn parameter", f"EVPPI of {label}")
     return [(label, tuple(m), [place[name] for name in m]) for label, m in groups.items()]
 
 
-def uncertain_of(
-    family: Parametric,
-    uncertain: Uncertainty | Mapping[str, Settings] | DataFrame | None,
-    default: float = EFFECTIVE_SAMPLE_SIZE,
-) -> Uncertainty:
-    """Return what is drawn of a family; raises ModelError where that is nothing."""
-    if not isinstance(uncertain, Uncertainty):
-        uncertain = uncertainty(family, uncertain, default=default)
-    for name in uncertain.names:
-        parameter_of(family, name)
-    if not uncertain.parts:
+def drawn(family: Parametric, chosen: Uncertainty, n: int | None, seed: int, block: int) -> Floats:
+    """Return (n, Q) draws, each block from a stream of its own, or rows of one's own sample."""
+    if not chosen.parts:
         raise ModelError(
             "no parameter is uncertain",
             where=place_of(family),
             fix="state what is drawn; for the base case give today's values as a table of one "
             "row: uncertain=pandas.DataFrame([{NAME: number}])",
         )
-    return uncertain
-
-
-def drawn(chosen: Uncertainty, n: int | None, seed: int, block: int) -> list[Floats]:
-    """Return n draws in blocks, each from a stream of its own, or rows of one's own sample."""
     sample = chosen.sample
     n = counted(len(sample) if n is None and sample is not None else n, "n")
-    if sample is None:
-        return [chosen.draw(stream, count) for stream, count in seeded(seed, n, block)[0]]
-    if n > len(sample):
+    if sample is not None and n > len(sample):
         raise ModelError(
             f"{n:,} draws of a sample of {len(sample):,}",
             where="n",
             fix=f"ask for {len(sample):,} or fewer",
         )
-    return in_blocks(sample[:n], block)
+    if sample is None:
+        sample = np.concatenate([chosen.draw(*each) for each in seeded(seed, n, block)])
+    return checked(family, dict(zip(chosen.names, sample[:n].T, strict=True)))
 
 
 @named_options
@@ -447,20 +402,16 @@ def psa(
     (200, 'non-directive')
     """
     family = parametric(model)
-    chosen, seed = uncertain_of(family, uncertain, effective_sample_size), seed_of(rng)
+    seed = seed_of(rng)
+    chosen = uncertainty(family, uncertain, default=effective_sample_size)
     solver = solver_of(family, chosen.names)
-    blocks = drawn(chosen, n, seed, solver.block)
+    points = drawn(family, chosen, n, seed, solver.block)
     today, fixed_policy = solver.base.held("optimal"), solver.base.held(policy)
     same = np.array_equal(fixed_policy, today)
     given = [(TODAY, today)] if same else [(HELD, fixed_policy), (TODAY, today)]
-    own = chosen.sample
-    key = {
-        "seed": seed,
-        "drawn": [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
-        if own is None
-        else sha256(np.ascontiguousarray(own).tobytes()).hexdigest(),
-    }
-    draws = Draws(solver, blocks, solver.block, key, how)
+    own = [[*part.names, part.kind, *part.numbers] for part in chosen.parts]
+    key = {"seed": seed, "drawn": own if chosen.sample is None else digest(chosen.sample)}
+    draws = Draws(solver, points, solver.block, key, how)
     table = draws.with_policies(draws.study(()), [weights for _, weights in given])
     picked, table = _selected(draws, table, given)
     counts = np.bincount(table.which, minlength=len(table.rows))
@@ -474,20 +425,14 @@ def psa(
             Candidate(
                 name=name,
                 weights=weights,
-                frequency=int(counts[_alike(table, solver.row(weights))].sum()),
-                actions=solver.shown(weights),
+                frequency=int(counts[_alike(draws, table, weights)].sum()),
+                actions=solver.base.shown(weights),
             )
             for name, weights in picked
         ),
-        labels=solver.labels,
-        actions=solver.actions,
+        labels=solver.base.labels,
+        actions=solver.base.mdp.actions[: table.counts.shape[1]],
         compiled=solver.compiled,
-        linear=solver.compiled
-        and all(
-            name.startswith("reward.") and mean == float(parameter_of(family, name).value)
-            for part in chosen.parts
-            for name, mean in zip(part.names, part.mean, strict=True)
-        ),
     )
 
 
@@ -511,12 +456,12 @@ def _selected(
 
     left = to_be_won()
     by_loss = np.bincount(which, weights=left, minlength=len(rows))
-    known = np.any([_alike(table, draws.solver.row(weights)) for _, weights in given], axis=0)
+    known = np.any([_alike(draws, table, weights) for _, weights in given], axis=0)
     pool = np.argsort(-by_loss, kind="stable")[:POOL]
     pool = pool[(by_loss[pool] > 0) & ~known[pool]]
     if not len(pool):
         return picked, table
-    others = [draws.solver.weights(row) for row in rows[pool]]
+    others = [draws.solver.base.taken(row) for row in rows[pool]]
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: draws.solver.pool])
     values = sign * draws.solver.values(table.points[some], others)["value"]
     for count in range(1, CANDIDATES + 1):
@@ -532,6 +477,6 @@ def _selected(
     return picked, table
 
 
-def _alike(table: Study, row: Integers | None) -> Flags:
-    """Return which of the optimal policies (U,) a row is."""
-    return np.zeros(len(table.rows), dtype=bool) if row is None else (table.rows == row).all(axis=1)
+def _alike(draws: Draws, table: Study, weights: Floats) -> Flags:
+    """Return which of the optimal policies (U,) a policy is."""
+    return np.asarray((table.rows == draws.solver.base.row(weights)).all(axis=1))

@@ -22,9 +22,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from exact_mdp.analysis.vary.base_case import actions_of, finite_optimum, finite_worth
+from exact_mdp.analysis.vary.base_case import actions_of, finite_worth
 from exact_mdp.analysis.vary.ranges import spans_of
-from exact_mdp.analysis.vary.study import solver_of
+from exact_mdp.analysis.vary.study import solver_of, study
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
 from exact_mdp.mdp.errors import ModelError, known, listed, named_options
 from exact_mdp.mdp.graph import reachable
@@ -162,23 +162,11 @@ class RobustCurve(Pictured):
         return f"RobustCurve({len(self.points)} radii of {self.kind}, {ends})"
 
     def frame(self) -> DataFrame:
-        """Return values at the start (reward), one row for each radius."""
-        return data_frame(
-            [
-                {
-                    "set": self.kind,
-                    "radius": radius,
-                    "nominal policy, nominal (reward)": each.value.value,
-                    "nominal policy, worst (reward)": each.worst.value,
-                    "robust policy, nominal (reward)": each.robust_value.value,
-                    "robust policy, worst (reward)": each.robust.start.value,
-                    "price of robustness (reward)": each.price.value,
-                    "worst-case gain (reward)": each.gain.value,
-                    "states changed": len(each.changed),
-                }
-                for radius, each in self.points
-            ]
-        )
+        """Return values at the start (reward), one row for each radius, policy and law."""
+        import pandas
+
+        every = [each.frame().assign(set=self.kind, radius=radius) for radius, each in self.points]
+        return pandas.concat(every, ignore_index=True)
 
 
 SETS: MappingProxyType[str, Callable[[MDP, object], Ambiguity]] = MappingProxyType(
@@ -403,10 +391,5 @@ def worst_point(
         parameter.name: span.high if end else span.low
         for (parameter, span), end in zip(spans.items(), corner.tolist(), strict=True)
     }
-    there = family.at(point)
-    return WorstPoint(
-        point=point,
-        value=finite_worth(there, fixed, "at the worst point found"),
-        optimum=finite_optimum(there, "at the worst point found").start,
-        corners=corners,
-    )
+    optimum, value = study(family, {name: [at] for name, at in point.items()}, [fixed]).bounded(0)
+    return WorstPoint(point=point, value=value, optimum=optimum, corners=corners)

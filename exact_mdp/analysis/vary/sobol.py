@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.random import default_rng
@@ -106,14 +106,7 @@ class Sobol(Pictured):
 
     def report(self) -> Report:
         """Return the indices of the optimum's value and of the policy's regret."""
-        more = np.zeros(len(self.names), dtype=bool)
-        for each in (self.optimal, self.regret):
-            over = each.first - each.total
-            more |= (over > 0) & (over <= each.first_half + each.total_half)
-        notes = [
-            f"for {more.sum()} of {len(more)} the first order is above the total, within the "
-            "intervals: noise of the estimates; more --samples help"
-        ] * bool(more.any())
+        lost = self.regret
         return Report(
             title="Sobol indices",
             facts={
@@ -125,12 +118,12 @@ class Sobol(Pictured):
                     {p.name: [float(r.low), float(r.high)] for p, r in self.spans.items()}
                 ),
                 "samples": self.n,
-                **{k: Shown(v) for k, v in self._numbers(self.optimal).items()},
                 "mean": self.optimal.mean,
                 "sd": self.optimal.sd,
+                **{name: Shown(shares) for name, shares in self._shares(self.optimal).items()},
                 "regret": Shown(
-                    self._numbers(self.regret),
-                    f"mean {number(self.regret.mean)}, sd {self.regret.sd:.4g}",
+                    {"mean": lost.mean, "sd": lost.sd, **self._shares(lost)},
+                    f"mean {number(lost.mean)}, sd {lost.sd:.4g}",
                 ),
             },
             tables={
@@ -141,20 +134,17 @@ class Sobol(Pictured):
                 )
                 for name, what in TITLES.items()
             },
-            notes=notes,
         )
 
-    def _numbers(self, each: Indices) -> dict[str, Any]:
-        """Return an output's mean and spread, and each parameter's indices with intervals."""
-        numbers: dict[str, Any] = {"mean": each.mean, "sd": each.sd}
-        for key, index, half in (
-            ("first_order", each.first, each.first_half),
-            ("total", each.total, each.total_half),
-        ):
-            ends = np.stack([index - half, index + half], axis=1).tolist()
-            numbers[key] = dict(zip(self.names, index.tolist(), strict=True))
-            numbers[f"{key}_interval"] = dict(zip(self.names, ends, strict=True))
-        return numbers
+    def _shares(self, each: Indices) -> dict[str, dict[str, object]]:
+        """Return each parameter's indices of an output, and their intervals."""
+        first, total = (each.first, each.first_half), (each.total, each.total_half)
+        shares = {}
+        for key, (index, half) in {"first_order": first, "total": total}.items():
+            ends = np.stack([index - half, index + half], axis=1)
+            shares[key] = dict(zip(self.names, index, strict=True))
+            shares[f"{key}_interval"] = dict(zip(self.names, ends, strict=True))
+        return shares
 
     def frame(self, output: str = "optimal") -> DataFrame:
         """Return one row for each parameter, the largest total index of an output first."""

@@ -10,11 +10,10 @@ size, so that any number of workers gives the same bytes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property, partial
-from hashlib import sha256
+from functools import partial
 from math import inf
 from typing import Any, TypeAlias, Unpack
 
@@ -22,7 +21,7 @@ import numpy as np
 
 from exact_mdp.analysis.vary.base_case import BaseCase, digest, finite_optimum, finite_worth
 from exact_mdp.mdp.care.scenario import Scenario, ScenarioFamily
-from exact_mdp.mdp.errors import ModelError, listed
+from exact_mdp.mdp.errors import ModelError, listed, located
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.forms.numbers import float_array
 from exact_mdp.mdp.model import MDP
@@ -33,14 +32,13 @@ from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats, Integers, Numbers, exact
 from exact_mdp.solvers.batch import Batch
 from exact_mdp.solvers.bounds.gains import gains
-from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, cut_off, optimal, policy_values
+from exact_mdp.solvers.care import MOST_ACTIONS, MOST_STATUSES, optimal, policy_values
 from exact_mdp.solvers.parallel import Arrays, How, folder_of, joined, many
-from exact_mdp.solvers.solution import Solution, regrets
+from exact_mdp.solvers.solution import Bounded, Solution, regrets
 from exact_mdp.solvers.values.evaluate import evaluate
 
 SHOWN = 3  # parameters of a point that an error names
 KEPT = 2**24  # numbers of built models that are kept for the next question
-ROOM = 2**21  # numbers that are worked on at once
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -53,7 +51,7 @@ class Study(Result):
     fixed: Floats  # (D, N) each policy held fixed
     error: Floats  # (D, N + 1) bounds on the errors of `optimal`, and of each policy's value
     sign: int  # -1 where values are costs, of which the least is best
-    rows: Integers  # (U, G) the optimal policies that were found, as the solver writes them
+    rows: Integers  # (U, S) the optimal policies that were found, as action numbers
     which: Integers  # (D,) that of each point
     counts: Integers  # (X, A) points in which an action is optimal up to rounding, by label
     lost: Floats  # (D, A) cost of each first action, NaN if not offered; (D, 0): several starts
@@ -70,22 +68,27 @@ class Study(Result):
         error = self.error[:, :1] + self.error[:, 1:]
         return regrets(self.optimal[:, None], self.fixed, error, self.sign)
 
-    def values(self) -> DataFrame:
-        """Return one row for each point: the optimum, each policy and its regret (reward)."""
+    def bounded(self, row: int) -> tuple[Bounded, Bounded]:
+        """Return the optimum and the value of the first policy at a point."""
+        off, own_off = self.error[row, :2].tolist()
+        fixed = Bounded(value=float(self.fixed[row, 0]), error=own_off)
+        return Bounded(value=float(self.optimal[row]), error=off), fixed
+
+    def frame(self, names: Sequence[str] | None = None) -> DataFrame:
+        """Return one row for each point: its parameters, the optimum, each policy and its regret.
+
+        `names` are other ones of the parameters.
+        """
         table = data_frame({"value": self.optimal})
         for number, (fixed, regret) in enumerate(zip(self.fixed.T, self.regret.T, strict=True)):
             end = f"_{number}" * (len(self.fixed.T) > 1)
             table[[f"fixed_value{end}", f"regret{end}"]] = np.column_stack([fixed, regret])
         table["error_bound"] = self.error[:, 0] + self.error[:, 1:].max(axis=1, initial=0.0)
         table["claim"] = "bounded"
+        for place, name in enumerate(self.names if names is None else names):
+            column = self.points[:, place].astype(float)
+            table.insert(place, name, column, allow_duplicates=True)
         return table
-
-    def frame(self) -> DataFrame:
-        """Return one row for each point: its parameters, and what `values` says of it."""
-        import pandas
-
-        points = data_frame(self.points.astype(float), columns=list(self.names))
-        return pandas.concat([points, self.values()], axis=1)
 
 
 def study(
@@ -123,60 +126,38 @@ def study(
     >>> table.optimal.round(9).tolist(), table.regret.tolist()
     ([2.0, 4.0], [[0.0], [0.0]])
     """
-    return study_of(parametric(model), points, policies, **how)[1]
-
-
-def study_of(
-    family: Parametric,
-    points: Mapping[str, Sequence[object]] | DataFrame,
-    policies: Sequence[PolicyLike],
-    **how: Unpack[How],
-) -> tuple[DrawSolver, Study]:
-    """Return the study of a family, and the solver that it comes from."""
     if not isinstance(points, Mapping) and not hasattr(points, "columns"):
         fix = "give {name: numbers}, or a pandas.DataFrame"
         raise ModelError(f"{points!r:.60} is no table of points", where="points", fix=fix)
-    names = tuple(points)
-    table, draws = _checked(family, {name: _column(points[name]) for name in names})
+    family, names = parametric(model), tuple(points)
+    table = checked(family, points)
     solver = solver_of(family, names)
     weights = [solver.base.held(policy) for policy in listed(policies, "policies")]
-    size = max(1, solver.block // 2)
     key = {
         "parameters": list(names),
-        "draws": sha256(np.ascontiguousarray(draws, dtype="<f8").tobytes()).hexdigest(),
+        "draws": digest(table),
         "policies": [digest(weight) for weight in weights],
     }
-    return solver, Draws(solver, in_blocks(table, size), size, key, how).study(weights)
+    return Draws(solver, table, max(1, solver.block // 2), key, how).study(weights)
 
 
-def in_blocks(points: Numbers, size: int) -> list[Numbers]:
-    """Return points (D, P) in blocks of a size, of which the last may be smaller."""
-    return [points[at : at + size] for at in range(0, len(points), size)]
-
-
-def _column(numbers: Any) -> Numbers:
-    """Return numbers as an array: of floats where all are, else as each of them was given."""
-    column = np.asarray(numbers)
-    return column if column.dtype.kind == "f" else np.array(listed(numbers, "points"), dtype=object)
-
-
-def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers, Floats]:
-    """Return points (D, P), checked, as they are and as floats."""
+def checked(model: Parametric, given: Mapping[str, Any] | DataFrame) -> Numbers:
+    """Return points (D, P), checked; they are fractions where not all numbers are floats."""
+    columns = {name: np.asarray(given[name]) for name in given}
     shapes = {column.shape for column in columns.values()}
-    if len(shapes) != 1 or len(*shapes) != 1:
+    if len(shapes) != 1 or len(*shapes) != 1 or (0,) in shapes:
         raise ModelError(
             f"columns of shape {', '.join(map(str, sorted(shapes))) or 'none'}",
             where="points",
-            fix="give one number for each point and parameter",
+            fix="give one number for each point and parameter, at least one point",
         )
-    floats = all(column.dtype.kind == "f" for column in columns.values())
-    points = np.column_stack([c if floats else c.astype(object) for c in columns.values()])
-    if not len(points):
-        raise ModelError("no points", where="points", fix="give at least one")
-    if not floats:
-        points = np.array([[exact(number, "points") for number in row] for row in points.tolist()])
-    draws = float_array(points, "points")
-    for name, drawn in zip(columns, draws.T, strict=True):
+    if not all(column.dtype.kind == "f" for column in columns.values()):
+        columns = {
+            name: np.array([exact(number, f"parameter {name}") for number in given[name]])
+            for name in columns
+        }
+    points = np.column_stack([*columns.values()])
+    for name, drawn in zip(columns, float_array(points, "points").T, strict=True):
         parameter = parameter_of(model, name)
         low = -inf if parameter.low is None else float(parameter.low)
         high = inf if parameter.high is None else float(parameter.high)
@@ -187,35 +168,32 @@ def _checked(model: Parametric, columns: Mapping[str, Numbers]) -> tuple[Numbers
             raise ModelError(
                 f"{name} is {drawn[row]:.17g}, {fault}",
                 where=f"draw {row}",
-                fix="draw finite numbers within its range",
+                fix="draw finite numbers within its range: beta stays between 0 and 1, gamma and "
+                "lognormal above 0",
             )
-    return points, draws
+    return points
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Points in blocks of a size, of which the last may be smaller, and where they are worked on.
-
-    `key` tells these draws from others in a folder.
-    """
+    """Points (D, P), worked on in blocks of a size; `key` tells them from others in a folder."""
 
     solver: DrawSolver
-    blocks: Sequence[Numbers]
+    points: Numbers
     size: int
     key: Mapping[str, object]
     how: How
 
     def study(self, policies: Sequence[Floats]) -> Study:
         """Return the study of the points and policies."""
-        solver, points = self.solver, np.concatenate(self.blocks)
-        if not solver.compiled:  # the largest numbers of all are looked at
-            self._tell(points.max(axis=0), ", in draws")
+        solver, points = self.solver, self.points
         done = self._run("draws", partial(_block, solver, policies), {})
         whole = joined(done, ("start", "start_error", "value", "error", "lost", "cut"))
-        if count := int(whole["cut"].sum()):
+        if isinstance(solver, CareSolver) and (count := int(whole["cut"].sum())):
             first = int(whole["cut"].argmax())
+            values = dict(zip(solver.names, points[first].tolist(), strict=True))
             where = f", {count} of {len(points)} draws, the first of them draw {first}"
-            self._tell(points[first], where)
+            solver.model.tell(values, where=where)  # workers keep silent
         rows, places = distinct(np.concatenate([block["rows"] for block in done]))
         begins = np.cumsum([0, *(len(block["rows"]) for block in done[:-1])])
         own = [at + block["which"] for at, block in zip(begins, done, strict=True)]
@@ -233,12 +211,6 @@ class Draws:
             cut=whole["cut"],
         )
 
-    def _tell(self, row: Numbers, where: str) -> None:
-        """Warn once of the chances of a scenario that are cut off at 1; workers keep silent."""
-        if isinstance(self.solver.model, ScenarioFamily) and not self.solver.model.asks:
-            values = dict(zip(self.solver.names, row.tolist(), strict=True))
-            self.solver.model.tell(values, where=where)
-
     def with_policies(self, table: Study, policies: Sequence[Floats]) -> Study:
         """Return the study with the values of more policies."""
         mark, work = digest(*policies), partial(_held, self.solver, policies)
@@ -251,25 +223,24 @@ class Draws:
     ) -> list[Arrays]:
         """Do all blocks: compiled loops in threads, other models in processes.
 
-        In a folder a smaller last one stands apart, so that larger samples can use the whole ones.
+        In a folder each has its size in its name, so that larger samples can use the whole ones.
         """
-        how: dict[str, Any] = {**self.how, "what": what, "threads": self.solver.compiled}
-        pieces = [(at * self.size, draws) for at, draws in enumerate(self.blocks)]
-        if how.get("folder") is None:
-            return many(work, pieces, key={}, **how)
-        how |= {"folder": folder_of(how["folder"]) / what, "key": {**self.record, **more}}
-        full = sum(len(draws) == self.size for draws in self.blocks)
-        last = ("work.json", f"last-{full}-{len(self.blocks[-1])}-")
-        done = many(work, pieces[:full], **how)
-        return done + many(work, pieces[full:], files=last, **how)
-
-    @cached_property
-    def record(self) -> dict[str, object]:
-        """What tells the draws from others; their models may be the same today alone."""
-        solver = self.solver
-        first = next(models(solver.model, solver.names, self.blocks[0][:1], 0))
-        marks = {"model": fingerprint(solver.base.mdp), "first_draw": fingerprint(first)}
-        return {**marks, "compiled": solver.compiled, "block": self.size, **self.key}
+        solver, first = self.solver, range(0, len(self.points), self.size)
+        pieces = [(at, self.points[at : at + self.size]) for at in first]
+        how: dict[str, Any] = {**self.how, "what": what, "threads": solver.compiled, "key": {}}
+        if how.get("folder") is not None:
+            start = solver.model.at(dict(zip(solver.names, self.points[0].tolist(), strict=True)))
+            how["folder"] = folder_of(how["folder"]) / what
+            how["key"] = {
+                "model": fingerprint(solver.base.mdp),
+                "first_draw": fingerprint(start),  # models may be the same today alone
+                "compiled": solver.compiled,
+                "block": self.size,
+                **self.key,
+                **more,
+            }
+        names = [f"{at:08d}-{len(points)}" for at, points in pieces]
+        return many(work, pieces, names=names, **how)
 
 
 def _block(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numbers]) -> Arrays:
@@ -286,44 +257,13 @@ def _held(solver: DrawSolver, policies: Sequence[Floats], piece: tuple[int, Numb
 # ---- models that are built -----------------------------------------------------------------------
 
 
-def models(
-    model: Parametric, names: Sequence[str], draws: Numbers, first: int | None = None
-) -> Iterator[MDP]:
-    """Yield each draw's model; an error names the draw, counted from `first`."""
-    for d, row in enumerate(draws.tolist()):
-        try:
-            yield model.at(dict(zip(names, row, strict=True)))
-        except ModelError as error:
-            if first is None:
-                raise
-            raise ModelError(
-                error.what,
-                where=f"draw {first + d}, {_moved(model, names, row)}: {error.where}",
-                fix="give distributions or ranges without such values (lognormal and gamma stay "
-                f"above 0, beta between 0 and 1); else {error.fix}",
-            ) from error
-
-
-def _moved(model: Parametric, names: Sequence[str], row: Sequence[object]) -> str:
-    """Return the parameters of a point in words, the first few of many that are moved."""
-    today = {parameter.name: parameter.value for parameter in model.parameters}
-    moved = [
-        f"{name} = {x if isinstance(x, Fraction) else f'{x:g}'}"
-        for name, x in zip(names, row, strict=True)
-        if x != today[name]
-    ]
-    return ", ".join(moved[:SHOWN]) + ", …" * (len(moved) > SHOWN) or "today's parameters"
-
-
-class _Part:
+class _Built:
     """Models of some draws, worked on all at once where they can be, else one by one."""
 
     def __init__(self, models: list[MDP], at: Callable[[int], str]) -> None:
         self.models, self.at = models, at  # where a model is, in words, by its number
-        batch = Batch.of(models)
-        self.batch = None if batch is None or batch.weights is None else batch
+        self.batch, self.sign = Batch.of(models), models[0].sign
         self.size = KEPT if self.batch is None else self.batch.rows.size  # numbers that are held
-        self.sign = models[0].sign
 
     def optimum(self) -> tuple[Floats, Floats, Floats, Floats, Integers]:
         """Return start and error (D,), gap and doubt (D, L), and the actions (D, S)."""
@@ -356,12 +296,14 @@ class _Part:
         every = [finite_worth(mdp, weights, self.at(d)) for d, mdp in enumerate(self.models)]
         return np.array([x.value for x in every]), np.array([x.error for x in every])
 
-    def totals(self, weights: Floats) -> Floats:
-        """Return (D, C) the expected totals of the components under a policy (L,)."""
-        if self.batch is not None:
-            return self.batch.totals(weights)
-        every = (evaluate(mdp, weights).components.values() for mdp in self.models)
-        return np.array([[*each] for each in every])
+    def totals(self, weights: Floats, names: Sequence[str]) -> Floats:
+        """Return (D, C) the expected totals of some components under a policy (L,)."""
+        if self.batch is None:
+            every = (evaluate(mdp, weights).components for mdp in self.models)
+            return np.array([[each[name] for name in names] for each in every])
+        columns = [self.models[0].component_names.index(name) for name in names]
+        amounts = np.stack([mdp.components[:, columns] for mdp in self.models])
+        return self.batch.totals(weights, amounts)
 
 
 def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
@@ -370,16 +312,11 @@ def lost_by(mdp: MDP, solution: Solution) -> tuple[Floats, Floats]:
     States may be worth ±∞, though the start is not: a pair that leads to -∞ is worth that, else one
     that leads to +∞ that; it loses nothing where its state is worth the same.
     """
-    value, here = solution.value, mdp.pair_state
-    far = np.isinf(value)
-    known = np.where(far, 0.0, value)
-    gap = mdp.sign * (known[here] - mdp.backup(known))
-    if far.any():
-        ahead = np.zeros(mdp.n_pairs)
-        for sign in (inf, -inf):
-            ahead[mdp.transition @ (value == sign).astype(float) > 0] = sign
-        off = far[here] | np.isinf(ahead)
-        gap[off] = np.where(value[here] == ahead, 0.0, inf)[off]
+    here, ahead = solution.value[mdp.pair_state], mdp.backup(solution.value)
+    ahead[np.isnan(ahead)] = -inf
+    with np.errstate(invalid="ignore"):
+        gap = np.where(here == ahead, 0.0, mdp.sign * (here - ahead))
+    known = np.where(np.isinf(solution.value), 0.0, solution.value)
     return gap, gains(mdp, known).noise
 
 
@@ -396,38 +333,43 @@ class ModelSolver:
     def __init__(self, model: Parametric, names: Sequence[str]) -> None:
         self.model, self.names = model, tuple(names)
         mdp = model.at({})
-        self.base, self.actions = BaseCase(mdp=mdp), mdp.actions
-        self.choosing = np.flatnonzero(~mdp.forced)
-        self.labels = tuple(mdp.space.labels(self.choosing))
-        self.built: dict[str, list[_Part]] = {}
+        labels = tuple(mdp.space.labels(np.flatnonzero(~mdp.forced)))
+        place = np.where(mdp.forced, -1, np.cumsum(~mdp.forced) - 1)
+        self.base = BaseCase(mdp=mdp, labels=labels, place=place)
+        self.built: dict[str, _Built] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"built": {}}
 
-    def parts(self, draws: Numbers, first: int | None) -> Iterator[_Part]:
-        """Yield the models of draws; what was built of these draws before is used again."""
+    def _of(self, draws: Numbers, first: int) -> _Built:
+        """Return the models of draws; what was built of these draws before is used again."""
         key = repr(draws.tolist())
-        if key in self.built:
-            yield from self.built[key]
-            return
-        size = max(1, ROOM // (self.base.mdp.n_pairs * self.base.mdp.n_states))
-        made: list[_Part] = []
-        for at in range(0, len(draws), size):
-            some, start = draws[at : at + size], None if first is None else first + at
-            built = [*models(self.model, self.names, some, start)]
-            made.append(_Part(built, partial(self._at, some, start)))
-            yield made[-1]
-        if sum(part.size for parts in (made, *self.built.values()) for part in parts) <= KEPT:
+        if key not in self.built:
+            models, at = [], partial(self._where, draws, first)
+            for d, row in enumerate(draws.tolist()):
+                with located(at(d)):
+                    models.append(self.model.at(dict(zip(self.names, row, strict=True))))
+            made = _Built(models, at)
+            if sum(each.size for each in (made, *self.built.values())) > KEPT:
+                return made
             self.built[key] = made
+        return self.built[key]
 
-    def _at(self, draws: Numbers, first: int | None, d: int) -> str:
-        words = _moved(self.model, self.names, draws[d].tolist())
-        return words if first is None or len(self.names) <= SHOWN else f"draw {first + d}, {words}"
+    def _where(self, draws: Numbers, first: int, d: int) -> str:
+        """Return the number of a draw and the parameters that it moves, the first few of many."""
+        today = {parameter.name: parameter.value for parameter in self.model.parameters}
+        moved = [
+            f"{name} = {x if isinstance(x, Fraction) else f'{x:g}'}"
+            for name, x in zip(self.names, draws[d].tolist(), strict=True)
+            if x != today[name]
+        ]
+        words = ", ".join(moved[:SHOWN]) + ", …" * (len(moved) > SHOWN)
+        return f"draw {first + d}, " + (words or "today's parameters")
 
-    def solved(self, draws: Numbers, first: int | None = None) -> Arrays:
+    def solved(self, draws: Numbers, first: int = 0) -> Arrays:
         """Return the optima of (D, Q) draws: start, start_error (D,), and others as in `Study`."""
-        mdp, optima = self.base.mdp, [part.optimum() for part in self.parts(draws, first)]
-        start, error, gap, doubt, policies = map(np.concatenate, zip(*optima, strict=True))
+        mdp = self.base.mdp
+        start, error, gap, doubt, policies = self._of(draws, first).optimum()
         rows, which = distinct(policies.astype(np.int32))
         counts = np.zeros((mdp.n_states, mdp.n_actions), dtype=np.int64)
         counts[mdp.pair_state, mdp.pair_action] = (gap <= doubt).sum(axis=0)
@@ -441,37 +383,31 @@ class ModelSolver:
             "start_error": error,
             "rows": rows,
             "which": which,
-            "counts": counts[self.choosing],
+            "counts": counts[~mdp.forced],
             "lost": lost,
             "cut": np.zeros(len(draws), dtype=bool),
         }
 
-    def values(
-        self, draws: Numbers, policies: Sequence[Floats], first: int | None = None
-    ) -> Arrays:
+    def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies, each (L,) probabilities of pairs."""
-        parts = self.parts(draws, first)
-        every = [[part.held(weights) for weights in policies] for part in parts]
-        value, error = np.concatenate(every, axis=2).swapaxes(0, 1)
+        built = self._of(draws, first)
+        value, error = np.array([built.held(weights) for weights in policies]).swapaxes(0, 1)
         return {"value": value.T, "error": error.T}
 
     def totals(
         self, draws: Numbers, policies: Sequence[Floats], components: Sequence[str], first: int
     ) -> Floats:
         """Return (D, N, C) expected totals of some components of the reward under N policies."""
-        known = self.base.mdp.component_names
-        every = list[Floats]()
-        for part in self.parts(draws, first):
-            of = part.models[0].component_names
-            if of != known:
+        known, built = self.base.mdp.component_names, self._of(draws, first)
+        for d, mdp in enumerate(built.models):
+            if mdp.component_names != known:
                 raise ModelError(
-                    f"the model's components are {', '.join(of)} there, and "
+                    f"the model's components are {', '.join(mdp.component_names)} there, and "
                     f"{', '.join(known)} today",
-                    where=f"draw {first + sum(map(len, every))}",
+                    where=f"draw {first + d}",
                     fix="make the model by a function that gives its components: Family(build=…)",
                 )
-            every.append(np.stack([part.totals(weights) for weights in policies], axis=1))
-        totals = np.concatenate(every)[:, :, [known.index(name) for name in components]]
+        totals = np.stack([built.totals(weights, components) for weights in policies], axis=1)
         if not np.isfinite(totals).all():
             raise ModelError(
                 "a total is infinite",
@@ -479,23 +415,6 @@ class ModelSolver:
                 fix="give a discount below 1, or a number of steps (mdp.within(100))",
             )
         return totals
-
-    def weights(self, row: Integers) -> Floats:
-        """Return (L,) probabilities of pairs from a row of `solved`."""
-        return self.base.taken(row)
-
-    def row(self, weights: Floats) -> Integers | None:
-        """Return the row of `solved` with probabilities of pairs (L,); None where they mix."""
-        sure = np.flatnonzero(weights == 1)
-        return self.base.mdp.pair_action[sure] if len(sure) == self.base.mdp.n_states else None
-
-    def shown(self, weights: Floats) -> dict[str, str] | None:
-        """Return the action at each label, where the policy says one and the same there."""
-        row = self.row(weights)
-        if row is None:
-            return None
-        chosen = [self.actions[action] for action in row[self.choosing].tolist()]
-        return dict(zip(self.labels, chosen, strict=True))
 
 
 class CareSolver:
@@ -505,21 +424,21 @@ class CareSolver:
     compiled = True
 
     def __init__(self, model: ScenarioFamily, names: Sequence[str]) -> None:
-        self.model: Parametric = model
-        self.names, self.scenario = tuple(names), model.scenario
-        self.base = BaseCase(mdp=model.at({}))
-        count = len(self.scenario.statuses)
-        self.actions = self.scenario.actions
-        self.labels = tuple(f"{number:0{count}b}" for number in range(2**count))
-        self.sizes = tuple(column.size for column in self.base.mdp.space.columns)
-        flags = self.sizes[2] if len(self.sizes) == 4 else 1
-        self.shape = (self.sizes[0], self.scenario.trials, flags, 2**count)
+        self.model, self.names, self.scenario = model, tuple(names), model.scenario
+        mdp, statuses = model.at({}), len(model.scenario.statuses)
+        # A last trial in which a skip is the only action is not a trial of the loops.
+        self.tried = mdp.space.values("trial") < model.scenario.trials
+        self.tried &= np.arange(mdp.n_states) < mdp.space.regular
+        labels = tuple(f"{number:0{statuses}b}" for number in range(2**statuses))
+        place = np.where(self.tried, np.arange(mdp.n_states) % len(labels), -1)
+        self.base = BaseCase(mdp=mdp, labels=labels, place=place)
 
-    def solved(self, draws: Numbers, first: int | None = None) -> Arrays:
+    def solved(self, draws: Numbers, first: int = 0) -> Arrays:
         """Return the optima of (D, Q) draws; see `ModelSolver.solved`."""
-        draws = draws.astype(float)
-        optima = optimal(self.scenario, self.names, draws)
-        rows, which = distinct(optima.actions.reshape(len(draws), -1))
+        mdp, optima = self.base.mdp, optimal(self.scenario, self.names, draws.astype(float))
+        taken, which = distinct(optima.actions.reshape(len(draws), -1))
+        rows = np.tile(mdp.pair_action[mdp.pair_offsets[:-1]].astype(np.int32), (len(taken), 1))
+        rows[:, self.tried] = taken
         return {
             "start": optima.start,
             "start_error": optima.error,
@@ -527,50 +446,16 @@ class CareSolver:
             "lost": optima.gaps[:, 0],
             "rows": rows,
             "which": which,
-            "cut": cut_off(self.scenario, self.names, draws),
+            "cut": optima.cut,
         }
 
-    def values(
-        self, draws: Numbers, policies: Sequence[Floats], first: int | None = None
-    ) -> Arrays:
+    def values(self, draws: Numbers, policies: Sequence[Floats], first: int = 0) -> Arrays:
         """Return value (D, N) and error (D, N) of N policies; see `ModelSolver.values`."""
-        tables = np.stack([self.by_state(weights) for weights in policies])
-        value, error = policy_values(self.scenario, self.names, draws.astype(float), tables)
+        mdp, actions = self.base.mdp, len(self.scenario.actions)
+        tables = [MDP.by_action(mdp, weights, 0.0)[self.tried, :actions] for weights in policies]
+        stages = np.stack(tables).reshape(len(tables), -1, len(self.base.labels), actions)
+        value, error = policy_values(self.scenario, self.names, draws.astype(float), stages)
         return {"value": value, "error": np.repeat(error[:, None], len(tables), axis=1)}
-
-    def weights(self, row: Integers) -> Floats:
-        """Return (L,) probabilities of pairs from a row of `solved`."""
-        mdp = self.base.mdp
-        whole = np.zeros((self.shape[0], self.sizes[1], *self.shape[2:]), dtype=np.int64)
-        whole[:, : self.shape[1]] = np.reshape(row, self.shape)
-        choice = np.append(whole.reshape(-1), np.zeros(mdp.n_states - whole.size, dtype=np.int64))
-        return self.base.taken(choice)
-
-    def row(self, weights: Floats) -> Integers | None:
-        """Return the row of `solved` with probabilities of pairs (L,); None where they mix."""
-        table = self.by_state(weights)
-        return table.argmax(axis=-1).reshape(-1) if (table.max(axis=-1) == 1).all() else None
-
-    def shown(self, weights: Floats) -> dict[str, str] | None:
-        """Return the action at each label, where the policy says one and the same there."""
-        row = self.row(weights)
-        if row is None or np.ptp(stages := row.reshape(-1, len(self.labels)), axis=0).any():
-            return None
-        return {label: self.actions[a] for label, a in zip(self.labels, stages[0], strict=True)}
-
-    def by_state(self, weights: Floats) -> Floats:
-        """Return (K, trials, flags, V, A) probabilities of actions from (L,) ones of pairs.
-
-        K subtasks, V status vectors; flags are two where a reading remembers skips, else one.
-        """
-        mdp = self.base.mdp
-        table = np.zeros((mdp.n_states, mdp.n_actions))
-        table[mdp.pair_state, mdp.pair_action] = weights
-        shape = (self.shape[0], self.sizes[1], *self.shape[2:])
-        table = table[: mdp.space.regular].reshape(*shape, mdp.n_actions)
-        numbers = [mdp.action(name) for name in self.scenario.actions]
-        # A last trial in which a skip is the only action is not a trial of the loops.
-        return table[:, : self.shape[1]][..., numbers]
 
 
 DrawSolver: TypeAlias = ModelSolver | CareSolver

@@ -25,7 +25,7 @@ from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRu
 from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
 from exact_mdp.solvers.parallel import damaged, many
 
-FILES = ("training.json", "runs-")
+STEM = "runs-"  # of the files of runs, before their numbers
 RECORDED = [field.name for field in fields(TrainingRun) if field.name != "space"]
 
 
@@ -96,7 +96,7 @@ def train(
         n_jobs=n_jobs,
         threads=True,
         folder=out,
-        files=FILES,
+        names=[f"{STEM}{number:06d}" for number in range(n)],
         progress=progress,
         what="runs",
     )
@@ -121,4 +121,4 @@ def _read(
             return run
     except (KeyError, TypeError, ValueError):  # arrays that are missing, or do not fit together
         pass
-    raise damaged(Path(out or "") / f"{FILES[1]}{number:06d}.npz")
+    raise damaged(Path(out or "") / f"{STEM}{number:06d}.npz")

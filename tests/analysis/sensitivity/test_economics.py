@@ -11,6 +11,7 @@ from cell_texts import legend_of, texts_of
 from exact_mdp import (
     MDP,
     Family,
+    ModelError,
     Parameter,
     cost_effectiveness,
     evaluate,
@@ -73,6 +74,21 @@ def test_curve_frontier_and_evpi_are_the_closed_form(analysis) -> None:
     assert analysis.frame([4, 10])["best on average"].tolist() == ["wait", "treat"]
 
 
+@pytest.mark.parametrize("names", [("cost", "qaly"), ("qaly", "price")])
+def test_draws_whose_model_has_other_components_are_refused(names) -> None:
+    """The first draw has those of today."""
+
+    def turned(at):
+        parts = dict(zip(names if at["gain"] > 1 else ("qaly", "cost"), ([1], [2]), strict=True))
+        return MDP.from_outcomes([(0, 0, [(1, 0, 0)])], "1/2", components=parts)
+
+    model = Family(parameters={"gain": 1}, build=turned)
+    gains = pandas.DataFrame({"gain": [0.5, 1.5]})
+    with pytest.raises(ModelError, match=f"components are {', '.join(names)}") as caught:
+        cost_effectiveness(model, {"stay": [0]}, uncertain=gains)
+    assert caught.value.where == "draw 1"
+
+
 def test_strategies_that_are_dominated_have_no_icer() -> None:
     policies = POLICIES | {"again": [1, 0]}
     at = {"price": {"distribution": "uniform", "low": 5, "high": 5.0001}}
@@ -131,7 +147,7 @@ def test_a_tornado_shows_the_policy_that_was_given() -> None:
         bars = tornado(BETS, policy=policy)
         ax = bars.plot()
         assert said in ax.get_xlabel()
-        assert ax.lines[0].get_xdata()[0] == bars.today.fixed.value
+        assert ax.lines[0].get_xdata()[0] == bars.today["fixed"].value
 
 
 def test_a_map_of_two_parameters_says_what_its_policies_do() -> None:

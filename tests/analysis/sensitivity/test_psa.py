@@ -96,12 +96,13 @@ def test_a_policy_that_is_often_best_by_little_is_a_candidate() -> None:
         assert abs(each.value - 43 / 128) < 4 * each.standard_error
 
 
-def test_where_weights_alone_are_uncertain_evpi_is_one_number() -> None:
+def test_where_weights_alone_are_uncertain_todays_optimum_is_the_best_policy() -> None:
     names = [name for name in YUAN.names if name.startswith("reward.")]
     weights = uncertainty(parametric(YUAN), {"reward": {"relative_sd": 0.5}}, names=names)
     analysis = psa(YUAN, 3000, rng=7, uncertain=weights)
     evpi = analysis.evpi()
-    assert evpi.low == evpi.high
+    assert 0 < evpi.low.value < evpi.high.value
+    assert evpi.best == "optimum today"
     today = solve(YUAN.compile()).start_value
     # By linearity the best policy is today's, whose mean value over the draws is V*(mean).
     fixed = analysis.table.fixed[:, 0]

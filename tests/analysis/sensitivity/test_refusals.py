@@ -108,7 +108,7 @@ study(THIRDS, {"a": [0.5, 0.5], "b": [0.25, 0.75]}) -> more than 1; draw 1, a = 
 study(THIRDS, {"a": [0.5], "b": [1.5]}) -> outside [0, 1]; draw 0; within its range
 study(THIRDS, {"a": [0.5], "b": [np.nan]}) -> nan, no finite number; draw 0
 study(THIRDS, {"a": <[1], "b": [1, 2]|[[1, 2]]>}) -> columns of shape
-study(THIRDS, {"a": []}) -> no points
+study(THIRDS, {"a": []}) -> at least one point
 study(THIRDS, {}) -> none
 study(THIRDS, {"as": [1]}) -> unknown parameter 'as'
 study(YUAN, {"base.angr": [0.1]}) -> unknown parameter 'base.angr'
@@ -116,8 +116,7 @@ study(YUAN, {"base.anger": [<1.5|-1e-9>]}) -> base.anger
 study(YUAN, {"discount": [1.01]}) -> discount
 study(YUAN, {"reward.trial": [np.<inf|nan>]}) -> reward.trial is *
 study(YUAN, {"reward.trial": [1e308], "reward.assist.directive": [-1e308]}) -> overflow
-study(OPEN, {"p": [0.5, 1.25]}) ->
-    draw 1, p = 1.25: state 0, action 0; give distributions or ranges without
+study(OPEN, {"p": [0.5, 1.25]}) -> draw 1, p = 1.25, state 0, action 0
 curve(PUTERMAN, "discount", (0, "99/100")).within(1) -> no policy
 HELD.within(1, 1) -> two limits
 HELD.within(-1) -> 0 or more
@@ -154,12 +153,12 @@ stated("[base\n") -> broken TOML
 stated("") -> nothing is stated
 stated('"base.angre" = {effective_sample_size = 3}') -> base.angre
 stated("base = {effective_sample = 3}") -> unknown setting 'effective_sample'
-stated("effective_sample_size = 3") -> unknown setting
+stated("<effective_sample_size|default> = 3") -> = 3; psa takes distributions
 stated("default = {relative_sd = 3}") -> states more than
 stated('default = {effective_sample_size = "three"}') -> 'three'
 stated("base = {effective_sample_size = <0|nan|inf|1e-300>}") -> effective sample size *
 stated("base = {effective_sample_size = true}") -> True
-stated("reward = {effective_sample_size = 9}") -> effective sample size of a normal
+stated("reward = {effective_sample_size = 9}") -> a normal with mean, effective_sample_size
 stated('reward = {distribution = "gamma"}') -> gamma with mean
 stated('base = {fixed = "false"}') -> fixed is 'false'
 stated("base = {fixed = true, effective_sample_size = 3}") -> fixed, and a distribution
@@ -178,7 +177,7 @@ uncertainty(ROWS, {ROW: {"effective_sample_size": 5}, TWO: {"fixed": True}}) -> 
 uncertainty(ROWS, {ROW: {"relative_sd": 0.3}}) -> are Dirichlet
 uncertainty(ROWS, {"another row": {"fixed": True}}) -> unknown parameter
 uncertainty(ROWS, names=[<ONE|TWO>]) -> without the others
-uncertainty(replace(ROWS, rows={"a": (ONE,), "b": (ONE, TWO)})) -> in two rows
+uncertainty(replace(ROWS, rows={"a": (ONE,), "b": (ONE, TWO)})) -> appears twice
 uncertainty(replace(ROWS, rows={"a": ("discount",)})) -> not a probability of a row
 Uncertain.of("a", "beta", mean=1.2, sd=0.1) -> beta with mean = 1.2
 Uncertain.of("a", "beta", mean=0.5, sd=0.6) -> beta with mean = 0.5, sd = 0.6
@@ -195,7 +194,7 @@ Uncertain.of("a", "normal", mean=0, relative_sd=1) -> relative spread around 0
 Uncertain.of("a", "gauss", mean=0, sd=1) -> 'gauss'
 Uncertain.of_row("row", ("a", "b"), (1, 2)) -> 2 concentrations for 2
 Uncertain.of_row("row", ("a",), (1, 0)) -> concentrations 1, 0
-Uncertainty(parts=(Uncertain.of("a", "normal", mean=0, sd=1),) * 2, fixed={}) -> a is drawn twice
+Uncertainty(parts=(Uncertain.of("a", "normal", mean=0, sd=1),) * 2, fixed={}) -> same name, 'a'
 tradeoff(YUAN, ["anger", "x=2*angry-trial"]) -> called 'angry'
 tradeoff(YUAN, ["anger", "anger"]) -> 'anger' is named twice
 tradeoff(YUAN, "anger") -> front of 'anger' totals

@@ -130,10 +130,10 @@ def test_a_range_that_passes_1_by_default_is_warned_of() -> None:
     )
     with pytest.warns(UserWarning, match=r'u, 0.85 today, .* to 1.02; .*name="u", .*high=1'):
         tornado(family)
-    assert tornado(family, ranges={"u": (0, 1)}).bars[0].high.at == 1
-    assert tornado(family, relative="1/5").bars[0].high.at == F(51, 50)
+    assert tornado(family, ranges={"u": (0, 1)}).frame()["high"][0] == 1
+    assert tornado(family, relative="1/5").frame()["high"][0] == 1.02
     bounded = replace(family, parameters=(Parameter(name="u", value="17/20", low=0, high=1),))
-    assert tornado(bounded).bars[0].high.at == 1
+    assert tornado(bounded).frame()["high"][0] == 1
 
 
 def test_ranges_are_shares_of_today_that_end_where_the_parameter_does() -> None:
@@ -146,8 +146,8 @@ def test_ranges_are_shares_of_today_that_end_where_the_parameter_does() -> None:
         (2, {"p": (0, F(3, 10)), "q": (0, 1), "r": (-15, 5)}),
         ("1/2", {"p": (F(1, 20), F(3, 20)), "q": (F(9, 20), 1), "r": (F(-15, 2), F(-5, 2))}),
     ):
-        bars = tornado(family, relative=relative).bars
-        assert {bar.parameter.name: (bar.low.at, bar.high.at) for bar in bars} == wanted
+        spans = tornado(family, relative=relative).spans
+        assert {p.name: (span.low, span.high) for p, span in spans.items()} == wanted
 
 
 def test_ranges_from_a_file(tmp_path: Path) -> None:
@@ -164,18 +164,25 @@ def test_ranges_from_a_file(tmp_path: Path) -> None:
 
 def test_bars_are_values_of_an_independent_model() -> None:
     own = YUAN.with_(readings={"influence_orientation": "column-to-row"})
-    bars = tornado(own, policy="always:directive", names=["base.confusion", "reward.anger"])
-    for bar in bars.bars:
-        for end in (bar.low, bar.high):
-            twin = oracle_of(own, {bar.parameter.name: end.at})
-            assert end.optimal.value == pytest.approx(float(twin.value(twin.start)), abs=1e-9)
+    names = ["base.confusion", "reward.anger"]
+    bars = tornado(own, policy="always:directive", names=names)
+    table = bars.frame().set_index("parameter")
+    for parameter, span in bars.spans.items():
+        bar = table.loc[parameter.name]
+        for end in ("low", "high"):
+            twin = oracle_of(own, {parameter.name: getattr(span, end)})
+            best = float(twin.value(twin.start))
+            assert bar[f"value_{end}"] == pytest.approx(best, abs=1e-9)
             fixed = twin.evaluate(lambda _: {"directive": F(1)}, distribution=False)["mean"]
-            assert end.fixed.value == pytest.approx(float(fixed), abs=1e-9)
-            assert end.regret.value == pytest.approx(end.optimal.value - end.fixed.value)
-            assert end.regret.error >= end.optimal.error + end.fixed.error
-    assert [bar.swing for bar in bars.bars] == sorted((b.swing for b in bars.bars), reverse=True)
-    units = dict(zip(bars.frame()["parameter"], bars.frame()["unit"], strict=True))
-    assert units == {"base.confusion": "probability", "reward.anger": "reward"}
+            assert bar[f"fixed_value_{end}"] == pytest.approx(float(fixed), abs=1e-9)
+            assert bar[f"regret_{end}"] == pytest.approx(best - float(fixed))
+        assert bar["swing"] == abs(bar["value_high"] - bar["value_low"])
+    assert table["swing"].is_monotonic_decreasing
+    assert bars.frame("fixed_swing")["fixed_swing"].is_monotonic_decreasing
+    lost = bars.today
+    assert lost["regret"].value == pytest.approx(lost["optimal"].value - lost["fixed"].value)
+    assert lost["regret"].error >= lost["optimal"].error + lost["fixed"].error
+    assert table["unit"].to_dict() == {"base.confusion": "probability", "reward.anger": "reward"}
 
 
 def test_two_way_map_agrees_with_thresholds_along_its_rows() -> None:

@@ -102,7 +102,7 @@ class Posterior:
         own = chain.weights if horizon is None else by_time(mdp, chain.weights, horizon)
         blocks = many(
             partial(_block, mdp.maximised, observations_of(mdp) > 0, own, prior),
-            seeded(seed, n, BLOCK)[0],
+            seeded(seed, n, BLOCK),
             key={},
             n_jobs=self.n_jobs,
             progress=self.progress,
@@ -189,8 +189,6 @@ def drawn(mdp: MDP, known: np.ndarray, prior: float, rng: np.random.Generator, c
         terms=mdp.n_states,
         live=np.tile(live, (count, 1)),
         start=begun,
-        components=np.zeros((1, mdp.n_pairs, 0)),
-        component_names=(),
         state=np.array(mdp.pair_state),
         first=np.array(mdp.pair_offsets[:-1]),
     )
