@@ -116,10 +116,10 @@ def pinned_keys() -> dict[str, set[str]]:
 def meanings() -> dict[tuple[str, str], str]:
     """Return what each key of a command means, {(command, key): meaning}.
 
-    The docstring of the command's function says it below "Keys", that of `given` for all commands;
+    The docstring of the command's function says it below "Keys", that of `Given` for all commands;
     else it is what the class of the result, which the section names, says of its attribute.
     """
-    shared, _ = said("analysis.cli.given:given")
+    shared, _ = said("analysis.cli.given:Given")
     classes = {
         node.name: node
         for path in Path(exact_mdp.__file__).parent.rglob("*.py")

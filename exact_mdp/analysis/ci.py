@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from textwrap import indent
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -105,8 +106,7 @@ def annotate(title: str, message: str) -> None:
 def report_error(title: str, message: str) -> None:
     """Report what kept a check from a verdict: an annotation, and a block in the summary."""
     annotate(title, message)
-    fence = "`" * max(3, 1 + max(map(len, re.findall("`+", message)), default=0))
-    summarise(f"## The check came to no verdict\n\n{fence}text\n{message}\n{fence}")
+    summarise(f"## The check came to no verdict\n\n{indent(message, ' ' * 4)}")
 
 
 def summarise(markdown: str) -> None:

@@ -196,52 +196,30 @@ def named_options(function: F) -> F:
     return cast("F", asked)
 
 
-def check_names(names: Iterable[str], what: str, *, where: str = "") -> None:
+def check_names(
+    names: Iterable[str], what: str, *, where: str = "names", longest: int = LONGEST
+) -> None:
     r"""Raise ModelError for a name that is unsafe, too long, no text, or that of two things."""
-    listed, where = list(names), where or "names"
-    if not listed:
-        return
-    of = f"the name of {'an' if what[0] in 'aeiou' else 'a'} {what}"
+    listed: list[Any] = list(names)
     for name in listed:
         if not isinstance(name, str):
-            raise ModelError(
-                f"{of} is {_cut(repr(name))}, not a string", where=where, fix="give a string"
-            )
+            said = f"{what} {name!r:.{SHOWN}} is not a string"
+            raise ModelError(said, where=where, fix="give a string")
     if len(set(listed)) < len(listed):
         twice = next(name for name, count in Counter(listed).items() if count > 1)
-        fix = "give each its own name"
-        raise ModelError(f"two {what}s have the same name, {_cut(twice)!r}", where=where, fix=fix)
+        said = f"two {what}s have the same name, {twice[:SHOWN]!r}"
+        raise ModelError(said, where=where, fix="give each its own name")
     # One search through all of them: a million states may have a name each.
-    if not UNSAFE.search("".join(listed)) and max(map(len, listed), default=0) <= LONGEST:
+    if not UNSAFE.search("".join(listed)) and max(map(len, listed), default=0) <= longest:
         return
     for name in listed:
-        _check(name, of, where, LONGEST)
-
-
-def check_text(text: str, what: str) -> None:
-    """Raise ModelError as `check_names` does, of a text that may have several lines and tabs."""
-    one_line = text.replace("\n", "").replace("\t", "")
-    _check(one_line, f"the {what}", what, LONGEST_TEXT)
-
-
-def _check(name: str, what: str, where: str, longest: int) -> None:
-    if len(name) > longest:
-        raise ModelError(
-            f"{what} has {len(name):,} characters: {_cut(name)}",
-            where=where,
-            fix=f"shorten it to {longest:,}",
-        )
-    unsafe = UNSAFE.search(name)
-    if unsafe:
-        raise ModelError(
-            f"{what} holds the character U+{ord(unsafe[0]):04X}: {_cut(name)}",
-            where=where,
-            fix="remove it; names are plain text on one line",
-        )
-
-
-def _cut(name: str) -> str:
-    return shown_text(name[:SHOWN]) + ("…" if len(name) > SHOWN else "")
+        if len(name) > longest:
+            said = f"{what} {name[:SHOWN]!r} has {len(name):,} characters"
+            raise ModelError(said, where=where, fix=f"shorten it to {longest:,}")
+        if unsafe := UNSAFE.search(name):
+            said = f"{what} {name[:SHOWN]!r} holds the character U+{ord(unsafe[0]):04X}"
+            fix = "remove it; names are plain text on one line"
+            raise ModelError(said, where=where, fix=fix)
 
 
 @contextmanager

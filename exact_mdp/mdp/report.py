@@ -25,6 +25,8 @@ from typing import Any
 
 import flint
 
+from exact_mdp.mdp.table import shown
+
 FORMAT = 2  # of the JSON: another number where a key changes its meaning or goes
 DIGITS = 10  # significant digits of a number in a table
 SHORT = 12  # letters of an exact number; of a longer one, its digits
@@ -200,8 +202,8 @@ def cell(value: Any, form: str = "") -> str:
         return "-"
     if form and not isinstance(value, str):
         sign, _, form = form.rpartition(" ")
-        shown = format(float(getattr(value, "value", value)), form)
-        return f"{sign} {shown}" if sign else shown
+        text = format(float(getattr(value, "value", value)), form)
+        return f"{sign} {text}" if sign else text
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
@@ -210,7 +212,7 @@ def cell(value: Any, form: str = "") -> str:
         return number(value)
     if isinstance(value, Fraction):
         text = ratio(value)
-        return text if len(text) <= SHORT else number(float(value))
+        return text if len(text) <= SHORT else shown(value, DIGITS)
     if _claims(value) and hasattr(value, "standard_error"):
         error = value.standard_error
         off = f" ± {error:.1g}" if math.isfinite(error) else ""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from exact_mdp.mdp.table import shown
+from exact_mdp.mdp.report import cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,6 @@ else:  # loaded where a table is asked for
     DataFrame = Any
 
 ROWS_SHOWN = 20
-LETTERS_SHOWN = 16  # of an exact number; of a longer one, twelve digits
 
 _SHORT = Repr()
 _SHORT.maxlevel, _SHORT.maxtuple, _SHORT.maxdict, _SHORT.maxlist = 2, 3, 3, 3
@@ -110,19 +109,10 @@ def as_html(said: str, frame: DataFrame, *, rows: int) -> str:
     head = frame.head(ROWS_SHOWN).copy()
     for name, kind in head.dtypes.items():
         if kind.kind == "O":
-            head[name] = head[name].map(_rational)
+            head[name] = [cell(each) if isinstance(each, Fraction) else each for each in head[name]]
     more = rows - len(head)
     rest = f"<p>… and {more:,} rows more: <code>.frame()</code></p>" if more else ""
     return f"<p>{escape(said)}</p>{head.to_html(border=0)}{rest}"
-
-
-def _rational(value: Any) -> Any:
-    """Return the text of an exact number, in decimals where it is long; others as they are."""
-    if not isinstance(value, Fraction):
-        return value
-    short = max(abs(value.numerator), value.denominator) < 10**LETTERS_SHOWN
-    text = str(value) if short else ""
-    return text if 0 < len(text) <= LETTERS_SHOWN else f"≈\N{NO-BREAK SPACE}{shown(value, 12)}"
 
 
 def _text(value: Any) -> str:

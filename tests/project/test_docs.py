@@ -145,7 +145,7 @@ def test_every_key_has_a_meaning_and_every_meaning_a_key() -> None:
     """The keys are those of the pinned answers."""
     keys = {(command, key) for key, names in write.pinned_keys().items() for command in names}
     assert keys == write.meanings().keys()
-    shared, _ = write.said("analysis.cli.given:given")
+    shared, _ = write.said("analysis.cli.given:Given")
     assert shared.keys() <= {key for _, key in keys}
 
 

@@ -7,11 +7,11 @@ failure is reported on standard error as what, where and fix, with nothing on st
 from __future__ import annotations
 
 import os
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import click
 from click.shell_completion import shell_complete
@@ -19,11 +19,10 @@ from click.shell_completion import shell_complete
 from exact_mdp.analysis import ci
 from exact_mdp.analysis.cli.commands import Commands
 from exact_mdp.analysis.cli.derive import HELP
-from exact_mdp.analysis.exit_status import REFUSED, OnError, leave, run, say
+from exact_mdp.analysis.exit_status import REFUSED, leave, run, say
 
 PROGRAM = "exact-mdp"
 COMPLETE = "_EXACT_MDP_COMPLETE"  # set by the shell's line that completes words
-GATE = "check"
 
 
 @click.group(
@@ -52,29 +51,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status
 
 
-def _reporting(words: list[str]) -> OnError | None:
+def _reporting(words: list[str]) -> Callable[[str], None] | None:
     """Let the reports of a check say why it did not end: its JUnit file, GitHub's page of the run.
 
     The file says so from the start, so that no report of an earlier run stays, whatever happens to
     this one.
     """
-    gate = cli.get_command(click.Context(cli), GATE)
-    if gate is None or next((word for word in words if not word.startswith("-")), "") != GATE:
+    if words[0] != "check" or not set(HELP).isdisjoint(words):
         return None
-    rest = words[words.index(GATE) + 1 :]
-    if not set(HELP).isdisjoint(rest):
-        return None
-    anything: dict[str, Any] = {"ignore_unknown_options": True, "allow_extra_args": True}
-    with gate.make_context(GATE, rest, resilient_parsing=True, **anything) as context:
-        path, model = context.params.get("junit"), context.params.get("model") or "?"
-    known = isinstance(path, str) and path.lower().endswith(".xml") and Path(path).parent.is_dir()
-    junit = str(path) if known else None  # the command refuses any other name
-    title = f"{PROGRAM} check {model}"
+    named = re.findall("\0--junit[=\0]([^\0]+\\.xml)\0", "\0".join([*words, ""]), re.IGNORECASE)
+    junit = named[-1] if named and Path(named[-1]).parent.is_dir() else None
+    title = f"{PROGRAM} check"
     ci.write_error(
         junit, title, "the check did not end: the process was killed, or is still at work"
     )
 
-    def on_error(_: int, message: str) -> None:
+    def on_error(message: str) -> None:
         ci.write_error(junit, title, message)
         with suppress(ValueError, OSError):
             ci.report_error(title, message)

@@ -11,13 +11,13 @@ from typing import Any
 from exact_mdp.analysis import ci
 from exact_mdp.analysis.cli.given import Given, advice
 from exact_mdp.analysis.cli.render import markdown
-from exact_mdp.analysis.cli.words import check_outputs, limits_from, refuse, settings_of, typed
+from exact_mdp.analysis.cli.words import limits_from, refuse, settings_of, typed
 from exact_mdp.analysis.gate import check as gate
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.layout import MOST_CELLS, arrange, cells, counts
 from exact_mdp.analysis.learning.trainers import TrainerAudit, check_trainer
 from exact_mdp.analysis.pages.page import ADVICE, render
-from exact_mdp.mdp.errors import ModelError, known
+from exact_mdp.mdp.errors import known
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.report import Report, Shown
 
@@ -68,9 +68,9 @@ def check(
         Greatest regret at the start: 0.1 or 1/10.
     max_relative_regret : X, optional
         Greatest regret over the absolute optimal value.
-    html : FILE, optional
+    html : FILE, .html
         Write a page with the picture of the policy: .html.
-    junit : FILE, optional
+    junit : FILE, .xml
         Write a JUnit report: .xml.
     certify : bool
         Use rational arithmetic, however long it takes.
@@ -114,14 +114,7 @@ def check(
     judged; given: policies given; policies: each policy with its regret and whether it keeps the
     limits.
     """
-    started, single = perf_counter(), len(learned) == 1
-    if single:
-        of_many = {"--share": share, "--alpha": alpha, "--prove": prove}
-        refuse(of_many, "a single policy", "name the policy of each run, as in runs/*.npy")
-    else:
-        of_one: dict[str, Any] = {"--html": html, "--confidence": confidence, "--by": by}
-        refuse(of_one | {"--evidence": evidence, "--no-explain": no_explain}, "several policies")
-    check_outputs((junit, (".xml",)), (html, (".html",)))
+    started = perf_counter()
     ci.summarise("")  # where it cannot be written to, that is said before any work
     asked: dict[str, Any] = {
         "max_regret": max_regret,
@@ -131,46 +124,51 @@ def check(
         "subject_to": limits_from(subject_to) or None,
     }
     audit: Audit | TrainerAudit
-    if single:
-        audit, report = _audited(given, learned[0], not no_explain, asked, confidence, by, evidence)
+    if len(learned) == 1:
+        of_many = {"--share": share, "--alpha": alpha, "--prove": prove}
+        refuse(of_many, "a single policy", "name the policy of each run, as in runs/*.npy")
+        (name,), asked = learned, asked | _evidence(given, confidence, by, evidence)
+        mdp = given.mdp if confidence is None else given.asked
+        policy = given.policy_from(name)
+        audit = gate.check(mdp, policy, **asked)
+        read_as = {"read_as": Shown(policy.read_as, policy.source or None)}
+        names = {"policy": Shown(name), "learned": name}
+        report = given.report(audit.report(explain=not no_explain), **names)
+        report = replace(report, facts=read_as | {**report.facts})
     else:
-        policies = (given.policy(name) for name in learned)
+        of_one: dict[str, Any] = {"--html": html, "--no-explain": no_explain}
+        of_one |= {"--confidence": confidence, "--by": by, "--evidence": evidence}
+        refuse(of_one, "several policies")
         asked |= {"share": share or "9/10", "alpha": alpha or "1/100", "prove": prove}
+        policies = (given.policy_from(each) for each in learned)
         audit = check_trainer(given.mdp, policies, runs=len(learned), **asked)
         report = given.report(audit.report(learned))
-    name = learned[0] if single else f"{len(report.facts['policies'])} policies"
+        name = f"{len(report.facts['policies'])} policies"
     passed = "passed" if audit.passed else "failed"
     report = replace(report, title=f"{name} in {given.loaded.name}: {passed}")
-    _publish(given, audit, report, name, (junit, html), perf_counter() - started)
-    return report
-
-
-def _publish(
-    given: Given,
-    audit: Audit | TrainerAudit,
-    report: Report,
-    name: str,
-    files: tuple[str | None, str | None],
-    seconds: float,
-) -> None:
-    """Write the JUnit report, the page and what GitHub shows of a step, where these are wanted."""
-    (junit, html), model = files, given.loaded.name
+    if html is not None and isinstance(audit, Audit):
+        write_atomically(html, _page(audit, report, given.loaded.name, name))
     text = audit.message(explain=report.facts.get("representation") is not None)
     if junit is not None:
-        cases = [
-            ci.Case(each.name) if each.passed else ci.Case(each.name, "failure", each.told, text)
-            for each in audit.verdicts
-        ]
-        values = {"model": model, "learned": name} | audit.measures
-        values |= {"notice": ADVICE} if advice(given.endless) else {}
-        properties = {key: str(value) for key, value in values.items()}
-        suite = f"exact-mdp check {model}"
-        ci.write_junit(junit, suite, cases, seconds=seconds, properties=properties)
-    if html is not None and isinstance(audit, Audit):
-        write_atomically(html, _page(audit, report, model, name))
+        _write_junit(junit, given, audit, name, text, perf_counter() - started)
     ci.summarise(markdown(report))
     if not report.passed:
         ci.annotate(report.title, text)
+    return report
+
+
+def _write_junit(
+    path: str, given: Given, audit: Audit | TrainerAudit, name: str, text: str, seconds: float
+) -> None:
+    cases = [
+        ci.Case(each.name) if each.passed else ci.Case(each.name, "failure", each.told, text)
+        for each in audit.verdicts
+    ]
+    model = given.loaded.name
+    values = {"model": model, "learned": name} | audit.measures
+    values |= {"notice": ADVICE} if advice(given.loaded) else {}
+    properties = {key: str(value) for key, value in values.items()}
+    ci.write_junit(path, f"exact-mdp check {model}", cases, seconds=seconds, properties=properties)
 
 
 def _page(audit: Audit, report: Report, model: str, policy: str) -> str:
@@ -195,32 +193,16 @@ def _page(audit: Audit, report: Report, model: str, policy: str) -> str:
     )
 
 
-def _audited(
-    given: Given,
-    learned: str,
-    explain: bool,
-    asked: dict[str, Any],
-    confidence: str | None,
-    by: str | None,
-    evidence: Sequence[str],
-) -> tuple[Audit, Report]:
-    """Return the audit of one policy, and what it says."""
-    if confidence is None and (by is not None or evidence):
-        option = "--evidence" if by is None else "--by"
-        what = f"{option} applies to an interval"
-        raise ModelError(what, where=option, fix="give --confidence 0.95")
-    mdp = given.mdp
-    if confidence is not None:
-        kind = gate.EVIDENCE[known(by or "robust", gate.EVIDENCE, "kind of interval", "--by")]
-        stated = settings_of(kind, evidence, "--evidence")
-        if by == "posterior":
-            stated["progress"] = True
-        # An interval needs the counts, which a model of episodes that stop has not.
-        mdp, asked = given.asked, asked | {"horizon": given.horizon, "confidence": confidence}
-        asked["by"] = kind(**stated)
-    policy = given.policy(learned)
-    audit = gate.check(mdp, policy, **asked)
-    names = {"policy": Shown(learned), "learned": learned}
-    report = given.report(audit.report(explain=explain), **names)
-    read_as = {"read_as": Shown(policy.read_as, policy.source or None)}
-    return audit, replace(report, facts=read_as | {**report.facts})
+def _evidence(
+    given: Given, confidence: str | None, by: str | None, evidence: Sequence[str]
+) -> dict[str, Any]:
+    """Return what `check` takes for an interval, of a model whose episodes do not stop."""
+    if confidence is None:
+        fix = "give --confidence 0.95"
+        refuse({"--by": by, "--evidence": evidence}, "a check without an interval", fix)
+        return {}
+    kind = gate.EVIDENCE[known(by or "robust", gate.EVIDENCE, "kind of interval", "--by")]
+    stated = settings_of(kind, evidence, "--evidence")
+    if by == "posterior":
+        stated["progress"] = True
+    return {"horizon": given.horizon, "confidence": confidence, "by": kind(**stated)}

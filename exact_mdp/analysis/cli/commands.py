@@ -78,13 +78,8 @@ class Commands(click.Group):
         if cmd_name in made and cmd_name not in self.commands:
             target, shared = made[cmd_name]
             policies = {"kind", "perception"} & {*shared} or cmd_name in ("risk", "tradeoff")
-            self.commands[cmd_name] = command(
-                cmd_name,
-                f"analysis.cli.{target}",
-                shared,
-                markdown=cmd_name == "check",
-                epilog=POLICY if policies else "",
-            )
+            epilog = POLICY if policies else ""
+            self.commands[cmd_name] = command(cmd_name, f"analysis.cli.{target}", shared, epilog)
         return self.commands.get(cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

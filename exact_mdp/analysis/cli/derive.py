@@ -3,104 +3,125 @@
 The source of a function is read and not imported, so that help comes at once. What a parameter
 becomes:
 
-    given: Given                   the argument MODEL, with the options of `given` that are shared
-    policy: Policy                 an argument or option POLICY, of which `given` makes the policy
+    given: Given                   the argument MODEL, with the options of `Given` that are shared
+    policy: Policy                 an argument or option POLICY, of which `Given` makes the policy
     without a default              an argument, a required option where it is keyword-only
     : bool                         a flag
     : int                          a whole number
     : Sequence or Mapping          an option of the singular name that may be repeated
     anything else                  an option with a text
 
-What is not typed is not passed: the function's own default holds. The words in capitals or quotes
-before "optional" in the docstring's type stand in the help for the value. Below "Keys" it says what
-the keys of the JSON mean, "key: meaning; …", after the classes whose attributes others are.
+What is not typed is not passed: the function's own default holds. In the docstring's type stand the
+word in capitals or the words in quotes that the help shows for the value, the limits of a whole
+number ("N, 1 to 100"), and the endings of a file that is written ("FILE, .csv or .json"). Below
+"Keys" it says what the keys of the JSON mean, "key: meaning; …", after the classes whose attributes
+others are.
 """
 
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from inspect import cleandoc
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
-from exact_mdp.analysis.cli.words import Whole
 from exact_mdp.mdp.io.files import aside
 
 PACKAGE = Path(__file__).resolve().parents[2]
 HELP = ["-h", "--help"]
-GIVEN = "analysis.cli.given:given"
-VARIED = ("parameters", "ranges", "relative", "policy")  # of `given`, beside a command's own
+GIVEN = "analysis.cli.given:Given"
+VARIED = ("parameters", "ranges", "relative", "policy")  # of `Given`, beside a command's own
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter of a function, with what its docstring says."""
+class Parameter(NamedTuple):
+    """A parameter of a function, with what the docstring says of its type and of itself."""
 
-    name: str
-    kind: str
-    default: str
-    keyword: bool
+    of: inspect.Parameter
     form: str
     help: str
 
     @property
-    def multiple(self) -> bool:
-        """Whether it takes several values."""
-        return self.kind.startswith(("Sequence", "Mapping", "Iterable"))
+    def name(self) -> str:
+        """Its name."""
+        return self.of.name
+
+    @property
+    def kind(self) -> str:
+        """Its type, as it is written."""
+        return str(self.of.annotation)
+
+    @property
+    def endings(self) -> list[str]:
+        """The endings that a file may have which is written."""
+        return re.findall(r"\.\w+", self.form)
 
     def click(self) -> click.Parameter:
         """Return the argument or option."""
+        required, multiple = self.of.default is self.of.empty, self.kind.startswith("Sequence")
         words = re.findall(r'"([^"]+)"', self.form)
         form = "|".join(words) or self.form.partition(",")[0]
-        if not self.keyword:
-            metavar = form or self.name.upper() + "..." * self.multiple
-            metavar = f"[{metavar}]" if self.default else metavar
-            nargs = -1 if self.multiple else 1
-            return click.Argument(
-                [self.name], required=not self.default, nargs=nargs, metavar=metavar
-            )
-        name = re.sub("ie$", "y", self.name.removesuffix("s")) if self.multiple else self.name
+        if self.of.kind is not self.of.KEYWORD_ONLY:
+            metavar = form or self.name.upper() + "..." * multiple
+            metavar = metavar if required else f"[{metavar}]"
+            nargs = -1 if multiple else 1
+            return click.Argument([self.name], required=required, nargs=nargs, metavar=metavar)
+        name = re.sub("ie$", "y", self.name.removesuffix("s")) if multiple else self.name
         names = ["--" + name.replace("_", "-"), self.name]
-        shown = self.default not in ("", "None", "False", "()")
-        help_ = f"{self.help[:-1]} ({self.default})." if shown else self.help
+        shown = not required and repr(self.of.default) not in ("None", "False", "()")
+        help_ = f"{self.help[:-1]} ({self.of.default})." if shown else self.help
         if self.kind == "bool":
             return click.Option(names, is_flag=True, default=None, help=help_)
+        ends = re.search(r"(\d+) to (\d+)", self.form)
+        whole = click.IntRange(int(ends[1]), int(ends[2])) if ends else click.IntRange(0)
         return click.Option(
             names,
             metavar=form,
-            multiple=self.multiple,
-            required=not self.default,
-            type=Whole(self.form) if self.kind.startswith("int") else None,
-            help=help_ + " May be repeated." * self.multiple,
+            multiple=multiple,
+            required=required,
+            type=whole if self.kind.startswith("int") else None,
+            help=help_ + " May be repeated." * multiple,
         )
 
 
 def function(target: str) -> tuple[str, list[Parameter]]:
     """Return what the docstring of "module:name" says, and its parameters."""
     module, _, name = target.partition(":")
-    near, far = (
-        [each for each in _tree(place).body if isinstance(each, ast.FunctionDef)]
-        for place in (module, GIVEN.partition(":")[0])
-    )
-    section = next(each for each in near if each.name == name)
+    near, far = stubs(module), stubs(GIVEN.partition(":")[0])
     said: dict[str, tuple[str, str]] = {}
-    for each in reversed([section, *far, *near]):  # what one does not explain, another one does
-        said |= _documented(each)[1]
-    return _documented(section)[0], [*_parameters(section.args, said)]
+    for each in (*reversed(near.values()), *far.values(), near[name]):
+        said |= _documented(each)[1]  # what one does not explain, another one does
+    parameters = inspect.signature(near[name]).parameters.values()
+    known = [Parameter(each, *said.get(each.name, ("", ""))) for each in parameters]
+    return _documented(near[name])[0], known
 
 
-def _documented(function: ast.FunctionDef) -> tuple[str, dict[str, tuple[str, str]]]:
+@cache
+def stubs(module: str) -> dict[str, Any]:
+    """Return the functions and dataclasses of a module without their code, and so without delay."""
+    path = PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
+    nodes: dict[str, ast.FunctionDef | ast.ClassDef] = {}
+    for node in ast.parse(path.read_text("utf-8")).body:
+        if isinstance(node, ast.FunctionDef):
+            nodes[node.name], node.body = node, node.body[:1]
+        elif isinstance(node, ast.ClassDef):
+            nodes[node.name] = node
+            node.body = [each for each in node.body if isinstance(each, ast.Expr | ast.AnnAssign)]
+    tree, names = ast.Module([*nodes.values()], []), {"dataclass": dataclass}
+    exec(compile(tree, str(path), "exec"), names)
+    return {name: names[name] for name in nodes}
+
+
+def _documented(section: object) -> tuple[str, dict[str, tuple[str, str]]]:
     """Return a docstring's text, and type and text of each parameter."""
-    text = cleandoc(ast.get_docstring(function) or "")
-    head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", text)
+    head, *sections = re.split(r"\n\n(?=Parameters\n-|Keys\n-)", inspect.getdoc(section) or "")
     rest = next((each for each in sections if each.startswith("Parameters")), "\n\n")
     said: dict[str, tuple[str, str]] = {}
     for block in re.split(r"\n(?=\S)", rest.split("\n", 2)[2]):
@@ -108,23 +129,6 @@ def _documented(function: ast.FunctionDef) -> tuple[str, dict[str, tuple[str, st
         names, _, kind = form.partition(" : ")
         said |= dict.fromkeys(names.split(", "), (kind, " ".join(below.split())))
     return head, said
-
-
-@cache
-def _tree(module: str) -> ast.Module:
-    return ast.parse(PACKAGE.joinpath(*module.split(".")).with_suffix(".py").read_text("utf-8"))
-
-
-def _parameters(args: ast.arguments, said: dict[str, tuple[str, str]]) -> Iterator[Parameter]:
-    missing = [None] * (len(args.args) - len(args.defaults))
-    placed = [*zip(args.args, [*missing, *args.defaults], strict=True)]
-    named = [*zip(args.kwonlyargs, args.kw_defaults, strict=True)]
-    for keyword, pairs in ((False, placed), (True, named)):
-        for arg, default in pairs:
-            form, text = said.get(arg.arg, ("", ""))
-            kind = ast.unparse(arg.annotation) if arg.annotation else ""
-            value = "" if default is None else ast.unparse(default).strip("'")
-            yield Parameter(arg.arg, kind, value, keyword, form, text)
 
 
 class Command(click.Command):
@@ -148,12 +152,10 @@ class Command(click.Command):
                     formatter.write_dl(records)
 
 
-def command(
-    name: str, target: str, shared: Sequence[str] = (), *, markdown: bool = False, epilog: str = ""
-) -> click.Command:
+def command(name: str, target: str, shared: Sequence[str], epilog: str) -> click.Command:
     """Return the command that calls the function "module:name" of this package.
 
-    `shared` are the parameters of `given` that it has as options; `epilog` stands below these.
+    `shared` are the parameters of `Given` that it has as options; `epilog` stands below these.
     """
     text, own = function(target)
     said, *examples = re.split(r"\s*^Example: ", text, flags=re.M)
@@ -162,12 +164,11 @@ def command(
     params: list[click.Parameter]
     params = [click.Argument(["model"]) if p.name == "given" else p.click() for p in own]
     params += [each.click() for each in asked]
-    forms = {"json": "one JSON object"} | ({"markdown": "Markdown"} if markdown else {})
-    for form, what in forms.items():
+    for form, what in (("json", "one JSON object"), ("markdown", "Markdown")):
         option = [f"--{form}", f"as_{form}"]
         params.append(click.Option(option, is_flag=True, help=f"Print {what}."))
 
-    def work(*, as_json: bool, as_markdown: bool = False, **options: Any) -> int:
+    def work(*, as_json: bool, as_markdown: bool, **options: Any) -> int:
         try:
             with aside():  # a module of the user's may print: the result is printed below
                 report = _report(target, own, [each.name for each in asked], options)
@@ -195,14 +196,14 @@ def _report(target: str, own: list[Parameter], asked: list[str], options: dict[s
     module, _, name = target.partition(":")
     call: Callable[..., Any] = getattr(import_module(f"exact_mdp.{module}"), name)
     typed = {key: value for key, value in options.items() if value is not None and value != ()}
-    names = [each.name for each in own]
-    words = {name: typed[name] for name in names if name in typed}
-    if "given" in names:
-        given = import_module("exact_mdp.analysis.cli.given").given
-        has = {each.name for each in own if each.kind.startswith("Policy")} | {*asked}
-        has |= {"parameters"} & {*names}
+    files = ((typed[p.name], p.endings) for p in own if p.endings and p.name in typed)
+    import_module("exact_mdp.analysis.cli.words").check_outputs(files)
+    words = {each.name: typed[each.name] for each in own if each.name in typed}
+    if any(each.name == "given" for each in own):
+        has = {*asked} | {each.name for each in own if each.kind.startswith("Policy")}
         shared = {key: typed[key] for key in has if key in typed}
-        words["given"] = given(options["model"], has=has, **shared)
-        if "policy" in has.intersection(names) and words["given"].taken is not None:
-            words["policy"] = words["given"].taken
+        kind = import_module("exact_mdp.analysis.cli.given").Given
+        words["given"] = given = kind(model=options["model"], has=has, **shared)
+        if "policy" in has - {*asked} and given.taken is not None:
+            words["policy"] = given.taken
     return call(**words)

@@ -1,9 +1,9 @@
-"""What the words of a command mean: a model and what is asked of it, a policy, numbers, files."""
+"""The model that a command names, with what is asked of it: the options that commands share."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -26,9 +26,10 @@ from exact_mdp.solvers.solver import Criterion, is_average, require_no_horizon
 from exact_mdp.solvers.values.policy_chain import policy_of
 
 OF_CARE = "gymnasium:icu_sepsis"  # a model of care that is no scenario
+QUESTION = ("reach", "until", "reward", "allowed", "minimize", "start")
 
 
-def posed(mdp: MDP, *, asked: Mapping[str, Any]) -> MDP:
+def posed(mdp: MDP, *, asked: dict[str, Any]) -> MDP:
     """Return the model whose optimal value answers what --reach, --until and others ask."""
     changes = {} if asked["start"] is None else {"start": asked["start"]}
     if asked["minimize"]:
@@ -39,147 +40,9 @@ def posed(mdp: MDP, *, asked: Mapping[str, Any]) -> MDP:
     return mdp if asked["until"] is None else mdp.until(asked["until"], asked["reward"])
 
 
-def in_words(asked: Mapping[str, Any]) -> str | None:
-    """Return the question in words; None for the total reward."""
-    best = "least" if asked["minimize"] else "greatest"
-    if asked["reach"] is not None:
-        through = f" through {asked['allowed']}" if asked["allowed"] else ""
-        return f"{best} probability of reaching {asked['reach']}{through}"
-    if asked["until"] is not None:
-        return f"{best} expected {asked['reward'] or 'reward'} until {asked['until']}"
-    return "least expected costs" if asked["minimize"] else None
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
-    """The model that a command names, with what is asked of it."""
-
-    endless: Loaded  # the model as it is
-    # What the question makes of it, of episodes that stop; no scenario where there is a question.
-    loaded: Loaded
-    question: Callable[[MDP], MDP] | None
-    criterion: Criterion
-    horizon: int | None
-    form: str | None  # the policy as it was typed
-    options: dict[str, Any]  # all others, as `given` takes them
-    has: Sequence[str]  # those that the command has
-
-    @property
-    def mdp(self) -> MDP:
-        """The model."""
-        return self.loaded.mdp
-
-    @property
-    def asked(self) -> MDP:
-        """The model of the question, of episodes that go on whatever the horizon."""
-        return self.endless.mdp if self.question is None else self.question(self.endless.mdp)
-
-    @cached_property
-    def family(self) -> Parametric:
-        """The model with its parameters; what is compiled already stays so."""
-        family: Parametric = parametric(self.endless.mdp)
-        if self.endless.scenario is not None:
-            family = ScenarioFamily(scenario=self.endless.scenario, base=self.endless.mdp)
-        return family if self.question is None else family.posed(self.question)
-
-    @cached_property
-    def taken(self) -> Any:
-        """The policy that was named; "optimal" where it is to be re-optimised, None without one."""
-        perception = self.options["perception"]
-        if "policy" not in self.has or (self.form or perception) is None:
-            return None
-        if (self.form or "optimal", perception) == ("optimal", None) and "kind" not in self.has:
-            return "optimal"
-        return self.policy(self.form or "optimal")
-
-    @property
-    def fixed(self) -> Any:
-        """The policy held fixed, the optimum unless one was named."""
-        return "optimal" if self.taken is None else self.taken
-
-    def policy(self, form: str) -> Policy:
-        """Return the policy that a text names, acting on what is perceived where that is given.
-
-        Under a perception the optimum is that of whoever sees the truth.
-        """
-        kind, perception = self.options["kind"], self.options["perception"]
-        policy: Policy = policy_of(self.mdp, form, kind=kind, criterion=self.criterion)
-        if perception is None:
-            return policy
-        seen: Policy = seeing.perceived(self.mdp, policy, seeing.read(perception, self.mdp))
-        return replace(seen, source=policy.source)
-
-    @cached_property
-    def head(self) -> dict[str, Any]:
-        """How a report begins; what a policy was read as comes first."""
-        mdp, has, said = self.mdp, self.has, self.options
-        head: dict[str, Any] = {"model": self.loaded.name}
-        if "start" in has:
-            question = in_words(said) if self.question else None
-            head |= {"sense": Shown(mdp.sense), "question": question, "start": said["start"]}
-        if "criterion" in has:
-            average = "reward per step" if self.criterion == "average" else None
-            head["criterion"] = Shown(said["criterion"], average)
-        if "kind" in has and self.taken is not None:
-            read = Shown(self.taken.read_as, self.taken.source or None)
-            head = {"read_as": read} | head | {"policy": self.form}
-        if "perception" in has:
-            path = said["perception"]
-            head["perception"] = Shown(path, path and f"{path}, which the policy acts on")
-        head["discount"] = mdp.discount
-        if "horizon" in has:
-            steps = self.horizon
-            head["horizon"] = Shown(steps, None if steps is None else f"{steps:,} steps")
-        return head
-
-    def report(self, report: Report, **more: Any) -> Report:
-        """Return what was found, after what was asked; `more` are facts that stand between."""
-        facts = {**self.head, **more, **report.facts}
-        stops = "horizon" in self.has and self.criterion == "total"
-        notes = (*report.notes, *unlimited(self.mdp, "--horizon {}" * stops))
-        return replace(report, facts=facts, notes=(*notes, *advice(self.endless)))
-
-    def record(self, solver: str, seed: int | None = None) -> str:
-        """Return the record of a result, as JSON."""
-        name = self.loaded.name
-        made = run_record(self.mdp, model=name, solver=solver, seed=seed, command=typed())
-        return json.dumps(made, indent=2) + "\n"
-
-    def saved(
-        self, report: Report, out: str | None, name: str, made: tuple[str, int], *also: Path
-    ) -> Report:
-        """Write a report and its record (solver and seed) into a folder that holds `also`."""
-        if out is None:
-            return report
-        paths = [Path(out, name), *also, Path(out, "run.json")]
-        report = replace(report, facts={**report.facts, "written": [str(path) for path in paths]})
-        write_atomically(paths[0], report.json() + "\n")
-        write_atomically(paths[-1], self.record(*made))
-        return report
-
-
-def given(
-    model: str,
-    *,
-    has: Sequence[str] = (),
-    parameters: Sequence[str] = (),
-    ranges: Sequence[str] = (),
-    relative: str | None = None,
-    policy: str | None = None,
-    criterion: str = "total",
-    horizon: int | None = None,
-    kind: str = "auto",
-    perception: str | None = None,
-    reach: str | None = None,
-    until: str | None = None,
-    reward: str | None = None,
-    allowed: str | None = None,
-    minimize: bool = False,
-    start: str | None = None,
-    sets: Sequence[str] = (),
-    discount: str | None = None,
-) -> Given:
-    """Return the model that a command names, with what is asked of it.
+    """The model that a command names, with what is asked of it; read when it is first needed.
 
     Parameters
     ----------
@@ -239,42 +102,157 @@ def given(
     format, 2; notice: that this is research software and no medical advice; without_range:
     parameters without a range to move in.
     """
-    options = dict(locals())
-    if reach is not None and until is not None:
-        fix = "leave out --until, or --reach"
-        raise ModelError("--reach and --until ask two questions", where="--until", fix=fix)
-    for needy, value, needed, fix in (
-        ("--allowed", allowed, reach, "give --reach LABEL"),
-        ("--reward", reward, until, "give --until LABEL, or MODEL.umb#NAME"),
-    ):
-        if value is not None and needed is None:
-            raise ModelError(f"{needy} is part of another question", where=needy, fix=fix)
-    asked = any(each is not None for each in (reach, until, start)) or minimize
-    question = partial(posed, asked=options) if asked else None
-    loaded = endless = read_model(model, sets=sets, discount=discount, start=start)
-    if question is not None:
-        loaded = replace(endless, mdp=question(endless.mdp), scenario=None)
-    average = is_average(criterion)
-    if average:
-        require_no_horizon(horizon)
-        if reach is not None or until is not None:
-            raise ModelError(
-                "an average reward per step has no target",
-                where="--criterion",
-                fix="leave out --reach and --until, or --criterion",
-            )
-    if horizon is not None:
-        loaded = replace(loaded, mdp=loaded.mdp.within(horizon))
-    return Given(
-        endless=endless,
-        loaded=loaded,
-        question=question,
-        criterion="average" if average else "total",
-        horizon=horizon,
-        form=policy,
-        options=options,
-        has=has,
-    )
+
+    model: str
+    has: Collection[str] = ()
+    parameters: Sequence[str] = ()
+    ranges: Sequence[str] = ()
+    relative: str | None = None
+    policy: str | None = None
+    criterion: Criterion = "total"
+    horizon: int | None = None
+    kind: str = "auto"
+    perception: str | None = None
+    reach: str | None = None
+    until: str | None = None
+    reward: str | None = None
+    allowed: str | None = None
+    minimize: bool = False
+    start: str | None = None
+    sets: Sequence[str] = ()
+    discount: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.reach is not None and self.until is not None:
+            fix = "leave out --until, or --reach"
+            raise ModelError("--reach and --until ask two questions", where="--until", fix=fix)
+        for needy, value, needed, fix in (
+            ("--allowed", self.allowed, self.reach, "give --reach LABEL"),
+            ("--reward", self.reward, self.until, "give --until LABEL, or MODEL.umb#NAME"),
+        ):
+            if value is not None and needed is None:
+                raise ModelError(f"{needy} is part of another question", where=needy, fix=fix)
+        if is_average(self.criterion):
+            require_no_horizon(self.horizon)
+            if self.reach is not None or self.until is not None:
+                raise ModelError(
+                    "an average reward per step has no target",
+                    where="--criterion",
+                    fix="leave out --reach and --until, or --criterion",
+                )
+
+    @cached_property
+    def loaded(self) -> Loaded:
+        """The model as it is."""
+        return read_model(self.model, sets=self.sets, discount=self.discount, start=self.start)
+
+    @cached_property
+    def question(self) -> partial[MDP] | None:
+        """What makes the model of the question; None where there is none."""
+        asked = {name: getattr(self, name) for name in QUESTION}
+        return partial(posed, asked=asked) if {*asked.values()} - {None, False} else None
+
+    @cached_property
+    def asked(self) -> MDP:
+        """The model of the question, of episodes that go on whatever the horizon."""
+        return self.loaded.mdp if self.question is None else self.question(self.loaded.mdp)
+
+    @cached_property
+    def mdp(self) -> MDP:
+        """The model of the question, of episodes that stop at the horizon."""
+        return self.asked if self.horizon is None else self.asked.within(self.horizon)
+
+    @cached_property
+    def family(self) -> Parametric:
+        """The model with its parameters; what is compiled already stays so."""
+        mdp, scenario = self.loaded.mdp, self.loaded.scenario
+        family: Parametric = parametric(mdp)
+        if scenario is not None:
+            family = ScenarioFamily(scenario=scenario, base=mdp)
+        return family if self.question is None else family.posed(self.question)
+
+    @cached_property
+    def taken(self) -> Any:
+        """The policy that was named; "optimal" where it is to be re-optimised, None without one."""
+        if "policy" not in self.has or (self.policy or self.perception) is None:
+            return None
+        form = self.policy or "optimal"
+        if (form, self.perception) == ("optimal", None) and "kind" not in self.has:
+            return form
+        return self.policy_from(form)
+
+    @property
+    def fixed(self) -> Any:
+        """The policy held fixed, the optimum unless one was named."""
+        return "optimal" if self.taken is None else self.taken
+
+    def policy_from(self, form: str) -> Policy:
+        """Return the policy that a text names, acting on what is perceived where that is given.
+
+        Under a perception the optimum is that of whoever sees the truth.
+        """
+        policy: Policy = policy_of(self.mdp, form, kind=self.kind, criterion=self.criterion)
+        if self.perception is None:
+            return policy
+        matrix = seeing.read(self.perception, self.mdp)
+        return replace(seeing.perceived(self.mdp, policy, matrix), source=policy.source)
+
+    def in_words(self) -> str | None:
+        """Return the question in words; None for the total reward."""
+        best = "least" if self.minimize else "greatest"
+        if self.reach is not None:
+            through = f" through {self.allowed}" if self.allowed else ""
+            return f"{best} probability of reaching {self.reach}{through}"
+        if self.until is not None:
+            return f"{best} expected {self.reward or 'reward'} until {self.until}"
+        return "least expected costs" if self.minimize else None
+
+    @cached_property
+    def head(self) -> dict[str, Any]:
+        """How a report begins; what a policy was read as comes first."""
+        has, head = self.has, dict[str, Any](model=self.loaded.name)
+        if "start" in has:
+            sense = Shown(self.mdp.sense)
+            head |= {"sense": sense, "question": self.in_words(), "start": self.start}
+        if "criterion" in has:
+            average = "reward per step" if is_average(self.criterion) else None
+            head["criterion"] = Shown(self.criterion, average)
+        if "kind" in has and self.taken is not None:
+            read = Shown(self.taken.read_as, self.taken.source or None)
+            head = {"read_as": read} | head | {"policy": self.policy}
+        if "perception" in has:
+            path = self.perception
+            head["perception"] = Shown(path, path and f"{path}, which the policy acts on")
+        head["discount"] = self.mdp.discount
+        if "horizon" in has:
+            steps = self.horizon
+            head["horizon"] = Shown(steps, None if steps is None else f"{steps:,} steps")
+        return head
+
+    def report(self, report: Report, **more: Any) -> Report:
+        """Return what was found, after what was asked; `more` are facts that stand between."""
+        facts = {**self.head, **more, **report.facts}
+        stops = "horizon" in self.has and not is_average(self.criterion)
+        notes = (*report.notes, *unlimited(self.mdp, "--horizon {}" * stops))
+        return replace(report, facts=facts, notes=(*notes, *advice(self.loaded)))
+
+    def record(self, solver: str, seed: int | None = None) -> str:
+        """Return the record of a result, as JSON."""
+        name = self.loaded.name
+        made = run_record(self.mdp, model=name, solver=solver, seed=seed, command=typed())
+        return json.dumps(made, indent=2) + "\n"
+
+    def saved(
+        self, report: Report, out: str | None, name: str, made: tuple[str, int], *also: Path
+    ) -> Report:
+        """Write a report and its record (solver and seed) into a folder that holds `also`."""
+        if out is None:
+            return report
+        paths = [Path(out, name), *also, Path(out, "run.json")]
+        report = replace(report, facts={**report.facts, "written": [str(path) for path in paths]})
+        write_atomically(paths[0], report.json() + "\n")
+        write_atomically(paths[-1], self.record(*made))
+        return report
 
 
 def advice(loaded: Loaded) -> tuple[str, ...]:

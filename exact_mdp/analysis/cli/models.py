@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from exact_mdp.analysis.cli.given import Given, advice
-from exact_mdp.analysis.cli.words import check_outputs, pairs_of
+from exact_mdp.analysis.cli.words import pairs_of
 from exact_mdp.analysis.gate.data.interval import cut_off, entered, never_taken, observations_of
 from exact_mdp.analysis.pages.page import ADVICE
 from exact_mdp.mdp.care import lint as linter
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import fingerprint
-from exact_mdp.mdp.graph import Termination, is_acyclic, reachable, termination
+from exact_mdp.mdp.graph import is_acyclic, reachable, termination
 from exact_mdp.mdp.io import transitions
 from exact_mdp.mdp.io.files import SMALL, STANDARD_INPUT, read_text, write_atomically
 from exact_mdp.mdp.io.load import read_model, save
@@ -25,7 +25,6 @@ from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.report import Report, Shown, Table, ratio
 
 NAMED = 1000  # pairs that nobody took, in JSON
-MOST_RARE = 20  # rows of the table
 SHOWN = 4  # states of a policy that never ends, and start states, that are printed
 
 ONE_ACTION = "only one action was ever taken: there is nothing to choose"
@@ -43,17 +42,20 @@ ENDS = (
 )
 
 
-def new(file: str) -> Report:
+def new(target: str) -> Report:
     """Write a commented scenario to change.
 
     Example: exact-mdp new mine.toml
+
+    Parameters
+    ----------
+    target : FILE, .toml
     """
-    check_outputs((file, (".toml",)))
-    if Path(file).exists():
-        raise ModelError("the file is there already", where=file, fix="choose another name")
+    if Path(target).exists():
+        raise ModelError("the file is there already", where=target, fix="choose another name")
     template = (files("exact_mdp.mdp.care") / "template.toml").read_text(encoding="utf-8")
-    write_atomically(file, template)
-    return Report(title="new scenario", facts={"written": file}, notes=[ADVICE])
+    write_atomically(target, template)
+    return Report(title="new scenario", facts={"written": target}, notes=[ADVICE])
 
 
 def lint(file: str) -> Report:
@@ -126,17 +128,20 @@ def info(given: Given) -> Report:
         "discount_exact": Shown(mdp.discount_exact),
         "start": Shown(start, some(begins, len(start))),
         "terminates": Shown(ending.proven, "every policy ends" if ending.proven else "no"),
-        "never_ends": None if ending.policy is None else _stays(mdp, ending),
+        "never_ends": None,
         "acyclic": is_acyclic(mdp),
-        "time_limit": Shown(
-            mdp.time_limit,
-            mdp.time_limit and f"{mdp.time_limit:,} steps, left out without --horizon",
-        ),
+        "time_limit": mdp.time_limit,
         "sense": Shown(mdp.sense, "min: rewards are costs" if mdp.sense == "min" else None),
         "labels": {name: int(states.sum()) for name, states in mdp.labels.items()},
         "reward_components": mdp.component_names,
         "events": mdp.events,
     }
+    if ending.policy is not None:  # one that never ends, by the first of the states it never leaves
+        trapped, choice = ending.trapped.tolist(), ending.policy
+        policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:SHOWN]}
+        states = some((f"{state}: {action}" for state, action in policy.items()), len(trapped))
+        content = {"states": len(trapped), "policy": policy}
+        facts["never_ends"] = Shown(content, f"a policy that stays for ever: {states}")
     if scenario:
         facts |= {
             "statuses": scenario.statuses,
@@ -147,16 +152,6 @@ def info(given: Given) -> Report:
         }
     facts["model_hash"] = fingerprint(mdp)
     return given.report(Report(title=f"model {given.loaded.name}", facts=facts))
-
-
-def _stays(mdp: MDP, ending: Termination) -> Shown:
-    """Return a policy that never ends, by the first of the states that it never leaves."""
-    assert ending.policy is not None
-    trapped, choice = ending.trapped.tolist(), ending.policy
-    policy = {mdp.space.label(s): mdp.actions[choice[s]] for s in trapped[:SHOWN]}
-    states = some((f"{state}: {action}" for state, action in policy.items()), len(trapped))
-    content = {"states": len(trapped), "policy": policy}
-    return Shown(content, f"a policy that stays for ever: {states}")
 
 
 def some(texts: Iterable[str], count: int) -> str:
@@ -186,7 +181,7 @@ def data(
     Parameters
     ----------
     file : FILE
-    out : MODEL
+    out : MODEL, .npz
         Where the model is written: .npz.
     discount : G, optional
         The model's discount.
@@ -206,8 +201,6 @@ def data(
     seen; cut_off: number of truncated episodes; cut_off_states: states where episodes were
     truncated and that no record leaves.
     """
-    if Path(out).suffix.lower() != ".npz":
-        raise ModelError(f"{out!r} is not named .npz", where="--out", fix="name it MODEL.npz")
     names = pairs_of(columns, "--column", "NAME=COLUMN")
     record = transitions.counted(file, names, progress=True)
     mdp = MDP(**record.parts(discount, unseen))
@@ -218,42 +211,35 @@ def data(
 def _estimated(mdp: MDP, record: transitions.Record, file: str, out: str, rare: int) -> Report:
     """Return what was counted, and what the records do not tell."""
     seen, ends, never = observations_of(mdp), entered(mdp), never_taken(mdp)
-    few = np.flatnonzero((seen > 0) & (seen < rare))
+    label, few = mdp.space.label, np.flatnonzero((seen > 0) & (seen < rare))
     rows = [
         {
-            "state": mdp.space.label(int(mdp.pair_state[pair])),
+            "state": label(int(mdp.pair_state[pair])),
             "action": mdp.actions[mdp.pair_action[pair]],
             "observations": int(seen[pair]),
         }
         for pair in few[np.argsort(seen[few], kind="stable")].tolist()
     ]
-    named = [f"{mdp.space.label(s)}: {mdp.actions[a]}" for s, a in never[:NAMED].tolist()]
-    stopped = record.n_cut_off
-    unknown = [mdp.space.label(s) for s in np.flatnonzero(cut_off(mdp)).tolist()]
-    observed = int((seen > 0).sum())
-    offered = mdp.n_actions * len(np.unique(mdp.pair_state[seen > 0]))
+    named = [f"{label(s)}: {mdp.actions[a]}" for s, a in never[:NAMED].tolist()]
+    unknown = [label(s) for s in np.flatnonzero(cut_off(mdp)).tolist()]
     facts = {
         "written": out,
         "episodes": record.starts.total(),
         "transitions": record.rows,
         "states": mdp.n_states,
         "actions": mdp.n_actions,
-        "pairs": Shown(
-            observed, f"{observed:,} observed of {offered:,}, {len(rows):,} of them rare"
-        ),
+        "pairs": int((seen > 0).sum()),
         "discount": mdp.discount,
         "ends": Shown(ends, ends and f"{some(ends, len(ends))} (entered, never left)"),
         "n_never_taken": Shown(len(never)),
         "never_taken": Shown(named, named and some(named, len(never))),
         "rare": rows,
-        "cut_off": Shown(
-            stopped, f"{stopped:,} episode{'s' * (stopped != 1)}" if stopped else None
-        ),
+        "cut_off": Shown(record.n_cut_off, record.n_cut_off or None),
         "cut_off_states": Shown(unknown, unknown and some(unknown, len(unknown))),
         "model_hash": fingerprint(mdp),
     }
-    title, keys = f"pairs observed fewer than {rare} times", ("state", "action", "observations")
-    table = Table(title=title, columns=dict(zip(keys, keys, strict=True)), first=MOST_RARE)
+    keys = {key: key for key in ("state", "action", "observations")}
+    table = Table(title=f"pairs observed fewer than {rare} times", columns=keys)
     notes = [ONE_ACTION] * (mdp.n_actions == 1)
     notes += [LIKE_CUT.format(name) for name in record.ignored]
     notes += [UNKNOWN] * bool(unknown) + [ENDS] * bool(ends) + [ADVICE]
@@ -277,11 +263,10 @@ def convert(
     Parameters
     ----------
     source : IN
-    target : OUT
+    target : OUT, .npz, .umb or .json
     constants : "A=1,B=2"
         What a .prism or .jani file leaves open (extra models).
     """
-    check_outputs((target, (".npz", ".umb", ".json")))
     loaded = read_model(source, sets=sets, discount=discount, constants=constants)
     save(loaded.mdp, target)
     sizes = {"states": loaded.mdp.n_states, "pairs": loaded.mdp.n_pairs}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import check_outputs, limits_from, number_of, refuse
+from exact_mdp.analysis.cli.words import limits_from, refuse
 from exact_mdp.analysis.optimum import limited_report, optimum, sound
 from exact_mdp.analysis.tradeoffs.front import Front
 from exact_mdp.analysis.tradeoffs.rationalize import Rationalization
@@ -18,6 +18,7 @@ from exact_mdp.mdp.graph import endless
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown
+from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.exact import codec
 from exact_mdp.solvers.exact.certificate import BoundedCertificate, Certificate
 from exact_mdp.solvers.exact.certify import certify as certified
@@ -70,12 +71,12 @@ def solve(
         backward-induction, linear-program, or what suits the model.
     tol : X, optional
         Greatest absolute error of a value.
-    certificate : FILE, optional
+    certificate : FILE, .json
         Write a proof for `verify`: .json; of the exact optimum with --certify or under limits, else
         of bounds.
-    policy_out : FILE, optional
+    policy_out : FILE, .csv or .json
         Write the policy: .csv or .json.
-    out : FILE, optional
+    out : FILE, .npz
         Write values, policy and action values: .npz. Beside each file that is written stands a
         record of its making, FILE.run.json.
 
@@ -91,7 +92,6 @@ def solve(
     were given; totals: what the policy attains of each limited total, "p/q"; regret_bound: greatest
     loss of the policy.
     """
-    check_outputs((policy_out, (".csv", ".json")), (out, (".npz",)), (certificate, (".json",)))
     mdp, average = given.mdp, given.criterion == "average"
     if subject_to:
         refused = {"--method": method != "auto", "--tol": tol, "--out": out}
@@ -102,16 +102,11 @@ def solve(
         if certificate:
             limited.save(certificate)
         return given.report(limited_report(limited, [policy_out, certificate]))
-    if certificate and not certify and average:
-        what = "there are no bounded certificates of an average reward"
-        raise ModelError(what, where="--certificate", fix="add --certify")
-    if certificate and not certify and endless(mdp):
-        raise ModelError(
-            "bounds are proved where every policy ends, and here one need not",
-            where="--certificate",
-            fix="add --certify, which proves the exact values",
-        )
-    error = None if tol is None else number_of(tol, "--tol")
+    if certificate and not certify and (average or endless(mdp)):
+        what = "bounds are proved of totals of rewards where every policy ends"
+        fix = "add --certify, which proves the exact values"
+        raise ModelError(what, where="--certificate", fix=fix)
+    error = None if tol is None else float_of(tol, "--tol")
     best = optimum(mdp, method, error, certify=certify, criterion=given.criterion)
     if certificate:
         proof = best.certificate or certified(mdp, bounded=True, solution=best.solution)
@@ -145,8 +140,9 @@ def verify(certificate: str, given: Given) -> Report:
     certificate: the certificate's file; holds: whether the certificate holds; violations: rules
     that are broken, empty if all hold; objectives: the totals that a front or limits are about.
     """
-    proof = replace(codec.load(KINDS, certificate), mdp=given.mdp)
-    violations = proof.violations(given.mdp)
+    mdp = given.mdp
+    proof = replace(codec.load(KINDS, certificate), mdp=mdp)
+    violations = proof.violations(mdp)
     said = "does not hold" if violations else f"holds ({proof.claim})"
     facts: dict[str, Any] = {
         "certificate": certificate,

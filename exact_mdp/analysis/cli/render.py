@@ -16,7 +16,7 @@ from exact_mdp.mdp.errors import ModelError, shown_text
 from exact_mdp.mdp.report import Report
 
 
-def show(report: Report, *, as_json: bool, as_markdown: bool = False) -> None:
+def show(report: Report, *, as_json: bool, as_markdown: bool) -> None:
     """Print a report, its notes on standard error; advice is part of every form."""
     if as_json and as_markdown:
         raise ModelError("two forms of one output", where="--markdown", fix="leave out --json")

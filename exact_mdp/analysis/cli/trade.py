@@ -6,19 +6,18 @@ import json
 from collections.abc import Sequence
 
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import check_outputs, number_of
+from exact_mdp.analysis.cli.words import refuse
 from exact_mdp.analysis.perception import confusion_at, error_costs, value_under_counts
 from exact_mdp.analysis.tradeoffs.front import tradeoff as front_of
 from exact_mdp.analysis.tradeoffs.rationalize import rationalize as weights_for
 from exact_mdp.analysis.tradeoffs.risk import mean_cvar
-from exact_mdp.mdp.care.perception import LEVEL, Counted, read, read_counts, status_size
-from exact_mdp.mdp.errors import ModelError, located
+from exact_mdp.mdp.care.perception import LEVEL, read, read_counts
+from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown, between
 from exact_mdp.mdp.result import data_frame
-from exact_mdp.mdp.table import Floats
+from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.risk import share_of
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import policy_of
@@ -43,7 +42,7 @@ def tradeoff(
     names : "A B [C]"
     policies : POLICY, optional
         A policy to place beside the front, with its distance.
-    certificate : FILE, optional
+    certificate : FILE, .json
         Write the proof for `verify`: .json.
 
     Keys
@@ -53,11 +52,10 @@ def tradeoff(
     vertex of the front; edges: {from, to, rate}, what one total costs in terms of the other;
     policies: each policy with its values and its distance.
     """
-    check_outputs((certificate, (".json",)))
     front = front_of(given.mdp, names)
     if certificate:
         front.save(certificate)
-    report = front.report({form: given.policy(form) for form in policies})
+    report = front.report({form: given.policy_from(form) for form in policies})
     return given.report(report, written=[certificate] if certificate else [])
 
 
@@ -95,7 +93,7 @@ def risk(
         The mean return of this share of the episodes, the worst: 0.1 or 1/10.
     policies : POLICY, optional
         A policy to place beside the best ones.
-    policy_out : FILE, optional
+    policy_out : FILE, .csv or .json
         Write the policy: .csv or .json; by state and reward so far.
 
     Keys
@@ -106,8 +104,7 @@ def risk(
     the worst; distribution: {return: probability}; points: policies from the mean to the worst
     share; policies: each policy given, with its values.
     """
-    check_outputs((policy_out, (".csv", ".json")))
-    beside = {form: given.policy(form) for form in policies}
+    beside = {form: given.policy_from(form) for form in policies}
     report = mean_cvar(given.mdp, share_of(cvar), policies=beside).report()
     if policy_out:  # what it does by state and reward so far, exactly
         rules = [{k: str(value) for k, value in rule.items()} for rule in report.facts["policy"]]
@@ -161,8 +158,18 @@ def perception(
     taken for true; errors: cost of each kind of error; confusions: cost of taking one status for
     another; counted: counts, if the file holds examples.
     """
-    mdp = given.mdp
-    matrix, counts = _confusion(mdp, perception, accuracy, prior)
+    mdp, counts = given.mdp, None
+    if (perception is None) == (accuracy is None):
+        what = "no perception, or two of them"
+        raise ModelError(what, where="options", fix="give --perception or --accuracy")
+    if perception is None:
+        refuse({"--prior": prior}, "an accuracy")
+        matrix = confusion_at(mdp, float_of(accuracy, "accuracy"))
+    elif prior is None:
+        matrix = read(perception, mdp)
+    else:
+        counts = read_counts(perception, mdp, prior=float_of(prior, "prior"))
+        matrix = counts.mean
     optimum = solve(mdp)
     chosen = policy_of(mdp, optimum if policy == "optimal" else policy)
     costs = error_costs(mdp, chosen, matrix)
@@ -182,23 +189,3 @@ def perception(
         taken_as_true=costs.value,
         counted=counted,
     )
-
-
-def _confusion(
-    mdp: MDP, path: str | None, accuracy: str | None, prior: str | None
-) -> tuple[Floats, Counted | None]:
-    """Return the confusion matrix, and the counts behind it where a prior is given."""
-    status_size(mdp)
-    if (path is None) == (accuracy is None):
-        what = "no perception, or two of them"
-        raise ModelError(what, where="options", fix="give --perception or --accuracy")
-    if accuracy is not None:
-        if prior is not None:
-            raise ModelError("an accuracy takes no prior", where="--prior", fix="leave it out")
-        with located("--accuracy", instead=True):
-            return confusion_at(mdp, number_of(accuracy, "--accuracy")), None
-    assert path is not None
-    if prior is None:
-        return read(path, mdp), None
-    counts = read_counts(path, mdp, prior=number_of(prior, "--prior", positive=True))
-    return counts.mean, counts

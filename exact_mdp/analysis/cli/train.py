@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import number_of, settings_of
+from exact_mdp.analysis.cli.words import settings_of
 from exact_mdp.analysis.learning.outcomes import outcomes
 from exact_mdp.mdp.errors import located
 from exact_mdp.mdp.io.files import write_atomically
-from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report
+from exact_mdp.mdp.table import float_of
 from exact_mdp.solvers.learning import training
 from exact_mdp.solvers.learning.q_learning import QLearning
 from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, PAPER_DECAYING, Schedule
@@ -46,7 +46,7 @@ def train(
         constant (0.1), decaying (0.03 + 0.97 exp(-λt), 0.8 at epoch 300), or a number from 0 to 1.
     seeds : N, 1 to 10000000
         Number of runs.
-    seed : S, 0 to 340282366920938463463374607431768211456
+    seed : S
         Seed of the random numbers.
     learner : NAME=VALUE, optional
         A setting of `exact_mdp.QLearning`: method=sarsa (expected-sarsa, double-q-learning),
@@ -72,7 +72,13 @@ def train(
     values; distinct_in_last: number of policies at the end of a run; changed_in_last: how often the
     action of each status changes there.
     """
-    mdp, settings = given.mdp, _settings(given.mdp, epsilon, learner)
+    mdp, stated = given.mdp, settings_of(QLearning, learner, "--learner")
+    if stated.get("columns") == ("all",):
+        stated["columns"] = mdp.space.names
+    stated["exploration"] = SCHEDULES.get(epsilon) or float_of(epsilon, "epsilon")
+    stated.setdefault("snapshot_episode", min(10, stated.get("episodes", 10)))
+    with located("--learner"):
+        settings = QLearning(**stated)
     solve(mdp)  # a model that cannot be judged is refused before the work
     runs = training.train(mdp, settings, seeds, rng=seed, n_jobs=n_jobs, out=out, progress=True)
     results = outcomes(mdp, runs)
@@ -87,14 +93,3 @@ def train(
     np.save(content, run.q if rows.space == mdp.space else run.q[:, free])
     write_atomically(table, content.getvalue())
     return given.saved(report, out, "summary.json", (repr(settings), seed), *files)
-
-
-def _settings(mdp: MDP, epsilon: str, learner: Sequence[str]) -> QLearning:
-    """Return the learner that the options describe."""
-    stated = settings_of(QLearning, learner, "--learner")
-    if stated.get("columns") == ("all",):
-        stated["columns"] = mdp.space.names
-    stated["exploration"] = SCHEDULES.get(epsilon) or number_of(epsilon, "--epsilon")
-    stated.setdefault("snapshot_episode", min(10, stated.get("episodes", 10)))
-    with located("--learner"):
-        return QLearning(**stated)

@@ -6,14 +6,13 @@ import shlex
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from exact_mdp.analysis.cli.given import Given
-from exact_mdp.analysis.cli.words import check_outputs, number_of, pairs_of, typed
+from exact_mdp.analysis.cli.words import pairs_of, refuse, typed
 from exact_mdp.analysis.pages.explorer import explore as explorer_of
 from exact_mdp.analysis.vary.base_case import finite_worth
 from exact_mdp.analysis.vary.curves.curve import curve as curve_of
@@ -47,8 +46,7 @@ from exact_mdp.mdp.errors import ModelError, known, located
 from exact_mdp.mdp.io.files import write_atomically
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, claimed
-from exact_mdp.mdp.table import FLOAT_RANGE, beside, exact, shown
-from exact_mdp.solvers.robust.sets import radius_of
+from exact_mdp.mdp.table import exact, float_of
 from exact_mdp.solvers.solver import solve
 
 ROUNDED = "of the perception, and the probabilities of actions that it makes, as rounded to floats"
@@ -61,7 +59,6 @@ ROWS = {  # the radius of each kind of set unless one is given, and what is in t
     "entropy": ("0.01", "rows of relative entropy KL(q‖p) ≤ {}, on their own"),
 }
 BOX = "box"
-MOST_APART = 2  # the L1 distance of laws that have nothing in common
 
 
 # ---- one parameter at a time ---------------------------------------------------------------------
@@ -82,7 +79,7 @@ def tornado(given: Given) -> Report:
     """
     spans, without = _moving(_ranges(given))
     result = tornado_of(given.family, policy=given.fixed, names=list(spans), ranges=spans)
-    by = "fixed_swing" if given.options["perception"] else "swing"  # what it does to the policy
+    by = "fixed_swing" if given.perception else "swing"  # what it does to the policy
     return _report(given, "tornado", result.report(by), without_range=without)
 
 
@@ -101,9 +98,8 @@ def gradient(given: Given) -> Report:
     the left; right: the derivative from the right, which differs where two policies are optimal;
     steps: the value with one more and one less of each whole number.
     """
-    names = given.options["parameters"] or None
-    result = gradient_of(given.family, policy=given.fixed, names=names)
-    more = {"claim_of": ROUNDED} if given.options["perception"] else {}
+    result = gradient_of(given.family, policy=given.fixed, names=given.parameters or None)
+    more = {"claim_of": ROUNDED} if given.perception else {}
     return _report(given, "gradient", result.report(), **more)
 
 
@@ -157,13 +153,11 @@ def curve(
     intervals in which the policy keeps the limit.
     """
     (name,) = _named(parameters, 1, "curve")
-    ranged = given.options["ranges"] or given.options["relative"]
-    limits = {"max_regret": max_regret, "max_relative_regret": max_relative_regret}
-    limited = any(limits.values())
-    spans, policy = _ranges(given, [name]) if ranged else None, given.taken
-    result = curve_of(given.family, name, spans, policy=given.fixed if limited else policy)
-    report = result.report(result.within(**limits) if limited else None)
-    return given.report(report, kind="curve")
+    spans = _ranges(given, [name]) if given.ranges or given.relative else None
+    limited = max_regret or max_relative_regret
+    result = curve_of(given.family, name, spans, policy=given.fixed if limited else given.taken)
+    within = result.within(max_regret, max_relative_regret) if limited else None
+    return given.report(result.report(within), kind="curve")
 
 
 def one_way(given: Given, *, parameters: Sequence[str] = (), points: int = 21) -> Report:
@@ -260,19 +254,17 @@ def psa(
     without the bias of the sample; evpi_of_candidates: EVPI if only the candidates can be chosen;
     evppi: expected value of knowing each parameter alone; evppi_details: how each was estimated.
     """
-    of_rows = given.endless.scenario is None
-    model = row_family(given.mdp) if of_rows else given.family
-    stated, default = ({}, None) if uncertain is None else load_uncertainty(Path(uncertain))
+    model = row_family(given.mdp) if given.loaded.scenario is None else given.family
+    stated, size = ({}, None) if uncertain is None else load_uncertainty(Path(uncertain))
     if effective_sample_size is not None:
-        default = number_of(effective_sample_size, "--effective-sample-size")
-    size = EFFECTIVE_SAMPLE_SIZE if default is None else default
-    names = [*given.options["parameters"]] or None
+        size = float_of(effective_sample_size, "--effective-sample-size")
+    size = EFFECTIVE_SAMPLE_SIZE if size is None else size
     with nullcontext() if uncertain is None else located(uncertain):
-        chosen = uncertainty(model, stated, default=size, names=names)
+        chosen = uncertainty(model, stated, default=size, names=given.parameters or None)
     n = samples or (10_000 if solver_of(model, ()).compiled else 500)
     how = _work(n_jobs, out)
     result = psa_of(model, n, rng=seed, uncertain=chosen, policy=given.fixed, **how)
-    report = result.report(given.form or "optimal")
+    report = result.report(given.policy or "optimal")
     report = _report(given, "psa", report, effective_sample_size=size)
     return given.saved(report, out, "psa.json", ("psa", seed))
 
@@ -306,16 +298,14 @@ def sobol(
     total: share of the variance including all interactions with others; total_interval: interval of
     `total`; regret: the same indices, of the regret of a policy held fixed.
     """
-    some = given.options["parameters"] or given.options["ranges"]
-    spans, without = _moving(_ranges(given, None if some else usual(given.family)))
+    spans, without = _moving(_ranges(given, _together(given)))
     if not spans:
         raise ModelError(
             "every chosen parameter is 0, and a share of 0 gives no range",
             where=f"sobol of {given.loaded.name}",
             fix="give a range: --range NAME=LOW:HIGH",
         )
-    how = _work(n_jobs, out)
-    how |= {"n": samples, "rng": seed, "policy": given.fixed}
+    how = _work(n_jobs, out) | {"n": samples, "rng": seed, "policy": given.fixed}
     result = sobol_of(given.family, names=list(spans), ranges=spans, **how)
     report = _report(given, "sobol", result.report(), **_start(given), without_range=without)
     return given.saved(report, out, "sobol.json", ("sobol", seed))
@@ -338,7 +328,7 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
         What may move: each probability by a share or an absolute amount, each row within a distance
         (l1, kl, entropy), or the tables' numbers (box).
     radius : X, optional
-        How far it may move; at most 2 for l1.
+        How far it may move, except in a box.
 
     Keys
     ----
@@ -349,41 +339,23 @@ def robust(given: Given, *, set_kind: str = "interval", radius: str | None = Non
     of the robust policy if the tables are right; price_of_robustness: loss of the robust policy if
     the tables are right; policy_changes: states in which the robust policy acts differently.
     """
+    boxed = {"--parameter": given.parameters, "--range": given.ranges, "--relative": given.relative}
     if set_kind == BOX:
-        return _box(given, radius)
+        refuse({"--radius": radius}, "a box", "give --relative X or --range NAME=LOW:HIGH instead")
+        return _box(given, any(boxed.values()))
     usual_radius, meaning = ROWS[known(set_kind, [*ROWS, BOX], "set", "--set-kind")]
-    if any(given.options[name] for name in ("parameters", "ranges", "relative")):
-        raise ModelError(
-            "parameters and ranges are for a box",
-            where="robust",
-            fix="add --set-kind box, or give --radius instead",
-        )
-    size = _radius(usual_radius if radius is None else radius)
-    if set_kind == "l1" and size > MOST_APART:
-        raise ModelError(
-            f"an L1 radius of {beside(size, Fraction(MOST_APART))}, "
-            f"but no two distributions are more than {MOST_APART} apart",
-            where="--radius",
-            fix=f"choose one from 0 to {MOST_APART}",
-        )
-    sets_of = ambiguity_of(given.mdp, set_kind, size)
-    result = robust_of(given.mdp, sets_of, policy=given.fixed)
+    refuse(boxed, "rows on their own", "add --set-kind box, or give --radius instead")
+    size = exact(usual_radius if radius is None else radius, "radius")
+    result = robust_of(given.mdp, ambiguity_of(given.mdp, set_kind, size), policy=given.fixed)
     kind = Shown(set_kind, meaning.format(f"{float(size):.4g}"))
     return _report(given, "robust", result.report(), set_kind=kind, radius=float(size))
 
 
-def _box(given: Given, radius: str | None) -> Report:
+def _box(given: Given, stated: bool) -> Report:
     """Return the worst point that is found for the policy over one shared box of parameters."""
-    family, options, size = given.family, given.options, None
-    named = bool(options["parameters"] or options["ranges"])
-    if named or options["relative"]:
-        if radius is not None:
-            raise ModelError("both a radius and ranges", where="--radius", fix="give one of them")
-        box, _ = _moving(_ranges(given, None if named else usual(family)))
-    else:
-        size = _radius(RELATIVE if radius is None else radius)
-        chosen = [p.name for p in family.parameters if is_probability(p)]
-        box, _ = _moving(ranges_of(family, chosen, relative=size))
+    family = given.family
+    chances = [each.name for each in family.parameters if is_probability(each)]
+    box, _ = _moving(_ranges(given, _together(given) if stated else chances))
     if not box:
         raise ModelError(
             "no parameter moves",
@@ -393,14 +365,9 @@ def _box(given: Given, radius: str | None) -> Report:
     report = worst_point(family, given.fixed, box).report()
     start = claimed("start_value", finite_worth(given.mdp, given.fixed, "today's parameters"))
     ends = {name: [float(span.low), float(span.high)] for name, span in box.items()}
-    more = {"set_kind": BOX, "radius": None if size is None else float(size), "box": Shown(ends)}
+    radius = None if stated else float(RELATIVE)
+    more = {"set_kind": BOX, "radius": radius, "box": Shown(ends)}
     return _report(given, "robust", report, **start, **more)
-
-
-def _radius(stated: object) -> Fraction:
-    with located("--radius", instead=True):
-        radius_of(stated, "a radius")
-        return exact(stated)
 
 
 # ---- the page ------------------------------------------------------------------------------------
@@ -425,7 +392,7 @@ def explore(
     ----------
     parameters : NAME
         The parameter that moves. A second one moves in steps.
-    html : FILE
+    html : FILE, .html
         Write the page: .html.
     points : N, 2 to 101
         Values of the second parameter.
@@ -434,11 +401,9 @@ def explore(
     ----
     parameters: parameters that move; pieces: number of pieces on the page.
     """
-    check_outputs((html, (".html",)))
-    how: dict[str, Any] = {"policy": policy, "said": given.form, "n": points}
-    page = explorer_of(
-        given.family, *parameters, ranges=_moving(_ranges(given, parameters))[0], **how
-    )
+    how: dict[str, Any] = {"policy": policy, "said": given.policy, "n": points}
+    spans, _ = _moving(_ranges(given, parameters))
+    page = explorer_of(given.family, *parameters, ranges=spans, **how)
     page = replace(page, model=given.loaded.name)
     write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *typed()])))
     return given.report(page.report(), written=html)
@@ -449,7 +414,7 @@ def explore(
 
 def _report(given: Given, kind: str, report: Report, **more: Any) -> Report:
     """Return a report with the policy held fixed."""
-    return given.report(report, kind=kind, policy=given.form or "optimal", **more)
+    return given.report(report, kind=kind, policy=given.policy or "optimal", **more)
 
 
 def _named(parameters: Sequence[str], count: int, kind: str) -> Sequence[str]:
@@ -469,25 +434,19 @@ def _start(given: Given) -> dict[str, Any]:
 
 def _ranges(given: Given, names: Sequence[str] | None = None) -> Ranges:
     """Return the range of each parameter that the options name, or of `names`."""
-    model, options, stated = given.family, given.options, Ranges()
-    texts = []
-    for each in options["ranges"]:
-        if each.lower().endswith(".toml") and "=" not in each:
-            stated.update(load_ranges(model, each))
-        else:
-            texts.append(each)
-    for name, ends in pairs_of(texts, "--range", "NAME=LOW:HIGH").items():
-        low, colon, high = ends.partition(":")
-        if not colon:
-            raise ModelError(f"{ends!r} is not a range", where="--range", fix="write NAME=LOW:HIGH")
-        stated.update(checked(model, {name: (low.strip(), high.strip())}))
-    share = options["relative"]
-    if share not in (None, "whole"):
-        with located("--relative", instead=True):
-            share = exact(share)
-            if share and not FLOAT_RANGE[0] < abs(share) < FLOAT_RANGE[1]:
-                raise ModelError(f"a share of {shown(share)}", fix="choose one nearer to 1")
-    return ranges_of(model, names or options["parameters"] or None, stated, share)
+    model, stated = given.family, Ranges()
+    files = [each for each in given.ranges if each.lower().endswith(".toml") and "=" not in each]
+    for file in files:
+        stated.update(load_ranges(model, file))
+    texts = [each for each in given.ranges if each not in files]
+    pairs = pairs_of(texts, "--range", "NAME=LOW:HIGH")
+    stated.update(checked(model, {name: ends.split(":") for name, ends in pairs.items()}))
+    return ranges_of(model, names or given.parameters or None, stated, given.relative)
+
+
+def _together(given: Given) -> Sequence[str] | None:
+    """Return the parameters to vary together where none is named."""
+    return None if given.parameters or given.ranges else usual(given.family)
 
 
 def _moving(ranges: Ranges) -> tuple[Ranges, list[str]]:

@@ -3,44 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from exact_mdp.mdp.errors import ModelError, suggest
-
-if TYPE_CHECKING:
-    Converter = click.ParamType[int]
-else:  # older versions of click have no parameter here
-    Converter = click.ParamType
-
-
-class Whole(Converter):
-    """A whole number within limits, which the docstring's type states: "N, 1 to 100"."""
-
-    name = "whole number"
-
-    def __init__(self, form: str) -> None:
-        limits = re.search(r"(\d+) to (\d+)", form)
-        self.least, self.most = map(int, limits.groups()) if limits else (0, 10**18)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return the number that a text states."""
-        return self.of(str(value), param.opts[-1] if param else "")
-
-    def of(self, text: str, where: str) -> int:
-        """Return the number that a text states."""
-        digits = text.isascii() and text.isdigit() and len(text) <= 40
-        if digits and self.least <= int(text) <= self.most:
-            return int(text)
-        raise ModelError(
-            f"{text!r} is not a whole number from {self.least} to {self.most:,}",
-            where=where,
-            fix="choose one in that range",
-        )
+from exact_mdp.mdp.errors import ModelError, known, suggest
+from exact_mdp.mdp.table import exact, float_of
 
 
 def refuse(options: Mapping[str, Any], of: str, fix: str = "leave it out") -> None:
@@ -71,14 +42,12 @@ def limits_from(texts: Sequence[str]) -> dict[str, list[str]]:
     return limits
 
 
-def number_of(text: str, option: str, *, positive: bool = False) -> float:
-    """Return the number that an option states, as a float."""
-    from exact_mdp.mdp.table import float_of  # loads NumPy, and help needs this module
-
-    number = float_of(text, option)
-    if positive and not number > 0:
-        raise ModelError(f"{text} is not positive", where=option, fix="give more than 0")
-    return number
+def whole_of(text: str, where: str) -> int:
+    """Return the whole number from 0 up that a text states."""
+    number = exact(text, where)
+    if number.denominator != 1 or number < 0:
+        raise ModelError(f"{text} is not a whole number from 0", where=where, fix="round it")
+    return int(number)
 
 
 def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
@@ -92,42 +61,43 @@ def pairs_of(texts: Sequence[str], option: str, form: str = "NAME=VALUE") -> dic
     return pairs
 
 
+def parts_of(text: str, _: str) -> Any:
+    """Return the parts of a text between commas; "known" as it is."""
+    return text if text == "known" else tuple(each.strip() for each in text.split(","))
+
+
+READ: dict[str, Callable[[str, str], Any]] = {  # by the beginning of a field's type
+    **dict.fromkeys(("int", "RNG"), whole_of),
+    **dict.fromkeys(("float", "Schedule"), float_of),
+    **dict.fromkeys(("tuple", "Ends", "Given"), parts_of),
+    "bool": lambda text, where: known(text, ("true", "false"), "truth value", where) == "true",
+}
+
+
 def settings_of(kind: type, texts: Sequence[str], option: str) -> dict[str, Any]:
     """Return the fields of a dataclass that NAME=VALUE texts state, each as its type says.
 
     NAME.PART=VALUE is one entry of a mapping.
     """
-    known = {each.name: str(each.type) for each in fields(kind)}
+    types = {each.name: re.split(r"\W", str(each.type))[0] for each in fields(kind)}
     settings: dict[str, Any] = {}
     for name, text in pairs_of(texts, option).items():
-        where, (key, _, part) = f"{option} {name}", name.partition(".")
-        if key not in known:
+        key, _, part = name.partition(".")
+        if key not in types:
             what = f"{key!r} does not apply to {getattr(kind, 'by', kind.__name__)}"
-            raise ModelError(what, where=option, fix=suggest(key, known))
-        form = known[key]
-        value: Any = text
-        if form.startswith(("int", "RNG")):
-            value = Whole("0 to 999999999").of(text, where)
-        elif form in ("float", "Schedule"):
-            value = number_of(text, where)
-        elif form == "bool":
-            if text not in ("true", "false"):
-                raise ModelError(f"{text!r} is no truth value", where=where, fix="write true")
-            value = text == "true"
-        elif form.startswith(("tuple", "Ends", "Given")) and text != "known":
-            value = tuple(each.strip() for each in text.split(","))
-        elif form.startswith("Mapping"):
-            value = settings.get(key, {}) | {part: text}
-        settings[key] = value
+            raise ModelError(what, where=option, fix=suggest(key, types))
+        if types[key] == "Mapping":
+            settings[key] = settings.get(key, {}) | {part: text}
+        else:
+            read = READ.get(types[key])
+            settings[key] = read(text, f"{option} {name}") if read else text
     return settings
 
 
-def check_outputs(*files: tuple[str | None, tuple[str, ...]]) -> None:
+def check_outputs(files: Iterable[tuple[str, Sequence[str]]]) -> None:
     """Raise ModelError, before any work, where a file (path, allowed endings) cannot be written."""
     taken = []
     for name, endings in files:
-        if name is None:
-            continue
         path = Path(name)
         if path.suffix.lower() not in endings:
             raise ModelError(

@@ -19,7 +19,7 @@ from exact_mdp.mdp.io.structured import toml_of
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.parametric import DISCOUNT, Parametric, parameter_of, room_of
 from exact_mdp.mdp.parametric.family import place_of
-from exact_mdp.mdp.table import beside, exact, shown
+from exact_mdp.mdp.table import FLOAT_RANGE, beside, exact, shown
 from exact_mdp.solvers.solution import warn
 
 RELATIVE = Fraction(1, 5)
@@ -82,11 +82,10 @@ def around(parameter: Parameter, relative: object = RELATIVE) -> Range:
     For "whole" it is all that the parameter may be, and the value ± itself where that is open.
     """
     whole = isinstance(relative, str) and relative == "whole"
-    share = exact(1 if whole else relative, "relative range")
-    if share <= 0:
-        raise ModelError(
-            f"a share of {shown(share)}", where="relative range", fix="choose one above 0"
-        )
+    share = exact(1 if whole else relative, "relative")
+    if not 0 < share < FLOAT_RANGE[1]:
+        fix = "choose one above 0, nearer to 1"
+        raise ModelError(f"a share of {shown(share)}", where="relative", fix=fix)
     reach = abs(parameter.value) * share
     low, high = parameter.value - reach, parameter.value + reach
     if parameter.low is not None:
@@ -138,7 +137,7 @@ def checked(model: Parametric, ranges: Mapping[str, object] | None) -> Ranges:
         if isinstance(given, Range):
             given = (given.low, given.high)
         if not isinstance(given, list | tuple) or len(given) != 2:
-            raise ModelError("not a pair of numbers", where=where, fix="write [low, high]")
+            raise ModelError("not a pair of numbers", where=where, fix="give low and high")
         with located(where, instead=True):
             low, high = exact(given[0]), exact(given[1])
             for end in (low, high):

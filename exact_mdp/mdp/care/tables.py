@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from exact_mdp.mdp.errors import ModelError, check_names, check_text, known
+from exact_mdp.mdp.errors import LONGEST_TEXT, ModelError, check_names, known
 from exact_mdp.mdp.parameter import Parameter
 from exact_mdp.mdp.result import as_html
 from exact_mdp.mdp.table import MOST_DIGITS, Integers, exact
@@ -280,7 +280,8 @@ def check_scenario(scenario: Tables) -> None:
     check_names(scenario.actions, "action", where="actions")
     check_names(scenario.weights.values(), "weight", where="status_weight")
     for key in ("title", "source"):
-        check_text(getattr(scenario, key), key)
+        text = getattr(scenario, key).replace("\n", "").replace("\t", "")
+        check_names([text], key, where=key, longest=LONGEST_TEXT)
     for key, convert in SETTINGS.values():
         convert(getattr(scenario, key))
     for name in READINGS:

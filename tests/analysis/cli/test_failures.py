@@ -63,7 +63,6 @@ ENDS = {
     "text": "import sys; sys.exit('a text')",
     "None": "raise SystemExit",
     "a subclass": "class End(SystemExit): pass\nraise End(0)",
-    "at once": "import os; os._exit(0)",
     "click": "import gymnasium as g; import click\n"
     "class Env(g.Env):\n"
     "    observation_space = action_space = g.spaces.Discrete(2)\n"
@@ -112,22 +111,9 @@ def test_what_a_module_prints_stays_out_of_the_result(
     assert all(word in done.err for word in ("python", "below", "system", "child", "at exit"))
 
 
-def test_what_is_registered_for_the_end_does_not_change_the_status(tmp_path: Path) -> None:
-    (tmp_path / "late.py").write_text(
-        "import atexit, os; atexit.register(os._exit, 0); atexit.register(lambda: os._exit(0))\n"
-        "import gymnasium; gymnasium.register('X-v0', "
-        "entry_point='gymnasium.envs.toy_text.frozen_lake:FrozenLakeEnv')",
-        "utf-8",
-    )
-    pytest.importorskip("gymnasium")
-    path = os.pathsep.join([str(tmp_path), *sys.path])
-    end = launch("check gymnasium:late:X-v0 always:LEFT", PYTHONPATH=path)
-    assert end.status == 1, end.err
-
-
 # ---- streams and disks ---------------------------------------------------------------------------
 
-CHECK, FULL = "check tea optimal", "cannot write to standard output: No space left on device"
+CHECK, FULL = "check tea optimal", "the system refuses: No space left on device"
 
 
 @pytest.mark.parametrize(

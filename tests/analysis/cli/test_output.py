@@ -35,7 +35,7 @@ TEXTS = {
     f"threshold yuan2025 {SMALL} --parameter base.anger": "start value",
     f"one-way yuan2025 {SMALL} --parameter base.anger --points 3": "0.04",
     f"robust yuan2025 {SMALL} --set-kind kl --radius 1/100": "worst case",
-    f"robust yuan2025 {SMALL} --set-kind box --radius 1/10": "worst case",
+    f"robust yuan2025 {SMALL} --set-kind box --relative 1/10": "worst case",
     f"tradeoff yuan2025 {SMALL} anger steps --policy random": "policies beside the front",
     "train tea --seeds 4 --learner epochs=5": "mean regret|of the runs end optimal|95 %",
     "evaluate gymnasium:CliffWalking-v1 always:0 --discount 0.9": "it may never end",

@@ -64,23 +64,23 @@ check yuan2025 -> Missing argument 'LEARNED...'
 check yuan2025 optimal --limit 1 -> No such option '--limit'
 returns yuan2025 random --discount 0.95 -> discount 19/20 gives returns that are not on a lattice
 simulate yuan2025 random -> Missing option '--episodes'
-simulate yuan2025 random --episodes <0|-5|9999999999> -> '*' is not a whole number from 1 to 1,000,
-simulate yuan2025 random --episodes 10 --seed lucky -> 'lucky' is not a whole number from 0
+simulate yuan2025 random --episodes <0|-5|9999999999> -> * is not in the range 1<=x<=1000000000
+simulate yuan2025 random --episodes 10 --seed lucky -> 'lucky' is not a valid integer range
 simulate yuan2025 random --episodes 10 --seed=-1 -> where: --seed
 verify yuan2025 action.json -> verify CERTIFICATE MODEL
 verify truncated.json yuan2025 -> not a certificate, which is JSON text
 gradients small -> gradients
 <gradient|threshold|tornado> small --parameter base.angre -> unknown parameter
 tornado small --range base.angre=0:1 -> unknown parameter
-tornado small --range base.anger=0.1 -> not a range
+tornado small --range base.anger=0.1 -> not a pair of numbers
 <tornado|threshold|sobol> small --range base.anger=0.2:0.1 -> empty
 <threshold|sobol> small --range base.anger=0.2:0.2 -> empty
 <tornado|threshold|sobol> small --range base.anger=0:1.5 -> outside [0, 1]
 tornado small --relative 0 -> share
 threshold small --range nowhere.toml -> nowhere.toml
-sobol small --samples <0|1> -> '*' is not a whole number from 2
+sobol small --samples <0|1> -> * is not in the range 2<=x<=16777216
 sobol small --samples 1000 -> not a power of 2
-sobol small --samples many -> 'many' is not a whole number
+sobol small --samples many -> where: --samples
 <sobol|psa|train> small --seed -1 -> --seed
 <sobol|psa|train> small --n-jobs 0 -> --n-jobs
 <sobol|psa> small --parameter base.angre -> did you mean base.anger
@@ -94,15 +94,14 @@ psa small --effective-sample-size many -> not a finite rational
 psa small --uncertain none.toml -> none.toml
 psa small --uncertain uncertain.toml -> did you mean base.anger
 psa small --uncertain uncertain.toml -> uncertain.toml
-robust small <--radius|--set-kind box --radius> -1 -> where: --radius
-robust small --set-kind box --radius 0 -> above 0
-robust small --set-kind l1 --radius 2.1 -> no two distributions are more than 2 apart
-robust small --set-kind l1 --radius 2.1 -> where: --radius
+robust small --radius -1 -> where: --radius
+robust small --set-kind box --radius 1 -> --radius does not apply to a box
+robust small --set-kind box --relative 0 -> above 0
 robust land.npz --set-kind box -> no parameter moves
 robust small --set-kind ball -> --set-kind
 robust gymnasium:FrozenLake-v1 --discount 1 -> every episode to end
 robust small --set-kind box --parameter base.angr -> base.angr
-robust small --set-kind kl --range base.anger=0:1 -> for a box
+robust small --set-kind kl --range base.anger=0:1 -> add --set-kind box
 robust small --set-kind box --range base.anger=1:0 -> empty
 gradient tea --range a=0:1 -> No such option '--range'
 psa tea --whole -> No such option '--whole'
@@ -134,7 +133,7 @@ solve land.npz --allowed dry -> --reach LABEL
 solve land.npz --start nowhere -> unknown state 'nowhere'
 <solve forest.npz|check forest.npz random> --criterion mean -> unknown criterion 'mean'
 <solve forest.npz|check forest.npz random> --criterion average --horizon 5 -> no horizon
-solve forest.npz --criterion average --certificate proof.json -> no bounded certificates
+solve forest.npz --criterion average --certificate proof.json -> add --certify
 solve forest.npz --criterion average --method gauss-seidel -> does not apply to an average
 <solve yuan2025|check yuan2025 optimal> --subject-to anger -> is no limit
 <solve yuan2025|check yuan2025 optimal> --subject-to 'anger > 1' -> is no limit
@@ -145,13 +144,13 @@ tradeoff yuan2025 anger trial steps skip -> front of 4 totals
 perception yuan2025<| --accuracy 0.9 --perception x.csv> -> no perception, or two
 perception yuan2025 --accuracy 2 -> accuracy is 2
 perception yuan2025 --accuracy 1.5 -> where: --accuracy
-perception yuan2025 --accuracy 0.9 --prior 1 -> takes no prior
-perception yuan2025 --accuracy 0.9 --draws x -> not a whole number
+perception yuan2025 --accuracy 0.9 --prior 1 -> --prior does not apply to an accuracy
+perception yuan2025 --accuracy 0.9 --draws x -> where: --draws
 psa gymnasium:FrozenLake-v1 --discount 0.9 --perception seen.csv -> no statuses
 train yuan2025 --epsilon falling -> not a finite rational
 train yuan2025 <--epsilon 1.5|--learner=rate=2> -> between 0 and 1
 train yuan2025 --seeds 0 -> --seeds
-train yuan2025 --learner=epochs=many -> --learner epochs
+train yuan2025 --learner=epochs=<many|1/2|-1> -> where: --learner epochs
 train yuan2025 --learner=method=q -> method
 train yuan2025 --learner=columns=state -> unknown state column
 train yuan2025 --learner=discount=2 -> outside [0, 1]
@@ -159,10 +158,10 @@ check two.npz optimal --share 1/2 -> --share does not apply to a single policy
 check two.npz optimal --prove -> --prove does not apply to a single policy
 check two.npz optimal random random --html page.html -> --html does not apply to several policies
 check two.npz optimal random random --no-explain -> --no-explain does not apply
-check ill.npz always:a <--by robust|--evidence prior=2> -> applies to an interval
+check ill.npz always:a <--by robust|--evidence prior=2> -> does not apply to a check without
 check ill.npz always:a --confidence 0.9 --evidence prior=2 -> does not apply to robust
 check ill.npz always:a --confidence 0.9 --evidence rewards=<5|0,x> -> no range
-check ill.npz always:a --confidence 0.9 --by posterior --evidence n=x -> not a whole number
+check ill.npz always:a --confidence 0.9 --by posterior --evidence n=x -> where: --evidence n
 check ill.npz always:a by --evidence=records=none.csv -> none.csv
 check ill.npz always:a by records --evidence=behaviour=always:a -> the behaviour never does what was
 check ill.npz always:a by records --evidence=behaviour=always:b -> never does what the policy does
