@@ -23,6 +23,7 @@ info unknown.xyz -> unknown kind of model file
 info folder.toml -> cannot read the file: a folder, not a regular file
 info binary.toml -> the file is not UTF-8 text
 info yuan2025 tea -> unexpected extra argument (tea)
+info tea --json --markdown -> two forms of one output
 info yuan2025 --set tasks -> 'tasks' is not a setting
 info yuan2025 --set tasks=[] -> tasks is not a list of positive whole numbers, or is empty
 info yuan2025 --set max_trial=-1 -> max_trial is '-1'
@@ -72,7 +73,7 @@ verify truncated.json yuan2025 -> not a certificate, which is JSON text
 gradients small -> gradients
 <gradient|threshold|tornado> small --parameter base.angre -> unknown parameter
 tornado small --range base.angre=0:1 -> unknown parameter
-tornado small --range base.anger=0.1 -> not a pair of numbers
+tornado small --range base.anger=<0.1|0:0.1:0.2> -> not a pair of numbers
 <tornado|threshold|sobol> small --range base.anger=0.2:0.1 -> empty
 <threshold|sobol> small --range base.anger=0.2:0.2 -> empty
 <tornado|threshold|sobol> small --range base.anger=0:1.5 -> outside [0, 1]
@@ -125,6 +126,7 @@ risk small -> --cvar
 risk small --cvar 0 -> above 0
 risk small --cvar 1/2 --discount 1/2 -> discount 1
 solve land.npz --reach hom -> did you mean home
+solve land.npz --reach '' -> unknown label
 solve land.npz --reach home --allowed sea -> is not among the allowed states
 solve land.npz --reach home --until home -> two questions
 solve land.npz --until home --reward time -> no reward component 'time'
@@ -151,6 +153,7 @@ train yuan2025 --epsilon falling -> not a finite rational
 train yuan2025 <--epsilon 1.5|--learner=rate=2> -> between 0 and 1
 train yuan2025 --seeds 0 -> --seeds
 train yuan2025 --learner=epochs=<many|1/2|-1> -> where: --learner epochs
+train yuan2025 --learner=bootstrap_end=maybe -> where: --learner bootstrap_end
 train yuan2025 --learner=method=q -> method
 train yuan2025 --learner=columns=state -> unknown state column
 train yuan2025 --learner=discount=2 -> outside [0, 1]

@@ -154,7 +154,7 @@ def test_bad_input_is_annotated_and_summed_up(tmp_path: Path) -> None:
     done = launch(*words, GITHUB_ACTIONS="true", GITHUB_STEP_SUMMARY=str(summary))
     assert done.status == 2
     (annotation,) = commands(done.err)
-    assert annotation.startswith("::error title=exact-mdp check tea::ModelError")
+    assert annotation.startswith("::error title=exact-mdp check::ModelError")
     assert "no verdict" in summary.read_text("utf-8")
     assert "<error " in report.read_text("utf-8")
 
