@@ -17,7 +17,7 @@ from enum import StrEnum
 from fractions import Fraction
 from functools import cached_property
 from math import inf, isinf, nan
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -336,10 +336,6 @@ class Solution(Found, Pictured):
     iterations : int
     seconds : float
     claim : Claim
-    gaps : (L,), optional
-        What taking the pair and then acting optimally loses against V(s); from a linear program.
-    occupancy : (L,), optional
-        Expected discounted number of uses of each pair from the start; from a linear program.
 
     Examples
     --------
@@ -355,8 +351,6 @@ class Solution(Found, Pictured):
     regret_bound: float
     method: str
     solver: str
-    gaps: Floats | None = None
-    occupancy: Floats | None = None
 
     @property
     def q(self) -> Floats:
@@ -374,7 +368,7 @@ class Solution(Found, Pictured):
         table: Floats = MDP.by_action(self.mdp, lost)
         return table
 
-    def negated(self, mdp: MDP) -> Solution:
+    def negated(self, mdp: MDP) -> Self:
         """Return the solution of `mdp`, of which this solution's model is the negation."""
         return replace(self, mdp=mdp, value=0.0 - self.value)
 

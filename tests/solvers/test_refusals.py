@@ -56,7 +56,6 @@ X(max_iterations=0) for *ITERATING -> max_iterations
 X(max_iterations=-3) for *ITERATING -> max_iterations
 X(max_iterations=1.5) for *ITERATING -> max_iterations
 X(max_iterations=True) for *ITERATING -> max_iterations
-LinearProgram(solver="HIGH") -> solver
 
 solve(LINE, "backward-induction", start=[0, 0]) -> takes no start
 solve(MODEL, "linear-program", start=np.zeros(9)) -> takes no start
@@ -83,14 +82,14 @@ solve(MODEL, PolicyIteration(start=[0] * 9), criterion="average") -> has no use 
 solve(MODEL, horizon=3, criterion="average") -> no horizon
 evaluate(MODEL, "random", horizon=3, criterion="average") -> no horizon
 
-certify(MODEL, tol=1e-3) -> apply only to bounds
+certify(MODEL, solution=solve(MODEL)) -> applies only to bounds
 certify(MODEL, bounded=True, solution=solve(LOOP)) -> another model
 certify(STAYS, bounded=True) -> one does not.*leave out bounded=True
 certify(BESIDE, bounded=True) -> at the goal.*beside the goal in .state 2
 X(APART) for certify, solve -> from one state of the start and -∞ from another
 certify(STAYS).optimal_policy() -> drawn among
 
-evaluate(HALF, np.array([1.0])) -> shape
+evaluate(HALF, np.array([1.0])) -> whole numbers
 evaluate(HALF, np.array([2.0, 1])) -> sum to 2
 evaluate(HALF, np.array([-1.0, 1])) -> negative
 evaluate(LOOP, np.array([nan, 1.0])) -> nan
@@ -105,8 +104,6 @@ return_distribution(SWING, "random") -> cancel for ever
 return_distribution(LINE.with_(discount="9/10"), "random") -> lattice.*evaluate
 return_distribution(geometric("1/2"), "random", exact=True) -> lead back
 return_distribution(coin(0, 1), "random").quantile(1.5) -> 1.5
-return_distribution(geometric("999/1000"), "random", max_sweeps=100) -> after 100 sweeps.*max_sweeps
-return_distribution(LINE, "random", max_sweeps=X) for True, 0 -> is (True|0)
 
 solve(CARE, subject_to={"skip": "3"}) -> '3' is no limit
 solve(CARE, subject_to={"skip": "> 3"}) -> is no limit

@@ -36,7 +36,6 @@ from exact_mdp import (
     solve,
 )
 
-PROGRAMS = [LinearProgram(solver=name) for name in ("CLARABEL", "HIGHS")]
 SWEEPING: list[Any] = [kind for kind in SOLVERS.values() if hasattr(kind, "tol")]
 
 
@@ -157,7 +156,7 @@ def test_what_was_reached_is_of_the_model_that_was_asked_for(kind: Any) -> None:
     assert caught.value.solution is None
 
 
-@pytest.mark.parametrize("solver", [*(kind() for kind in SOLVERS.values()), *PROGRAMS], ids=repr)
+@pytest.mark.parametrize("solver", [kind() for kind in SOLVERS.values()], ids=repr)
 def test_values_beyond_floats_are_refused(solver: Solver) -> None:
     big = F(5 * 10**307)
     rows = [(1, 0, big, {1: F(9, 10), 0: F(1, 10)}), (0, 0, F(0), {0: F(1)})]
@@ -209,29 +208,15 @@ def test_rewards_that_cancel_are_known_no_better_than_their_sum(name: str) -> No
 # ---- linear programs -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("solver", PROGRAMS, ids=repr)
 @pytest.mark.parametrize("name", ["pig-turn", "gambler-64-1/4", "puterman-two-state-9/10", "care",
                                   "garnet"])  # fmt: skip
-def test_gaps_and_visits_of_a_program(solver: LinearProgram, name: str) -> None:
+def test_a_program_is_as_exact_as_the_others(name: str) -> None:
     made = {
         "care": Scenario.load("yuan2025").compile,
         "garnet": lambda: garnet(120, seed=0, discount=0.95),
     }
     mdp = made[name]() if name in made else case_model(name)
-    solution = solve(mdp, solver)
-    assert solution.gaps is not None
-    assert solution.occupancy is not None
-    q = mdp.backup(solve(mdp, PolicyIteration()).value)
-    assert np.abs(solution.gaps - (solution.value[mdp.pair_state] - q)).max() < 1e-9
-    assert solution.gaps.min() > -1e-9
-    assert solution.occupancy.min() >= 0
-    assert (solution.occupancy[solution.gaps > 1e-9] == 0).all()
-    assert float(solution.occupancy @ mdp.reward) == pytest.approx(solution.start_value, abs=1e-9)
-    # What flows in flows out, except at the end.
-    used = np.bincount(mdp.pair_state, solution.occupancy, minlength=mdp.n_states)
-    inflow = mdp.start_distribution + mdp.discount * (mdp.transition.T @ solution.occupancy)
-    assert np.abs((used - inflow)[~mdp.terminal]).max() < 1e-10
-    low, high = solution.start.interval
+    low, high = solve(mdp, LinearProgram()).start.interval
     assert high - low < 1e-9
     assert F(low) <= certify(mdp).start_value <= F(high)
 

@@ -28,7 +28,7 @@ from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.result import ByFields
-from exact_mdp.mdp.table import Floats, Integers, Numbers
+from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.solution import SolverError, Status
 
@@ -347,27 +347,24 @@ def transposed(system: LinearSystem) -> LinearSystem:
     )
 
 
-def rows_of(matrix: sp.csr_array, chosen: NDArray[np.bool_]) -> sp.csr_array:
-    """Return a matrix with the rows that are not `chosen` emptied."""
-    if chosen.all():
-        return matrix
-    entries = np.repeat(chosen, np.diff(matrix.indptr))
-    lengths = np.where(chosen, np.diff(matrix.indptr), 0)
-    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(matrix.indptr.dtype)
-    return sp.csr_array((matrix.data[entries], matrix.indices[entries], offsets), matrix.shape)
-
-
-def between(matrix: sp.csr_array, states: NDArray[np.bool_]) -> sp.csr_array:
-    """Return a matrix with the entries between some states alone."""
-    if states.all():
-        return matrix
-    inner = rows_of(matrix, states)
-    inner.data[~states[inner.indices]] = 0.0
-    inner.eliminate_zeros()  # else the band would be as wide as a state can be from an end
-    return inner
+def part(
+    matrix: sp.csr_array, rows: Integers, states: NDArray[np.bool_], *, inner: bool = False
+) -> sp.csr_array:
+    """Return (S, S) rows, one for each state: those of some states, or what is between these."""
+    lengths, entries = (
+        np.diff(matrix.indptr)[rows],
+        spans(matrix.indptr[rows], matrix.indptr[rows + 1]),
+    )
+    column, inside = matrix.indices[entries], np.repeat(states, lengths)
+    if inner:  # else the band would be as wide as a state can be from an end
+        inside &= states[column]
+    ends = np.append(0, np.cumsum(inside))[np.append(0, np.cumsum(lengths))]
+    parts = matrix.data[entries][inside], column[inside], ends.astype(matrix.indptr.dtype)
+    return sp.csr_array(parts, (len(rows), len(rows)))
 
 
 def policy_chain(mdp: MDP, pairs: Integers) -> tuple[sp.csr_array, Floats]:
     """Return the (S, S) transitions between states that are not terminal, and rewards (S,)."""
-    chain, reward, live = mdp.transition[pairs], mdp.reward[pairs], ~mdp.terminal
-    return between(chain, live), reward if live.all() else np.where(live, reward, 0.0)
+    live = ~mdp.terminal
+    chain = part(mdp.transition, pairs, live, inner=True)
+    return chain, np.where(live, mdp.reward[pairs], 0.0)

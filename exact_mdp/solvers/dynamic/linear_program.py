@@ -5,8 +5,7 @@
 
 over the states that are not terminal; those have value 0. The weights α are positive and the same
 everywhere, so that the primal gives the value of every state (d'Epenoux, Management Science 10,
-1963; Puterman, Markov Decision Processes, 1994, section 6.9). The `occupancy` that is returned is
-the dual's solution at α = the model's start: the visits of the optimal policy.
+1963; Puterman, Markov Decision Processes, 1994, section 6.9).
 
 An optimiser is right to six or eight digits. Its values are handed in as where policy iteration
 begins, so that the answer has rounding errors alone; its objective is checked against them.
@@ -22,46 +21,33 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import extra, known
+from exact_mdp.mdp.errors import extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.bounds import levels, margin_weights
-from exact_mdp.solvers.bounds.gains import gains
-from exact_mdp.solvers.bounds.linear import LinearSystem, policy_chain, transposed
+from exact_mdp.solvers.bounds.bounds import margin_weights
 from exact_mdp.solvers.dynamic.iterate import Solver
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
-OPTIMISERS = ("CLARABEL", "HIGHS")
+OPTIMISER = "CLARABEL"  # by interior points
 AGREEMENT = 1e-5  # of objectives; optimisers stop at parts of 1e-8 of their own scale
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinearProgram(Solver):
-    """Solve by a linear program; adds the gap of every pair and the visits of the policy.
-
-    Parameters
-    ----------
-    solver : "CLARABEL" or "HIGHS"
-        Interior points, or a simplex method.
+    """Solve by a linear program.
 
     Examples
     --------
     >>> mdp = MDP.from_arrays([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [[1, -1], [2, 1]], "1/2")
-    >>> solution = LinearProgram().solve(mdp)
-    >>> solution.value.tolist(), solution.gaps.tolist(), solution.occupancy.tolist()
-    ([2.0, 4.0], [0.0, 1.0, 0.0, 1.0], [2.0, 0.0, 0.0, 0.0])
+    >>> LinearProgram().solve(mdp).value.tolist()
+    [2.0, 4.0]
     """
-
-    solver: str = "CLARABEL"
 
     name: ClassVar[str] = "linear-program"
 
-    def __post_init__(self) -> None:
-        known(self.solver, OPTIMISERS, "solver", "LinearProgram")
-
     def best(self, model: MDP) -> Solution:
-        """Return the optimum up to rounding, with `gaps` and `occupancy`."""
+        """Return the optimum up to rounding."""
         started, live = perf_counter(), ~model.terminal
         margin_weights(model)  # raises an error where no bound is possible
         start, objective, steps = self._optimised(model, live)
@@ -71,21 +57,14 @@ class LinearProgram(Solver):
         reached = float(solution.value[live].mean()) if live.any() else 0.0
         scale = abs(reached) + float(np.abs(model.reward).max())
         if not abs(objective - reached) <= AGREEMENT * scale:
-            detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"
+            detail = f"{OPTIMISER} found a mean value of {objective:.9g}, not {reached:.9g}"
             raise SolverError(Status.PROGRAM_FAILED, detail)
-        chain, _ = policy_chain(model, solution.pairs)
-        system = LinearSystem(chain, model.discount, order=levels(model))
-        visits = transposed(system).approximate(model.start_distribution)
-        occupancy = np.zeros(model.n_pairs)
-        occupancy[solution.pairs] = np.where(live, visits, 0.0)
         return replace(
             solution,
             method=self.name,
             solver=repr(self),
             iterations=steps + solution.iterations,
             seconds=perf_counter() - started,
-            gaps=0.0 - gains(model, solution.value).value,
-            occupancy=occupancy,
         )
 
     def _optimised(self, mdp: MDP, live: np.ndarray) -> tuple[Floats, float, int]:
@@ -103,12 +82,12 @@ class LinearProgram(Solver):
         value = cvxpy.Variable(count)
         above = matrix @ value >= mdp.reward[open_pairs] / scale
         problem = cvxpy.Problem(cvxpy.Minimize(np.full(count, 1 / count) @ value), [above])
-        steps = optimised(problem, self.solver)
+        steps = optimised(problem)
         values[live] = np.asarray(value.value) * scale
         return values, float(problem.value) * scale, steps
 
 
-def optimised(problem: Any, solver: str) -> int:
+def optimised(problem: Any) -> int:
     """Solve a program of cvxpy, and return the steps; SolverError where it finds no optimum."""
     with extra("lp"):
         import cvxpy
@@ -116,9 +95,9 @@ def optimised(problem: Any, solver: str) -> int:
         # What cvxpy would warn of, an inaccurate solution, is an error here.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            problem.solve(solver=solver)
+            problem.solve(solver=OPTIMISER)
     except cvxpy.SolverError as error:
-        raise SolverError(Status.PROGRAM_FAILED, f"{solver}: {error}") from error
+        raise SolverError(Status.PROGRAM_FAILED, f"{OPTIMISER}: {error}") from error
     if problem.status != cvxpy.OPTIMAL:
-        raise SolverError(Status.PROGRAM_FAILED, f"{solver} says {problem.status}")
+        raise SolverError(Status.PROGRAM_FAILED, f"{OPTIMISER} says {problem.status}")
     return int(problem.solver_stats.num_iters or 0)

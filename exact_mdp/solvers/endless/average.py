@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,10 +28,10 @@ import scipy.sparse as sp
 from exact_mdp.mdp.errors import ModelError, extra
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers
-from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, first_of, gains, greedy
+from exact_mdp.solvers.bounds.gains import POLICIES, SLACK, gains, greedy
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.dynamic.iterate import RELATIVE_TOLERANCE, Solver
-from exact_mdp.solvers.dynamic.linear_program import AGREEMENT, LinearProgram, optimised
+from exact_mdp.solvers.dynamic.linear_program import LinearProgram, optimised
 from exact_mdp.solvers.dynamic.methods import (
     ModifiedPolicyIteration,
     PolicyIteration,
@@ -78,9 +78,9 @@ class AverageSolution(Solution):
         step = self.mdp.undiscounted
         return np.asarray(step.backup(self.bias) - self.value[step.pair_state])
 
-    def negated(self, mdp: MDP) -> AverageSolution:
-        """Return the solution of `mdp`, of which this solution's model is the negation."""
-        return replace(self, mdp=mdp, value=0.0 - self.value, bias=0.0 - self.bias)
+    def negated(self, mdp: MDP) -> Self:
+        """See `Solution.negated`."""
+        return replace(super().negated(mdp), bias=0.0 - self.bias)
 
     def frame(self) -> Any:
         """Return gain, bias, their error bounds, and the action of each state."""
@@ -247,25 +247,18 @@ def _by_values(step: MDP, solver: Any) -> Improved:
 
 
 def _by_program(step: MDP, solver: Any) -> Improved:
-    """Take the pairs with the greatest duals, and improve them by policy iteration."""
+    """Take pairs that are greedy for the program's bias, and improve them by policy iteration."""
     with extra("lp"):
         import cvxpy
-    scale, first, state = (
-        float(np.abs(step.reward).max()) or 1.0,
-        step.pair_offsets[:-1],
-        step.pair_state,
-    )
-    rows = (np.ones(step.n_pairs), state, np.arange(step.n_pairs + 1))
+    scale = float(np.abs(step.reward).max()) or 1.0
+    rows = (np.ones(step.n_pairs), step.pair_state, np.arange(step.n_pairs + 1))
     own = sp.csc_array(sp.csr_array(rows, step.transition.shape))
     stays = own - sp.csc_array(step.transition)
     gain, bias = cvxpy.Variable(step.n_states), cvxpy.Variable(step.n_states)
     keeps, earns = stays @ gain >= 0, own @ gain + stays @ bias >= step.reward / scale
     problem = cvxpy.Problem(cvxpy.Minimize(gain.sum()), [keeps, earns])
-    steps = optimised(problem, solver.solver)
-    used, passed = (np.maximum(np.asarray(each.dual_value), 0.0) for each in (earns, keeps))
-    recurrent = np.maximum.reduceat(used, first) > AGREEMENT / step.n_states
-    weight = np.where(recurrent[state], used, passed)
-    solution = improved(step, first_of(step, weight == np.maximum.reduceat(weight, first)[state]))
+    steps = optimised(problem)
+    solution = improved(step, greedy(step, gains(step, scale * np.asarray(bias.value))))
     return solution._replace(iterations=steps + solution.iterations)
 
 

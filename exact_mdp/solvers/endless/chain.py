@@ -22,18 +22,16 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.exact import BellmanRows
-from exact_mdp.mdp.graph import strong_components
+from exact_mdp.mdp.graph import Mask, strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats, Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, Gain, gains, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, rows_of, transposed
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, part, transposed
 from exact_mdp.solvers.exact.linear import Matrix, equations, solved, visited
 from exact_mdp.solvers.solution import SolverError, Status
 
-Mask = NDArray[np.bool_]
 STEPS = 64  # after which an often visited state shows
 
 
@@ -133,7 +131,8 @@ class FloatChain:
 
     def _until(self, stop: Mask) -> LinearSystem:
         """Return the equation y = c + P y, with empty rows where `stop`."""
-        return LinearSystem(rows_of(self.transition, ~stop), 1.0, roundings=self._roundings)
+        rows = part(self.transition, np.arange(len(stop)), ~stop)
+        return LinearSystem(rows, 1.0, roundings=self._roundings)
 
     @cached_property
     def until_base(self) -> LinearSystem:

@@ -15,13 +15,10 @@ from itertools import count
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from exact_mdp.mdp.graph import Backward, strong_components
+from exact_mdp.mdp.graph import Backward, Mask, strong_components
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, spans
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,13 +15,13 @@ from fractions import Fraction
 
 import numpy as np
 
-from exact_mdp.mdp.graph import termination
+from exact_mdp.mdp.graph import Mask, termination
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Integers, OutcomeTable, integers, ones
 from exact_mdp.solvers.bounds.gains import POLICIES, gains, greedy
 from exact_mdp.solvers.dynamic.iterate import evaluated
-from exact_mdp.solvers.endless.graph import Graph, Mask
+from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.solution import SolverError, Status
 
 CLEAR = 16  # times what rounding may make of nothing

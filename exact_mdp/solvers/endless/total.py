@@ -24,12 +24,13 @@ from typing import Any
 
 import numpy as np
 
+from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers
 from exact_mdp.solvers.bounds.gains import SLACK, gains
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.endless.average import AverageSolution, solve_average
-from exact_mdp.solvers.endless.graph import Graph, Mask
+from exact_mdp.solvers.endless.graph import Graph
 from exact_mdp.solvers.endless.quotient import Derived, derived, first_of, toward
 from exact_mdp.solvers.exact.find import best_average, expansion, falling_costs, one_sign, reaching
 from exact_mdp.solvers.solution import Solution, SolverError, Status
@@ -68,8 +69,6 @@ def solve_total(mdp: MDP, solved: Callable[[MDP], Solution]) -> Solution:
         pairs=parts.lifted(whole.label, part.source[solution.pairs]),
         state_error=np.where(parts.sign == 0, error, 0.0),
         seconds=perf_counter() - started,
-        gaps=None,
-        occupancy=None,
     )
 
 

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
+from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import Policy
@@ -31,8 +31,6 @@ from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.exact import checker, codec
 from exact_mdp.solvers.exact.levels import Level, fraction, surplus
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, by_state, in_decimals, in_float
-
-Flags = NDArray[np.bool_]
 
 
 def model_of(given: MDP | None, own: MDP | None, where: str = "violations") -> MDP:
@@ -279,7 +277,7 @@ class Certificate(Proof, Pictured):
         return lost, np.asarray(short * (lost == 0))
 
     @cached_property
-    def optimal_pairs(self) -> Flags:
+    def optimal_pairs(self) -> Mask:
         """(L,) the pairs that attain the optimum of their state."""
         mdp = model_of(None, self.mdp, "optimal_pairs")
         best = np.logical_and.reduce([[not top for top in tops] for tops, _ in self._gains])
@@ -316,7 +314,7 @@ class Certificate(Proof, Pictured):
         return _listed(None if best is None else fraction(*best) for best in least)
 
     @property
-    def optimal(self) -> Flags:
+    def optimal(self) -> Mask:
         """(S, A) whether an action is optimal; False where it is not offered."""
         return np.asarray(model_of(None, self.mdp).by_action(self.optimal_pairs))
 

@@ -39,7 +39,6 @@ def certify(
     model: MDP | Scenario,
     *,
     bounded: Literal[True],
-    tol: float | None = ...,
     solution: Solution | None = ...,
 ) -> BoundedCertificate: ...
 @named_options
@@ -47,7 +46,6 @@ def certify(
     model: MDP | Scenario,
     *,
     bounded: bool = False,
-    tol: float | None = None,
     solution: Solution | None = None,
     criterion: str = "total",
 ) -> Certificate | BoundedCertificate:
@@ -61,8 +59,6 @@ def certify(
     bounded : bool
         Prove floats that the values lie between, at once for a million states, instead of the
         values themselves. At discount 1 every policy has to end.
-    tol : float, optional
-        Only with `bounded`: the greatest `error_bound` to accept.
     solution : Solution, optional
         Only with `bounded`: a solution of this model to prove bounds around; solved unless given.
     criterion : "total" or "average"
@@ -108,10 +104,10 @@ def certify(
             fix="leave out bounded=True: the proof is exact; solve() gives floats with bounds",
         )
     if bounded:
-        return _bounded(mdp, tol, solution)
-    if tol is not None or solution is not None:
+        return _bounded(mdp, solution)
+    if solution is not None:
         raise ModelError(
-            "tol and solution apply only to bounds", where="certify", fix="add bounded=True"
+            "a solution applies only to bounds", where="certify", fix="add bounded=True"
         )
     if average or (endless(mdp) and mdp.goal is None):
         return expansion(mdp, "average" if average else "total")
@@ -131,15 +127,15 @@ def _alone(mdp: MDP) -> Certificate:
 WIDER = (1.0, 4.0, 16.0, 64.0)  # times the rounding errors, tried one after the other
 
 
-def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedCertificate:
+def _bounded(mdp: MDP, solution: Solution | None) -> BoundedCertificate:
     if mdp.sense == "min":
         known = None if solution is None else solution.negated(mdp.maximised)
-        proof = _bounded(mdp.maximised, tol, known)
+        proof = _bounded(mdp.maximised, known)
         return replace(proof, mdp=mdp, model=fingerprint(mdp), sense="min")
     if solution is None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)  # the bounds say what was reached
-            solution = solve(mdp, tol=None if tol is None else tol / 4)
+            solution = solve(mdp)
     elif len(solution.value) != mdp.n_states or solution.mdp.n_pairs != mdp.n_pairs:
         raise ModelError("the solution is of another model", where="certify", fix="solve this one")
     weight = np.where(mdp.terminal, 0.0, margin_weights(mdp).value)
@@ -160,7 +156,7 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
         raise SolverError(Status.NO_BOUND)
 
     live = ~mdp.terminal
-    proof = BoundedCertificate(
+    return BoundedCertificate(
         kind="bounds",
         mdp=mdp,
         model=fingerprint(mdp),
@@ -170,6 +166,3 @@ def _bounded(mdp: MDP, tol: float | None, solution: Solution | None) -> BoundedC
         high=widen(np.flatnonzero(live[mdp.pair_state]), 1),
         rank=termination(mdp).rank if mdp.discount_exact == 1 else None,
     )
-    if tol is not None and not proof.error_bound <= tol:
-        raise SolverError(Status.PRECISION, f"{proof.error_bound:.2g} is the error bound")
-    return proof

@@ -26,7 +26,7 @@ from scipy.sparse.linalg import splu
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
-from exact_mdp.mdp.graph import closure, reachable, ways_out
+from exact_mdp.mdp.graph import Mask, closure, reachable, ways_out
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Integers, Numbers, row_sums
 from exact_mdp.solvers.bounds.gains import POLICIES, first_of
@@ -34,7 +34,7 @@ from exact_mdp.solvers.endless.average import improved
 from exact_mdp.solvers.endless.chain import ExactChain
 from exact_mdp.solvers.endless.chain import expansion as laurent
 from exact_mdp.solvers.endless.graph import Graph
-from exact_mdp.solvers.exact.certificate import Certificate, Flags, exact_rows
+from exact_mdp.solvers.exact.certificate import Certificate, exact_rows
 from exact_mdp.solvers.exact.levels import Level, Step, fraction, gains, signs_of, steps
 from exact_mdp.solvers.exact.linear import evaluated
 from exact_mdp.solvers.solution import SolverError
@@ -45,7 +45,7 @@ NOISE = 2.0**-40  # of the numbers added up: what floats take for no gain
 def certificate(
     mdp: MDP,
     pairs: Integers,
-    optimal: Flags | None = None,
+    optimal: Mask | None = None,
     *,
     kind: str = "total",
     **parts: Any,
@@ -84,7 +84,7 @@ def one_sign(mdp: MDP, sign: Numbers) -> int:
     return signs.pop() if signs else 0
 
 
-def one_optimum(mdp: MDP, optimal: Flags) -> bool:
+def one_optimum(mdp: MDP, optimal: Mask) -> bool:
     """Return whether one pair alone of each state that optimal pairs (L,) lead to is among them."""
     other = np.add.reduceat(optimal.astype(np.int64), mdp.pair_offsets[:-1]) != 1
     rows, own = bellman_rows(mdp), mdp.pair_state
@@ -155,7 +155,7 @@ def reaching(mdp: MDP) -> Certificate:
     return prove(mdp, exact_rows(mdp), Graph.of(mdp), mdp.goal)
 
 
-def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certificate:
+def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
     """Return the proof where a run that misses the goal is worth +∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
     label, staying = graph.end_components(~goal[state])
@@ -176,7 +176,7 @@ def _missed(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifica
     )
 
 
-def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certificate:
+def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Mask) -> Certificate:
     """Return the proof where a run that misses the goal is worth -∞."""
     every, state = np.ones(mdp.n_pairs, dtype=bool), mdp.pair_state
     order = graph.rounds(goal, every)
@@ -215,7 +215,7 @@ def _required(mdp: MDP, rows: BellmanRows, graph: Graph, goal: Flags) -> Certifi
     )
 
 
-def falling_costs(mdp: MDP, states: Flags) -> ModelError:
+def falling_costs(mdp: MDP, states: Mask) -> ModelError:
     """Return the error to raise where the costs of some states (S,) of the start have no least."""
     return ModelError(
         "at discount 1 no policy has the best value: costs fall without end before the goal",
@@ -224,7 +224,7 @@ def falling_costs(mdp: MDP, states: Flags) -> ModelError:
     )
 
 
-def _closed(rows: BellmanRows, states: Flags) -> tuple[BellmanRows, Integers]:
+def _closed(rows: BellmanRows, states: Mask) -> tuple[BellmanRows, Integers]:
     """Return the equations between some states (S,), and the pairs (K,) that these have.
 
     Pairs that lead elsewhere are left out; another state counts as an end, with its first pair.

@@ -106,13 +106,11 @@ class ConstrainedSolution(TotalsProof):
     """
 
     limits: tuple[Limit, ...]
-    feasible: bool  # whether a policy keeps them
-    flow: Flow  # visits of pairs under the optimal policy, or one that keeps the moved limits
-    # What the optimum gains for each unit by which a limit is moved; else the weights that prove
-    # that no policy keeps them.
+    feasible: bool
+    flow: Flow
     price: tuple[Fraction, ...]
-    dual: Level  # what no policy exceeds, of the reward where feasible and the limits by `price`
-    shift: Fraction  # the least t such that limits that are all moved by t can be kept
+    dual: Level
+    shift: Fraction
 
     kinds: ClassVar[tuple[str, ...]] = ("limits",)
 

@@ -13,22 +13,19 @@ from typing import ClassVar
 
 import numpy as np
 
-from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, ReadAs
 from exact_mdp.mdp.report import Report, Shown, Table
 from exact_mdp.mdp.result import DataFrame, Result, data_frame
 from exact_mdp.mdp.table import Floats
-from exact_mdp.solvers.bounds.gains import SLACK, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint
 from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, expansion
-from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status, Valued
-from exact_mdp.solvers.values.policy_chain import PolicyChain, poor, require_few, rounded
+from exact_mdp.solvers.solution import Bounded, Claim, SolverError, Status
+from exact_mdp.solvers.values.policy_chain import OfPolicy, PolicyChain, poor, require_few, rounded
 
 LISTED = 1000  # states in a report
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class AverageEvaluation(Valued, Result):
+class AverageEvaluation(OfPolicy, Result):
     """What a policy earns per step in the long run, and what a start is worth beyond it."""
 
     chain: PolicyChain  # at discount 1
@@ -47,26 +44,6 @@ class AverageEvaluation(Valued, Result):
             array.setflags(write=False)
 
     @property
-    def mdp(self) -> MDP:
-        """The model, at discount 1."""
-        return self.chain.mdp
-
-    @property
-    def policy(self) -> Policy | None:
-        """The policy, unless it was given as probabilities of pairs."""
-        return self.chain.policy
-
-    @property
-    def read_as(self) -> ReadAs:
-        """What an array was taken for: "q" or "policy"."""
-        return self.chain.read_as
-
-    @property
-    def mean(self) -> float:
-        """The gain from the start."""
-        return self.start.value
-
-    @property
     def visits(self) -> Floats:
         """(S,) the share of time; in transient states the expected visits from the start."""
         recurrent = self.classes.recurrent
@@ -75,12 +52,9 @@ class AverageEvaluation(Valued, Result):
     @cached_property
     def components(self) -> dict[str, Bounded]:
         """What each reward component adds to the gain from the start."""
-        share, mdp, weights = self.share, self.mdp, self.chain.weights
-        used, doubt = (x[mdp.pair_state] * weights for x in (share.value, share.error))
-        rounding = float(gamma(mdp.n_pairs + self.chain.roundings + 6))
-        size = np.abs(mdp.components)
-        error = (doubt @ size + rounding * (used @ size)) * SLACK
-        each = zip(mdp.component_names, used @ mdp.components, error, strict=True)
+        mdp, weights, shares = self.mdp, self.chain.weights, (self.share.value, self.share.error)
+        total, error = self._earned(*(x[mdp.pair_state] * weights for x in shares))
+        each = zip(mdp.component_names, total, error, strict=True)
         return {name: Bounded(value=float(x), error=float(off)) for name, x, off in each}
 
     def report(self) -> Report:

@@ -34,9 +34,9 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
-from exact_mdp.mdp.graph import closure, ways_out
+from exact_mdp.mdp.graph import Mask, closure, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
+from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, claimed
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import COMPILED, Floats
@@ -44,20 +44,25 @@ from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
 from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem
 from exact_mdp.solvers.dynamic.iterate import NEARLY_ONE
 from exact_mdp.solvers.dynamic.methods import ModifiedPolicyIteration
-from exact_mdp.solvers.endless.chain import Mask
 from exact_mdp.solvers.solution import (
     Bounded,
     Claim,
     PrecisionWarning,
     Solution,
     SolverError,
-    Valued,
     at_start,
     in_float,
 )
 from exact_mdp.solvers.solver import is_average, mdp_of, require_no_horizon, solve
 from exact_mdp.solvers.values.average import AverageEvaluation, average
-from exact_mdp.solvers.values.policy_chain import Equations, Parted, PolicyChain, arrives, parted
+from exact_mdp.solvers.values.policy_chain import (
+    Equations,
+    OfPolicy,
+    Parted,
+    PolicyChain,
+    arrives,
+    parted,
+)
 from exact_mdp.solvers.values.returns import return_distribution, times
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -65,7 +70,7 @@ UNKNOWN = Bounded(value=nan, error=inf)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Evaluation(Valued, Pictured):
+class Evaluation(OfPolicy, Pictured):
     """A policy's values; everything else about its return is computed on first use.
 
     Attributes
@@ -100,24 +105,9 @@ class Evaluation(Valued, Pictured):
     claim: ClassVar[Claim] = Claim.BOUNDED
 
     @property
-    def mdp(self) -> MDP:
-        """The model."""
-        return self.chain.mdp
-
-    @property
     def ends(self) -> bool:
         """True where every episode ends with probability 1."""
         return self.given.ends_from_start
-
-    @property
-    def policy(self) -> Policy | None:
-        """The policy; None where it was given as probabilities of pairs."""
-        return self.chain.policy
-
-    @property
-    def read_as(self) -> ReadAs:
-        """What an array was taken for: "q" or "policy"."""
-        return self.chain.read_as
 
     @property
     def numbers(self) -> dict[str, Bounded]:
@@ -176,11 +166,6 @@ class Evaluation(Valued, Pictured):
     # ---- the mean and what it is made of -----------------------------------------------------
 
     @property
-    def mean(self) -> float:
-        """Mean return from the start."""
-        return self.start.value
-
-    @property
     def components(self) -> dict[str, float]:
         """Expected discounted total of each reward component; they sum to `mean`.
 
@@ -199,13 +184,9 @@ class Evaluation(Valued, Pictured):
             discounted = self._discounted
         except SolverError:
             return dict.fromkeys(mdp.component_names, UNKNOWN)
-        used = _pair_visits(chain, discounted)
-        doubt = _pair_visits(chain, FixedPoint(value=discounted.error, error=discounted.error))
-        rounding = float(gamma(len(chain.pairs) + chain.roundings + 6))
-        size = np.abs(mdp.components)
+        used, doubt = (_pair_visits(chain, x) for x in (discounted.value, discounted.error))
         with np.errstate(over="ignore", invalid="ignore"):
-            total = used @ mdp.components
-            error = (doubt @ size + rounding * (used @ size)) * SLACK
+            total, error = self._earned(used, doubt)
         if mdp.discount_exact == 1:
             stays = (mdp.terminal & chain.reached)[mdp.pair_state] & (chain.weights > 0)
             for number, own in enumerate(mdp.components[stays].T):
@@ -359,7 +340,7 @@ class Evaluation(Valued, Pictured):
     @property
     def occupancy(self) -> Floats:
         """(L,) expected discounted number of uses of each pair; at discount 1 none at an end."""
-        return _pair_visits(self.chain, self._discounted)
+        return _pair_visits(self.chain, self._discounted.value)
 
     @property
     def occupancy_table(self) -> Floats:
@@ -416,11 +397,11 @@ class Evaluation(Valued, Pictured):
         return at_start(self.mdp, _ever(self.chain, happens))
 
 
-def _pair_visits(chain: PolicyChain, visits: FixedPoint) -> Floats:
+def _pair_visits(chain: PolicyChain, visits: Floats) -> Floats:
     """Return (L,) the expected discounted uses of each pair; at discount 1 none where all ended."""
     mdp = chain.mdp
     stay = 0.0 if mdp.discount_exact == 1 else float(1 / (1 - mdp.discount_exact))
-    return (visits.value * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
+    return (visits * np.where(mdp.terminal, stay, 1.0))[mdp.pair_state] * chain.weights
 
 
 def _ever(chain: PolicyChain, happens: Mask) -> FixedPoint:

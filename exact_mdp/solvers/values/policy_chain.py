@@ -29,9 +29,8 @@ import scipy.sparse as sp
 
 from exact_mdp.mdp.errors import ModelError
 from exact_mdp.mdp.exact import BellmanRows, bellman_rows
-from exact_mdp.mdp.graph import closure, ways_out
+from exact_mdp.mdp.graph import Mask, closure, ways_out
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.arrays import whole_fix
 from exact_mdp.mdp.policies.policy import Policy, PolicyLike, ReadAs
 from exact_mdp.mdp.questions import ended
 from exact_mdp.mdp.table import (
@@ -47,15 +46,15 @@ from exact_mdp.mdp.table import (
 )
 from exact_mdp.solvers.bounds.bounds import levels
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gamma
-from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, between, rows_of, transposed
-from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, Mask, long_run
+from exact_mdp.solvers.bounds.linear import FixedPoint, LinearSystem, part, transposed
+from exact_mdp.solvers.endless.chain import Classes, ExactChain, FloatChain, long_run
 from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.exact.find import one_sign
 from exact_mdp.solvers.exact.levels import Level
 from exact_mdp.solvers.exact.linear import FEW, MANY, equations, evaluated, solved, visited
 from exact_mdp.solvers.objectives.amounts import Objectives
 from exact_mdp.solvers.objectives.totals import Flow
-from exact_mdp.solvers.solution import SolverError, Status
+from exact_mdp.solvers.solution import SolverError, Status, Valued
 from exact_mdp.solvers.solver import Criterion, solve
 
 SHOWN = 4
@@ -100,7 +99,8 @@ class PolicyChain:
                     fix="give the policy itself",
                 )
             return policy
-        if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.ndim == 1:
+        wanted = (mdp.n_pairs,)
+        if isinstance(policy, np.ndarray) and policy.dtype.kind == "f" and policy.shape == wanted:
             return cls(mdp=mdp, chosen=_checked(mdp, policy))
         own = policy_of(mdp, policy, kind=kind)
         return cls(mdp=mdp, chosen=own.weights(mdp), policy=own)
@@ -202,7 +202,7 @@ class PolicyChain:
         """(S, S) probabilities; the rows of terminal states are empty."""
         mdp, live = self.mdp, ~self.mdp.terminal
         if self.pure:
-            return rows_of(mdp.transition[self.pairs], live)
+            return part(mdp.transition, self.pairs, live)
         used = self.pairs[live[mdp.pair_state[self.pairs]]]
         shape = (mdp.n_states, mdp.n_pairs)
         mixing = sp.csr_array((self.weights[used], (mdp.pair_state[used], used)), shape)
@@ -300,7 +300,7 @@ class PolicyChain:
     def equations(self, rate: Fraction) -> Equations:
         """Return x = c + rate · P_π x, at rate 1 in states that end; x is 0 where all has ended."""
         live = self.ends & ~self.mdp.terminal if rate == 1 else ~self.mdp.terminal
-        inner = between(self.transition, live)
+        inner = part(self.transition, np.arange(len(live)), live, inner=True)
         system = LinearSystem(inner, float(rate), order=self.order, roundings=self.roundings)
         return Equations(chain=self, rate=rate, live=live, system=system)
 
@@ -411,6 +411,39 @@ class PolicyChain:
         return replace(self, mdp=ended(self.mdp, states))
 
 
+class OfPolicy(Valued):
+    """What a policy is worth, and the `chain` that it makes."""
+
+    chain: PolicyChain
+
+    @property
+    def mdp(self) -> MDP:
+        """The model; of an average reward at discount 1."""
+        return self.chain.mdp
+
+    @property
+    def policy(self) -> Policy | None:
+        """The policy; None where it was given as probabilities of pairs."""
+        return self.chain.policy
+
+    @property
+    def read_as(self) -> ReadAs:
+        """What an array was taken for: "q" or "policy"."""
+        return self.chain.read_as
+
+    @property
+    def mean(self) -> float:
+        """Mean return, or gain, from the start."""
+        return self.start.value
+
+    def _earned(self, used: Floats, doubt: Floats) -> tuple[Floats, Floats]:
+        """Return what uses of pairs (L,) earn of each component, and how far that may be off."""
+        rounding = gamma(len(self.chain.pairs) + self.chain.roundings + 6)
+        amounts = self.mdp.components
+        size = np.abs(amounts)
+        return used @ amounts, (doubt @ size + rounding * (used @ size)) * SLACK
+
+
 def flow_of(of: Objectives, policy: PolicyLike) -> Flow:
     """Return the expected visits of pairs under any policy, of which totals are made."""
     chain = replace(PolicyChain.of(of.mdp, policy), mdp=of.ending)
@@ -440,7 +473,8 @@ class Equations:
         chain, live, start = self.chain, self.live, self.chain.mdp.start_distribution
         try:
             point = transposed(self.system).solve(start, UNIT * start)
-            onward, size = rows_of(chain.transition, live).T.tocsr(), np.abs(point.value)
+            onward = part(chain.transition, np.arange(len(live)), live).T.tocsr()
+            size = np.abs(point.value)
             came, off = (float(self.rate) * (onward @ each) for each in (point.value, point.error))
             terms = np.diff(onward.indptr) + chain.roundings + 4
             off += gamma(terms) * (start + float(self.rate) * (onward @ size)) + TINY * terms
@@ -503,18 +537,6 @@ def rounded(numbers: Iterable[Fraction]) -> FixedPoint:
 
 def _checked(mdp: MDP, weights: Floats) -> Floats:
     """Return (L,) pair weights, or raise ModelError where they are not a policy."""
-    if weights.shape == (mdp.n_states,) != (mdp.n_pairs,):
-        raise ModelError(
-            "action numbers are whole numbers, not floats",
-            where="policy",
-            fix=f"{whole_fix(weights)}; or give {mdp.n_pairs} probabilities, one for each pair",
-        )
-    if weights.shape != (mdp.n_pairs,):
-        raise ModelError(
-            f"pair weights have shape {weights.shape}, not ({mdp.n_pairs},)",
-            where="policy",
-            fix="give one probability for each pair, as Policy.weights(mdp) does",
-        )
     total = np.add.reduceat(weights, mdp.pair_offsets[:-1])
     lowest = np.minimum.reduceat(weights, mdp.pair_offsets[:-1])
     wrong = ~((np.abs(total - 1) <= FLOAT_ROW_TOLERANCE) & (lowest >= 0))

@@ -23,10 +23,9 @@ import scipy.sparse as sp
 import tqdm
 
 from exact_mdp.mdp.errors import ModelError
-from exact_mdp.mdp.graph import Backward, strong_components
+from exact_mdp.mdp.graph import Backward, Mask, strong_components
 from exact_mdp.mdp.table import Integers, Numbers, spans
 from exact_mdp.solvers.bounds.gains import TINY
-from exact_mdp.solvers.endless.chain import Mask
 from exact_mdp.solvers.values.policy_chain import PolicyChain
 
 REMAINING = 1e-12
@@ -35,7 +34,7 @@ SLOW_EDGE = 1e-12
 EDGE = 1e-290  # masses below are dropped before they lose their digits, and the processor its speed
 STEPS, CELLS = 10**9, 2**25  # masses times outcomes: in all, and at once
 DENSE = 8  # numbers of an array for each mass that it may hold
-MERGED = 64  # sweeps whose masses are kept apart
+SWEEPS, MERGED = 1_000_000, 64  # sweeps of a block, and those whose masses are kept apart
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,7 +123,7 @@ def _levels(graph: sp.csr_array) -> Integers:
 Mass = tuple[Integers, Numbers, Numbers]  # states, multiples and masses (K,)
 
 
-def carried(flow: Flow, *, exact: bool, max_sweeps: int) -> tuple[Numbers, Numbers, Any, int]:
+def carried(flow: Flow, *, exact: bool) -> tuple[Numbers, Numbers, Any, int]:
     """Return multiples and masses at the end, the mass that is not in them, and its roundings.
 
     Masses are floats, or Fractions if they are `exact`.
@@ -217,12 +216,11 @@ def carried(flow: Flow, *, exact: bool, max_sweeps: int) -> tuple[Numbers, Numbe
             if left <= flow.tolerance:
                 lost += left
                 break
-            if sweep == max_sweeps:
+            if sweep == SWEEPS:
                 raise ModelError(
                     f"after {sweep:,} sweeps {left:.1g} of the probability has not reached the end",
                     where="policy",
-                    fix="raise max_sweeps; evaluate() gives mean and sd, simulate() samples "
-                    "returns",
+                    fix="evaluate() gives mean and sd, simulate() samples returns",
                 )
             visits.append(moving)
             if len(visits) == MERGED:

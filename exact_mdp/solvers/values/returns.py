@@ -34,7 +34,6 @@ from exact_mdp.mdp.report import Report, Shown, Table, at_most, decimal
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Numbers, exact, integers, magnitude, multiply
 from exact_mdp.solvers.bounds.gains import SLACK, UNIT, gamma
-from exact_mdp.solvers.dynamic.iterate import check_counts
 from exact_mdp.solvers.solution import Bounded, Certified, Claim
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
@@ -180,14 +179,12 @@ class ReturnDistribution(Pictured):
 
     def frame(self) -> DataFrame:
         """Return the probability of every return, infinite ones included, and its error bound."""
-        import pandas
-
         law = self.as_dict()
         errors: dict[Fraction | float, float] = {}
         errors |= zip(self.values, self.error.tolist(), strict=True)
         errors |= {s: float(getattr(each, "error", 0.0)) for s, each in self.unending.items()}
         columns = {"probability": [*law.values()], "error": [errors[value] for value in law]}
-        return data_frame(columns, index=pandas.Index([*law], name="return"))
+        return data_frame(columns, index=[*law]).rename_axis("return")
 
     def report(self) -> Report:
         """Return the law of the return."""
@@ -238,7 +235,6 @@ def return_distribution(
     policy: PolicyLike,
     *,
     exact: bool = False,
-    max_sweeps: int = 1_000_000,
     kind: str = "auto",
     horizon: int | None = None,
 ) -> ReturnDistribution:
@@ -251,8 +247,6 @@ def return_distribution(
     policy, kind : as for `evaluate`
     exact : bool
         Compute the probabilities as exact rationals; for chains without cycles, of modest size.
-    max_sweeps : int
-        How often states that lead back to each other are swept at most.
     horizon : int, optional
         Stop after this many steps; see `evaluate`.
 
@@ -265,7 +259,7 @@ def return_distribution(
     ModelError
         Below discount 1; where rewards cancel for ever, so that a return has no limit; where gains
         and losses for ever have a mean of 0; where there are too many different returns; where
-        `max_sweeps` do not suffice.
+        states that lead back to each other are left too slowly.
 
     Examples
     --------
@@ -274,7 +268,6 @@ def return_distribution(
     >>> print(*law.values, law.probabilities.tolist())
     1/2 2 [0.5, 0.5]
     """
-    check_counts("return_distribution", max_sweeps=max_sweeps)
     mdp = mdp_of(model)
     if mdp.discount_exact != 1:
         raise ModelError(
@@ -291,7 +284,7 @@ def return_distribution(
     flow = Flow.of(chain, gain, parts.ends)
     still = np.zeros(len(gain), dtype=np.int64)
     flows = {sign: Flow.of(chain, still, ends) for sign, ends in parts.lost.items()}
-    multiples, masses, lost, roundings = carried(flow, exact=exact, max_sweeps=max_sweeps)
+    multiples, masses, lost, roundings = carried(flow, exact=exact)
     shares = tuple(masses) if exact else None
     return ReturnDistribution(
         multiples=multiples,
@@ -300,14 +293,14 @@ def return_distribution(
         relative_error=UNIT if exact else float(gamma(roundings)) * SLACK,
         remaining=float(lost) * SLACK,
         exact=shares,
-        unending={sign: _share(each, exact, max_sweeps) for sign, each in flows.items()},
+        unending={sign: _share(each, exact) for sign, each in flows.items()},
         infinite_mean=parts.infinite_mean,
     )
 
 
-def _share(flow: Flow, exact: bool, max_sweeps: int) -> Bounded | Certified:
+def _share(flow: Flow, exact: bool) -> Bounded | Certified:
     """Return the probability of the ends of a flow."""
-    _, masses, lost, roundings = carried(flow, exact=exact, max_sweeps=max_sweeps)
+    _, masses, lost, roundings = carried(flow, exact=exact)
     if exact:
         return Certified(value=sum(masses, Fraction(0)))
     value = float(masses.sum())

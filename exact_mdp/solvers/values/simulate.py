@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, inf, isfinite, log, log1p, nan, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import tqdm
@@ -22,7 +22,7 @@ from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, between, number
-from exact_mdp.mdp.result import Pictured
+from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Floats, Integers
 from exact_mdp.mdp.validate import RNG, seed_of
 from exact_mdp.solvers.bounds.gains import SLACK, TINY
@@ -31,10 +31,6 @@ from exact_mdp.solvers.solution import Claim, Estimated
 from exact_mdp.solvers.solver import mdp_of
 from exact_mdp.solvers.values.policy_chain import PolicyChain, parted
 from exact_mdp.solvers.values.returns import times
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 NEGLIGIBLE = 1e-12
 
@@ -166,9 +162,7 @@ class Simulation(Pictured):
 
     def frame(self) -> DataFrame:
         """Return the return and the steps of each episode."""
-        import pandas
-
-        return pandas.DataFrame({"return": self.returns, "steps": self.steps})
+        return data_frame({"return": self.returns, "steps": self.steps})
 
     def __repr__(self) -> str:
         return f"Simulation({self.episodes} episodes, mean {self.value})"

@@ -194,13 +194,6 @@ def test_bounds_around_a_poor_solution_are_wide_and_hold() -> None:
     assert bounds.error_bound > 1
 
 
-def test_tolerance() -> None:
-    mdp = MODELS["cycle, discounted"]
-    assert certify(mdp, bounded=True, tol=1e-6).error_bound <= 1e-6
-    with pytest.raises(SolverError, match="the error bound"):
-        certify(mdp, bounded=True, tol=1e-30)
-
-
 def test_many_states() -> None:
     mdp = Scenario.load("yuan2025").with_(tasks=[400]).compile()
     optimum = certify(mdp, bounded=True)
