@@ -2,17 +2,18 @@
 
 A map is spanned by columns of the state space, or by the parts of states that are tuples. Unless
 said otherwise, the one that actions such as "right" change goes across and that of "down" goes
-down, in the direction of the arrow; other columns make blocks of such maps. Without such actions
-the last column goes across and all others down; the digits of one that is alone go both ways.
-Numbered states of a grid world fill its `shape` row by row; without one they stand in rows of ten.
+down, in the direction of the arrow; without such actions the last column goes across. All others
+go down. Numbered states of a grid world fill its `shape` row by row; without one they stand in rows
+of ten.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import product
 from math import prod
 from typing import Any, Literal
 
@@ -21,7 +22,7 @@ import numpy as np
 from exact_mdp.analysis.gate.audit import Audit
 from exact_mdp.analysis.gate.disagreements import either
 from exact_mdp.analysis.vary.base_case import actions_of
-from exact_mdp.mdp.errors import ModelError
+from exact_mdp.mdp.errors import ModelError, known
 from exact_mdp.mdp.forms.names import text_of
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.space import Column, StateSpace
@@ -35,6 +36,7 @@ SPARSE = 4  # cells for each state of a map of tuples, at most
 ARROWS = "←↓→↑"
 COMPASS = (("left", "down", "right", "up"), ("west", "south", "east", "north"))
 INITIALS = ("ldru", "wsen")
+Columns = tuple[dict[str, Column], dict[str, Integers]]  # and (S,) values, -1 outside, by name
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,63 +78,99 @@ def arrange(
     columns of the state space, or parts of states that are tuples; those that neither names go
     down. `at` holds columns fixed, such as `trial=0`: other states are left out.
     """
-    space, states = _parts(model) or (model.space, np.arange(model.n_states))
+    columns, values = _columns(model)
     down, across = ([each] if isinstance(each, str) else each for each in (down, across))
     named = [*(down or ()), *(across or ()), *at]
     for name in named:
-        space.column(name)
-    heading: tuple[str, ...] = ()
-    if shape is not None:
-        _check_shape(model.space, shape, named)
-        named = ["row", "column"]
-        sides = (Column(name=name, size=size) for name, size in zip(named, shape, strict=True))
-        space, down, across = StateSpace(columns=tuple(sides)), named[:1], named[1:]
-        states = np.minimum(np.arange(model.n_states), space.regular)
-    elif len(space.columns) < 2 or space.regular == 0:
-        return _listed(model, space)
-    else:
-        space, states, heading = _headed(model, space, states)
-    rest = [name for name in space.names if name not in named]
-    if across is None and len(rest) == 1 and not down and space.column(rest[0]).bits > 1:
-        space, rest = _halved(space, rest[0])
-    if heading and not (down or across) and set(heading) <= set(rest):
-        below, across = _blocks(space, heading, [name for name in rest if name not in heading])
-    else:
-        across = rest[-1:] if across is None else across
-        below = [name for name in space.names if name in {*(down or ()), *rest} - {*across, *at}]
-    inside = states < space.regular
+        known(name, columns, "state column", "state space")
+    inside = np.ones(model.n_states, dtype=bool)
     for name, value in at.items():
-        inside &= space.values(name, states) == space.column(name).number(value)
-    (row, rows), (column, columns) = (
-        _along(space, names, states) for names in (below, list(across))
-    )
+        inside &= values[name] == columns[name].number(value)
+    rest = [name for name in columns if name not in named]
+    if shape is not None:
+        columns, values = _of(_grid(model.space, shape, named))
+    elif len(columns) < 2 or not model.space.regular:
+        return _listed(model)
+    elif len(rest) == 1 and columns[rest[0]].bits > 1 and not (down or across):
+        columns, values = _halves(columns[rest[0]], values[rest[0]])
+    labels = {name: [*map(column.label, range(column.size))] for name, column in columns.items()}
+    heading = {} if shape is not None else _heading(model, values)
+    for name, sign in heading.items():
+        if sign < 0:  # its values fall in the direction of the arrow
+            values[name] = np.where(values[name] < 0, -1, len(labels[name]) - 1 - values[name])
+            labels[name].reverse()
+    rest = [name for name in columns if name not in named]
+    if heading.keys() <= {*rest}:
+        rest = [*(name for name in rest if name not in heading), *heading]
+    across = rest[-1:] if across is None else across
+    below = [name for name in (*(down or ()), *rest) if name not in across]
+    place = np.zeros((2, model.n_states), dtype=np.int64)
+    for side, names in enumerate((below, across)):
+        for name in names:
+            inside &= values[name] >= 0
+            place[side] = place[side] * len(labels[name]) + values[name]
+    row, column = np.where(inside, place, -1)
     # In blocks of maps an arrow points inside one.
-    last = [space.values(names[-1], states) if names else 0 * states for names in (below, across)]
+    last = [values[names[-1]] if names else 0 * row for names in (below, across)]
     return Layout(
-        row=np.where(inside, row, -1),
-        column=np.where(inside, column, -1),
-        rows=rows,
-        columns=columns,
+        row=row,
+        column=column,
+        rows=_labels(labels[name] for name in below),
+        columns=_labels(labels[name] for name in across),
         down=", ".join(below) or "-",
         across=", ".join(across) or "-",
         signs=_signs(model, *last),
     )
 
 
-def _halved(space: StateSpace, name: str) -> tuple[StateSpace, list[str]]:
-    """Return the space in which the first and the last digits of a column are two columns."""
-    own = space.column(name)
-    place, low = space.columns.index(own), own.bits // 2
-    halves = [
-        Column(name=f"{name}: {which} digits", size=2**bits, bits=bits)
-        for which, bits in (("first", own.bits - low), ("last", low))
-    ]
-    columns = (*space.columns[:place], *halves, *space.columns[place + 1 :])
-    return replace(space, columns=columns), [each.name for each in halves]
+def _labels(sides: Iterable[Sequence[str]]) -> tuple[str, ...]:
+    return tuple(map(", ".join, product(*sides)))
 
 
-def _check_shape(space: StateSpace, shape: tuple[int, int], named: Sequence[str]) -> None:
-    """Raise ModelError for a shape that numbered states do not fill row by row."""
+def _columns(model: MDP) -> Columns:
+    """Return the columns of states and (S,) values of each, -1 outside; of tuples, their parts.
+
+    Tuples have parts where all are of one length, other states are ends, and few cells are empty.
+    """
+    space = model.space
+    objects = space.columns[0].objects if len(space.columns) == 1 else ()
+    inside = np.array([isinstance(each, tuple) for each in objects], dtype=bool)
+    tuples: list[Any] = [each for each in objects if isinstance(each, tuple)]
+    width = len(tuples[0]) if len(objects) == space.size and tuples else 0
+    parts, values = dict[str, Column](), dict[str, Integers]()
+    if width > 1 and {*map(len, tuples)} == {width} and model.terminal[~inside].all():
+        fields = getattr(tuples[0], "_fields", None) or [f"state[{k}]" for k in range(width)]
+        for name, own in zip(fields, zip(*tuples, strict=True), strict=True):
+            distinct = [*dict.fromkeys(own)]
+            with suppress(TypeError):  # of several kinds
+                distinct = sorted(distinct)
+            texts = [(text_of(value), repr(value)) for value in distinct]
+            words = tuple(a if a.strip() and a.isprintable() else b for a, b in texts)
+            parts[name] = Column(name=name, size=len(words), words=words, objects=tuple(distinct))
+            values[name] = np.full(space.size, -1)
+            place = {value: number for number, value in enumerate(distinct)}
+            values[name][inside] = [place[value] for value in own]
+    few = 0 < prod(each.size for each in parts.values()) <= SPARSE * len(tuples)
+    return (parts, values) if few else _of(space)
+
+
+def _of(space: StateSpace) -> Columns:
+    return {each.name: each for each in space.columns}, {n: space.values(n) for n in space.names}
+
+
+def _halves(column: Column, value: Integers) -> Columns:
+    """Return the first and the last digits of a column as two."""
+    low = column.bits // 2
+    sides = (
+        (f"{column.name}: first digits", column.bits - low),
+        (f"{column.name}: last digits", low),
+    )
+    columns = {name: Column(name=name, size=2**bits, bits=bits) for name, bits in sides}
+    return columns, dict(zip(columns, (value >> low, value & (2**low - 1)), strict=True))
+
+
+def _grid(space: StateSpace, shape: tuple[int, int], named: Sequence[str]) -> StateSpace:
+    """Return the space of the rows and columns that numbered states fill row by row."""
     if named:
         fix = "leave out shape, or down, across and the columns held fixed"
         raise ModelError("a shape and columns of a map", where="shape", fix=fix)
@@ -148,107 +186,34 @@ def _check_shape(space: StateSpace, shape: tuple[int, int], named: Sequence[str]
             where="shape",
             fix="give (rows, columns) with rows × columns the number of states",
         )
+    sides = zip(("row", "column"), shape, strict=True)
+    columns = tuple(Column(name=name, size=size) for name, size in sides)
+    return StateSpace(columns=columns, extra=space.extra)
 
 
-def _parts(model: MDP) -> tuple[StateSpace, Integers] | None:
-    """Return columns for the parts of states that are tuples, and each state's number in these.
+def _heading(model: MDP, values: Mapping[str, Integers]) -> dict[str, float]:
+    """Return the columns that "down" and "right" change most, with the sign of the change.
 
-    None where some state is no tuple of that length and no end, or where most cells were empty.
+    None where actions are no directions, or change one and the same.
     """
-    objects = model.space.columns[0].objects if len(model.space.columns) == 1 else ()
-    inside = np.array([isinstance(thing, tuple) for thing in objects], dtype=bool)
-    tuples: list[tuple[Hashable, ...]] = [each for each in objects if isinstance(each, tuple)]
-    width = len(tuples[0]) if tuples else 0
-    if width < 2 or any(len(each) != width for each in tuples) or len(objects) != model.n_states:
-        return None
-    if not model.terminal[~inside].all():
-        return None
-    fields = getattr(tuples[0], "_fields", None) or [f"state[{k}]" for k in range(width)]
-    columns, values = [], np.full((width, model.n_states), -1)
-    for k, field in enumerate(fields):
-        distinct: list[Any] = [*dict.fromkeys(each[k] for each in tuples)]
-        with suppress(TypeError):  # of several kinds
-            distinct = sorted(distinct)
-        place = {value: number for number, value in enumerate(distinct)}
-        values[k, inside] = [place[each[k]] for each in tuples]
-        texts = [(text_of(value), repr(value)) for value in distinct]
-        words = tuple(a if a.strip() and a.isprintable() else b for a, b in texts)
-        columns.append(Column(name=field, size=len(distinct), words=words, objects=tuple(distinct)))
-    if prod(column.size for column in columns) > SPARSE * len(tuples):
-        return None
-    space = StateSpace(columns=tuple(columns))
-    number = np.full(model.n_states, space.regular)
-    number[inside] = np.ravel_multi_index([*values[:, inside]], [c.size for c in columns])
-    return space, number
+    drift, signs = _drift(model, [*values.values()]), np.array(symbols(model.actions))
+    left, down, right, up = (drift[:, signs == sign].sum(axis=1) for sign in ARROWS)
+    most = {[*values][np.abs(each).argmax()]: each for each in (down - up, right - left)}
+    signed = {name: float(each[np.abs(each).argmax()]) for name, each in most.items()}
+    return signed if len(signed) == 2 and all(signed.values()) else {}
 
 
-def _headed(
-    model: MDP, space: StateSpace, states: Integers
-) -> tuple[StateSpace, Integers, tuple[str, ...]]:
-    """Return the columns that "down" and "right" change, turned where these lower them.
-
-    With the space and the states' numbers in it; no columns where actions are no directions, or
-    change one and the same.
-    """
-    values = np.array([space.values(name, states) for name in space.names])
-    drift, signs = _drift(model, values), np.array(symbols(model.actions))
-    net = {sign: drift[:, signs == sign].sum(axis=1) for sign in ARROWS}
-    change = (net["↓"] - net["↑"], net["→"] - net["←"])
-    heading = [int(np.argmax(np.abs(each))) for each in change]
-    if heading[0] == heading[1] or not all(c[k] for c, k in zip(change, heading, strict=True)):
-        return space, states, ()
-    columns = list(space.columns)
-    for each, k in zip(change, heading, strict=True):
-        if each[k] < 0:
-            own, back = columns[k], range(columns[k].size)[::-1]
-            words, objects = tuple(map(own.label, back)), tuple(map(own.thing, back))
-            columns[k] = Column(name=own.name, size=own.size, words=words, objects=objects)
-            values[k] = own.size - 1 - values[k]
-    number, inside = states.copy(), states < space.regular
-    number[inside] = np.ravel_multi_index([*values[:, inside]], [c.size for c in columns])
-    names = tuple(columns[k].name for k in heading)
-    return replace(space, columns=tuple(columns)), number, names
-
-
-def _blocks(
-    space: StateSpace, heading: Sequence[str], others: Sequence[str]
-) -> tuple[list[str], list[str]]:
-    """Return what goes down and across, where other columns make blocks on the shorter side."""
-    sides, lengths = [[name] for name in heading], [space.column(name).size for name in heading]
-    for name in reversed(others):
-        side = int(lengths[1] < lengths[0])
-        sides[side].insert(0, name)
-        lengths[side] *= space.column(name).size
-    return sides[0], sides[1]
-
-
-def _along(
-    space: StateSpace, names: Sequence[str], states: Integers
-) -> tuple[Integers, tuple[str, ...]]:
-    """Return the place (S,) of each state along some columns, and the label of each place."""
-    place, columns = np.zeros(len(states), dtype=np.int64), [space.column(name) for name in names]
-    for column in columns:
-        place = place * column.size + space.values(column.name, states)
-    sizes = [column.size for column in columns]
-    labels = tuple(
-        ", ".join(column.label(value) for column, value in zip(columns, values, strict=True))
-        for values in np.ndindex(*sizes)
-    )
-    return place, labels
-
-
-def _listed(model: MDP, space: StateSpace) -> Layout:
+def _listed(model: MDP) -> Layout:
     """Return a list of states: a row for each of a few that have names, else rows of ten."""
-    states = np.arange(space.size)
-    names = [name.removeprefix("state ") for name in space.labels(range(space.size))]
+    states = np.arange(model.n_states)
+    names = [name.removeprefix("state ") for name in model.space.labels(states)]
     named = len(states) <= MOST_NAMED and not all(map(str.isdecimal, names))
-    wide = 1 if named else min(space.size, WIDE)
-    numbers = [str(first) for first in range(0, space.size, wide)]
+    wide = 1 if named else min(len(states), WIDE)
     return Layout(
         row=states // wide,
         column=states % wide,
         signs=tuple(symbols(model.actions)),
-        rows=tuple(names if named else numbers),
+        rows=tuple(names) if named else tuple(map(str, states[::wide].tolist())),
         columns=("",) if named else tuple(f"+{column}" for column in range(wide)),
         down="state",
         across="" if named else "state",
@@ -256,13 +221,14 @@ def _listed(model: MDP, space: StateSpace) -> Layout:
     )
 
 
-def _drift(model: MDP, values: Integers) -> Floats:
+def _drift(model: MDP, values: Sequence[Integers]) -> Floats:
     """Return (C, A) where each action leads along some coordinates (C, S), -1 outside of them.
 
     A move counts by its probability, whatever its length: one far back to a start is no direction.
     """
     table = model.table
-    before, after = values[:, model.pair_state[table.pair]], values[:, table.next]
+    places = np.array(values)
+    before, after = places[:, model.pair_state[table.pair]], places[:, table.next]
     moved = np.where((before < 0) | (after < 0), 0, np.sign(after - before))
     action = model.pair_action[table.pair]
     weighted = moved * table.probabilities()
@@ -271,13 +237,13 @@ def _drift(model: MDP, values: Integers) -> Floats:
 
 def _signs(model: MDP, row: Integers, column: Integers) -> tuple[str, ...]:
     """Return a sign for each action: an arrow only where its moves go that way more than aside."""
+    right, down = _drift(model, [column, row])
+    ways = {"←": (-right, down), "↓": (down, right), "→": (right, down), "↑": (-down, right)}
     signs = symbols(model.actions)
-    net = dict(zip(("←→", "↑↓"), _drift(model, np.array([column, row])), strict=True))
     for number, sign in enumerate(signs):
-        if sign in ARROWS and any(net[axis][number] for axis in net):
-            along, aside = sorted(net, key=lambda axis: sign not in axis)
-            ahead = net[along][number] * (1 if sign == along[1] else -1)
-            if ahead <= abs(net[aside][number]):
+        if sign in ways:
+            ahead, aside = (float(each[number]) for each in ways[sign])
+            if (ahead or aside) and ahead <= abs(aside):
                 signs[number] = model.actions[number]
     return tuple(signs)
 

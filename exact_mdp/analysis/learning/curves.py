@@ -84,9 +84,9 @@ def learning_curve(
     ((50,), True)
     """
     values = policy_values(model, common_rows(model, [run]), run.policies)
-    exact = values.value[run.snapshots], values.error[run.snapshots]
     table = np.eye(model.n_actions)[run.policies].reshape(len(run.policies), -1)
-    return _curve(model, run.space.names, table, run.snapshots, exact, 0.0, n, rng)
+    value, error = values.value[run.snapshots], values.error[run.snapshots]
+    return _curve(model, run.space.names, table, run.snapshots, value, error, n, rng)
 
 
 def random_curve(
@@ -97,11 +97,9 @@ def random_curve(
     n: int = EXPERIMENTS,
 ) -> LearningCurve:
     """Return the same curve for actions drawn uniformly, the authors' baseline."""
-    mean = evaluate(model, "random")
-    exact = np.full(epochs, mean.mean), np.full(epochs, mean.start.error)
-    table = np.zeros((1, rows_of(model).offered.size))
-    which = np.zeros(epochs, dtype=np.int64)
-    return _curve(model, None, table, which, exact, 1.0, n, rng)
+    mean, nothing = evaluate(model, "random"), np.zeros((1, rows_of(model).offered.size))
+    value, error = np.full((2, epochs), [[mean.mean], [mean.start.error]])
+    return _curve(model, None, nothing, np.zeros(epochs), value, error, n, rng)
 
 
 def exact_curves(model: MDP, runs: Sequence[TrainingRun]) -> Floats:
@@ -116,12 +114,12 @@ def _curve(
     columns: Sequence[str] | None,
     table: Floats,
     which: Numbers,
-    exact: tuple[Floats, Floats],
-    chance: float,
+    value: Floats,
+    error: Floats,
     n: int,
     rng: Seed,
 ) -> LearningCurve:
-    """Return a curve with the policies `which` of `table`, acting at random by `chance`."""
+    """Return the curve of the policies `which` of a table, which act at random without columns."""
     n = counted(n, "n", 2)
     returns = np.zeros((len(which), n))
     from exact_mdp.solvers.kernels import learning as kernels
@@ -131,7 +129,7 @@ def _curve(
         stream(child(rng, 0)),
         table,
         np.ascontiguousarray(which, dtype=np.int64),
-        chance,
+        float(columns is None),
         model.discount,
         MAX_STEPS,
         returns,
@@ -139,8 +137,8 @@ def _curve(
     return LearningCurve(
         sampled=returns.mean(axis=1),
         standard_error=returns.std(axis=1, ddof=1) / np.sqrt(n),
-        value=exact[0],
-        error=exact[1],
+        value=value,
+        error=error,
         experiments=n,
         cut_short=int(cut_short),
     )

@@ -54,7 +54,7 @@ class Outcomes(Pictured):
     changed: NDArray[np.bool_]  # (R, K) rows in which these differ
     optimum: Bounded
     best: BestPolicy | None  # that reads what the learner reads; None where that is everything
-    candidates: tuple[tuple[int, Numbers], ...]  # of the first run: episodes, the most first
+    first_run: dict[str, Any]  # what was greedy most often in the last episodes of the first run
     steps: int  # of all runs
     cut_short: int  # episodes that did not end
 
@@ -123,16 +123,10 @@ class Outcomes(Pictured):
         taken = self.policies[self.final, row]
         return np.bincount(taken, minlength=self.mdp.n_actions)
 
-    @property
-    def last_counts(self) -> dict[int, int]:
-        """Runs by how many policies were greedy in their last episodes."""
-        many, runs = np.unique(self.distinct, return_counts=True)
-        return dict(zip(many.tolist(), runs.tolist(), strict=True))
-
-    def interval_of(self, share: float) -> Interval:
-        """Return Wilson's 95 % interval of a share of the runs."""
-        low, high = wilson(round(share * self.runs), self.runs)
-        return float(low), float(high)
+    def _share(self, count: int) -> dict[str, Any]:
+        """Return the share of so many runs, with Wilson's 95 % interval."""
+        interval = tuple(float(end) for end in wilson(count, self.runs))
+        return {"fraction": count / self.runs, "interval": interval}
 
     def frame(self) -> DataFrame:
         """Return one row for each final policy, the most frequent first."""
@@ -148,16 +142,31 @@ class Outcomes(Pictured):
 
     def report(self) -> Report:
         """Return what the runs ended with."""
-        best, regret, runs = self.best, self.regret, self.runs
-        optimal, ends = self.interval_of(self.optimal_fraction), self.regret_interval
-        quantiles = ", ".join(
-            f"{float(q):.0%}: {number(v)}" for q, v in _spread(regret)["quantiles"].items()
+        best, regret, learning = self.best, self.regret, self.learning_error
+        optimal, good, chosen = (
+            self._share(int((each == 0).sum())) for each in (regret, learning, self.selected_regret)
         )
+        lost, ends = _spread(regret), self.regret_interval
+        quantiles = ", ".join(f"{float(q):.0%}: {number(v)}" for q, v in lost["quantiles"].items())
         apart = "" if ends is None else f" (95 %: {_percent(ends, '.4g')})"
+        mean = f"mean regret {number(lost['mean'])}{apart}; quantiles {quantiles}"
         rows = zip(self.frame().to_dict("records"), self.policies[self.counts > 0], strict=True)
-        selected, learning = self.selected_regret, self.learning_error
+        listed = [
+            row | self._share(row["count"]) | {"policy": _named(self.mdp, self.rows, policy)}
+            for row, policy in rows
+        ]
+        many, runs = np.unique(self.distinct, return_counts=True)
+        distinct = {
+            str(n): {"count": k} | self._share(k) for n, k in zip(many, runs.tolist(), strict=True)
+        }
+        changes = zip(
+            map(self.rows.space.label, range(len(self.changed.T))),
+            self.changed.sum(axis=0).tolist(),
+            strict=True,
+        )
+        changed = {row: self._share(count) for row, count in changes if count}
         facts = {
-            "seeds": runs,
+            "seeds": self.runs,
             "columns": self.rows.space.names,
             "claim": Shown("estimated"),
             "value_claim": Shown("bounded"),
@@ -167,69 +176,75 @@ class Outcomes(Pictured):
             "best_value": Shown(self.best_value.value, self.best_value),
             "best_value_upper_bound": Shown(best.upper_bound if best else self.optimum.value),
             "best_value_proven": best.proven if best else True,
-            "regret": Shown(
-                _spread(regret) | {"mean_interval": ends},
-                f"mean regret {number(float(regret.mean()))}{apart}; quantiles {quantiles}",
-            ),
+            "regret": Shown(lost | {"mean_interval": ends}, mean),
             "optimal_fraction": Shown(
-                self.optimal_fraction,
-                f"{self.optimal_fraction:.1%} of the runs end optimal (95 %: {_percent(optimal)})",
+                optimal["fraction"],
+                f"{optimal['fraction']:.1%} of the runs end optimal "
+                f"(95 %: {_percent(optimal['interval'])})",
             ),
-            "optimal_fraction_interval": Shown(optimal),
+            "optimal_fraction_interval": Shown(optimal["interval"]),
             "learning_error": Shown(_spread(learning), f"mean {number(float(learning.mean()))}"),
-            "best_fraction": Shown(self.best_fraction, f"{self.best_fraction:.1%}"),
-            "best_fraction_interval": Shown(self.interval_of(self.best_fraction)),
+            "best_fraction": Shown(good["fraction"], f"{good['fraction']:.1%}"),
+            "best_fraction_interval": Shown(good["interval"]),
             "selected": Shown(
-                {"regret": _spread(selected), "optimal_fraction": float((selected == 0).mean())},
-                f"mean regret of the best of five {number(float(selected.mean()))}",
+                {
+                    "regret": (selected := _spread(self.selected_regret)),
+                    "optimal_fraction": chosen["fraction"],
+                },
+                f"mean regret of the best of five {number(selected['mean'])}",
             ),
             "first_run": Shown(self.first_run),
-            "policies": [
-                row | self._share(int(row["count"])) | {"policy": self._named(policy)}
-                for row, policy in rows
-            ],
+            "policies": listed,
             "distinct_in_last": {
-                str(many): {"count": count, "interval": self.interval_of(count / runs)}
-                for many, count in self.last_counts.items()
+                many: {"count": each["count"], "interval": each["interval"]}
+                for many, each in distinct.items()
             },
-            "changed_in_last": {
-                self.rows.space.label(row): self._share(count)
-                for row, count in enumerate(self.changed.sum(axis=0).tolist())
-                if count
-            },
+            "changed_in_last": changed,
             "steps": self.steps,
             "cut_short": self.cut_short,
             "written": [],
         }
-        return Report(title="training", facts=facts, tables=_tables(facts, runs))
 
-    @property
-    def first_run(self) -> dict[str, Any]:
-        """The policies that were greedy most often in the last episodes of the first run."""
-        top = self.candidates[:CANDIDATES]
-        policies = np.array([policy for _, policy in top])
-        values = policy_values(self.mdp, self.rows, policies)
-        each = zip(top, values.value.tolist(), values.error.tolist(), strict=True)
-        return {
-            "episodes": sum(count for count, _ in self.candidates),
-            "distinct": len(self.candidates),
-            "top": [
-                {"episodes": n, "value": value, "error_bound": error, "policy": self._named(policy)}
-                for (n, policy), value, error in each
-            ],
+        usual = listed[0]["policy"]
+
+        def apart_from_usual(policy: dict[str, str] | None) -> str:
+            if policy is None or usual is None:
+                return "as most runs"
+            own = {r: a for r, a in policy.items() if policy is usual or a != usual[r]}
+            return ", ".join(f"{row} {action}" for row, action in own.items())
+
+        def rows_of(shares: dict[str, Any]) -> list[dict[str, Any]]:
+            return [{"": k} | s | {"interval": _percent(s["interval"])} for k, s in shares.items()]
+
+        share = {"share of runs": "fraction:.1%", "95 %": "interval"}
+        tables = {
+            "policies": Table(
+                title="final greedy policies, and where they differ from the first",
+                rows=[each | {"policy": apart_from_usual(each["policy"])} for each in listed],
+                columns={"runs": "count", "value": "value", "regret": "regret", "policy": "policy"},
+                first=SHOWN,
+            ),
+            "distinct_in_last": Table(
+                title="how many policies are greedy in the last episodes of a run",
+                rows=rows_of(distinct),
+                columns={"policies": "", "runs": "count"} | share,
+            ),
+            "changed_in_last": Table(
+                title="where these policies differ",
+                rows=sorted(rows_of(changed), key=lambda each: -each["fraction"]),
+                columns={"row": ""} | share,
+            ),
         }
+        return Report(title="training", facts=facts, tables=tables)
 
-    def _share(self, count: int) -> dict[str, Any]:
-        return {"fraction": count / self.runs, "interval": self.interval_of(count / self.runs)}
 
-    def _named(self, choices: Numbers) -> dict[str, str] | None:
-        """Return {row: action}, or None where there are too many rows to list."""
-        space, names = self.rows.space, self.mdp.actions
-        if space.size > LISTED_ROWS:
-            return None
-        alone = len(space.columns) == 1 and not space.extra
-        label = space.columns[0].label if alone else space.label
-        return {label(row): names[action] for row, action in enumerate(choices.tolist())}
+def _named(mdp: MDP, rows: Rows, choices: Numbers) -> dict[str, str] | None:
+    """Return {row: action}, or None where there are too many rows to list."""
+    space = rows.space
+    if space.size > LISTED_ROWS:
+        return None
+    label = space.columns[0].label if len(space.columns) == 1 and not space.extra else space.label
+    return {label(row): mdp.actions[action] for row, action in enumerate(choices.tolist())}
 
 
 def _percent(interval: Interval, form: str = ".1%") -> str:
@@ -243,41 +258,6 @@ def _spread(values: Floats) -> dict[str, Any]:
         "mean_interval": None,
         "quantiles": dict(quantiles),
         "greatest": float(values.max()),
-    }
-
-
-def _tables(facts: dict[str, Any], runs: int) -> dict[str, Table]:
-    most = facts["policies"][0]["policy"]
-
-    def named(policy: dict[str, str] | None) -> str:
-        if policy is None:
-            return "as most runs"
-        shown = {row: a for row, a in policy.items() if policy is most or a != most[row]}
-        return ", ".join(f"{row} {action}" for row, action in shown.items())
-
-    changed = [{"row": row} | each for row, each in facts["changed_in_last"].items()]
-    changed.sort(key=lambda each: -each["fraction"])
-    last = [
-        {"many": int(many), "share": each["count"] / runs} | each
-        for many, each in facts["distinct_in_last"].items()
-    ]
-    return {
-        "policies": Table(
-            title="final greedy policies, and where they differ from the first",
-            rows=[each | {"policy": named(each["policy"])} for each in facts["policies"]],
-            columns={"runs": "count", "value": "value", "regret": "regret", "policy": "policy"},
-            first=SHOWN,
-        ),
-        "distinct_in_last": Table(
-            title="how many policies are greedy in the last episodes of a run",
-            rows=[each | {"interval": _percent(each["interval"])} for each in last],
-            columns={"policies": "many", "runs": "count", "share": "share:.1%", "95 %": "interval"},
-        ),
-        "changed_in_last": Table(
-            title="where these policies differ",
-            rows=[each | {"interval": _percent(each["interval"])} for each in changed],
-            columns={"row": "row", "share of runs": "fraction:.1%", "95 %": "interval"},
-        ),
     }
 
 
@@ -320,7 +300,8 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
     used = used[np.argsort(-np.bincount(final, minlength=len(known))[used], kind="stable")]
     place = np.empty(len(known), dtype=np.int64)
     place[used] = np.arange(len(used))
-    recent = [run.policies[np.unique(run.last)] for run in runs]
+    recent, last = [run.policies[np.unique(run.last)] for run in runs], runs[0].last_counts()
+    top = zip(last.values(), candidates[0], strict=False)
     partial = len(rows.space.columns) < len(mdp.space.columns)
     return Outcomes(
         mdp=mdp,
@@ -334,7 +315,19 @@ def outcomes(model: MDP, runs: Sequence[TrainingRun], *, bound: bool = True) -> 
         changed=np.array([(each != each[0]).any(axis=0) for each in recent]),
         optimum=solve(mdp).start,
         best=best_policy(mdp, rows.space.names) if partial and bound else None,
-        candidates=tuple((n, runs[0].policies[k]) for k, n in runs[0].last_counts().items()),
+        first_run={
+            "episodes": sum(last.values()),
+            "distinct": len(last),
+            "top": [
+                {
+                    "episodes": episodes,
+                    "value": float(values.value[i]),
+                    "error_bound": float(values.error[i]),
+                    "policy": _named(mdp, rows, policies[i]),
+                }
+                for episodes, i in top
+            ],
+        },
         steps=sum(run.steps for run in runs),
         cut_short=sum(run.cut_short for run in runs),
     )

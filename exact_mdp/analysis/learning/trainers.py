@@ -46,7 +46,8 @@ class TrainerAudit(Pictured):
     share: Fraction  # of seeds that has to be within the limits
     alpha: Fraction  # the risk of error
     runs: int  # how many there might have been
-    prove: bool = False  # whether a share that is open fails
+    proven: bool | None  # whether the share of all seeds is at least `share`; None where it is open
+    passed: bool  # whether it is, or is open and need not be proven
 
     claim: ClassVar[Claim] = Claim.ESTIMATED
 
@@ -64,16 +65,6 @@ class TrainerAudit(Pictured):
     def interval(self) -> Interval:
         """The interval of the share after the last run."""
         return self.intervals[-1]
-
-    @property
-    def proven(self) -> bool | None:
-        """Whether the share of all seeds is at least `share`; None where that is open."""
-        return _decided(self.within, len(self.audits), self.share, self.alpha)
-
-    @property
-    def passed(self) -> bool:
-        """Whether the share is at least `share`, or open and not to be proven."""
-        return self.proven is not False and not (self.prove and self.proven is None)
 
     @property
     def worst(self) -> Audit:
@@ -237,26 +228,28 @@ def check_trainer(
             audits.append(audit)
             yield audit.passed
 
-    intervals, trainer = list[Interval](), None
+    intervals, hits, proven = list[Interval](), 0, None
     with answering():
         for interval in share_intervals(passes(), risk):
             intervals.append(interval)
-            trainer = TrainerAudit(
-                names=tuple(names),
-                audits=tuple(audits),
-                intervals=tuple(intervals),
-                share=wanted,
-                alpha=risk,
-                runs=runs,
-                prove=prove,
-            )
-            if trainer.proven is not None:
+            hits += audits[-1].passed
+            proven = _decided(hits, len(audits), wanted, risk)
+            if proven is not None:
                 break
-    if trainer is None:
+    if not audits:
         raise ModelError("no policies", where="check_trainer", fix="give at least one")
-    if trainer.proven is None and not prove:
+    if proven is None and not prove:
         _require_runs(len(audits), wanted, risk)
-    return trainer
+    return TrainerAudit(
+        names=tuple(names),
+        audits=tuple(audits),
+        intervals=tuple(intervals),
+        share=wanted,
+        alpha=risk,
+        runs=runs,
+        proven=proven,
+        passed=proven is not False and not (prove and proven is None),
+    )
 
 
 def _require_runs(runs: int, share: Fraction, alpha: Fraction) -> None:

@@ -132,7 +132,62 @@ class QLearning:
 
     def train(self, model: MDP, rng: Seed) -> TrainingRun:
         """Return one run; the same seed gives the same bytes."""
-        return Trainer(self, model).run(rng)
+        costs, mdp = model.sense == "min", model.maximised
+        read = rows_of(mdp, self.columns)
+        rows = read.space.size
+        recorded = (self.epochs if self.snapshot_episode else 0) + self.last
+        if recorded * rows > MOST_RECORDED:
+            raise ModelError(
+                f"{recorded:,} greedy policies of {rows:,} rows are too many to keep",
+                where="QLearning",
+                fix="set snapshot_episode=0, or keep fewer last policies",
+            )
+        entries, double = rows * mdp.n_actions, self.method == "double-q-learning"
+        initial = 0.0 - float(self.initial) if costs else float(self.initial)
+        both = np.full((2, entries if double else 0), initial)
+        acting = np.full(entries, initial) if not double else both[0] + both[1]
+        counts = np.zeros(entries if self.rate_power else 0, dtype=np.int64)
+        snapshots = np.zeros((self.epochs if self.snapshot_episode else 0, rows), dtype=np.int32)
+        last = np.zeros((min(self.last, self.epochs * self.episodes), rows), dtype=np.int32)
+        returns = np.zeros(self.epochs)
+        from exact_mdp.solvers.kernels import learning as kernels
+
+        steps, cut_short = kernels.learn(
+            tables(mdp, read),
+            stream(rng),
+            both,
+            acting,
+            counts,
+            mdp.n_actions,
+            checked("exploration", self.exploration, self.epochs),
+            checked("rate", self.rate, self.epochs),
+            float(self.rate_power),
+            float(as_discount(self.discount)),
+            self.episodes,
+            METHODS.index(self.method),
+            TIES.index(self.ties),
+            bool(self.bootstrap_end),
+            self.max_steps,
+            self.snapshot_episode,
+            snapshots,
+            last,
+            returns,
+        )
+        policies, numbers = distinct(np.concatenate([snapshots, last]))
+        numbers = numbers.astype(np.int32)
+        q = (acting / (1 + double)).reshape(rows, mdp.n_actions)
+        if costs:  # learned as rewards, returned as the costs that they are
+            q, returns = 0.0 - q, 0.0 - returns
+        return TrainingRun(
+            space=read.space,
+            q=q,
+            policies=policies,
+            snapshots=numbers[: len(snapshots)],
+            last=numbers[len(snapshots) :],
+            returns=returns,
+            steps=int(steps),
+            cut_short=int(cut_short),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -185,91 +240,3 @@ class TrainingRun(Brief):
     def policy(self, mdp: MDP) -> Policy:
         """Return the final greedy policy."""
         return Policy(space=self.space, actions=mdp.actions, rule=self.final)
-
-
-class Trainer:
-    """Settings and a model, laid out once for many runs."""
-
-    def __init__(self, settings: QLearning, mdp: MDP) -> None:
-        self.costs = mdp.sense == "min"
-        mdp = mdp.maximised
-        self.settings, self.mdp = settings, mdp
-        self.rows = rows_of(mdp, settings.columns)
-        self.tables = tables(mdp, self.rows)
-        size = settings.last + (settings.epochs if settings.snapshot_episode else 0)
-        if size * self.rows.space.size > MOST_RECORDED:
-            raise ModelError(
-                f"{size:,} greedy policies of {self.rows.space.size:,} rows are too many to keep",
-                where="QLearning",
-                fix="set snapshot_episode=0, or keep fewer last policies",
-            )
-
-    def run(self, rng: Seed) -> TrainingRun:
-        """Return one run; see `QLearning.train`."""
-        own, rows = self.settings, self.rows.space.size
-        entries, double = rows * self.mdp.n_actions, own.method == "double-q-learning"
-        initial = 0.0 - float(own.initial) if self.costs else float(own.initial)
-        both = np.full((2, entries if double else 0), initial)
-        acting = np.full(entries, initial) if not double else both[0] + both[1]
-        counts = np.zeros(entries if own.rate_power else 0, dtype=np.int64)
-        snapshots = np.zeros((own.epochs if own.snapshot_episode else 0, rows), dtype=np.int32)
-        last = np.zeros((min(own.last, own.epochs * own.episodes), rows), dtype=np.int32)
-        returns = np.zeros(own.epochs)
-        from exact_mdp.solvers.kernels import learning as kernels
-
-        steps, cut_short = kernels.learn(
-            self.tables,
-            stream(rng),
-            both,
-            acting,
-            counts,
-            self.mdp.n_actions,
-            checked("exploration", own.exploration, own.epochs),
-            checked("rate", own.rate, own.epochs),
-            float(own.rate_power),
-            float(as_discount(own.discount)),
-            own.episodes,
-            METHODS.index(own.method),
-            TIES.index(own.ties),
-            bool(own.bootstrap_end),
-            own.max_steps,
-            own.snapshot_episode,
-            snapshots,
-            last,
-            returns,
-        )
-        policies, numbers = distinct(np.concatenate([snapshots, last]))
-        numbers = numbers.astype(np.int32)
-        q = (acting / (1 + double)).reshape(rows, self.mdp.n_actions)
-        if self.costs:  # learned as rewards, told as the costs that they are
-            q, returns = 0.0 - q, 0.0 - returns
-        return TrainingRun(
-            space=self.rows.space,
-            q=q,
-            policies=policies,
-            snapshots=numbers[: len(snapshots)],
-            last=numbers[len(snapshots) :],
-            returns=returns,
-            steps=int(steps),
-            cut_short=int(cut_short),
-        )
-
-    def possible(self, run: TrainingRun) -> bool:
-        """Return whether a run that was read from a file can be one of these settings."""
-        own, (rows, actions) = self.settings, self.rows.offered.shape
-        recorded = {
-            "q": (np.float64, (rows, actions)),
-            "policies": (np.int32, (len(run.policies), rows)),
-            "snapshots": (np.int32, (own.epochs if own.snapshot_episode else 0,)),
-            "last": (np.int32, (min(own.last, own.epochs * own.episodes),)),
-            "returns": (np.float64, (own.epochs,)),
-        }
-        arrays = {name: getattr(run, name) for name in recorded}
-        if recorded != {name: (array.dtype, array.shape) for name, array in arrays.items()}:
-            return False
-        numbers, taken = np.concatenate([run.snapshots, run.last]), run.policies.astype(np.int64)
-        within = (numbers >= 0).all() and (numbers < len(taken)).all()
-        known = (taken >= 0).all() and (taken < actions).all()
-        counts = isinstance(run.steps, int) and isinstance(run.cut_short, int)
-        finite = np.isfinite(run.returns).all()
-        return bool(within and known and counts and finite and len(taken))

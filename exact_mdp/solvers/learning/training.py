@@ -13,17 +13,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.random import SeedSequence
 
 from exact_mdp.mdp.errors import ModelError, named_options
 from exact_mdp.mdp.exact import fingerprint
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.table import Numbers
 from exact_mdp.mdp.validate import counted
-from exact_mdp.solvers.learning.q_learning import QLearning, Trainer, TrainingRun
-from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child
-from exact_mdp.solvers.parallel import damaged, many
+from exact_mdp.solvers.learning.q_learning import QLearning, TrainingRun
+from exact_mdp.solvers.learning.sampler import Seed, as_sequence, child, rows_of
+from exact_mdp.solvers.parallel import many
 
 STEM = "runs-"  # of the files of runs, before their numbers
 RECORDED = [field.name for field in fields(TrainingRun) if field.name != "space"]
@@ -83,9 +81,9 @@ def train(
         raise ModelError(f"{learner!r} is no learner", where="train", fix=fix)
     if rng is None:
         raise ModelError("training needs a seed", where="rng", fix="give rng=0, or another number")
-    trainer, root = Trainer(settings, model), as_sequence(rng)
+    space, root = rows_of(model, settings.columns).space, as_sequence(rng)
     runs = many(
-        partial(_run, trainer, root),
+        partial(_run, settings, model, root),
         range(n),
         key={
             "model_hash": fingerprint(model),
@@ -100,25 +98,13 @@ def train(
         progress=progress,
         what="runs",
     )
-    return [_read(trainer, arrays, number, out) for number, arrays in enumerate(runs)]
+    return [
+        TrainingRun(space=space, **{name: a if a.ndim else a.item() for name, a in run.items()})
+        for run in runs
+    ]
 
 
-def _run(trainer: Trainer, root: SeedSequence, number: int) -> dict[str, Numbers]:
+def _run(settings: QLearning, model: MDP, root: SeedSequence, number: int) -> dict[str, Any]:
     """Return a run as arrays, which is what crosses between processes."""
-    run = trainer.run(child(root, number))
-    return {name: np.asarray(getattr(run, name)) for name in RECORDED}
-
-
-def _read(
-    trainer: Trainer, arrays: dict[str, Numbers], number: int, out: str | Path | None
-) -> TrainingRun:
-    """Return a run; raises ModelError where its file holds what no run of the learner can be."""
-    try:
-        recorded: dict[str, Any] = {name: arrays[name] for name in RECORDED}
-        recorded |= {name: array.item() for name, array in recorded.items() if not array.ndim}
-        run = TrainingRun(space=trainer.rows.space, **recorded)
-        if trainer.possible(run):
-            return run
-    except (KeyError, TypeError, ValueError):  # arrays that are missing, or do not fit together
-        pass
-    raise damaged(Path(out or "") / f"{STEM}{number:06d}.npz")
+    run = settings.train(model, child(root, number))
+    return {name: getattr(run, name) for name in RECORDED}

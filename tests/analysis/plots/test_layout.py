@@ -111,7 +111,7 @@ def test_the_parts_of_a_tuple_are_columns(tmp_path: Path) -> None:
     mdp.save(tmp_path / "m.npz")
     for each in (mdp, load(tmp_path / "m.npz")):
         ax = plots.plot_policy(each, "random")
-        assert (ax.get_ylabel(), ax.get_xlabel()) == ("state[2]", "state[0], state[1]")
+        assert (ax.get_ylabel(), ax.get_xlabel()) == ("state[0], state[2]", "state[1]")
         assert numbered(each) == numbered(mdp)
 
 
