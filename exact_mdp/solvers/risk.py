@@ -164,7 +164,7 @@ def with_budget(model: MDP, trade: Fraction) -> Budgeted:
         raise ModelError(
             "states lead back to each other, so that returns have no end",
             where=WHERE,
-            fix="give a horizon, or a model without cycles",
+            fix="give a horizon (--horizon N, mdp.within(N)), or a model without cycles",
         )
     table, pair = mdp.table, mdp.table.pair
     (weight, denominator), (gain, below) = table.integer_weights(), table.integer_gains()
@@ -237,7 +237,7 @@ def _optimum(of: Budgeted) -> tuple[Integers, Level, Level]:
 class CVaROptimum(Result):
     """A policy with the greatest mean of the worst share of episodes."""
 
-    mdp: MDP  # with a horizon, that with the time in its states
+    mdp: MDP
     level: Fraction
     weight: Fraction  # of the mean
     value: Fraction
@@ -272,9 +272,6 @@ class CVaROptimum(Result):
         pairs = model.pair_offsets[:-1] + self.pairs - first
         return certificate(model, pairs, h=self.values, rank=termination(model).rank)
 
-    def _pair(self, state: int, wanted: int) -> int:
-        return int(self.pairs[self.budgeted.place(state, wanted)])
-
     def action(self, state: int, so_far: object = 0) -> str:
         """Return what the policy does in a state after a reward of so much."""
         wanted = (self.threshold - exact(so_far, "reward so far")) / self._unit
@@ -284,43 +281,42 @@ class CVaROptimum(Result):
                 where=WHERE,
                 fix=f"rewards are multiples of {shown(self.budgeted.unit)}",
             )
-        return str(self.mdp.actions[self.mdp.pair_action[self._pair(state, int(wanted))]])
+        pair = self.pairs[self.budgeted.place(state, int(wanted))]
+        return str(self.mdp.actions[self.mdp.pair_action[pair]])
 
     def _met(self) -> dict[int, dict[Fraction, Fraction]]:
         """Return how likely each reward so far is in each state under the policy."""
         of, aim = self.budgeted, int(self.threshold / self._unit)
-        met: defaultdict[int, defaultdict[int, Fraction]] = defaultdict(
-            lambda: defaultdict(Fraction)
-        )
+        met = [defaultdict[int, Fraction](Fraction) for _ in range(of.mdp.n_states)]
         for state, weight in of.mdp.start:
             met[state][0] += weight
         row = cache(of.table.row)
         for state in reversed(of.order):
-            for so_far, mass in met.get(state, {}).items():
-                for p, to, k in row(self._pair(state, aim - so_far)):
+            for so_far, mass in met[state].items():
+                for p, to, k in row(int(self.pairs[of.place(state, aim - so_far)])):
                     met[to][so_far + int(k)] += mass * p
         return {
-            state: dict(sorted((self._unit * k, mass) for k, mass in met[state].items()))
-            for state in sorted(met)
+            state: dict(sorted((self._unit * k, mass) for k, mass in own.items()))
+            for state, own in enumerate(met)
+            if own
         }
 
     def rules(self) -> list[tuple[int, Fraction, Fraction, str]]:
         """Return what the policy does as (state, from, to, action), for rewards so far it meets."""
-        rules = list[tuple[int, Fraction, Fraction, str]]()
-        for state, so_far in self._met().items():
-            if self.mdp.asked[state]:
-                for action, group in groupby(so_far, partial(self.action, state)):
-                    own = [*group]
-                    rules.append((state, own[0], own[-1], action))
-        return rules
+        groups = (
+            (state, action, [*group])
+            for state, so_far in self._met().items()
+            if self.mdp.asked[state]
+            for action, group in groupby(so_far, partial(self.action, state))
+        )
+        return [(state, own[0], own[-1], action) for state, action, own in groups]
 
     def distribution(self) -> dict[Fraction, Fraction]:
         """Return the exact probability of every return under the policy, in rising order."""
-        total: defaultdict[Fraction, Fraction] = defaultdict(Fraction)
+        total = defaultdict[Fraction, Fraction](Fraction)
         for state, masses in self._met().items():
-            if self.mdp.terminal[state]:
-                for value, mass in masses.items():
-                    total[value] += mass
+            for value, mass in masses.items() if self.mdp.terminal[state] else ():
+                total[value] += mass
         return dict(sorted(total.items()))
 
     def violations(self) -> list[str]:
@@ -351,9 +347,7 @@ class CVaROptimum(Result):
         )
 
 
-def best_cvar(
-    model: MDP | Scenario, level: object, *, weight: object = 0, horizon: int | None = None
-) -> CVaROptimum:
+def best_cvar(model: MDP | Scenario, level: object, *, weight: object = 0) -> CVaROptimum:
     """Return a policy with the greatest mean return of the worst episodes, exactly.
 
     In a model of costs, the least mean cost of the worst episodes. The policy remembers the reward
@@ -362,13 +356,11 @@ def best_cvar(
     Parameters
     ----------
     model : MDP or Scenario
-        With discount 1 and without cycles, or with a horizon.
+        With discount 1 and without cycles: `mdp.within(n)` has none.
     level : number or "p/q"
         The share of the worst episodes, above 0; at 1 that is the mean of all.
     weight : number or "p/q"
         Of the mean, below 1: (1 - weight) CVaR + weight · mean is greatest.
-    horizon : int, optional
-        Stop after so many steps.
 
     Returns
     -------
@@ -394,7 +386,6 @@ def best_cvar(
             where="weight of the mean",
             fix="choose 0 or more, below 1",
         )
-    mdp = mdp if horizon is None else mdp.within(horizon)
     of = with_budget(mdp, share * part / (1 - part))
     pairs, values, means = _optimum(of)
     objective, mean, least = max(

@@ -197,8 +197,8 @@ TABLE: dict[str, Callable[[int], Any]] = {
         em.evaluate(endless(s), [0, 0], criterion="average"),
     ),
     "CVaR": lambda s: (
-        em.mean_cvar(model(s, 1), "1/4", policies={"mine": POLICY}, horizon=4).frame(),
-        {"value": [(best := em.best_cvar(model(s, 1), "1/4", horizon=4)).value, best.mean]},
+        em.mean_cvar(model(s, 1).within(4), "1/4", policies={"mine": POLICY}).frame(),
+        {"value": [(best := em.best_cvar(model(s, 1).within(4), "1/4")).value, best.mean]},
     ),
 }
 

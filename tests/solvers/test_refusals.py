@@ -118,7 +118,7 @@ tradeoff(CARE, ["anger*2", "skip"]) -> no part of a sum
 tradeoff(CARE, ["angers", "skip"]) -> did you mean anger
 best_cvar(FINE, "1/2") -> rounder rewards
 best_cvar(LOOP, "1/2") -> give a horizon
-best_cvar(MODEL, "1/2", horizon=3) -> choose discount 1
+best_cvar(MODEL.within(3), "1/2") -> choose discount 1
 
 solve_robust(LOOP, NO, max_iterations=X) for True, 1.5 -> is (True|1.5)
 solve_robust(LOOP, NO, nature="bad") -> unknown nature 'bad'

@@ -116,7 +116,7 @@ def test_what_is_false_is_found() -> None:
 def test_with_a_horizon_cycles_are_no_matter() -> None:
     rows = [(0, 0, [("1/2", 0, 1), ("1/2", 0, -1)]), (0, 1, [(1, 0, 0)])]
     mdp = MDP.from_outcomes(rows)
-    optimum = best_cvar(mdp, "1/2", horizon=3)
+    optimum = best_cvar(mdp.within(3), "1/2")
     assert optimum.value == optimum.mean == 0
 
 

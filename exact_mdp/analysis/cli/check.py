@@ -112,7 +112,7 @@ def check(
     failure by chance; share: the share that is required; share_interval: interval of the share,
     which holds after every run at once; observed: share of the runs within the limits; runs: runs
     judged; given: policies given; policies: each policy with its regret and whether it keeps the
-    limits.
+    limits; proven: whether the share of all seeds is at least `share`, or null where that is open.
     """
     started = perf_counter()
     ci.summarise("")  # where it cannot be written to, that is said before any work

@@ -68,7 +68,8 @@ def train(
     best_fraction_interval: 95 % interval of `best_fraction`; optimal_fraction_interval: that of
     `optimal_fraction`; regret: regret of the policies learned, as mean, quantiles, intervals;
     learning_error: loss against the best over the columns; selected: regret and optimal_fraction of
-    the best policy that each run met; policies: the distinct policies with their counts and exact
+    the best policy that each run met; first_run: the policies that were greedy most often in the
+    last episodes of the first run; policies: the distinct policies with their counts and exact
     values; distinct_in_last: number of policies at the end of a run; changed_in_last: how often the
     action of each status changes there.
     """

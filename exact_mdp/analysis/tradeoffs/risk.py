@@ -99,22 +99,18 @@ def mean_cvar(
     *,
     policies: Mapping[str, PolicyLike] | None = None,
     weights: Sequence[object] = WEIGHTS,
-    horizon: int | None = None,
 ) -> MeanCVaR:
     """Return the mean and the mean of the worst episodes under best and given policies, exactly.
 
     Parameters
     ----------
     model : MDP or Scenario
-        With discount 1 and without cycles, or with a horizon.
+        With discount 1 and without cycles: `mdp.within(n)` has none.
     level : number or "p/q"
         The share of the worst episodes, above 0.
     policies : {name: PolicyLike}, optional
-        Of the model; with a horizon, of that with the time in its states.
     weights : sequence of numbers
         Of the mean, each below 1.
-    horizon : int, optional
-        Stop after so many steps.
 
     Returns
     -------
@@ -132,8 +128,7 @@ def mean_cvar(
     >>> [str(number) for number in points.policies["bold"]]
     ['5', '0']
     """
-    mdp = mdp_of(model)
-    mdp, share = mdp if horizon is None else mdp.within(horizon), share_of(level)
+    mdp, share = mdp_of(model), share_of(level)
     optima = [best_cvar(mdp, share, weight=weight) for weight in weights]
     placed = {name: point_of(mdp, share, policy) for name, policy in (policies or {}).items()}
     return MeanCVaR(

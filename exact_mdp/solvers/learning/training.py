@@ -98,10 +98,10 @@ def train(
         progress=progress,
         what="runs",
     )
-    return [
-        TrainingRun(space=space, **{name: a if a.ndim else a.item() for name, a in run.items()})
-        for run in runs
+    read: list[dict[str, Any]] = [
+        {name: array if array.ndim else array.item() for name, array in run.items()} for run in runs
     ]
+    return [TrainingRun(space=space, **each) for each in read]
 
 
 def _run(settings: QLearning, model: MDP, root: SeedSequence, number: int) -> dict[str, Any]:
