@@ -298,13 +298,9 @@ def _policies(
 
 def _is_one(given: object) -> bool:
     """Return whether this is one policy: a name, a mapping, an array, or a list of its actions."""
-    if isinstance(given, list | tuple):
-        return any(isinstance(one, Number) for one in given)
-    return (
-        isinstance(given, str | Mapping)
-        or hasattr(given, "__array__")
-        or not (isinstance(given, Iterable))
-    )
+    actions = isinstance(given, list | tuple) and any(isinstance(one, Number) for one in given)
+    named = isinstance(given, str | Mapping) or hasattr(given, "__array__")
+    return actions or named or not isinstance(given, Iterable)
 
 
 def _between(name: str, number: object) -> Fraction:

@@ -77,10 +77,6 @@ def picture(function: Callable[Arguments, Axes]) -> Callable[Arguments, Axes]:
         own = {"text.parse_math": False, "legend.frameon": False} if given else SETTINGS
         with _context(own):
             ax = named_options(function)(*arguments, **settings)
-            title = ax.get_title() or ax.get_title(loc="left")
-            ax.set_title("")
-            # Where lines are broken, matplotlib measures formulas whatever it was told.
-            ax.set_title(title, loc="left", wrap="$" not in title)
         _as_written(ax)
         return ax
 
@@ -137,7 +133,10 @@ def described(
 
     The legend has the `handles`, or what was drawn with a label, below its own title.
     """
-    ax.set_title(f"{what} \N{EN DASH} {model}" if model else what)
+    title = f"{what} \N{EN DASH} {model}" if model else what
+    ax.set_title("")
+    # Where lines are broken, matplotlib measures formulas whatever it was told.
+    ax.set_title(title, loc="left", wrap="$" not in title)
     ax.set(**{key: text for key, text in (("xlabel", x), ("ylabel", y)) if text})
     if drawn := handles or ax.get_legend_handles_labels()[0]:
         columns = 2 if max(len(str(each.get_label())) for each in drawn) < 20 else 1

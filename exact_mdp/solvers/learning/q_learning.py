@@ -32,13 +32,7 @@ from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import Floats, Numbers
 from exact_mdp.mdp.validate import as_discount, counted
 from exact_mdp.solvers.learning.sampler import Seed, rows_of, stream, tables
-from exact_mdp.solvers.learning.schedules import (
-    PAPER_CONSTANT,
-    PAPER_RATE,
-    Schedule,
-    as_schedule,
-    checked,
-)
+from exact_mdp.solvers.learning.schedules import PAPER_CONSTANT, Schedule, as_schedule
 
 METHODS = ("q-learning", "sarsa", "expected-sarsa", "double-q-learning")
 TIES = ("first", "last", "random")
@@ -91,7 +85,7 @@ class QLearning:
     epochs: int = 6000
     episodes: int = 30
     discount: object = "19/20"
-    rate: Schedule = PAPER_RATE
+    rate: Schedule = 0.05
     rate_power: float = 0.0
     exploration: Schedule = PAPER_CONSTANT
     columns: tuple[str, ...] | None = None
@@ -123,8 +117,8 @@ class QLearning:
         object.__setattr__(self, "discount", as_discount(self.discount))
         for name in ("exploration", "rate"):
             with located(f"QLearning, {name}"):
-                object.__setattr__(self, name, as_schedule(getattr(self, name)))
-                checked(name, getattr(self, name), self.epochs)
+                schedule = as_schedule(name, getattr(self, name), self.epochs)
+                object.__setattr__(self, name, schedule)
 
     def _require(self, name: str, holds: object, fix: str) -> None:
         if not holds:
@@ -159,8 +153,10 @@ class QLearning:
             acting,
             counts,
             mdp.n_actions,
-            checked("exploration", self.exploration, self.epochs),
-            checked("rate", self.rate, self.epochs),
+            *(
+                np.array(each.values(self.epochs), dtype=float)
+                for each in (self.exploration, self.rate)
+            ),
             float(self.rate_power),
             float(as_discount(self.discount)),
             self.episodes,

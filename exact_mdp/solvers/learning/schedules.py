@@ -98,25 +98,19 @@ class Exponential:
         return self.minimum + (self.maximum - self.minimum) * np.array(fall)
 
 
-PAPER_RATE = Constant(0.05)
 PAPER_CONSTANT = Constant(0.1)
 PAPER_DECAYING = Exponential.through(0.8, at=300, minimum=0.03)
 
 
-def as_schedule(given: object) -> Schedule:
-    """Return a schedule as it is, and a number as the constant one."""
-    if callable(getattr(given, "values", None)) and not isinstance(given, Mapping):
-        return given
-    return Constant(float_of(given, "schedule"))
-
-
-def checked(name: str, schedule: Schedule, epochs: int) -> Floats:
-    """Return (E,) numbers of a schedule; raises ModelError where one is outside [0, 1]."""
-    values = np.ascontiguousarray(schedule.values(epochs), dtype=np.float64)
+def as_schedule(name: str, given: Any, epochs: int) -> Schedule:
+    """Return a schedule, a number as the constant one; ModelError where one leaves [0, 1]."""
+    known = callable(getattr(given, "values", None)) and not isinstance(given, Mapping)
+    schedule = given if known else Constant(float_of(given, "schedule"))
+    values = np.asarray(schedule.values(epochs), dtype=np.float64)
     if values.shape != (epochs,) or not ((values >= 0) & (values <= 1)).all():
         raise ModelError(
             f"{name} does not stay between 0 and 1",
             where=f"{schedule!r}",
             fix="choose numbers from 0 to 1, one for each epoch",
         )
-    return values
+    return schedule
