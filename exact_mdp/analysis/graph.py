@@ -6,7 +6,6 @@ its exact probability and the reward there. See https://graphviz.org/doc/info/la
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 
 from exact_mdp.mdp.care.scenario import Scenario
@@ -19,14 +18,8 @@ from exact_mdp.solvers.values.policy_chain import policy_of
 MOST = 200  # states in a text
 
 
-@dataclass(frozen=True, kw_only=True)
-class Move:
-    """One action in one state: its outcomes (next state, label), and whether a policy takes it."""
-
-    state: int
-    action: str
-    outcomes: tuple[tuple[int, str], ...]
-    taken: bool
+Move = tuple[int, str, list[tuple[int, str]], bool]
+"""A state, an action, its outcomes (next state, label), and whether a policy takes it."""
 
 
 def moves(model: MDP, policy: PolicyLike | None, *, most: int) -> list[Move]:
@@ -38,18 +31,18 @@ def moves(model: MDP, policy: PolicyLike | None, *, most: int) -> list[Move]:
             fix=f"draw a model of at most {most} states, or its values: solve(model).plot()",
         )
     chosen = None if policy is None else policy_of(model, policy).weights(model)
-    listed = []
+    listed = list[Move]()
     for pair in range(model.n_pairs):
         state = int(model.pair_state[pair])
         if model.over[state]:
             continue
-        outcomes = tuple(
+        outcomes = [
             (following, _number(chance) + (f", {_number(gain)}" if gain else ""))
             for chance, following, gain in model.table.row(pair)
-        )
+        ]
         taken = chosen is not None and bool(chosen[pair] > 0)
         action = model.actions[int(model.pair_action[pair])]
-        listed.append(Move(state=state, action=action, outcomes=outcomes, taken=taken))
+        listed.append((state, action, outcomes, taken))
     return listed
 
 
@@ -86,16 +79,16 @@ def dot(model: MDP | Scenario, policy: PolicyLike | None = None) -> str:
     for state in range(mdp.n_states):
         end = ", shape=doublecircle" if mdp.over[state] else ""
         lines.append(f"  {state} [label={_quoted(mdp.space.label(state))}{end}]")
-    for number, move in enumerate(moves(mdp, policy, most=MOST)):
-        heavy = ", penwidth=2.5" if move.taken else ""
-        label = _quoted(move.action)
+    for number, (state, action, outcomes, taken) in enumerate(moves(mdp, policy, most=MOST)):
+        heavy = ", penwidth=2.5" if taken else ""
+        label = _quoted(action)
         lines += [
             f"  a{number} [shape=point]",
-            f"  {move.state} -> a{number} [label={label}, arrowhead=none{heavy}]",
+            f"  {state} -> a{number} [label={label}, arrowhead=none{heavy}]",
         ]
         lines += [
             f"  a{number} -> {following} [label={_quoted(text)}{heavy}]"
-            for following, text in move.outcomes
+            for following, text in outcomes
         ]
     return "\n".join([*lines, "}"])
 

@@ -52,25 +52,24 @@ def plot_transitions(
         import networkx as nx
     model = mdp_of(model)
     listed, graph = moves(model, policy, most=MOST), nx.DiGraph()
-    plain = not any(move.taken for move in listed)
+    plain = not any(taken for *_, taken in listed)
     few = plain or model.n_states <= FEW
-    outcomes = sum(len(move.outcomes) for move in listed if few or move.taken)
-    if outcomes > MANY:
-        return _heat_map(model, policy, outcomes, ax)
+    count = sum(len(outcomes) for *_, outcomes, taken in listed if few or taken)
+    if count > MANY:
+        return _heat_map(model, policy, count, ax)
     labels = dict[tuple[object, object], str]()
     graph.add_nodes_from(range(model.n_states))
-    for number, move in enumerate(listed):
+    for number, (state, action, outcomes, taken) in enumerate(listed):
         point = f"a{number}"
-        graph.add_edge(move.state, point, taken=move.taken)
-        labels[move.state, point] = move.action
-        for following, text in move.outcomes:
-            graph.add_edge(point, following, taken=move.taken)
+        graph.add_edge(state, point, taken=taken)
+        labels[state, point] = action
+        for following, text in outcomes:
+            graph.add_edge(point, following, taken=taken)
             before = labels.get((point, following))
             labels[point, following] = text if before is None else f"{before}; {text}"
     place = nx.kamada_kawai_layout(graph.to_undirected())
     if not few:  # where they stand does not depend on the policy
-        unused = [f"a{number}" for number, move in enumerate(listed) if not move.taken]
-        graph.remove_nodes_from(unused)
+        graph.remove_nodes_from([f"a{n}" for n, (*_, taken) in enumerate(listed) if not taken])
         labels = {edge: label for edge, label in labels.items() if graph.has_edge(*edge)}
     if ax is None:
         side = min(24.0, 2 + 1.4 * len(graph) ** 0.5)

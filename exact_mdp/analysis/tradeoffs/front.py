@@ -123,8 +123,7 @@ class Front(TotalsProof, Pictured):
 
     def totals(self, policy: PolicyLike) -> Point:
         """Return the exact totals of a policy, mixed ones too, from the start."""
-        of = self.of
-        return tuple(of.sign * value for value in flow_of(of, policy).totals(of))
+        return tuple(self.of.sign * value for value in flow_of(self.of, policy).totals(self.of))
 
     def distance(self, policy: PolicyLike) -> Fraction:
         """Return by how much all totals of a policy could be better at once: 0 on the front.
@@ -145,7 +144,6 @@ class Front(TotalsProof, Pictured):
         policies = policies or {}
         choices = ([mdp.actions[action] for action in policy] for policy in self.policies)
         each = {name: f"{name}:.10g" for name in self.names}
-        rates = [None, *(edge.rate for edge in self.edges)] if two else [None] * len(self.attained)
         note = "rate: how much {1} one point of {0} costs on the way from the row above"
         facts: dict[str, Any] = {
             "names": list(self.names),
@@ -170,11 +168,8 @@ class Front(TotalsProof, Pictured):
         }
         vertices = Table(
             title="vertices of the front",
-            rows=[
-                named(vertex) | {"rate of exchange": rate}
-                for vertex, rate in zip(self.vertices, rates, strict=True)
-            ],
-            columns=each | ({"rate": "rate of exchange:.6g"} if two else {}),
+            rows=self.frame(),
+            columns=each | ({"rate": "rate:.6g"} if two else {}),
             note=note.format(*self.names) if two else "",
         )
         beside = Table(
