@@ -9,7 +9,6 @@ of ten.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -264,7 +263,8 @@ def counts(texts: Iterable[str]) -> list[str]:
     >>> counts([joined(["↓", "→"], "mixed"), joined(["a0", "a1", "a2"], "tied")])
     ['n tied: n actions are optimal']
     """
-    words = {match[1] for text in texts if (match := re.search(r"\d+ (\w+)$", text))}
+    parts = (text.rpartition(" ") for text in texts)
+    words = {word for before, _, word in parts if before[-1:].isdigit()}
     return [f"n {word}: {meaning}" for word, meaning in COUNTED.items() if word in words]
 
 

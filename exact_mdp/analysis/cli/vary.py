@@ -401,10 +401,9 @@ def explore(
     ----
     parameters: parameters that move; pieces: number of pieces on the page.
     """
-    how: dict[str, Any] = {"policy": policy, "said": given.policy, "n": points}
     spans, _ = _moving(_ranges(given, parameters))
-    page = explorer_of(given.family, *parameters, ranges=spans, **how)
-    page = replace(page, model=given.loaded.name)
+    page = explorer_of(given.family, *parameters, ranges=spans, policy=policy, n=points)
+    page = replace(page, model=given.loaded.name, policy=given.policy)
     write_atomically(html, page.page(rerun=shlex.join(["exact-mdp", *typed()])))
     return given.report(page.report(), written=html)
 

@@ -113,7 +113,6 @@ def explore(
     ranges: Mapping[str, object] | None = None,
     relative: object | None = None,
     policy: PolicyLike | None = None,
-    said: str | None = None,
     n: int = GRID,
 ) -> Explorer:
     """Return the explorer of one parameter, or of two; in a notebook it shows itself.
@@ -129,8 +128,6 @@ def explore(
         Another share than 20 %, or "whole".
     policy : PolicyLike, optional
         A policy held fixed, whose value and regret are shown.
-    said : str, optional
-        What the page calls that policy.
     n : int
         Values of the second parameter, from 2 to 101, evenly spaced; today's is added.
 
@@ -178,14 +175,12 @@ def explore(
                 if proven(here.at({names[0]: point})).start_value != curve.at(point):
                     raise RuntimeError(f"the curve is not the optimum at {point}")
         curves.append(curve)
-    if said is None and policy is not None:
-        said = policy if isinstance(policy, str) else "the policy"
     return Explorer(
         model=family.name or "model",
         curves=tuple(curves),
         second=second,
         grid=tuple(grid),
-        policy=said,
+        policy=policy if policy is None or isinstance(policy, str) else "the policy",
     )
 
 

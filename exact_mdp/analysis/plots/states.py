@@ -8,15 +8,16 @@ for shape, down, across and the columns held fixed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from textwrap import fill
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
+from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import ArrayLike
@@ -100,10 +101,9 @@ def plot_policy(model: MDP, policy: PolicyLike, *, ax: Axes | None = None, **pla
         else:
             used.add(numbers[0])
             shown[state] = signs[numbers[0]], fill_of(numbers[0])
-    ax, names = _map(layout, ax, shown), dict(zip(signs, model.actions, strict=True))
-    handles: list[Any] = [swatch(_named(signs[n], names), fill_of(n)) for n in sorted(used)]
-    handles += _signs_of_states(ax, model, layout)
-    return described(ax, "What the policy does", model.name, handles=handles)
+    names = dict(zip(signs, model.actions, strict=True))
+    handles = [swatch(_named(signs[n], names), fill_of(n)) for n in sorted(used)]
+    return _map(model, layout, ax, "What the policy does", shown, handles)
 
 
 @picture
@@ -153,27 +153,23 @@ def plot_states(
         choices = actions_of(model, policy_of(model, policy).weights(model) > 0)
         texts = [joined([sign[name] for name in names], "mixed") for names in choices]
     signs = [] if policy is None else _signs(model, layout)
-    what = label.partition(" (")[0].capitalize()
     acting = ", and what the policy does" if policy is not None else ""
+    what = f"{label.partition(' (')[0].capitalize()} of each state{acting}"
     if layout.listed:
         ax = _bars(axes_or_new(ax), model, given, texts, label)
-        signs += _counts(texts)
-    else:
-        known = given[layout.shown][np.isfinite(given[layout.shown])]
-        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-        scale = Normalize(low, high if high > low else low + 1.0)
-        ends, shown = _ends(model), dict[int, Any]()
-        for state in layout.shown.tolist():
-            value, finite = given[state], np.isfinite(given[state])
-            share = float(scale(value)) if finite else 0.0
-            number = f"{value:.3g}" if len(layout.shown) <= NUMBERED or not finite else ""
-            lines = [ends[state][0] if state in ends else texts[state], number]
-            look = {"fill": SHADES(share), "ink": "white" if share > 0.7 else BLACK}
-            shown[state] = "\n".join(filter(None, lines)), look | {"edgecolor": "0.8"}
-        ax = _map(layout, ax, shown)
-        _colours(ax, scale, SHADES, label)
-        signs += _signs_of_states(ax, model, layout)
-    return described(ax, f"{what} of each state{acting}", model.name, handles=signs)
+        return described(ax, what, model.name, handles=[*signs, *_counts(texts)])
+    known = given[layout.shown][np.isfinite(given[layout.shown])]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+    scale = Normalize(low, high if high > low else low + 1.0)
+    ends, shown = _ends(model), dict[int, Any]()
+    for state in layout.shown.tolist():
+        value, finite = given[state], np.isfinite(given[state])
+        share = float(scale(value)) if finite else 0.0
+        number = f"{value:.3g}" if len(layout.shown) <= NUMBERED or not finite else ""
+        lines = [ends[state][0] if state in ends else texts[state], number]
+        look = {"fill": SHADES(share), "ink": "white" if share > 0.7 else BLACK}
+        shown[state] = "\n".join(filter(None, lines)), look | {"edgecolor": "0.8"}
+    return _map(model, layout, ax, what, shown, signs, (ScalarMappable(scale, SHADES), label))
 
 
 @picture
@@ -222,17 +218,15 @@ def plot_audit(audit: Audit, *, ax: Axes | None = None, **place: Any) -> Axes:
             look |= {"linewidth": 1.6, "zorder": 2}
         name = each.name if len(each.name) <= 9 else f"{each.name[:8]}…"
         shown[each.state] = text, look | {"corner": name}
-    ax = _map(layout, ax, shown)
     losses = [each.cost for each in audit.disagreements if np.isfinite(each.cost)]
-    if losses:
-        _colours(ax, Normalize(0.0, max(losses)), LOSSES, "what the state loses (reward)")
+    colours = ScalarMappable(Normalize(0.0, max(losses, default=0.0)), LOSSES)
     words = ["✗ not optimal; below it\n   the optimal action"] if losses else []
     if any(each.kind == "idle" for each in drawn):
         words.append("grey sign: not wrong;\n   no choice or no visit")
-    signs = [*map(_words, words), *_signs(mdp, layout), *_signs_of_states(ax, mdp, layout)]
-    what = "Where the policy is not optimal; regret at the start"
-    lost = f"{what} {float(audit.regret.at_start.value):.4g}"
-    return described(ax, lost, mdp.name, handles=signs)
+    lost = float(audit.regret.at_start.value)
+    what = f"Where the policy is not optimal; regret at the start {lost:.4g}"
+    bar = (colours, "what the state loses (reward)") if losses else None
+    return _map(mdp, layout, ax, what, shown, [*map(_words, words), *_signs(mdp, layout)], bar)
 
 
 @picture
@@ -265,8 +259,16 @@ def _placed(model: MDP, place: Mapping[str, Any]) -> Layout:
     return layout
 
 
-def _map(layout: Layout, ax: Axes | None, shown: Mapping[int, tuple[str, Look]]) -> Axes:
-    """Draw the cells of states, a text and the look of each, and name the rows and columns."""
+def _map(
+    model: MDP,
+    layout: Layout,
+    ax: Axes | None,
+    what: str,
+    shown: Mapping[int, tuple[str, Look]],
+    handles: Sequence[Artist],
+    colours: tuple[ScalarMappable, str] | None = None,
+) -> Axes:
+    """Draw the cells of states, a text and the look of each, with a legend and a colour bar."""
     high, wide = len(layout.rows), len(layout.columns)
     if ax is None:
         size = (max(4.8, min(14.0, 3.4 + 0.55 * wide)), max(2.8, min(12.0, 1.9 + 0.42 * high)))
@@ -285,7 +287,13 @@ def _map(layout: Layout, ax: Axes | None, shown: Mapping[int, tuple[str, Look]])
     for state, (text, look) in shown.items():
         where = int(layout.column[state]), int(layout.row[state])
         cell(ax, *where, text, **look | {"font": min(font, look.get("font", font))})
-    return ax
+    if colours is not None:
+        side = "right" if narrow(ax) else "bottom"  # the legend is on the other one
+        place: Look = {"location": side, "shrink": 0.7, "aspect": 35, "pad": 0.03}
+        bar = ax.figure.colorbar(colours[0], ax=ax, label=colours[1], **place)
+        bar.outline.set_visible(False)
+    handles = [*handles, *_signs_of_states(ax, model, layout)]
+    return described(ax, what, model.name, handles=handles)
 
 
 def _ends(model: MDP) -> dict[int, tuple[str, str]]:
@@ -331,14 +339,6 @@ def _named(sign: str, names: Mapping[str, str]) -> str:
 
 def _words(text: str) -> Line2D:
     return Line2D([], [], linestyle="", label=text)
-
-
-def _colours(ax: Axes, scale: Normalize, shades: Colormap, label: str) -> None:
-    """Draw the colour bar below the map."""
-    side = "right" if narrow(ax) else "bottom"  # the legend is on the other one
-    where: Look = {"location": side, "shrink": 0.7, "aspect": 35, "pad": 0.03}
-    bar = ax.figure.colorbar(ScalarMappable(scale, shades), ax=ax, label=label, **where)
-    bar.outline.set_visible(False)
 
 
 def _bars(ax: Axes, model: MDP, values: Floats, texts: list[str], label: str) -> Axes:
