@@ -37,10 +37,10 @@ from exact_mdp.analysis.plots.style import (
     BLACK,
     BLUE,
     ORANGE,
+    WHITE,
     Look,
     axes_or_new,
     bars,
-    cell,
     described,
     fill_of,
     narrow,
@@ -284,9 +284,19 @@ def _map(
     # The size of the text in a cell; 0 where there is no room for one.
     sizes = ((30, 10), (2 * NUMBERED, 8), (MOST_TEXTS, 6 if wide > 20 else 7))
     font = next((size for most, size in sizes if len(shown) <= most), 0)
-    for state, (text, look) in shown.items():
-        where = int(layout.column[state]), int(layout.row[state])
-        cell(ax, *where, text, **look | {"font": min(font, look.get("font", font))})
+    usual: Look = {"fill": WHITE, "ink": BLACK, "hatch": "", "font": font, "corner": ""}
+    for state, (text, own) in shown.items():
+        look = usual | {"edgecolor": BLACK} | own
+        x, y = int(layout.column[state]), int(layout.row[state])
+        fill, ink, hatch, most, corner = map(look.pop, usual)
+        ax.add_patch(Rectangle((x, y), 1, 1, facecolor=fill, hatch=hatch, **look))
+        if font:
+            box = {"facecolor": fill if hatch else "none", "edgecolor": "none", "pad": 1.2}
+            centre: Look = {"ha": "center", "va": "center", "fontsize": min(font, most)}
+            ax.text(x + 0.5, y + 0.5, text, color=ink, bbox=box, **centre)
+        if font and corner:
+            beside: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
+            ax.text(x + 0.06, y + 0.08, corner, color=ink, **beside)
     if colours is not None:
         side = "right" if narrow(ax) else "bottom"  # the legend is on the other one
         place: Look = {"location": side, "shrink": 0.7, "aspect": 35, "pad": 0.03}

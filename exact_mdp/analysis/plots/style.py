@@ -1,4 +1,4 @@
-"""One look for every figure: colours, axes, titles, legends, bars, lines, maps, cells.
+"""One look for every figure: colours, axes, titles, legends, bars, lines, maps.
 
 Every text is shown as it is written: names may hold "$", which matplotlib takes for a formula.
 """
@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
 from matplotlib.text import Text
 
 from exact_mdp.mdp.errors import named_options
@@ -235,28 +235,3 @@ def shaded(
 def level(ax: Axes, value: float, label: str = "optimum") -> None:
     """Draw a dotted line across at a value."""
     ax.axhline(value, color="black", linestyle=":", linewidth=1, label=label)
-
-
-def cell(
-    ax: Axes,
-    column: float,
-    row: float,
-    text: str,
-    *,
-    fill: object = WHITE,
-    ink: str = BLACK,
-    hatch: str = "",
-    font: float = 8,
-    corner: str = "",
-    **frame: Any,
-) -> None:
-    """Draw a cell of a map, with a text, and a small one in its corner; none at font 0."""
-    frame = {"edgecolor": BLACK} | frame
-    ax.add_patch(Rectangle((column, row), 1, 1, facecolor=fill, hatch=hatch, **frame))
-    if font:
-        box = {"facecolor": fill if hatch else "none", "edgecolor": "none", "pad": 1.2}
-        centre: Look = {"ha": "center", "va": "center", "fontsize": font, "bbox": box}
-        ax.text(column + 0.5, row + 0.5, text, color=ink, **centre)
-    if font and corner:
-        beside: Look = {"ha": "left", "va": "top", "fontsize": 0.6 * font, "clip_on": True}
-        ax.text(column + 0.06, row + 0.08, corner, color=ink, **beside)
