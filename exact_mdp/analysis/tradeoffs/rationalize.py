@@ -105,15 +105,11 @@ class Rationalization(TotalsProof):
 
     def report(self) -> Report:
         """Return the weights, the change, and for each weight what it does alone."""
-        said = {name: ends and f"{ends[0]} to {ends[1]}" for name, ends in self.alone.items()}
-        rows = [
-            {"name": name, "weight": weight, "alone": said[name] or "none"}
-            for name, weight in self.weights.items()
-        ]
         table = Table(
             title="multipliers of the weights",
-            rows=rows,
-            columns={"component": "name", "multiplier": "weight:.6g", "alone": "alone"},
+            rows=self.frame(),
+            columns={"component": "component"}
+            | {name: f"{name}:.6g" for name in ("multiplier", "alone from", "to")},
             note="alone: the multipliers of this weight for which the policy is optimal, the "
             "others unchanged",
         )
