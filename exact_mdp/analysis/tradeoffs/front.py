@@ -168,8 +168,8 @@ class Front(TotalsProof, Pictured):
         }
         vertices = Table(
             title="vertices of the front",
-            rows=self.frame(),
-            columns=each | ({"rate": "rate:.6g"} if two else {}),
+            rows=(rows := self.frame()),
+            columns=each | {name: f"{name}:.6g" for name in rows.columns[len(each) :]},
             note=note.format(*self.names) if two else "",
         )
         beside = Table(
@@ -185,7 +185,8 @@ class Front(TotalsProof, Pictured):
         """Return the vertices, one in each row, and what the step from the one before costs."""
         frame = data_frame(self.vertices, columns=list(self.names))
         if len(self.names) == 2:
-            frame["rate"] = [None, *(edge.rate for edge in self.edges)]
+            name = "rate of exchange" if "rate" in self.names else "rate"
+            frame[name] = [None, *(edge.rate for edge in self.edges)]
         return frame
 
 

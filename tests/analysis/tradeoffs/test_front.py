@@ -139,6 +139,15 @@ def test_fronts_by_hand(mdp: MDP, names: list[str], wanted: Any) -> None:
         assert edge.rate == F(left[1] - right[1]) / (right[0] - left[0])
 
 
+def test_a_total_may_be_called_as_a_column_is() -> None:
+    rows = [(0, a, [(1, 1, 0)]) for a in range(3)]
+    parts = {"rate": [0, 2, 3, 0], "calm": [5, 4, 0, 0]}
+    mdp = MDP.from_outcomes([*rows, (1, 0, [(1, 1, 0)])], components=parts)
+    front = tradeoff(mdp, ["rate", "calm"])
+    assert [tuple(row[:2]) for row in front.frame().to_numpy()] == front.vertices
+    assert [row[0] for row in front.report().shown_tables()[0].cells()] == ["0", "2", "3"]
+
+
 def test_components_that_an_end_earns_for_ever_are_infinite() -> None:
     ends = {"a": -math.inf, "b": math.inf, "c": 1.0, "rest": -1.0}
     assert evaluate(EARNS, [0, 0]).components == ends
