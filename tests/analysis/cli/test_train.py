@@ -57,7 +57,7 @@ def test_the_files_can_be_used(tmp_path: Path) -> None:
     done = run(QUICK, "--out", tmp_path, "--seeds", 2, "--epsilon", "decaying")
     names = {path.name for path in tmp_path.iterdir()}
     written = {"summary.json", "policy.csv", "q.npy", "run.json"}
-    assert names == written | {"training.json", "runs-000000.npz", "runs-000001.npz"}
+    assert names == written | {"work.json", "runs-000000.npz", "runs-000001.npz"}
     assert {Path(path).name for path in done.result["written"]} == written
     facts = {key: value for key, value in done.result.items() if key != "notice"}
     assert strict((tmp_path / "summary.json").read_text()) == facts
