@@ -19,7 +19,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from decimal import ROUND_UP, Context
+from decimal import ROUND_UP, Context, Decimal, Inexact, localcontext
 from fractions import Fraction
 from typing import Any
 
@@ -293,15 +293,13 @@ def decimal(value: Fraction | float) -> str:
     """Return the exact decimal where there is one, otherwise "p/q"; "inf" and "-inf" too."""
     if not isinstance(value, Fraction):
         return str(value)
-    twos = (value.denominator & -value.denominator).bit_length() - 1
-    rest, fives = value.denominator >> twos, 0
-    while rest % 5 == 0:
-        rest, fives = rest // 5, fives + 1
-    places = max(twos, fives)
-    if rest != 1 or places == 0:
-        return ratio(value)
-    text = digits_of(abs(value.numerator) * 10**places // value.denominator).zfill(places + 1)
-    return f"{'-' if value < 0 else ''}{text[:-places]}.{text[-places:]}"
+    top, bottom = value.numerator, value.denominator
+    with localcontext(prec=top.bit_length() + bottom.bit_length() + 1) as context:
+        context.traps[Inexact] = True
+        try:
+            return f"{Decimal(top) / Decimal(bottom):f}"
+        except Inexact:
+            return ratio(value)
 
 
 def digits_of(whole: int) -> str:

@@ -62,7 +62,6 @@ MADE: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {
         "perception": ("trade:perception", SETS),
     },
 }
-GROUPS: dict[str, list[str]] = {title: [*made] for title, made in MADE.items()}
 
 
 class Commands(click.Group):
@@ -70,7 +69,7 @@ class Commands(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names."""
-        return [name for names in GROUPS.values() for name in names]
+        return [name for made in MADE.values() for name in made]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command; None where there is none of the name."""
@@ -84,7 +83,7 @@ class Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write each group with its commands and what they do."""
-        for title, names in GROUPS.items():
+        for title, names in MADE.items():
             made = [self.get_command(ctx, name) for name in names]
             lines = [(str(each.name), each.get_short_help_str(66)) for each in made if each]
             with formatter.section(title):

@@ -120,6 +120,7 @@ def test_every_command_has_help() -> None:
     for name in listed:
         text = run(name, "--help").out
         assert text.startswith(f"Usage: exact-mdp {name} [OPTIONS]")
+        assert not re.search(r"^  \[?[A-Z]+[.\]]*$", text, re.M)  # arguments stand in the usage
         options = re.findall(r"^  (-.*(?:\n {6,}\S.*)*)", text, re.M)
         assert options[-1].startswith("-h, --help  ")
         for option in options:  # behind two blanks, or on a line of its own, it says what it does
