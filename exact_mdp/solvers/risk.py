@@ -261,7 +261,7 @@ class CVaROptimum(Result):
 
     @property
     def _unit(self) -> Fraction:
-        return self.budgeted.unit if self.mdp.sense == "max" else -self.budgeted.unit
+        return self.mdp.sign * self.budgeted.unit
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -391,7 +391,7 @@ def best_cvar(model: MDP | Scenario, level: object, *, weight: object = 0) -> CV
     objective, mean, least = max(
         (of.objective(values, k, share), means.mean(of.start(k)), -k) for k in of.thresholds
     )
-    unit = of.unit if mdp.sense == "max" else -of.unit
+    unit = mdp.sign * of.unit
     return CVaROptimum(
         mdp=mdp,
         level=share,

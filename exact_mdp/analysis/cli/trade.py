@@ -18,7 +18,6 @@ from exact_mdp.mdp.policies.policy import Policy
 from exact_mdp.mdp.report import Report, Shown, between
 from exact_mdp.mdp.result import data_frame
 from exact_mdp.mdp.table import float_of
-from exact_mdp.solvers.risk import share_of
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.policy_chain import policy_of
 
@@ -105,7 +104,7 @@ def risk(
     share; policies: each policy given, with its values.
     """
     beside = {form: given.policy_from(form) for form in policies}
-    report = mean_cvar(given.mdp, share_of(cvar), policies=beside).report()
+    report = mean_cvar(given.mdp, cvar, policies=beside).report()
     if policy_out:  # what it does by state and reward so far, exactly
         rules = [{k: str(value) for k, value in rule.items()} for rule in report.facts["policy"]]
         content = json.dumps(rules, indent=2, ensure_ascii=False) + "\n"
