@@ -9,7 +9,6 @@ doubles, and one at least was given as a float, the table holds floats; else int
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from operator import index
@@ -33,10 +32,10 @@ from exact_mdp.mdp.forms.numbers import (
     picked,
     whole_numbers,
 )
-from exact_mdp.mdp.forms.rows import counted, meant
+from exact_mdp.mdp.forms.rows import meant
 from exact_mdp.mdp.space import StateSpace
-from exact_mdp.mdp.table import Integers, OutcomeTable, exact, integers, multiply
-from exact_mdp.mdp.validate import Parts, as_discount, as_start, check_options
+from exact_mdp.mdp.table import Integers, exact
+from exact_mdp.mdp.validate import COUNTED, Parts, as_discount, as_start, check_options
 
 MOST_UNNAMED_ACTIONS = 100_000  # a higher number is a typing error rather than an action
 LAYOUTS = {"ass": 1, "sas": 0}
@@ -101,7 +100,7 @@ class FromArrays(Parts):
         >>> mdp.table.row(0)
         [(Fraction(1, 3), 0, Fraction(1, 1)), (Fraction(2, 3), 1, Fraction(1, 1))]
         """
-        check_options(names)
+        check_options(names, COUNTED)
         if layout not in (None, *LAYOUTS):
             raise ModelError(
                 f"{layout!r} is not a layout", where="layout", fix='give "ass" or "sas"'
@@ -161,7 +160,7 @@ class FromArrays(Parts):
         names.setdefault("actions", [str(number) for number in range(actions)])
         each_component(names, amounts)
         pair = np.arange(states * actions)
-        columns = pair // actions, pair % actions, rows, reward, None, offered
+        columns = pair // actions, pair % actions, rows, reward, offered
         own = not isinstance(P, np.ndarray) or not np.may_share_memory(rows, P)
         return cls(**_of_pairs(*columns, names | {"discount": discount, "start": start}, own=own))
 
@@ -183,7 +182,6 @@ class FromArrays(Parts):
         ----------
         pair_state, pair_action : (L,) ints
         transition : (L, S) array or sparse matrix
-            Or a sparse matrix of integers with the denominators (L,) of its rows.
         reward : (L,) array
         discount, start, **names
             As in `from_arrays`.
@@ -202,25 +200,11 @@ class FromArrays(Parts):
         >>> from exact_mdp import MDP
         >>> MDP.from_pairs([1, 0], [0, 0], [[0, 1], ["1/2", "1/2"]], [0, 5]).reward.tolist()
         [5.0, 0.0]
-        >>> counts = sp.csr_array([[1, 2], [0, 1]])
-        >>> MDP.from_pairs([0, 1], [0, 0], (counts, [3, 1]), [0, 5]).table.row(0)[0][0]
-        Fraction(1, 3)
         """
-        check_options(names)
+        check_options(names, COUNTED)
         state = whole_numbers(pair_state, "pair_state")
         action = whole_numbers(pair_action, "pair_action")
-        below = None
-        if isinstance(transition, tuple) and len(transition) == 2 and sp.issparse(transition[0]):
-            transition, below = transition[0], whole_numbers(transition[1], "denominators")
         rows = array_of(transition, "transition", columns=False)
-        if below is not None and (
-            rows.dtype != np.int64 or below.shape != rows.shape[:1] or (below < 1).any()
-        ):
-            raise ModelError(
-                f"{len(below)} denominators for a matrix of {rows.dtype} of shape {rows.shape}",
-                where="transition",
-                fix="give a sparse matrix of integers (L, S) and positive integers (L,)",
-            )
         if rows.ndim != 2 or len(state) != rows.shape[0] or len(action) != len(state):
             raise ShapeError(
                 f"{len(state)} states and {len(action)} actions for transitions of shape "
@@ -232,7 +216,7 @@ class FromArrays(Parts):
         each_component(names, lambda values, where: _rewards_of_rows(values, where, rows))
         offered = _offered(rewards, names)
         names |= {"discount": discount, "start": start}
-        return cls(**_of_pairs(state, action, rows, rewards, below, offered, names))
+        return cls(**_of_pairs(state, action, rows, rewards, offered, names))
 
     @classmethod
     def from_outcomes(
@@ -269,7 +253,7 @@ class FromArrays(Parts):
         >>> mdp.reward.tolist()
         [0.5, 0.0]
         """
-        check_options(names)
+        check_options(names, COUNTED)
         try:
             pairs = [(index(row[0]), index(row[1]), list(row[2])) for row in rows]
             order = np.array(sorted(range(len(pairs)), key=lambda each: pairs[each][:2]), np.int64)
@@ -448,7 +432,6 @@ def _of_pairs(
     action: Integers,
     rows: Any,
     reward: Any,
-    below: Integers | None,
     offered: Flags | None,
     names: dict[str, Any],
     *,
@@ -464,7 +447,6 @@ def _of_pairs(
         order = order[offered[order]]
     if offered is not None or not rising:
         state, action, rows, reward = state[order], action[order], rows[order], reward[order]
-        below = None if below is None else below[order]
     size, by_pair, sparse = rows.shape[1], reward.ndim == 1, sp.issparse(rows)
     if sparse:
         offsets, following, chance = rows.indptr, rows.indices, rows.data
@@ -479,7 +461,7 @@ def _of_pairs(
     if not by_pair:
         reward = picked(reward, np.repeat(np.arange(len(state)), np.diff(offsets)), following)
     columns = state, action, offsets.astype(np.int64), following, chance, reward
-    settings = {"by_pair": by_pair, "own": not sparse, "below": below, "total": total}
+    settings = {"by_pair": by_pair, "own": not sparse, "total": total}
     return _model(*columns, size, order, names, **settings)
 
 
@@ -496,28 +478,15 @@ def _model(
     *,
     by_pair: bool,
     own: bool = True,
-    below: Integers | None = None,
     total: int = 0,
 ) -> dict[str, Any]:
     """Return a model's parts from columns: sorted pairs (L,), and their outcomes (N,).
 
-    Amounts and observations are of all pairs that were given, of which the model has `order` (L,).
+    Amounts are those of all pairs that were given, of which the model has `order` (L,).
     """
     total = total or len(order)
-    columns = offsets, following, chance, gain, size, names
-    table = table_of(*columns, by_pair=by_pair, own=own, below=below)
+    table = table_of(offsets, following, chance, gain, size, names, by_pair=by_pair, own=own)
     each_component(names, lambda given, _: given[order] if len(given) == total else given)
-    seen = names.get("observations")
-    if seen is not None:
-        seen = whole_numbers(seen, "observations")
-        if seen.shape != (total,):
-            raise ShapeError(
-                f"{len(seen)} observations for {total} pairs",
-                where="observations",
-                fix="give one number for each pair",
-            )
-        seen = names["observations"] = seen[order]
-        table = _counted(table, seen)
     words = words_of(names.pop("states", ()), "states")
     actions = words_of(names.pop("actions", ()), "actions")
     if not actions:
@@ -544,24 +513,3 @@ def _model(
         start=as_start(start, space) if space.size else (),
         **names,
     )
-
-
-def _counted(table: OutcomeTable, seen: Integers) -> OutcomeTable:
-    """Return a table whose rows that were observed n times are counts over n, if all are such."""
-    lengths, watched = np.diff(table.offsets), seen > 0
-    each = np.repeat(watched, lengths)
-    top, bottom = table.integer_weights()
-    if table.weight.dtype == np.float64:
-        some = table.of_pairs(np.flatnonzero(watched))
-        counts = counted(some.weight, some.offsets, seen[watched])
-        if counts is None:
-            return table
-    else:
-        scaled = multiply(top, np.repeat(seen, lengths))[each]
-        counts, left = np.divmod(scaled, np.repeat(bottom, lengths)[each])
-        if left.any():
-            return table
-    top = np.array(top, dtype=object)
-    top[each] = counts
-    weights, below = integers(top.tolist()), integers(np.where(watched, seen, bottom).tolist())
-    return replace(table, weight=weights, denominator=below)

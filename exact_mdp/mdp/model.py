@@ -501,7 +501,7 @@ class MDP(ByFields, FromFunction, FromTransitions, FromGymnasium, Questions):
         >>> MDP.from_arrays([[[1]]], [1], "1/2").with_(discount="9/10").discount
         0.9
         """
-        check_options(parts)
+        check_options(parts, {})
         if "states" in parts:
             parts["space"] = StateSpace.plain(self.n_states, parts.pop("states"))
         if "actions" in parts:

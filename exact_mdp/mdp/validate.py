@@ -98,14 +98,14 @@ class Parts:
 OPTIONS = ("discount", "start", "states", "actions", "components", "labels", "sense", "name")
 """What constructors are given by name; they take every other part of a model as well."""
 KNOWN = {*OPTIONS, *(part.name for part in fields(Parts))}
+COUNTED = {"observations": "make the model with MDP.from_transitions, which counts them"}
 
 
-def check_options(names: Iterable[str], *, known: Iterable[str] = ()) -> None:
-    """Raise ModelError for a name that is none of a model's parts, or that records tell."""
+def check_options(names: Iterable[str], never: Mapping[str, str]) -> None:
+    """Raise ModelError for a name that is none of a model's parts, or one of others, with a fix."""
     for name in names:
-        if name in known:
-            fix = "leave it out: the records say it"
-            raise ModelError(f"there is no option {name}=", where="MDP", fix=fix)
+        if name in never:
+            raise ModelError(f"there is no option {name}=", where="MDP", fix=never[name])
         if name not in KNOWN:
             raise no_option(name, OPTIONS, "MDP")
 

@@ -570,26 +570,3 @@ def test_what_a_model_tells_can_be_given_back(drawn: Rows) -> None:
         assert again.labels["last"].tolist() == flags.tolist()
         assert laws(again).keys() == laws(mdp).keys()
         assert pickle.loads(pickle.dumps(again)).start == mdp.start
-
-
-@pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
-def test_counts_are_given_back_by_the_observations(order: list[int]) -> None:
-    steps = [("low", "wait", 0, "low"), *[("low", "wait", 1, "high")] * 3, ("low", "go", 5, "high")]
-    names = ["episode", "state", "action", "reward", "next_state"]
-    frame = pd.DataFrame([(k, *step) for k, step in enumerate(steps)], columns=names)
-    mdp = MDP.from_transitions(frame, "9/10")
-    assert mdp.observations is not None
-    assert mdp.counts is not None
-    given = {name: getattr(mdp, name) for name in ("space", "actions", "start", "episodes")}
-    given["observations"] = mdp.observations[order].tolist()
-    parts = [
-        array[order] for array in (mdp.pair_state, mdp.pair_action, mdp.transition, mdp.reward)
-    ]
-    for again in (
-        MDP.from_outcomes(outcomes_of(mdp, order), "9/10", **given),
-        MDP.from_pairs(*parts, "9/10", **given),
-    ):
-        assert again.counts.toarray().tolist() == mdp.counts.toarray().tolist()
-        assert again.observations.tolist() == mdp.observations.tolist()
-    with pytest.raises(ModelError, match="not counts over the observations"):
-        MDP.from_outcomes(outcomes_of(mdp, order), "9/10", **given | {"observations": [3] * 3})

@@ -35,14 +35,12 @@ def test_a_model_and_a_policy_are_tables_in_a_notebook() -> None:
 
 def test_a_row_that_says_nothing_has_no_shares() -> None:
     mdp = MDP.from_arrays([[[0, 1], [0, 1]]] * 2, [[1, 3], [0, 0]])
-    rule = np.array([[0.25, 0.75], [np.nan, np.nan]])
-    partial = Policy(
-        space=mdp.space, actions=mdp.actions, rule=rule, shares=np.array([[1, 3], [0, 0]])
-    )
+    rule = np.array([[Fraction(1, 3), Fraction(2, 3)], [np.nan, np.nan]])
+    partial = Policy(space=mdp.space, actions=mdp.actions, rule=rule)
     table = partial.frame()
-    assert table.loc[0, ["0", "1"]].tolist() == [Fraction(1, 4), Fraction(3, 4)]
+    assert table.loc[0, ["0", "1"]].tolist() == [Fraction(1, 3), Fraction(2, 3)]
     assert table.loc[1, ["0", "1"]].isna().all()
-    assert "3/4" in partial._repr_html_()
+    assert "2/3" in partial._repr_html_()
 
 
 def test_a_scenario_is_a_table_of_its_parameters() -> None:

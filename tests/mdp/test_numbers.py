@@ -148,23 +148,6 @@ def test_it_stays_known_whether_numbers_were_floats(tmp_path: Any) -> None:
             assert other.floats == mdp.floats
 
 
-@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])
-@pytest.mark.parametrize("times", [1, 2])
-def test_integers_over_denominators_are_fractions(order: list[int], times: int) -> None:
-    counts = np.array([[1, 2, 0], [0, 5, 5], [7, 0, 0], [2**50, 2**50, 2**51]])
-    below = counts.sum(axis=1)
-    chances = [[F(int(x), int(n)) for x in line] for line, n in zip(counts, below, strict=True)]
-    state, action, reward = np.array([0, 0, 1, 2]), np.array([0, 1, 0, 0]), np.arange(4)
-    wanted = MDP.from_pairs(state, action, chances, reward, "9/10")
-    place = sp.coo_array(counts[order])
-    row, column = np.tile(place.row, times), np.tile(place.col, times)
-    matrix = sp.coo_array((np.tile(place.data, times), (row, column)), counts.shape)
-    parts = matrix, times * below[order]
-    model = MDP.from_pairs(state[order], action[order], parts, reward[order], "9/10")
-    assert fingerprint(model) == fingerprint(wanted)
-    assert model.table.row(0) == wanted.table.row(0)
-
-
 # ---- what rows of floats mean -------------------------------------------------------------------
 
 

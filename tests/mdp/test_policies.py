@@ -360,15 +360,9 @@ def test_a_policy_may_say_nothing_of_a_state_without_a_choice() -> None:
     [
         ({"rule": np.array([4])}, "there is no action"),
         ({"rule": np.array([0, 1])}, "shape (2,), not (1, 4)"),
-        *(
-            ({"rule": np.array([[0.5, 0.5]]), "actions": ("a", "b"), "shares": np.array(shares)},
-             "differ from the table")
-            for shares in ([[9, 1]], [[1, 1], [1, 1]], [[1, 1, 1]], [[0, 0]])
-        ),
     ],
-)  # fmt: skip
-def test_rules_and_shares_that_do_not_fit(parts: Any, words: str) -> None:
-    """A policy cannot say one thing in floats and another exactly."""
+)
+def test_rules_that_do_not_fit(parts: Any, words: str) -> None:
     named = {"space": StateSpace(columns=()), "actions": CARE.actions}
     refused(lambda: Policy(**named | parts), words)
 

@@ -20,7 +20,6 @@ from exact_mdp.mdp.table import (
     Numbers,
     OutcomeTable,
     all_rows,
-    integers,
     settle_rows,
 )
 
@@ -35,12 +34,11 @@ def table_of(
     *,
     by_pair: bool,
     own: bool,
-    below: Integers | None = None,
 ) -> OutcomeTable:
     """Return the table of outcomes (N,), those of pair l from offsets[l] on; note what was floats.
 
-    Rewards may be those of pairs (L,), and probabilities whole numbers over those `below` (L,).
-    Next states and probabilities are copied unless they are the table's `own`.
+    Rewards may be those of pairs (L,). Next states and probabilities are copied unless they are
+    `own`.
     """
     taken = _taken(offsets, following, chance, size, own=own) if by_pair else None
     if taken is not None:
@@ -63,10 +61,7 @@ def table_of(
         of_pair = gain[offsets[:-1]]
         if np.asarray(gain == np.repeat(of_pair, np.diff(offsets)), dtype=bool).all():
             gain, by_pair = of_pair, True
-    if below is None:
-        weight, below = chances(chance, offsets)
-    else:
-        weight = integers(map(int, chance))
+    weight, below = chances(chance, offsets)
     earned = grouped(np.array(gain), np.arange(len(offsets)) if by_pair else offsets)
     if weight.dtype == np.float64 and taken is None:
         settle_rows(weight, offsets)

@@ -20,7 +20,7 @@ from exact_mdp.mdp.forms.names import ByNumber
 from exact_mdp.mdp.forms.numbering import Numbering, Row, numbered
 from exact_mdp.mdp.forms.numbers import as_given
 from exact_mdp.mdp.table import exact
-from exact_mdp.mdp.validate import check_options, counted
+from exact_mdp.mdp.validate import COUNTED, check_options, counted
 
 MOST_STATES = 1_000_000  # that a function may lead to, unless its user allows more
 OUTCOMES = "give a list of (probability, next state, reward)"
@@ -87,7 +87,7 @@ class FromFunction(FromArrays):
         >>> mdp, mdp.actions
         (MDP(unnamed: 5 states, 2 actions, 6 pairs, 10 transitions, discount 1), ('1', '2'))
         """
-        check_options(names)
+        check_options(names, COUNTED)
         for name, function in (("actions", actions), ("outcomes", outcomes)):
             if not callable(function):
                 raise ModelError(

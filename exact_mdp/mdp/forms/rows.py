@@ -85,7 +85,7 @@ def settle(weight: Floats, offsets: Integers) -> None:
         # A least number that is no fraction, and not changed for being the largest, says no.
         near = np.abs(np.rint(least * WHOLE) / WHOLE - least) <= NEXT * least
         if (sound & (near | (least == most)) & (least != 1)).any():
-            top, read = _read(weight, offsets, WHOLE)
+            top, read = _read(weight, offsets)
             moved &= ~read
             written = np.where(np.repeat(read & sound, lengths), top / WHOLE, weight)
             changed = bool((written.view(np.int64) != bits).any())  # a NaN is not itself
@@ -106,7 +106,7 @@ def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
     """
     lengths, begins = np.diff(offsets), offsets[:-1]
     top, bottom = dyadic(weight, offsets)
-    written, read = _read(weight, offsets, WHOLE)
+    written, read = _read(weight, offsets)
     missing = np.asarray(bottom - np.add.reduceat(top, begins))
     rows = np.flatnonzero(~read & np.asarray(missing != 0, dtype=bool))
     if len(rows):
@@ -130,21 +130,12 @@ def exactly(weight: Floats, offsets: Integers) -> tuple[Numbers, Numbers]:
     return top, bottom
 
 
-def counted(weight: Floats, offsets: Integers, seen: Integers) -> Numbers | None:
-    """Return (N,) the counts that rows of floats are over the numbers `seen` (L,), or None."""
-    top, read = _read(weight, offsets, seen)
-    return top.astype(np.int64) if read.all() else None
-
-
-def _read(
-    weight: Floats, offsets: Integers, whole: int | Integers
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the tops (N,) of fractions of `whole`, and which rows (L,) mean these."""
-    each = np.repeat(np.broadcast_to(whole, len(offsets) - 1), np.diff(offsets))
-    top = np.rint(weight * each)
-    near = np.abs(top / each - weight) <= NEXT * weight
+def _read(weight: Floats, offsets: Integers) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the tops (N,) of fractions n / WHOLE, and which rows (L,) mean these."""
+    top = np.rint(weight * WHOLE)
+    near = np.abs(top / WHOLE - weight) <= NEXT * weight
     read = np.logical_and.reduceat(near, offsets[:-1])
-    return top, read & (np.add.reduceat(top, offsets[:-1]) == whole)
+    return top, read & (np.add.reduceat(top, offsets[:-1]) == WHOLE)
 
 
 def _excess(weight: Floats, offsets: Integers) -> Floats:

@@ -111,14 +111,14 @@ class FromGymnasium(FromArrays):
 def described(env: object, **names: Any) -> tuple[str, tuple[Any, ...], dict[str, Any]]:
     """Return the constructor of `MDP` that builds an environment's model, and what it takes."""
     if isinstance(env, str):
-        check_options({*names} & {"gamma"})
+        check_options({*names} & {"gamma"}, {})
         made = _make(env, **{name: names.pop(name) for name in {*names} - KNOWN})
         names.setdefault("name", env)
         try:
             return described(made, **names)
         finally:
             made.close()
-    check_options(names)
+    check_options(names, {})
     bare = env if isinstance(env, Mapping | list) else getattr(env, "unwrapped", env)
     _refuse_changed(env)
     names.setdefault("name", _name(env))

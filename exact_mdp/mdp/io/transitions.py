@@ -131,7 +131,8 @@ class FromTransitions(FromArrays):
         >>> mdp.observations.tolist(), mdp.table.row(mdp.pair(1, "wait"))[0][0]
         ([0, 3], Fraction(2, 3))
         """
-        check_options(names, known=("states", "actions", "components"))
+        known = ("states", "actions", "components")
+        check_options(names, dict.fromkeys(known, "leave it out: the records say it"))
         start = names.pop("start", None)
         record = counted(frame, columns, progress=progress)
         parts = record.parts(discount, unseen, costs=names.get("sense") == "min")

@@ -8,7 +8,7 @@ that action is taken there.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
@@ -37,15 +37,13 @@ from exact_mdp.mdp.policies.arrays import (
 from exact_mdp.mdp.result import ROWS_SHOWN, ByFields, as_html
 from exact_mdp.mdp.space import StateSpace
 from exact_mdp.mdp.table import (
-    EXACT_IN_INT64,
     FLOAT_ROW_TOLERANCE,
     Floats,
     Integers,
     Numbers,
-    divide,
     exact,
     in_proportion,
-    magnitude,
+    integers,
 )
 
 if TYPE_CHECKING:
@@ -97,7 +95,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
     space: StateSpace
     actions: tuple[str, ...]
     rule: Numbers
-    shares: Numbers | None = None
+    shares: Numbers | None = field(default=None, init=False)
     values: Numbers | None = None
     source: str = ""
 
@@ -133,11 +131,9 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             raise no_distribution(table[row].tolist(), f"[{row}] ({self.space.label(row)})")
         total = table.sum(axis=1, keepdims=True)
         short = (np.abs(total - 1) > FLOAT_ROW_TOLERANCE).any()  # rows of a shorter type
-        shares = _shares(given, table, exactly=short) if self.shares is None else self.shares
+        shares = _shares(given, table, exactly=short)
         if short:
             table /= np.where(silent[:, None], 1.0, total)
-        if shares is not None:
-            shares = _checked(np.array(shares), table)
         alone = (table == 1).any(axis=1) & (np.count_nonzero(table, axis=1) == 1)
         if (alone | silent).all():
             return np.where(silent, -1, (table == 1).argmax(axis=1)), None
@@ -399,10 +395,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             return cls._learned(model, given, kind)
         if isinstance(given, str | Path):
             if given == "random":
-                offered = model.by_action(np.ones(model.n_pairs), 0.0)
-                rule = offered / offered.sum(axis=1, keepdims=True)
-                shares = offered.astype(np.int64)
-                return cls(space=model.space, actions=model.actions, rule=rule, shares=shares)
+                return cls.evenly(model, model.by_action(np.ones(model.n_pairs, dtype=bool)))
             if isinstance(given, str) and given.startswith("always:"):
                 number = np.array([model.action(given.removeprefix("always:"))])
                 return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
@@ -497,6 +490,17 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             )
         return cls(space=space, actions=model.actions, rule=array)
 
+    @classmethod
+    def evenly(cls, model: MDP, among: NDArray[np.bool_]) -> Policy:
+        """Return the policy that draws each of some actions (S, A) of a state equally often."""
+        shares = among.astype(np.int64)
+        rule = shares / shares.sum(axis=1, keepdims=True)
+        policy = cls(space=model.space, actions=model.actions, rule=rule)
+        if not policy.deterministic:  # a third, which no float is
+            shares.setflags(write=False)
+            object.__setattr__(policy, "shares", shares)
+        return policy
+
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads one column alone) `.json`, atomically."""
         rows = {}
@@ -566,26 +570,8 @@ def _shares(given: Numbers, table: Floats, *, exactly: bool) -> Numbers | None:
     chances = {row: [exact(number) for number in given[row]] for row in said}
     if not exactly and all(table[row].tolist() == numbers for row, numbers in chances.items()):
         return None
-    rows = [in_proportion(chances[k]) if k in chances else None for k in range(len(table))]
     none = [0] * table.shape[1]
-    return np.array([row or none for row in rows], dtype=object).reshape(table.shape)
-
-
-def _checked(shares: Numbers, table: Floats) -> Numbers:
-    """Return exact shares, read-only, or raise ModelError where they are not the table's."""
-    right = shares.shape == table.shape and shares.dtype.kind in "iuO"
-    if right:
-        narrow = magnitude(shares) * table.shape[1] < EXACT_IN_INT64  # sums of rows fit as well
-        shares = shares.astype(np.int64 if narrow else object)
-        total = shares.sum(axis=1, keepdims=True)
-        below = np.broadcast_to(np.where(total > 0, total, 1), shares.shape)
-        same = np.abs(divide(shares, below) - np.nan_to_num(table)) <= FLOAT_ROW_TOLERANCE
-        right = bool(same.all() and ((shares > 0) == (table > 0)).all())
-    if not right:
-        raise ModelError(
-            "the exact shares differ from the table",
-            where="policy",
-            fix="give whole numbers in proportion to each row of the table",
-        )
+    rows = [in_proportion(chances[k]) if k in chances else none for k in range(len(table))]
+    shares = integers(number for row in rows for number in row).reshape(table.shape)
     shares.setflags(write=False)
     return shares

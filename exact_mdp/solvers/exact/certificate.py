@@ -344,10 +344,7 @@ class Certificate(Proof, Pictured):
                 where=mdp.space.place(int(np.flatnonzero(several)[0])),
                 fix="take certificate.policy, which is",
             )
-        table = optimal / optimal.sum(axis=1, keepdims=True)
-        return Policy(
-            space=mdp.space, actions=mdp.actions, rule=table, shares=optimal.astype(np.int64)
-        )
+        return Policy.evenly(mdp, optimal)
 
     def frame(self) -> DataFrame:
         """Return the value of each state, its action, and what the next best action loses.
