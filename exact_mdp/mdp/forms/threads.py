@@ -6,8 +6,8 @@ It pays for loops that let go of Python's lock: compiled ones, and those of NumP
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from itertools import pairwise
 from typing import Any
@@ -51,28 +51,15 @@ def run_blocks(
     ends: Sequence[int], work: Callable[[int, int, int], None], size: int = 2 * SMALLEST
 ) -> None:
     """Call `work(number, first, last)` for each block; on all `cores` where the `size` pays."""
+    blocks = enumerate(pairwise(ends))
     if len(ends) == 2 or size < 2 * SMALLEST:
-        for number, (first, last) in enumerate(pairwise(ends)):
+        for number, (first, last) in blocks:
             work(number, first, last)
         return
-    blocks = enumerate(pairwise(ends))
-    failures: list[BaseException] = []
-
-    def take() -> None:
-        # The iterator is the queue: `next` on it is one step under Python's lock.
-        try:
-            while (block := next(blocks, None)) is not None:
-                work(block[0], *block[1])
-        except BaseException as error:
-            failures.append(error)
-
     # Each with a copy of what holds here, such as which floating-point errors are ignored.
-    count = cores() - 1 if len(ends) > 2 else 0
-    others = [threading.Thread(target=copy_context().run, args=(take,)) for _ in range(count)]
-    for thread in others:
-        thread.start()
-    take()
-    for thread in others:
-        thread.join()
-    if failures:
-        raise failures[0]
+    with ThreadPoolExecutor(cores()) as pool:
+        for done in [
+            pool.submit(copy_context().run, work, number, first, last)
+            for number, (first, last) in blocks
+        ]:
+            done.result()
