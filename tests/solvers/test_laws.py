@@ -137,7 +137,8 @@ DOORS: dict[str, Callable[[MDP], Any]] = {
     "value-iteration": lambda mdp: solve(mdp, ValueIteration(max_iterations=MOST)),
     "gauss-seidel": lambda mdp: solve(mdp, GaussSeidel(max_iterations=MOST)),
     # the solvers themselves
-    "program": lambda mdp: LinearProgram().solve(mdp),
+    "clarabel": lambda mdp: LinearProgram(solver="CLARABEL").solve(mdp),
+    "highs": lambda mdp: LinearProgram(solver="HIGHS").solve(mdp),
     "policies": lambda mdp: PolicyIteration().solve(mdp),
     "backwards": lambda mdp: BackwardInduction().solve(mdp),
     "certify": certify,
@@ -146,7 +147,7 @@ DOORS: dict[str, Callable[[MDP], Any]] = {
     "evaluate": lambda mdp: evaluate(mdp, "optimal"),
 }
 BACKWARD = ("backward-induction", "backwards")
-DIRECT = (*BACKWARD, "policy-iteration", "policies", "program", "certify", "bounded")
+DIRECT = (*BACKWARD, "policy-iteration", "policies", "clarabel", "highs", "certify", "bounded")
 
 
 def asked(door: str, mdp: MDP) -> Any:
@@ -247,7 +248,7 @@ def test_bounds_hold_around_any_values(kind: Any, rows: Rows, view: View, data: 
 # ---- horizons ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("door", ["default", "certify", "policy-iteration", "program"])
+@pytest.mark.parametrize("door", ["default", "certify", "policy-iteration", "clarabel"])
 @settings(max_examples=40)
 @given(
     rows=models(),

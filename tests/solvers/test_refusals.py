@@ -82,6 +82,7 @@ solve(MODEL, PolicyIteration(start=[0] * 9), criterion="average") -> has no use 
 solve(MODEL, horizon=3, criterion="average") -> no horizon
 evaluate(MODEL, "random", horizon=3, criterion="average") -> no horizon
 
+LinearProgram(solver="HIGH") -> solver
 certify(MODEL, solution=solve(MODEL)) -> applies only to bounds
 certify(MODEL, bounded=True, solution=solve(LOOP)) -> another model
 certify(STAYS, bounded=True) -> one does not.*leave out bounded=True

@@ -156,7 +156,9 @@ def test_what_was_reached_is_of_the_model_that_was_asked_for(kind: Any) -> None:
     assert caught.value.solution is None
 
 
-@pytest.mark.parametrize("solver", [kind() for kind in SOLVERS.values()], ids=repr)
+@pytest.mark.parametrize(
+    "solver", [*(kind() for kind in SOLVERS.values()), LinearProgram(solver="HIGHS")], ids=repr
+)
 def test_values_beyond_floats_are_refused(solver: Solver) -> None:
     big = F(5 * 10**307)
     rows = [(1, 0, big, {1: F(9, 10), 0: F(1, 10)}), (0, 0, F(0), {0: F(1)})]

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from exact_mdp.mdp.errors import extra
+from exact_mdp.mdp.errors import extra, known
 from exact_mdp.mdp.model import MDP
 from exact_mdp.mdp.table import Floats
 from exact_mdp.solvers.bounds.bounds import margin_weights
@@ -29,13 +29,18 @@ from exact_mdp.solvers.dynamic.iterate import Solver
 from exact_mdp.solvers.dynamic.methods import PolicyIteration
 from exact_mdp.solvers.solution import Solution, SolverError, Status
 
-OPTIMISER = "CLARABEL"  # by interior points
+OPTIMISERS = ("CLARABEL", "HIGHS")
 AGREEMENT = 1e-5  # of objectives; optimisers stop at parts of 1e-8 of their own scale
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinearProgram(Solver):
     """Solve by a linear program.
+
+    Parameters
+    ----------
+    solver : "CLARABEL" or "HIGHS"
+        Interior points, or a simplex method.
 
     Examples
     --------
@@ -44,7 +49,12 @@ class LinearProgram(Solver):
     [2.0, 4.0]
     """
 
+    solver: str = "CLARABEL"
+
     name: ClassVar[str] = "linear-program"
+
+    def __post_init__(self) -> None:
+        known(self.solver, OPTIMISERS, "solver", "LinearProgram")
 
     def best(self, model: MDP) -> Solution:
         """Return the optimum up to rounding."""
@@ -57,7 +67,7 @@ class LinearProgram(Solver):
         reached = float(solution.value[live].mean()) if live.any() else 0.0
         scale = abs(reached) + float(np.abs(model.reward).max())
         if not abs(objective - reached) <= AGREEMENT * scale:
-            detail = f"{OPTIMISER} found a mean value of {objective:.9g}, not {reached:.9g}"
+            detail = f"{self.solver} found a mean value of {objective:.9g}, not {reached:.9g}"
             raise SolverError(Status.PROGRAM_FAILED, detail)
         return replace(
             solution,
@@ -82,12 +92,12 @@ class LinearProgram(Solver):
         value = cvxpy.Variable(count)
         above = matrix @ value >= mdp.reward[open_pairs] / scale
         problem = cvxpy.Problem(cvxpy.Minimize(np.full(count, 1 / count) @ value), [above])
-        steps = optimised(problem)
+        steps = optimised(problem, self.solver)
         values[live] = np.asarray(value.value) * scale
         return values, float(problem.value) * scale, steps
 
 
-def optimised(problem: Any) -> int:
+def optimised(problem: Any, solver: str) -> int:
     """Solve a program of cvxpy, and return the steps; SolverError where it finds no optimum."""
     with extra("lp"):
         import cvxpy
@@ -95,9 +105,9 @@ def optimised(problem: Any) -> int:
         # What cvxpy would warn of, an inaccurate solution, is an error here.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            problem.solve(solver=OPTIMISER)
+            problem.solve(solver=solver)
     except cvxpy.SolverError as error:
-        raise SolverError(Status.PROGRAM_FAILED, f"{OPTIMISER}: {error}") from error
+        raise SolverError(Status.PROGRAM_FAILED, f"{solver}: {error}") from error
     if problem.status != cvxpy.OPTIMAL:
-        raise SolverError(Status.PROGRAM_FAILED, f"{OPTIMISER} says {problem.status}")
+        raise SolverError(Status.PROGRAM_FAILED, f"{solver} says {problem.status}")
     return int(problem.solver_stats.num_iters or 0)

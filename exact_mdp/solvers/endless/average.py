@@ -257,7 +257,7 @@ def _by_program(step: MDP, solver: Any) -> Improved:
     gain, bias = cvxpy.Variable(step.n_states), cvxpy.Variable(step.n_states)
     keeps, earns = stays @ gain >= 0, own @ gain + stays @ bias >= step.reward / scale
     problem = cvxpy.Problem(cvxpy.Minimize(gain.sum()), [keeps, earns])
-    steps = optimised(problem)
+    steps = optimised(problem, solver.solver)
     solution = improved(step, greedy(step, gains(step, scale * np.asarray(bias.value))))
     return solution._replace(iterations=steps + solution.iterations)
 
