@@ -395,7 +395,7 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             return cls._learned(model, given, kind)
         if isinstance(given, str | Path):
             if given == "random":
-                return cls.evenly(model, model.by_action(np.ones(model.n_pairs, dtype=bool)))
+                return evenly(model, model.by_action(np.ones(model.n_pairs, dtype=bool)))
             if isinstance(given, str) and given.startswith("always:"):
                 number = np.array([model.action(given.removeprefix("always:"))])
                 return cls(space=StateSpace(columns=()), actions=model.actions, rule=number)
@@ -490,17 +490,6 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             )
         return cls(space=space, actions=model.actions, rule=array)
 
-    @classmethod
-    def evenly(cls, model: MDP, among: NDArray[np.bool_]) -> Policy:
-        """Return the policy that draws each of some actions (S, A) of a state equally often."""
-        shares = among.astype(np.int64)
-        rule = shares / shares.sum(axis=1, keepdims=True)
-        policy = cls(space=model.space, actions=model.actions, rule=rule)
-        if not policy.deterministic:  # a third, which no float is
-            shares.setflags(write=False)
-            object.__setattr__(policy, "shares", shares)
-        return policy
-
     def write(self, path: str | Path) -> None:
         """Write the policy as `.csv` or (where it reads one column alone) `.json`, atomically."""
         rows = {}
@@ -509,6 +498,17 @@ class Policy(ByFields, NDArrayOperatorsMixin):
             if taken := {action: _printed(chance) for action, chance in each if chance}:
                 rows[key] = taken
         reading.write(path, self.space, rows, mixed=not self.deterministic)
+
+
+def evenly(model: MDP, among: NDArray[np.bool_]) -> Policy:
+    """Return the policy that draws each of some actions (S, A) of a state equally often."""
+    shares = among.astype(np.int64)
+    rule = shares / shares.sum(axis=1, keepdims=True)
+    policy = Policy(space=model.space, actions=model.actions, rule=rule)
+    if not policy.deterministic:  # a third, which no float is
+        shares.setflags(write=False)
+        object.__setattr__(policy, "shares", shares)
+    return policy
 
 
 class Solved(Protocol):

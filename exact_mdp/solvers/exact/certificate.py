@@ -25,7 +25,7 @@ from exact_mdp.mdp.exact import BellmanRows, bellman_rows, fingerprint
 from exact_mdp.mdp.graph import Mask
 from exact_mdp.mdp.io import model_json
 from exact_mdp.mdp.model import MDP
-from exact_mdp.mdp.policies.policy import Policy
+from exact_mdp.mdp.policies.policy import Policy, evenly
 from exact_mdp.mdp.result import DataFrame, Pictured, Result
 from exact_mdp.mdp.table import Floats, Integers, Numbers
 from exact_mdp.solvers.exact import checker, codec
@@ -344,7 +344,7 @@ class Certificate(Proof, Pictured):
                 where=mdp.space.place(int(np.flatnonzero(several)[0])),
                 fix="take certificate.policy, which is",
             )
-        return Policy.evenly(mdp, optimal)
+        return evenly(mdp, optimal)
 
     def frame(self) -> DataFrame:
         """Return the value of each state, its action, and what the next best action loses.
