@@ -34,15 +34,15 @@ outputs: ## run the notebooks and write their outputs into them
 	$(PY) tests/support/notebook_outputs.py
 docs: ## write into the pages what is made from the code
 	$(PY) docs/write.py
-test: lint types ## lint, types, doctests, the wheel, every test but those marked slow or bench
-	$(call TESTS,$(VENV)) -m "not slow and not bench"
+test: lint types ## lint, types, doctests, the wheel, every test but those marked slow or storm
+	$(call TESTS,$(VENV)) -m "not slow and not storm"
 test-slow: ## the tests that take long, and every property on examples never seen before
-	EXPLORE=1 $(call TESTS,$(VENV)) -m "(slow or hypothesis) and not bench"
+	EXPLORE=1 $(call TESTS,$(VENV)) -m "(slow or hypothesis) and not storm"
 test-lowest: $(LOWEST)/.installed ## the core tests at the lowest declared versions, in .venv-lowest
 	$(call TESTS,$(LOWEST)) -k "not compiled_draws and not Taxi" $(addprefix tests/,mdp solvers/exact solvers/values inner/mdp \
 	    solvers/test_published.py solvers/test_solvers.py analysis/cli/test_commands.py analysis/cli/test_train.py project/test_house.py \
 	    analysis/gate/test_check_command.py analysis/sensitivity/test_sobol.py analysis/sensitivity/test_psa.py solvers/test_laws.py \
-	    $(patsubst %,inner/solvers/test_%.py,parallel robust))
+	    inner/solvers/test_parallel.py solvers/test_robust.py)
 lint: ## ruff's checks, its formatting among them
 	$(PY) -m ruff check . && $(PY) -m ruff format --check .
 format: ## rewrite the files as ruff formats them
@@ -50,7 +50,7 @@ format: ## rewrite the files as ruff formats them
 types: ## mypy over the four packages and the tests' helpers
 	$(PY) -m mypy && $(PY) -m mypy tests/support tests/cases
 bench: ## the benchmarks; rewrites tests/benchmarks/RESULTS.md
-	$(PY) -m pytest -m bench --benchmark-enable && $(PY) tests/benchmarks/compare.py
+	$(PY) -m pytest -m storm && $(PY) tests/benchmarks/compare.py
 wheel: ## build the wheel and the source archive into dist, the same bytes every time
 	rm -rf dist
 	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct || echo 1600000000) $(PY) -m build --no-isolation --outdir dist .
@@ -60,7 +60,7 @@ lock: ## write the two lock files again (UPGRADE=1: newest versions)
 	$(COMPILE) --upgrade --resolution lowest-direct --extra lp --extra plots --extra models --group test \
 	    --output-file requirements-lowest.lock pyproject.toml
 clean: ## remove what the targets above wrote, .venv and .venv-lowest excepted
-	rm -rf $(OUT) build dist .hypothesis .pytest_cache .mypy_cache .ruff_cache .benchmarks
+	rm -rf $(OUT) build dist .hypothesis .pytest_cache .mypy_cache .ruff_cache
 	find exact_mdp tests docs -name __pycache__ -prune -exec rm -rf {} +
 
 $(PY):

@@ -15,7 +15,7 @@ from refusal_tables import refused
 
 from exact_mdp import MDP, Scenario, certify, load, save
 
-pytestmark = [pytest.mark.bench, pytest.mark.storm]
+pytestmark = pytest.mark.storm
 
 READINGS = [
     {},
