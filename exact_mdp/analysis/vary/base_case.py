@@ -52,10 +52,6 @@ class BaseCase:
         today = isinstance(policy, str) and policy == "optimal"
         return PolicyChain.of(self.mdp, self.solution if today else policy).chosen
 
-    def taken(self, row: Integers) -> Floats:
-        """Return (L,) 1 for the pairs that (S,) action numbers take."""
-        return np.asarray(self.mdp.pair_action == row[self.mdp.pair_state], dtype=float)
-
     def row(self, weights: Floats) -> Integers:
         """Return (S,) the action numbers of a policy (L,), -1 where it mixes."""
         row, sure = np.full(self.mdp.n_states, -1), np.flatnonzero(weights == 1)

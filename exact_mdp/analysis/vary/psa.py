@@ -46,7 +46,7 @@ from exact_mdp.mdp.parametric import Parametric, parametric
 from exact_mdp.mdp.parametric.family import place_of
 from exact_mdp.mdp.policies.policy import PolicyLike
 from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed, plain
-from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
+from exact_mdp.mdp.result import DataFrame, Pictured
 from exact_mdp.mdp.table import Floats
 from exact_mdp.mdp.validate import RNG, Flags, counted, seed_of
 from exact_mdp.solvers.parallel import How, seeded
@@ -175,6 +175,7 @@ class PSA(Pictured):
     def report(self, policy: str = "optimal") -> Report:
         """Return what the draws show; `policy` is what the policy held fixed is called."""
         partly = self.evppi() if len(self) >= FEWEST else {}
+        partly = dict(sorted(partly.items(), key=lambda item: -item[1].regression.value))
         information, regret, numbers = self.evpi(), self.regret(), range(len(self.candidates))
         names = [candidate.name for candidate in self.candidates]
         losses, tolerances = [mean_loss(self.regret(n)) for n in numbers], tolerances_of([regret])
@@ -211,7 +212,6 @@ class PSA(Pictured):
         }
         ends = {"low": _loss(information.low), "high": _loss(information.high)}
         between = f"{cell(information.low)} to {cell(information.high)}"
-        ordered = sorted(partly.items(), key=lambda item: -item[1].regression.value)
         return Report(
             title="probabilistic sensitivity analysis",
             facts={
@@ -232,7 +232,7 @@ class PSA(Pictured):
                 ),
                 "evpi_bounds": Shown(ends | {"best_policy": information.best}),
                 "evpi_of_candidates": Shown(_loss(self.evpi_of_candidates())),
-                "evppi": {name: each.regression.value for name, each in partly.items()},
+                "evppi": Shown({name: each.regression.value for name, each in partly.items()}),
                 "evppi_details": Shown(
                     {n: vars(each) | {"reliable": each.reliable} for n, each in partly.items()}
                 ),
@@ -269,14 +269,10 @@ class PSA(Pictured):
                         "optimal in": "probability_optimal:.1%",
                     },
                 ),
-                "evppi": Table(
+                "evppi_details": Table(
                     title="EVPPI, choosing among these policies: by regression, at most their "
-                    "EVPI, and a lower estimate; ? marks what is not to be relied on",
-                    rows=[
-                        {"known": name, **vars(each), "": "" if each.reliable else "?"}
-                        for name, each in ordered
-                    ],
-                    columns={n: n for n in ("known", "regression", "lower", "")},
+                    "EVPI, and a lower estimate",
+                    columns={"known": "", **{n: n for n in ("regression", "lower", "reliable")}},
                     first=LISTED,
                 ),
             },
@@ -284,12 +280,8 @@ class PSA(Pictured):
         )
 
     def frame(self) -> DataFrame:
-        """Return a table: the drawn parameters, V*, each candidate's value (units of reward)."""
-        table = data_frame(self.table.points, columns=list(self.names))
-        table["V* (reward)"] = self.table.optimal
-        for number, candidate in enumerate(self.candidates):
-            table[f"{candidate.name} (reward)"] = self.table.fixed[:, number]
-        return table
+        """Return a table: the drawn parameters, V*, each candidate's value and regret (reward)."""
+        return self.table.frame()
 
 
 def _loss(loss: MeanLoss) -> dict[str, object]:
@@ -461,7 +453,7 @@ def _selected(
     pool = pool[(by_loss[pool] > 0) & ~known[pool]]
     if not len(pool):
         return picked, table
-    others = [draws.solver.base.taken(row) for row in rows[pool]]
+    others = [draws.solver.base.held(row) for row in rows[pool]]
     total, some = float(left.sum()), np.sort(np.argsort(-left, kind="stable")[: draws.solver.pool])
     values = sign * draws.solver.values(table.points[some], others)["value"]
     for count in range(1, CANDIDATES + 1):

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from types import MappingProxyType
 
 import numpy as np
 
@@ -79,7 +78,7 @@ class Robust(Result):
     @property
     def changed(self) -> Numbers:
         """(K,) states in which the policies differ, of those that either of them reaches."""
-        mdp, taken = self.mdp, _weights(self.robust)
+        mdp, taken = self.mdp, self.robust.policy.weights(self.mdp)
         apart = np.abs(taken - self.policy) > 1e-12
         differs = np.logical_or.reduceat(apart, mdp.pair_offsets[:-1])
         seen = reachable(mdp, pairs=taken > 0) | reachable(mdp, pairs=self.policy > 0)
@@ -89,7 +88,7 @@ class Robust(Result):
         """Return the values under the tables, and under nature's worst and best."""
         label = self.mdp.space.label
         before = actions_of(self.mdp, self.policy > 0)
-        after = actions_of(self.mdp, _weights(self.robust) > 0)
+        after = actions_of(self.mdp, self.robust.policy.weights(self.mdp) > 0)
         changes = [
             {"state": label(s), "before": " or ".join(before[s]), "after": after[s][0]}
             for s in self.changed.tolist()
@@ -142,14 +141,6 @@ class Robust(Result):
         return data_frame(table, columns=headings)
 
 
-def _weights(solution: RobustSolution) -> Floats:
-    """Return (L,) probabilities of pairs of the policy that was found."""
-    assert solution.pairs is not None
-    taken = np.zeros(solution.mdp.n_pairs)
-    taken[solution.pairs] = 1.0
-    return taken
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RobustCurve(Pictured):
     """How values move with the radius of the sets."""
@@ -169,15 +160,13 @@ class RobustCurve(Pictured):
         return pandas.concat(every, ignore_index=True)
 
 
-SETS: MappingProxyType[str, Callable[[MDP, object], Ambiguity]] = MappingProxyType(
-    {
-        "interval": Intervals.relative,
-        "absolute": Intervals.absolute,
-        "l1": lambda mdp, radius: L1Ball(radius=radius),
-        "kl": lambda mdp, radius: Likelihood(radius=radius),
-        "entropy": lambda mdp, radius: RelativeEntropy(radius=radius),
-    }
-)
+SETS: Mapping[str, Callable[[MDP, object], Ambiguity]] = {
+    "interval": Intervals.relative,
+    "absolute": Intervals.absolute,
+    "l1": lambda mdp, radius: L1Ball(radius=radius),
+    "kl": lambda mdp, radius: Likelihood(radius=radius),
+    "entropy": lambda mdp, radius: RelativeEntropy(radius=radius),
+}
 """Sets by name and radius: p (1 ± x), p ± x, L1 distance, KL(p‖q) and KL(q‖p) in nats."""
 
 
@@ -227,7 +216,7 @@ def robust(
         return solve_robust(model, sets, nature=nature, policy=weights).start
 
     best = solve_robust(model, sets)
-    own = _weights(best)
+    own = best.policy.weights(model)
     return Robust(
         mdp=model,
         policy=chain.weights,
@@ -311,8 +300,8 @@ class WorstPoint(Result):
             tables={
                 "point": Table(
                     title=f"the worst of {self.corners:,} corners",
-                    rows=[{"name": name, "at": at} for name, at in point.items()],
-                    columns={"parameter": "name", "at the worst point": "at:.6g"},
+                    rows=self.frame(),
+                    columns={"parameter": "parameter", "at the worst point": "at:.6g"},
                 )
             },
         )

@@ -10,12 +10,14 @@ from cli_runner import run
 
 from exact_mdp import (
     MDP,
+    Family,
     ModelError,
     Parametric,
     moving,
     one_way,
     psa,
     sobol,
+    study,
     tornado,
     two_way,
     worst_point,
@@ -98,6 +100,11 @@ def test_a_state_of_infinite_value_disturbs_nothing() -> None:
     assert np.isfinite(table.optimal).all()
     assert table.lost.min(axis=1).tolist() == [0] * 4
     assert (table.lost.max(axis=1) == np.inf).all()
+    # An action may lead to both infinities; here it is worth -∞, as more is lost than gained.
+    rows = [(0, 0, [("1/2", 1, 0), ("1/2", 2, 0)]), (0, 1, [(1, 3, 2)]), (1, 0, [(1, 1, 1)])]
+    both = MDP.from_outcomes([*rows, (2, 0, [(1, 2, -2)]), (3, 0, [(1, 3, 0)])])
+    table = study(Family(parameters={"x": 1}, build=lambda _: both), {"x": [1]})
+    assert (table.optimal.tolist(), table.lost.tolist()) == ([2], [[np.inf, 0]])
 
 
 def test_commands_about_one_policy_agree(tmp_path: Path) -> None:

@@ -134,7 +134,9 @@ def test_workers_and_sample_sizes_change_no_byte(tmp_path: Path) -> None:
             assert getattr(one.table, name).tobytes() == getattr(other.table, name).tobytes()
         assert [c.name for c in one.candidates] == [c.name for c in other.candidates]
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*.npz")}
-    psa(SMALL, 9001, rng=0, folder=tmp_path / "run")  # whole pieces are used again
+    more = psa(SMALL, 9001, rng=0, folder=tmp_path / "run")  # whole pieces are used again
+    assert len(more) == 9001
+    assert more.table.optimal[:9000].tobytes() == one.table.optimal.tobytes()
     assert sum(path.stat().st_mtime_ns == at for path, at in written.items()) >= 2
     with pytest.raises(ModelError, match="seed"):
         psa(SMALL, 9000, rng=1, folder=tmp_path / "run")
@@ -156,6 +158,14 @@ def test_a_folder_is_not_used_for_models_that_are_the_same_today_alone(tmp_path:
     assert worth(1).tolist() == worth(1).tolist()
     with pytest.raises(ModelError, match="record differs in first_draw"):
         worth(5)
+
+
+def test_a_policy_is_told_by_status_where_it_depends_on_nothing_else() -> None:
+    second = SMALL.compile().space.values("trial") == 1
+    for policy, said in (("always:directive", {"directive"}), (second.astype(int), None)):
+        actions = psa(SMALL, 5, rng=0, policy=policy).candidates[0].actions
+        assert (actions and {*actions.values()}) == said
+        assert actions is None or len(actions) == 16
 
 
 def test_cut_off_chances_are_counted() -> None:

@@ -4,7 +4,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction as F
 from itertools import product
+from math import isfinite
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -17,11 +19,13 @@ from exact_mdp import (
     READINGS,
     Claim,
     Family,
+    ModelError,
     Parameter,
     Parametric,
     Policy,
     Range,
     Scenario,
+    certify,
     evaluate,
     load_ranges,
     moving,
@@ -118,6 +122,29 @@ def test_what_is_left_of_a_row_is_shared_in_proportion(last: str) -> None:
         row = [p for p, _, _ in family.at(named).table.row(0)]
         left = 1 - sum(named.values())
         assert row == [*named.values(), *(left * share for share in rest)]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_optimal_actions_beside_infinite_states(seed: int) -> None:
+    """The actions that lose nothing are those that the exact certificate calls optimal."""
+    rng, sign = Random(seed), 1 - 2 * (seed % 2)
+    size = rng.randint(3, 5)
+    rows = [(0, 0, [(1, size, 2 * sign)]), (size, 0, [(1, size, 0)])]
+    for state in range(size):
+        for action in range(not state, rng.randint(1, 2) + (not state)):
+            to = rng.sample(range(size), rng.randint(1, 2))
+            gains = [sign * rng.choice([-2, -1, -1, 0, 1]) for _ in to]
+            row = [(F(1, len(to)), t, gain) for t, gain in zip(to, gains, strict=True)]
+            rows.append((state, action, row))
+    mdp = MDP.from_outcomes(rows, sense="max" if sign > 0 else "min")
+    try:
+        exact = certify(mdp)
+    except ModelError:  # no optimum
+        return
+    if isfinite(exact.start_value):
+        table = study(Family(parameters={"x": 1}, build=lambda _: mdp), {"x": [1]})
+        optimal = mdp.by_action(exact.optimal_pairs)[~mdp.forced]
+        assert (table.counts == 1).tolist() == optimal.tolist()
 
 
 # ---- ranges --------------------------------------------------------------------------------------
