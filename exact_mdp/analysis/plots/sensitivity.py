@@ -217,9 +217,9 @@ def plot_thresholds(
         stays: Look = {"color": BLUE, "left": near, "label": "the optimal policy stays"}
         bar(ax, place, far - near, stays, height=0.6)
         for threshold in each.found:
-            x, dashes = (threshold.value - low) / width, ":" if threshold.touch else "-"
+            x = (threshold.value - low) / width
             ends = [place - 0.3, place + 0.3]
-            ax.plot([x, x], ends, dashes, color=BLACK, lw=1, label="an optimal action changes")
+            ax.plot([x, x], ends, "-", color=BLACK, lw=1, label="an optimal action changes")
         today = (float(each.curve.parameter.value) - low) / width
         ax.plot(today, place, "D", color=BLACK, markersize=4, label="today")
         ax.text(0, place + 0.42, _number(low), ha="left", va="center", fontsize=7)

@@ -12,7 +12,7 @@ known.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,6 @@ from exact_mdp.mdp.parametric.family import (
     Family,
     Moved,
     Parametric,
-    parameter_of,
     room_of,
 )
 from exact_mdp.mdp.table import Integers, Numbers, merged, shown
@@ -41,10 +40,11 @@ Entries = tuple[Integers, Numbers, Numbers]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Piece:
-    """An interval on which rows are polynomials; open ends are None."""
+    """An interval on which rows are polynomials, around θ0; open ends are None."""
 
     low: Fraction | None
     high: Fraction | None
+    origin: Fraction
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,6 +65,7 @@ class RowChange:
     """How transition rows, expected rewards and the discount move with one parameter."""
 
     name: str
+    piece: Piece
     transition: Change  # keys are pair · S + next state
     reward: Change  # keys are pairs
     rate: fmpq_poly  # what is added to the discount
@@ -74,41 +75,33 @@ class RowChange:
 def pieces(model: Parametric, name: str, origin: Fraction) -> tuple[Piece | None, Piece | None]:
     """Return the pieces to the left and to the right of a value; None beyond the range.
 
-    They are one and the same where the value is not a breakpoint.
+    They are one and the same where the value, θ0 of both, is not a breakpoint.
     """
     low, high = room_of(model, name)
     cuts = model.breakpoints(name)
     below = max((cut for cut in cuts if cut < origin), default=low)
     above = min((cut for cut in cuts if cut > origin), default=high)
     cut = origin in cuts
-    left = Piece(low=below, high=origin if cut else above)
-    right = Piece(low=origin, high=above) if cut else left
+    left = Piece(low=below, high=origin if cut else above, origin=origin)
+    right = replace(left, low=origin, high=above) if cut else left
     return None if origin == low else left, None if origin == high else right
 
 
-def row_change(
-    model: Parametric,
-    name: str,
-    piece: Piece,
-    *,
-    origin: Fraction | None = None,
-    base: MDP | None = None,
-) -> RowChange:
-    """Return how rows move with one parameter on a piece, from `origin`, its own value by default.
+def row_change(model: Parametric, name: str, piece: Piece, base: MDP) -> RowChange:
+    """Return how rows move with one parameter on a piece; `base` is the model at θ0.
 
-    `base` is the model there, where it is known. Raises ModelError where rows are not polynomials
-    of the degree that the model states, or where states, pairs or the start change.
+    Raises ModelError where rows are not polynomials of the degree that the model states, or where
+    states, pairs or the start change.
     """
-    degree = max(model.degree(name), 1)
-    place = parameter_of(model, name).value if origin is None else origin
+    degree, origin = max(model.degree(name), 1), piece.origin
     known = isinstance(model, ScenarioFamily) or (
         isinstance(model, Family) and isinstance(model.build, Moved)
     )
-    points, models = _sampled(model, name, piece, place, degree if known else degree + EXTRA)
-    models.insert(0, model.at({name: place}) if base is None else base)
+    points, models = _sampled(model, name, piece, degree if known else degree + EXTRA)
+    models.insert(0, base)
     for point, other in zip(points, models[1:], strict=True):
         _check_alike(models[0], other, name, point)
-    steps = [rational(point - place) for point in (place, *points)]
+    steps = [rational(point - origin) for point in (origin, *points)]
     changes = [_changes(models, steps, entries) for entries in (transition_entries, reward_entries)]
     for change, targets in zip(changes, (models[0].n_states, 1), strict=True):
         for key, moved in zip(change.key.tolist(), change.moved, strict=True):
@@ -120,6 +113,7 @@ def row_change(
         raise _no_polynomial("the discount is not a polynomial", name, degree)
     return RowChange(
         name=name,
+        piece=piece,
         transition=changes[0],
         reward=changes[1],
         rate=rate - rate[0],
@@ -142,7 +136,7 @@ SHRINKS = 64  # how often points are moved closer to θ0 where there is no model
 
 
 def _sampled(
-    model: Parametric, name: str, piece: Piece, origin: Fraction, count: int
+    model: Parametric, name: str, piece: Piece, count: int
 ) -> tuple[list[Fraction], list[MDP]]:
     """Return `count` points other than the origin, all on one side of it, and the models there.
 
@@ -150,7 +144,7 @@ def _sampled(
     begin. Where a family has no model at some of them, as where a probability would pass 1, they
     are moved closer to the origin, and then to the other side.
     """
-    widths = list[Fraction]()
+    origin, widths = piece.origin, list[Fraction]()
     if piece.high is None or origin < piece.high:
         widths.append(Fraction(1) if piece.high is None else piece.high - origin)
     if piece.low is None or piece.low < origin:
@@ -233,38 +227,3 @@ def reward_entries(mdp: MDP) -> Entries:
 def ratios(top: Numbers, bottom: Numbers) -> list[fmpq]:
     """Return the ratios of integers."""
     return [flint.fmpq(int(a), int(b)) for a, b in zip(top, bottom, strict=True)]
-
-
-class PolynomialRows:
-    """The rows on one piece of a parameter, around the model at the value θ0 that they change from.
-
-    `terminal` are the states in which nothing happens, whatever the parameter; `following` holds
-    the discounted probabilities of states that are not terminal, `moving` those that change, not
-    discounted, of terminal states too.
-    """
-
-    def __init__(self, mdp: MDP, change: RowChange) -> None:
-        self.mdp, self.change = mdp, change
-        self.rate: fmpq_poly = change.rate + rational(mdp.discount_exact)
-        # A state that is left, or earns, next to θ0 is terminal at that very value alone.
-        ends = mdp.terminal.copy()
-        ends[mdp.pair_state[change.reward.key]] = False
-        ends[mdp.pair_state[change.transition.key // mdp.n_states]] = False
-        self.terminal: list[bool] = ends.tolist()
-        poly = flint.fmpq_poly
-        self.reward: list[fmpq_poly] = [poly([r]) for r in ratios(*reward_entries(mdp)[1:])]
-        for pair, moved in zip(change.reward.key.tolist(), change.reward.moved, strict=True):
-            self.reward[pair] += moved
-        keys, top, bottom = transition_entries(mdp)
-        weight: dict[int, fmpq_poly] = {
-            key: poly([p]) for key, p in zip(keys.tolist(), ratios(top, bottom), strict=True)
-        }
-        self.moving: list[fmpq_poly] = []
-        for key, moved in zip(change.transition.key.tolist(), change.transition.moved, strict=True):
-            weight[key] = weight.get(key, poly()) + moved
-            self.moving.append(weight[key])
-        self.following: list[list[tuple[int, fmpq_poly]]] = [[] for _ in self.reward]
-        for key, p in sorted(weight.items()):
-            pair, state = divmod(key, mdp.n_states)
-            if not self.terminal[mdp.pair_state[pair]] and not self.terminal[state]:
-                self.following[pair].append((state, p * self.rate))

@@ -98,11 +98,15 @@ def test_puterman_leaves_at_ten_elevenths() -> None:
 THIRD, HALF, TINY = F(1, 3), F(1, 2), F(1, 10**15)
 SWITCHES: dict[str, tuple[Callable[[F], list[F]], dict[str, Any], list[Any], tuple[F, F]]] = {
     "a root that touches": (
-        lambda p: [F(0), -((p - THIRD) ** 2)], {"degrees": {"p": 2}}, [(THIRD, "0", "01")], (0, 1),
+        lambda p: [F(0), -((p - THIRD) ** 2)], {"degrees": {"p": 2}}, [], (0, 1),
     ),
     "closer than a bracket": (
         lambda p: [F(0), p - THIRD, 2 * (p - THIRD) - TINY], {},
         [(THIRD, "0", "1"), (THIRD + TINY, "1", "2")], (THIRD, 1),
+    ),
+    "closer than a bracket to one that is exact": (
+        lambda p: [F(0), p - HALF, 2 * (p - HALF) - TINY], {},
+        [(HALF, "0", "1"), (HALF + TINY, "1", "2")], (HALF, HALF),
     ),
     "three at one point": (
         lambda p: [F(0), p - THIRD, 2 * (p - THIRD)], {}, [(THIRD, "0", "2")], (THIRD, 1),
@@ -128,7 +132,6 @@ def test_where_one_action_of_several_becomes_best(name: str) -> None:
     switches = thresholds(lone(build, HALF, 0, **more), "p", (0, 1))
     for found, (at, before, after) in zip(switches.found, wanted, strict=True):
         assert found.low <= at <= found.high <= found.low + WIDTH
-        assert found.touch == name.endswith("touches")
         assert ["".join(found.switches[0].before), "".join(found.switches[0].after)] == [
             before,
             after,
@@ -204,7 +207,7 @@ def test_scenarios_against_certificates_at_single_points(
     )
     low, high = value_curve.range.low, value_curve.range.high
     assert (low, high) == tuple(map(F, bounds or (0, 1)))  # or all that a probability may be
-    cuts = [each for each in switches.found if not each.touch]
+    cuts = switches.found
     assert {(each.low, each.high) for each in cuts} <= {p.high for p in value_curve.pieces[:-1]}
     assert len(value_curve.frame()) == len(value_curve.pieces) > len(cuts)
     assert all(each.high - each.low <= WIDTH for each in switches.found)
@@ -265,6 +268,22 @@ def test_a_jump_is_refused_unless_its_value_belongs_to_all_of_a_range(
             curve(family, "p", span)
 
 
+def test_what_leads_to_the_end_without_a_reward_counts_in_the_degree() -> None:
+    """Its row has no entry; a chance that is 0 at a single point closes no way to the end."""
+
+    def build(p: F) -> MDP:
+        chance = (p - HALF) ** 2
+        row = [(share, to, 1) for share, to in ((chance, 1), (1 - chance, 2)) if share]
+        stay = [("1/2", 1, 1), ("1/2", 2, 1)]
+        return MDP.from_outcomes(
+            [(0, 0, row), (1, 0, [(1, 3, 0)]), (2, 0, stay), (3, 0, [(1, 3, 0)])]
+        )
+
+    value_curve = curve(lone(build, "1/4", 0, degrees={"p": 2}), "p", (F(1, 8), F(7, 8)))
+    assert value_curve.pieces[0].value.numerator == (F(5, 2), 2, -2)
+    assert value_curve.violations() == []
+
+
 def test_what_is_false_between_breakpoints_is_found() -> None:
     """Each claim is changed alone; samples at ends and in the middle would see few of these."""
     value_curve = curve(PUTERMAN, "discount", (0, "99/100"), policy=[0, 0])
@@ -282,7 +301,7 @@ def test_what_is_false_between_breakpoints_is_found() -> None:
         assert "is better" in said or (shift < 0 and "next to" in said)
     for first, second, message in (
         ({"optimal": ~low.optimal}, {}, "pair"),
-        ({"value": high.value}, {}, "another one"),
+        ({"start": ((0, F(1, 2)), (1, F(1, 2)))}, {}, "another one"),
         ({}, {"fixed_values": low.values}, "held fixed"),
         ({}, {"values": (high.values[0], -high.values[1])}, "not positive"),
         ({}, None, "no piece covers"),

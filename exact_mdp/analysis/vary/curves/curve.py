@@ -25,15 +25,10 @@ import numpy as np
 from exact_mdp.analysis.gate.regret import limit_of
 from exact_mdp.analysis.optimum import of_every_state
 from exact_mdp.analysis.vary.base_case import actions_of
-from exact_mdp.analysis.vary.curves.checker import (
-    Bracket,
-    CurvePiece,
-    Mix,
-    piece_violations,
-    weighed,
-)
+from exact_mdp.analysis.vary.curves.checker import Bracket, CurvePiece, piece_violations
+from exact_mdp.analysis.vary.curves.equations import Mix, weighed
 from exact_mdp.analysis.vary.curves.roots import roots, roots_on, sign, simple
-from exact_mdp.analysis.vary.curves.walk import WIDTH, pieces_of
+from exact_mdp.analysis.vary.curves.walk import pieces_of
 from exact_mdp.analysis.vary.ranges import Range, range_of
 from exact_mdp.mdp.care.scenario import Scenario
 from exact_mdp.mdp.errors import ModelError, named_options
@@ -52,6 +47,7 @@ from exact_mdp.solvers.values.policy_chain import PolicyChain
 if TYPE_CHECKING:
     from flint import fmpq_poly
 
+WIDTH = Fraction(1, 10**12)  # of the brackets of limits
 NEARLY_ONE = 1 - Fraction(1, 2**40)
 
 
@@ -182,21 +178,19 @@ class ValueFunction(Pictured):
         With each: whether some margin has a root there, whether it is open what happens inside, and
         whether the limit is kept from there up to the next.
         """
-        sides: list[fmpq_poly] = []
-        last = self.pieces[0]
+        last, before = self.pieces[-1], flint.fmpq_poly([1])
         for piece in self.pieces:
-            before = sides if piece.section is last.section else []
-            sides, last, origin = self._margins(piece, most, share), piece, piece.section.origin
-            here, high = piece.low[1] - origin, piece.high[0] - origin
-            at, root = piece.low, _root_on([*before, *sides], piece, piece.low)
-            open_ = root and at[0] < at[1]
-            for inside in roots(_product(sides), here, high):
+            sides = self._margins(piece, most, share)
+            every = prod((side for side in sides if side), start=flint.fmpq_poly([1]))
+            at, root = piece.low, roots_on(before * every, *piece.low) > 0
+            open_, here, end = root and at[0] < at[1], piece.low[1], piece.high[0]
+            for inside in roots(simple(every), here, end):
                 near = inside.apart(here, WIDTH)
                 yield at, root, open_, _kept(sides, here, near.low)
-                at, root, open_ = (near.low + origin, near.high + origin), True, False
-                here = near.high
-            yield at, root, open_, _kept(sides, here, high)
-        yield last.high, _root_on(sides, last, last.high), False, False
+                at, root, open_, here = (near.low, near.high), True, False, near.high
+            yield at, root, open_, _kept(sides, here, end)
+            before = every
+        yield last.high, roots_on(before, *last.high) > 0, False, False
 
     def _margins(self, piece: CurvePiece, most: Fraction, share: Fraction) -> list[fmpq_poly]:
         """Return polynomials of which one is not negative where the limit is kept.
@@ -226,7 +220,7 @@ class ValueFunction(Pictured):
         if ends[-1] != (self.range.high,) * 2:
             wrong.append(f"no piece covers {shown(self.range.high)}")
         name, mix, sign = self.parameter.name, _mix(self.chain), self.mdp.sign
-        return wrong + piece_violations(self.family, name, self.pieces, mix, sign=sign)
+        return [*wrong, *piece_violations(self.family, name, self.pieces, mix, sign)]
 
     def report(self, within: Sequence[Interval] | None = None) -> Report:
         """Return the pieces; `within` is where a policy held fixed keeps a limit."""
@@ -279,17 +273,6 @@ class ValueFunction(Pictured):
             }
             for piece in self.pieces
         )
-
-
-def _product(sides: Sequence[fmpq_poly]) -> fmpq_poly:
-    """Return a polynomial with all roots of some that are not 0, none of them double."""
-    return simple(prod((each for each in sides if each), start=flint.fmpq_poly([1])))
-
-
-def _root_on(sides: Sequence[fmpq_poly], piece: CurvePiece, bracket: Bracket) -> bool:
-    """Whether some polynomial of a piece has a root in a bracket, ends included."""
-    low, high = (end - piece.section.origin for end in bracket)
-    return roots_on(_product(sides), low, high) > 0
 
 
 def _kept(sides: Sequence[fmpq_poly], low: Fraction, high: Fraction) -> bool:
@@ -370,10 +353,10 @@ def curve(
                 )
             span = Range(low=span.low, high=NEARLY_ONE)
     chain = None if policy is None else PolicyChain.of(mdp, policy)
-    pieces, sweeps = pieces_of(family, name, span, mdp.sign, _mix(chain))
+    pieces, sections = pieces_of(family, name, span, mdp.sign, _mix(chain))
     if chain is not None and chain.policy is not None:
-        ends = np.logical_and.reduce([np.array(each.gaps.terminal) for each in sweeps])
-        silent = chain.policy.silent(mdp) & mdp.terminal & ~ends
+        live = np.isin(np.arange(mdp.n_states), [s for each in sections for s in each.live])
+        silent = chain.policy.silent(mdp) & mdp.terminal & live
         if silent.any():
             raise ModelError(
                 f"the policy says nothing of a state in which all is over today, but not at every "
@@ -388,7 +371,7 @@ def curve(
         mdp=mdp,
         family=family,
         chain=chain,
-        checked=next((c for e in sweeps if (c := e.gaps.rows.change.checked) is not None), None),
+        checked=next((c for e in sections if (c := e.change.checked) is not None), None),
     )
 
 

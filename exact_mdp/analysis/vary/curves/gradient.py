@@ -282,7 +282,7 @@ def _derivative(
             sides.append(None)
             continue
         if not sides or piece is not below:
-            change = row_change(family, name, piece, base=mdp)
+            change = row_change(family, name, piece, mdp)
         slope, points = passed.slope(change, sign), change.checked
         sides.append(slope if points is None else Checked(number=slope, points=points))
     each = Derivative(parameter=parameter, left=sides[0], right=sides[1], elasticity=None)

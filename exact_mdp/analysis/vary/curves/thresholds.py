@@ -48,14 +48,13 @@ class Switch:
 class Threshold:
     """A value at which optimal actions change, between two rationals at most 1e-12 apart.
 
-    The optimum has been proved at both. `touch` is True where another action becomes as good at
-    one point and no better on either side.
+    The optimum has been proved at both. An action that is as good at one point, and no better on
+    either side, makes none.
     """
 
     low: Fraction
     high: Fraction
     switches: tuple[Switch, ...]
-    touch: bool = False
 
     @property
     def value(self) -> float:
@@ -101,12 +100,11 @@ class Thresholds(Pictured):
                     "before": switch.before,
                     "after": switch.after,
                     "reached": switch.reached,
-                    "touch": threshold.touch,
                 }
 
     def frame(self) -> DataFrame:
         """Return one row for each state that changes at a threshold."""
-        columns = ["parameter", "threshold", "state", "before", "after", "reached", "touch"]
+        columns = ["parameter", "threshold", "state", "before", "after", "reached"]
         table = data_frame(self.switches(), columns=columns).assign(claim=str(self.claim))
         table[["before", "after"]] = table[["before", "after"]].map(" or ".join)
         return table
@@ -124,7 +122,7 @@ class Thresholds(Pictured):
         low, high = self.curve.range.low, self.curve.range.high
         today = self.curve.parameter.value
         for each in self.found:
-            if each.touch or (reached and not each.reached):
+            if reached and not each.reached:
                 continue
             if each.high < today:
                 low = max(low, each.high)
@@ -220,7 +218,7 @@ def thresholds(
     Returns
     -------
     Thresholds
-        Those inside the range, touches included; its own ends are not looked at.
+        Those inside the range; its own ends are not looked at.
 
     Raises
     ------
@@ -238,37 +236,19 @@ def thresholds(
     """
     family = parametric(model)
     whole = curve(family, name, range_of(family, name, ranges, relative))
-    found = sorted(_found(whole), key=lambda threshold: threshold.low)
+    found = list[Threshold]()
+    for left, right in pairwise(whole.pieces):
+        if switches := _switches(whole.mdp, left.optimal, right.optimal):
+            found.append(Threshold(low=left.high[0], high=left.high[1], switches=switches))
     return Thresholds(curve=whole, found=tuple(found))
 
 
-def _found(curve: ValueFunction) -> Iterator[Threshold]:
-    """Yield the thresholds between the pieces of a curve, and the touches inside them."""
-    mdp = curve.mdp
-    for left, right in pairwise(curve.pieces):
-        both = (left.optimal, right.optimal)
-        low, high = left.high[0], max(left.high[1], right.low[1])
-        if switches := _switches(mdp, *both, met=both):
-            yield Threshold(low=low, high=high, switches=switches)
-        if left.ended is not None:  # rows have a kink there, and so may a gap that is 0 there
-            more = left.optimal | (left.ended & ~right.optimal)
-            more = np.where(mdp.terminal[mdp.pair_state], left.optimal, more)
-            if switches := _switches(mdp, left.optimal, more, met=both):
-                yield Threshold(low=low, high=high, switches=switches, touch=True)
-    for piece in curve.pieces:
-        for low, high, pair in piece.touches:
-            more = piece.optimal.copy()
-            more[pair] = True
-            switches = _switches(mdp, piece.optimal, more, met=(piece.optimal,))
-            yield Threshold(low=low, high=high, switches=switches, touch=True)
-
-
-def _switches(mdp: MDP, before: Flags, after: Flags, met: tuple[Flags, ...]) -> tuple[Switch, ...]:
-    """Return the states whose optimal pairs (L,) change; `met`: what policies may take, (L,)."""
+def _switches(mdp: MDP, before: Flags, after: Flags) -> tuple[Switch, ...]:
+    """Return the states whose optimal pairs (L,) change."""
     states = np.unique(mdp.pair_state[before != after]).tolist()
     if not states:
         return ()
-    seen = np.any([reachable(mdp, pairs=pairs) for pairs in met], axis=0)
+    seen = reachable(mdp, pairs=before) | reachable(mdp, pairs=after)
     below, above = actions_of(mdp, before), actions_of(mdp, after)
     return tuple(
         Switch(
