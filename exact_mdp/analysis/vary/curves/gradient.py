@@ -47,6 +47,7 @@ from exact_mdp.mdp.report import Report, Shown, Table, cell, claimed
 from exact_mdp.mdp.result import DataFrame, Pictured, data_frame
 from exact_mdp.mdp.table import Integers, Numbers, common, integers
 from exact_mdp.solvers.bounds.gains import SLACK, TINY, UNIT, gains, gamma
+from exact_mdp.solvers.endless.quotient import of_pairs
 from exact_mdp.solvers.solution import Bounded, Certified, Claim, difference, in_float
 from exact_mdp.solvers.solver import solve
 from exact_mdp.solvers.values.evaluate import evaluate
@@ -379,17 +380,11 @@ class _ExactPass:
         _refuse_endless(self.mdp, earned != 0, change.name)
         if self.certificate is None or unique:
             return Certified(value=fraction(rational(0) + self.uses @ earned))
-        tied, mdp = np.flatnonzero(self.certificate.optimal_pairs), self.mdp
-        top, bottom = common([sign * fraction(rational(0) + each) for each in earned[tied]])
-        table = replace(
-            mdp.table.of_pairs(tied),
-            gain=integers(top),
-            gain_denominator=integers([bottom] * len(tied)),
-            event=None,
-        )
-        state, action = mdp.pair_state[tied], mdp.pair_action[tied]
-        best = mdp.with_(table=table, pair_state=state, pair_action=action, events=())
-        return Certified(value=sign * Fraction(proven(best).start_value))
+        top, bottom = common([sign * fraction(rational(0) + each) for each in earned])
+        table = self.mdp.table.earning(integers(top), integers([bottom] * len(top)))
+        tied = np.flatnonzero(self.certificate.optimal_pairs)
+        best = proven(of_pairs(self.mdp.with_(table=table), tied))
+        return Certified(value=sign * Fraction(best.start_value))
 
 
 def _refuse_endless(mdp: MDP, earns: NDArray[np.bool_], name: str) -> None:
