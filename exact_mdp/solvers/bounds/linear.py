@@ -351,10 +351,10 @@ def part(
     matrix: sp.csr_array, rows: Integers, states: NDArray[np.bool_], *, inner: bool = False
 ) -> sp.csr_array:
     """Return (S, S) rows, one for each state: those of some states, or what is between these."""
-    lengths, entries = (
-        np.diff(matrix.indptr)[rows],
-        spans(matrix.indptr[rows], matrix.indptr[rows + 1]),
-    )
+    if states.all():
+        return matrix[rows]
+    first, last = matrix.indptr[rows], matrix.indptr[rows + 1]
+    lengths, entries = last - first, spans(first, last)
     column, inside = matrix.indices[entries], np.repeat(states, lengths)
     if inner:  # else the band would be as wide as a state can be from an end
         inside &= states[column]
