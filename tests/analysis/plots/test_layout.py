@@ -84,7 +84,9 @@ def test_an_arrow_points_at_the_cell_that_it_leads_to(size, signs, order) -> Non
     plt.close("all")
 
 
-@pytest.mark.parametrize(("step", "sign"), [((1, 1), "up"), ((1, 0), "up"), ((-1, 0), "↑")])
+@pytest.mark.parametrize(
+    ("step", "sign"), [((1, 1), "up"), ((1, 0), "up"), ((-1, 1), "up"), ((-1, 0), "↑")]
+)
 def test_an_arrow_that_points_elsewhere_is_a_name(step: tuple[int, int], sign: str) -> None:
     """A first part that "up" raises and that stands downwards, with a second that moves along."""
 
@@ -136,6 +138,8 @@ def test_every_state_has_a_place_of_its_own(words: dict[str, list[str]]) -> None
     ax = plots.plot_policy(CARE, "random", **words)
     rows, columns = labels(ax)
     assert len(ax.texts) == len(texts(ax)) == len(rows) * len(columns) == CARE.space.regular
+    one_row = plots.plot_policy(CARE, "random", across=CARE.space.names)
+    assert {*texts(one_row)} == {(0, place) for place in range(CARE.space.regular)}
 
 
 def test_a_part_is_shown_by_its_columns() -> None:
